@@ -17,11 +17,11 @@ from typer.exceptions import TyperException
 
 from tetractl import __version__
 from tetractl.cli import ui
-from tetractl.core.errors import UNIX_MODULES, Exit, TetractlError, UsageError, text_of
+from tetractl.core.errors import Exit, TetractlError, UsageError, text_of
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS
 from tetractl.core.registry import PluginError, Registry
 from tetractl.experiment.packages import not_installed
-from tetractl.tools.plugin_fault import FaultyPluginError, plugins_blamed
+from tetractl.tools.plugin_fault import UNIX_MODULES, FaultyPluginError, plugins_blamed
 from tetractl.tools.retired import INSTEAD, refuse_retired
 
 EXTRAS = {

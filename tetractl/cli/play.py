@@ -105,7 +105,7 @@ def play(
     if timed_keys is not None and speed is not None:
         raise UsageError("--speed is for a person: a --script runs as fast as it can")
     if in_lab:
-        ui.require_confirmation(yes)
+        ui.require_yes_or_terminal(yes)
     folder = out or new_log_folder(experiment.name)
     ui.refuse_existing(folder, folder=True)
 

@@ -121,7 +121,7 @@ def run_command(
         _print_plan(loaded, folder, _planned(store, only))
         return Exit.DONE, folder
     if lab:
-        ui.require_confirmation(options.yes)
+        ui.require_yes_or_terminal(options.yes)
     with (
         _served(experiment.name, options.port) as viewers,
         store.opened(options.resume),

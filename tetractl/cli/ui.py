@@ -101,7 +101,7 @@ def rig_of(experiment: "Experiment", supervision: "LabSupervision | None" = None
 def require_consent(yes: bool, what: str) -> None:
     """Ask on stderr whether robots may move, unless `yes`, and say `what` will happen; raises if
     they may not, or if there is no terminal at which to ask."""
-    require_confirmation(yes)
+    require_yes_or_terminal(yes)
     if not yes:
         typer.confirm(f"{what} Continue?", abort=True, err=True)
 
@@ -111,7 +111,7 @@ def has_keys() -> bool:
     return sys.stdin is not None and sys.stdin.isatty()
 
 
-def require_confirmation(yes: bool) -> None:
+def require_yes_or_terminal(yes: bool) -> None:
     """Raise UsageError if there is neither `yes` nor a terminal at which to confirm that robots may
     move."""
     if not yes and not has_keys():

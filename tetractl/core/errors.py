@@ -7,7 +7,6 @@ traceback. Anything that is not a `TetractlError` is a bug in tetractl.
 import operator
 import re
 import traceback
-import unicodedata
 from enum import IntEnum
 from itertools import pairwise
 from pathlib import Path
@@ -118,10 +117,6 @@ class WireError(ValueError):
     """
 
 
-UNIX_MODULES = {"fcntl", "termios", "tty", "pty", "resource", "pwd", "grp"}
-"""Modules of Python that Windows does not have; the lab needs them."""
-
-
 def printable(text: str, length: int | None = None) -> str:
     """Return text for one line of a terminal, cut to `length` characters.
 
@@ -134,17 +129,6 @@ def printable(text: str, length: int | None = None) -> str:
     if length is not None and len(printed) > length:
         return printed[: length - 3] + "..."
     return printed
-
-
-def entry(text: str) -> str:
-    """Return text for an entry of a table that a spreadsheet may open.
-
-    A spreadsheet evaluates text that begins with =, +, - or @, even after white space or as
-    full-width signs; an apostrophe is put in front to prevent that.
-    """
-    safe = printable(text)
-    first = unicodedata.normalize("NFKC", text).lstrip()[:1]
-    return f"'{safe}" if text[:1] in ("\t", "\r") or first in ("=", "+", "-", "@") else safe
 
 
 def unit_of(unit: str) -> str:

@@ -74,6 +74,9 @@ def homes(key: str, root: dict[str, Any]) -> Iterator[str]:
 
 
 def _resolved(node: dict[str, Any], data: Any, root: dict[str, Any]) -> dict[str, Any]:
+    """Return the one schema of a node's alternatives that is meant by `data`: the only one; that of
+    its `type`, or of the default's `type` if it states none; or the only one for mappings, or for
+    lists. If none of these decides, the node itself."""
     node = dereferenced(node, root)
     options = alternatives(node, root)
     if len(options) == 1:

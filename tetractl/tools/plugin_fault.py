@@ -13,11 +13,13 @@ from pathlib import Path
 from traceback import extract_tb
 from typing import TextIO
 
-from tetractl.core.errors import UNIX_MODULES, TetractlError, WrongValueError, printable, text_of
+from tetractl.core.errors import TetractlError, WrongValueError, printable, text_of
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS, REGISTRIES
 
 TRACEBACK_HINT = "PYTHONDEVMODE=1 prints its traceback"
 CHECK = "tetractl kinds --check MODULE:NAME --spec SPEC tests a kind"
+UNIX_MODULES = {"fcntl", "termios", "tty", "pty", "resource", "pwd", "grp"}
+"""Modules of Python that Windows does not have; the lab needs them."""
 COMPUTERS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ENFILE, errno.EMFILE}
 """Errors of the computer, such as a full disk."""
 CALLS_MAX = 20

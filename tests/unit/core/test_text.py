@@ -2,7 +2,8 @@
 
 import pytest
 
-from tetractl.core.errors import UsageError, entry, printable
+from tetractl.core.errors import UsageError, printable
+from tetractl.tools.table.table_files import entry
 
 
 @pytest.mark.parametrize(

@@ -180,7 +180,7 @@ class RawLog:
     @property
     def content_digest(self) -> str:
         """The content digest, computed from the records; of a brief log, the one that it states."""
-        return self.stated_digest or "" if self.brief else self.digests.content
+        return self.stated_digests.content if self.brief else self.digests.content
 
     @property
     def altered(self) -> bool:

@@ -37,6 +37,34 @@ UNIFORM = (
     "a, heading bias and dead time have no intervals, as directions that turn at one rate cannot "
     "tell one from another: send directions that jump"
 )
+QUANTITIES = {
+    "a": "rad/s",
+    "speed": "{unit}/s",
+    "heading_bias": "rad",
+    "position_noise": "{unit}",
+    "heading_noise": "rad",
+    "heading_walk": "rad/sqrt(s)",
+}
+"""The fields of a robot in a table, with their units."""
+UNSTATED = ("heading_noise", "heading_walk")
+"""Those whose intervals are not stated."""
+OF_HEADING = ("a", "heading_bias")
+"""Those that the equation of the heading gives, with the dead time of all robots."""
+UNIFORM_RAD = 0.2
+"""Directions turn uniformly if none is further from a straight line over time than this, nor from
+the direction before [rad]: steps of .4 rad tell a and dead time from one another."""
+TURN_LEAST = 1.0
+"""By how much directions that turn uniformly turn at least [rad]."""
+UNIFORM_RATES = 1.1
+"""Factor between the rates of tracks below which they are one."""
+LATE_S = 0.6
+"""Dead time from which it is asked whether times are of one clock [s]: those of robots that the
+pages name are .1 at most."""
+_ABREAST = 3
+"""Largest number of robots in one table."""
+DECIMALS_MAX = 6
+DECIMALS_OF_EXACT = 3
+"""Decimals of a value whose interval has no width, or no known end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,35 +167,6 @@ def turn_uniformly(tracks: list[Track]) -> bool:
             return False
         rates.append(abs(rate))
     return max(rates) < UNIFORM_RATES * min(rates)
-
-
-QUANTITIES = {
-    "a": "rad/s",
-    "speed": "{unit}/s",
-    "heading_bias": "rad",
-    "position_noise": "{unit}",
-    "heading_noise": "rad",
-    "heading_walk": "rad/sqrt(s)",
-}
-"""The fields of a robot in a table, with their units."""
-UNSTATED = ("heading_noise", "heading_walk")
-"""Those whose intervals are not stated."""
-OF_HEADING = ("a", "heading_bias")
-"""Those that the equation of the heading gives, with the dead time of all robots."""
-UNIFORM_RAD = 0.2
-TURN_LEAST = 1.0
-"""How far from a uniform turn, and from the one before, directions may be that turn uniformly, and
-by how much these turn [rad]. Steps of .4 rad tell a and dead time from one another."""
-UNIFORM_RATES = 1.1
-"""Factor between the rates of tracks below which they are one."""
-LATE_S = 0.6
-"""Dead time from which it is asked whether times are of one clock [s]: those of robots that the
-pages name are .1 at most."""
-_ABREAST = 3
-"""Largest number of robots in one table."""
-DECIMALS_MAX = 6
-DECIMALS_OF_EXACT = 3
-"""Decimals of a value whose interval has no width, or no known end."""
 
 
 def stated(result: IdentifiedRobots) -> IdentifiedRobots:

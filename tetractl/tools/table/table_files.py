@@ -10,6 +10,7 @@ import csv
 import io
 import json
 import math
+import unicodedata
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, is_dataclass
@@ -17,7 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TextIO
 
-from tetractl.core.errors import LogError, UsageError, entry
+from tetractl.core.errors import LogError, UsageError, printable
 from tetractl.tools.table.table import Array, Table
 
 PART = ".part"
@@ -37,7 +38,7 @@ def csv_text(table: Table) -> str:
 
 
 def _write_header(table: Table, stream: TextIO) -> None:
-    csv.writer(stream, lineterminator="\n").writerow(_word(column.key) for column in table.columns)
+    csv.writer(stream, lineterminator="\n").writerow(entry(column.key) for column in table.columns)
 
 
 def _write_rows(table: Table, stream: TextIO) -> None:
@@ -60,16 +61,22 @@ def _cells(values: Sequence[Any]) -> list[str]:
                 return str(value)
             return to_json(value).decode()
         if isinstance(value, str):
-            return _word(value)
+            return entry(value)
         return str(value)
 
     return [cell(value) for value in values]
 
 
-@lru_cache
-def _word(text: str) -> str:
-    """Return text as an entry of a CSV file; cached, since columns repeat their words."""
-    return entry(text)
+@lru_cache  # columns repeat their words
+def entry(text: str) -> str:
+    """Return text as an entry of a CSV file, which a spreadsheet may open.
+
+    A spreadsheet evaluates text that begins with =, +, - or @, even after white space or as
+    full-width signs; an apostrophe is put in front to prevent that.
+    """
+    safe = printable(text)
+    first = unicodedata.normalize("NFKC", text).lstrip()[:1]
+    return f"'{safe}" if text[:1] in ("\t", "\r") or first in ("=", "+", "-", "@") else safe
 
 
 @contextmanager

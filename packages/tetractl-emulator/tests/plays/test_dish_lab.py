@@ -174,7 +174,7 @@ def test_too_few_cells_that_answer_are_one_clear_error(tmp_path):
 def test_a_person_at_a_terminal_is_asked_before_the_field_turns(tmp_path, monkeypatch):
     """Regression: the page said so, and the field turned at once; then the question was on stdout,
     so that with `--json > cells.json` it was not seen."""
-    monkeypatch.setattr("tetractl.cli.ui.require_confirmation", lambda yes: None)  # as at one
+    monkeypatch.setattr("tetractl.cli.ui.require_yes_or_terminal", lambda yes: None)  # as at one
     with virtual_dish(tmp_path, 3, SMALL, FEW) as dish:
         done = survey(dish, tmp_path, stdin="n\n")
         assert dish.events("run") == []

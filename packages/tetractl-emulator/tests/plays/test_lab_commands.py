@@ -282,7 +282,7 @@ def test_a_port_that_is_missing_is_named_before_anything_is_compiled(tmp_path, m
 
 def test_a_person_at_a_terminal_is_asked_before_robots_are_calibrated(lab, tmp_path, monkeypatch):
     """Regression: the question was on stdout, so that with `> values.txt` it was not seen."""
-    monkeypatch.setattr("tetractl.cli.ui.require_confirmation", lambda yes: None)  # as at one
+    monkeypatch.setattr("tetractl.cli.ui.require_yes_or_terminal", lambda yes: None)  # as at one
     emulated = lab()
     words = ("lab", "calibrate", SPEC, *flags(emulated.settings))
     done = tetractl(tmp_path, *words, stdin="n\n")

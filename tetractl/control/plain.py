@@ -75,15 +75,23 @@ class PlainController:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Decide what the robots do in one step, or end the trial."""
+        problem = self.step(observation, last_command)
+        if isinstance(problem, Outcome):
+            return problem
+        decision = self.decided(problem, observation, mix(self.key, self.k))
+        self.k += 1
+        return decision
+
+    def step(self, observation: Observation, last_command: Command | None) -> Problem | Outcome:
+        """Return the problem of one step, with the poses at which the next direction acts, or the
+        outcome if the trial is over; `open_trial` decides by itself what is sent."""
         self._time.add_step(observation, last_command)
         problem = self.predicted(observation, last_command)
         if self._ends.arrived(problem.poses.distances(problem.targets)):
             return Outcome.ARRIVED
         if self._time.over:
             return Outcome.TIME_LIMIT
-        decision = self.decided(problem, observation, mix(self.key, self.k))
-        self.k += 1
-        return decision
+        return problem
 
     def predicted(self, observation: Observation, last_command: Command | None) -> Problem:
         """Return the problem with the poses at which the next direction acts."""

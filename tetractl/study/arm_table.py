@@ -57,7 +57,7 @@ def write_table(loaded: LoadedStudy, store: Store) -> Path:
             row[path] = value if is_cell else as_yaml(value)
         for column in trials_table(Batch.of([trial])).columns:
             if column.key not in OF_HOST:
-                row[column.key] = column.known[0]
+                row[column.key] = column.listed[0]
         rows.append(row | {"content_digest": trial.digest, "code": trial.code})
     path = store.folder / TRIALS
     with table_files({"trials": path}) as add:

@@ -3,7 +3,7 @@
     specs        load_spec, parse_spec, experiment_schema
     simulating   run_trial, run_batch, run_study; open_trial, for a script that decides itself
     reading      read_log, read_batch; to_arrays, to_dataframe
-    judging      verify, summarise, compare
+    checking     verify, summarise, compare
     drawing      plot, show
 
 Where a spec, a trial or a batch is needed, its file or folder will do. Slow libraries (numba,
@@ -464,7 +464,7 @@ def to_dataframe(data: "TrialLog | Batch | str | Path") -> "pandas.DataFrame":
     return frame
 
 
-# ---- Judging ----
+# ---- Checking ----
 
 
 def verify(path: str | Path) -> "Verification":

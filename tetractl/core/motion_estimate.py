@@ -1,7 +1,7 @@
 """What a controller has learnt of the robots' motion while they moved.
 
 The filters say it at every control step (`tetractl.control.filter`). Plans are made with it, logs
-keep it, and operators are told of what does not fit it.
+keep it, and messages for the operator say what does not fit it.
 """
 
 from collections.abc import Sequence

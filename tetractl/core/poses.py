@@ -4,11 +4,11 @@
     Poses          the same of N robots, in arrays
     Sight          how well a camera sees robots
     CameraFrame    what a camera of the lab shows at one instant; robots may be missing in it
-    Observation    what a controller is told of a frame: each robot has a pose, if it is missing the
+    Observation    what a controller gets of a frame: each robot has a pose, if it is missing the
                    last one
     Sample         what a log keeps of a frame: the observation, true poses in a simulation, and
                    messages
-    FrameAddition  such messages, as a camera has them beside its frames
+    FrameAddition  such messages, as a camera has them with its frames
 
 All coordinates are in the spec's length unit, headings and angles in rad.
 """
@@ -181,7 +181,7 @@ UNSTATED = Sight()
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What a controller is told of a camera frame, the newest one at some instant.
+    """What a controller gets of a camera frame, the newest one at some instant.
 
     `frame` is its number, `sampled_ns` the time of exposure and `received_ns` the time of arrival
     at the host, both on the trial's clock. `valid` (N,) is True for robots that are tracked in the

@@ -226,8 +226,10 @@ class DriftCheck(GuardCheck):
         for i, pose in enumerate(poses):
             # no new measurement, though it has another time
             repeats = pose == poses_before[i] and times[i] != times_before[i] and not self._coarse
-            measured = pose is not None and not repeats
-            ends.append(MeasuredPose(pose, times[i], ways[i]) if measured else None)
+            if pose is None or repeats:
+                ends.append(None)
+            else:
+                ends.append(MeasuredPose(pose, times[i], ways[i]))
         if dt_ns < WATCHDOG_NS:
             self._add(ended_blocks(self._starts, ends))
             self.blocks += 1

@@ -339,7 +339,7 @@ class Truth:
 
     @cached_property
     def left_s(self) -> float:
-        """Time from which nobody drives: of the end or a kill, whichever was first."""
+        """Time from which no process drives: of the end or a kill, whichever was first."""
         return min([self.ended_s, *(fault.span.began_s for fault in self.faults if fault.is_kill)])
 
     # Faults

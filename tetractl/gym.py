@@ -124,7 +124,8 @@ class TrialEnv(gymnasium.Env[Features, Features]):
             self.trial.stop()
         result = self.trial.result
         if result is None:
-            return self._observed(), self._take_reward(self._measured_error()), False, False, {}
+            measured = observation.poses.distances(self.trial.setup.targets)
+            return self._observed(), self._take_reward(float(measured.sum())), False, False, {}
         failed = self.trial.failed
         error = greatest_error(self.trial.setup) if failed else result.total_error
         terminated = failed or result.outcome is Outcome.ARRIVED
@@ -145,11 +146,6 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         decrease = self._error - error
         self._error = error
         return decrease / self._start_error
-
-    def _measured_error(self) -> float:
-        """Return the measured sum of distances to the targets [length unit]."""
-        poses = self.trial.observation.poses
-        return float(poses.distances(self.trial.setup.targets).sum())
 
     def _observed(self) -> Features:
         """Return the newest observation within the bounds of its space."""

@@ -57,16 +57,6 @@ SOME_TO_AND_FRO = "most of what moves goes to and fro, as beads do; the rest is 
 
 
 @dataclass(frozen=True, slots=True)
-class FirstPictures:
-    """What a film's first pictures show: lines for the user, and a finder that has learned the
-    background.
-    """
-
-    remarks: tuple[str, ...]
-    finder: BlobFinder
-
-
-@dataclass(frozen=True, slots=True)
 class UniformMotion:
     """The uniform motion of an object: its length, width and way [um], and its speed [um/s]."""
 
@@ -87,9 +77,9 @@ class UniformMotion:
 
 def examine_first(
     film: FilmPictures, um_px: float, organism: Organism | None = None
-) -> FirstPictures:
+) -> tuple[BlobFinder, tuple[str, ...]]:
     """Examine the first pictures of a film of an organism, Tetrahymena if none is named, at a scale
-    [um/px].
+    [um/px]. Returns a finder that has learned the background, and lines for the user.
 
     TetractlError if no picture of it can be read or, unless an organism is named, if what moves
     goes to and fro.
@@ -104,7 +94,7 @@ def examine_first(
     remarks += [f"warning: {line}" for line in _to_and_fro_lines(film, ways, organism)]
     remarks += [f"warning: {line}" for line in _unlike_lines(motions, followed)]
     remarks += [f"warning: {line}" for line in _coarse_lines(followed, um_px, film.rate_hz)]
-    return FirstPictures(tuple(remarks), finder)
+    return finder, tuple(remarks)
 
 
 # ---- 1: the background ----

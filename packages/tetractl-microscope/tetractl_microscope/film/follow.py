@@ -89,10 +89,10 @@ def follow(
 
     Raises as `examine_first`.
     """
-    first = examine_first(film, um_px, organism)
+    finder, remarks = examine_first(film, um_px, organism)
     followed = organism or TETRAHYMENA
     tracker = CellTracker(um_px, field is not None, organism=followed, splits=True)
-    tracker.take(first.finder)
+    tracker.take(finder)
     pieces = no_field if field is None else field.pieces
     where = Whereabouts()
     lights = []
@@ -125,7 +125,7 @@ def follow(
         timing=film.timing,
         um_px=um_px,
         organism=followed,
-        remarks=(*timed, *first.remarks, *(f"warning: {line}" for line in lines if line)),
+        remarks=(*timed, *remarks, *(f"warning: {line}" for line in lines if line)),
         bright=tracker.finder.bright,
         contrast=contrast or 0.0,
         noise=noise,

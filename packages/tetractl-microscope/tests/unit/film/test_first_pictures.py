@@ -61,6 +61,12 @@ class Ellipses:
         return number / self.rate_hz
 
 
+def remarks_of(*film):
+    """Return the lines for the user of a film, its scale and perhaps its organism."""
+    _, remarks = examine_first(*film)
+    return remarks
+
+
 def swimming(kind, um_px):
     """A film of the organism's usual size and speed."""
     long, wide = kind.body_um
@@ -72,7 +78,7 @@ def swimming(kind, um_px):
 def test_an_organism_that_is_named_has_its_size_and_speed(name):
     kind = named(name)
     um_px = kind.body_um[1] / 9
-    (said,) = examine_first(swimming(kind, um_px), um_px, kind).remarks
+    (said,) = remarks_of(swimming(kind, um_px), um_px, kind)
     start, _, counts = said.partition(": ")
     like, of, swimmers, *_ = counts.split()
     assert (start, of) == (f"followed as {name}", "of")
@@ -82,23 +88,23 @@ def test_an_organism_that_is_named_has_its_size_and_speed(name):
 @pytest.mark.long
 def test_other_swimmers_than_those_chosen_are_counted_and_named():
     film = swimming(PARAMECIUM, 6.0)
-    _, said, coarse = examine_first(film, 6.0).remarks
+    _, said, coarse = remarks_of(film, 6.0)
     assert "tetrahymena is 4.4 px wide at 6 um/px; 8 px or more are needed" in coarse
     assert "objects that move have not the size and speed of tetrahymena" in said
     assert said.endswith("--organism paramecium follows them, if they swim and do not drift")
-    assert len(examine_first(film, 6.0, PARAMECIUM).remarks) == 1
+    assert len(remarks_of(film, 6.0, PARAMECIUM)) == 1
 
 
 @pytest.mark.long
 def test_of_what_swims_and_is_like_no_organism_the_scale_is_asked():
     worms = Ellipses(40.0, 12.0, 60.0)  # 400 um long, 120 um wide
-    said = examine_first(worms, 10.0).remarks[1]
+    said = remarks_of(worms, 10.0)[1]
     assert said.endswith("no known organism is like that: is --scale right?")
 
 
 def test_nothing_that_swims_is_no_warning():
     still = Ellipses(20.0, 8.0, 0.0)
-    (said,) = examine_first(still, 2.0).remarks
+    (said,) = remarks_of(still, 2.0)
     assert said.startswith("followed as tetrahymena: 0 of 0 objects")
 
 
@@ -133,7 +139,7 @@ class Circles(Ellipses):
 
 def test_cells_that_turn_while_they_are_looked_at_swim_all_the_same():
     film = Circles(22.0, 11.0, 100.0)
-    assert len(examine_first(film, 2.3).remarks) == 1
+    assert len(remarks_of(film, 2.3)) == 1
 
 
 @pytest.mark.long
@@ -141,7 +147,7 @@ def test_beads_that_go_to_and_fro_do_not_swim():
     beads = Beads(12.0, 12.0, 1.5)
     with pytest.raises(TetractlError, match="goes to and fro, as beads do: nothing swims"):
         examine_first(beads, 0.5)
-    said = examine_first(beads, 0.5, HELICAL_MICROROBOT).remarks
+    said = remarks_of(beads, 0.5, HELICAL_MICROROBOT)
     assert any("nothing swims" in line for line in said)
 
 
@@ -158,14 +164,14 @@ def test_swimmers_among_beads_are_followed_with_a_warning():
             for (number, left), (_, right) in zip(swimmers, beads, strict=True):
                 yield number, np.hstack([left[:, :160], right[:, 160:]])
 
-    said = examine_first(SwimmersAndBeads(0, 0, 0), 0.5).remarks
+    said = remarks_of(SwimmersAndBeads(0, 0, 0), 0.5)
     assert any("most of what moves goes to and fro" in line for line in said)
 
 
 def test_pictures_too_rare_to_tell_cells_apart_are_said():
     film = swimming(TETRAHYMENA, 2.3)
     film.rate_hz = 5.0
-    _, said = examine_first(film, 2.3).remarks
+    _, said = remarks_of(film, 2.3)
     assert "5 pictures a second are too few" in said and said.endswith("film at 8 or more")
     film.rate_hz = 10.0
-    assert len(examine_first(film, 2.3).remarks) == 1
+    assert len(remarks_of(film, 2.3)) == 1

@@ -18,6 +18,7 @@ from tetractl.replay.identification.motion_angle import PoseSteps, check_angle
 from tetractl.replay.identification.one_recording import Span, clock_remark, refuse_sparse
 from tetractl.replay.identification.sent_directions import (
     DELAYS_S,
+    FOLLOWED,
     SentDirections,
     TurnedCourse,
     check_clock_rate,
@@ -78,9 +79,6 @@ AGAIN = 0.1
 """Share of the time so far, from its begin, within which a time that falls starts again."""
 ALONG = 0.5
 """Share of their ways that an angle to the headings explains at least."""
-FOLLOWED = 0.25
-"""Share of their turns that directions explain at least of robots that follow them: .7 or more of
-simulated ones, .4 with 8 of 10 directions lost; .12 or less of directions of another in 20 s."""
 NO_MEASUREMENT = 0.01
 """Share of a robot's poses that are no measurement, above which it is said."""
 WAY_STEP_S = 0.5

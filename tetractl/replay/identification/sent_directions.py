@@ -33,6 +33,9 @@ SHORTEST_S = 2.0  # least duration of a piece of a path
 STILL = 0.1  # turning rate [rad/s] that counts as unexplained in any case
 TURNS = 0.3
 """Deviation of turning rates from which robots do turn [rad/s]."""
+FOLLOWED = 0.25
+"""Share of their turns that directions explain at least of robots that follow them: .7 or more of
+simulated ones, .4 with 8 of 10 directions lost; .12 or less of directions of another in 20 s."""
 DELAYS_S = np.arange(21) / 10
 """Dead times that are tried [s]: up to the longest that `identify` finds."""
 AT_ONCE_S = np.arange(3) / 10

@@ -19,7 +19,7 @@ main()
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("words", "most"),
-    [(["--help"], 42), (["stats", ROOT / "tests" / "golden" / "format-4-sim.mcap"], 118)],
+    [(["--help"], 43), (["stats", ROOT / "tests" / "golden" / "format-4-sim.mcap"], 118)],
     ids=["help", "stats"],
 )
 def test_few_modules_are_imported(words, most):

@@ -107,7 +107,7 @@ def test_a_day_of_cells_is_observed(monkeypatch):
     decide = Guard.decide
 
     def blind(guard, now_ns, damaged=0, failure=None):
-        seen_ns = guard._stream.exposed_ns or now_ns
+        seen_ns = guard._stream.newest_ns or now_ns
         return decide(guard, min(now_ns, seen_ns + SECOND // 20), damaged, failure)
 
     monkeypatch.setattr(Guard, "decide", blind)

@@ -27,7 +27,7 @@ def optitrack(folder):
     with virtual_lab(folder) as lab:
 
         def hide(name):
-            act(lab.emulation.camera.acting, "untracked", robot=name)
+            act(lab.emulation.camera.acting, "untracked", robot=name, subject=name)
 
         scene = SeenRobots(lab.clock, poses(lab.emulation), hide)
         yield lab.spec.experiment.plant.camera, lab.spec.experiment.setup, scene
@@ -55,7 +55,7 @@ def apriltag(folder):
         section = experiment.lab.camera.model_copy(update={"source": source, "connect": 120.0})
 
         def hide(name):
-            act(lab.injector.acting, "untracked", robot=name)
+            act(lab.injector.acting, "untracked", robot=name, subject=name)
 
         try:
             yield section, experiment.setup, SeenRobots(MonotonicClock(), poses(lab), hide)

@@ -1,9 +1,8 @@
-"""Text of others on a terminal and in a spreadsheet."""
+"""Text of others on a terminal, and of errors."""
 
 import pytest
 
 from tetractl.core.errors import UsageError, printable
-from tetractl.tools.table.table_files import entry
 
 
 @pytest.mark.parametrize(
@@ -22,15 +21,6 @@ def test_nothing_is_left_that_a_terminal_obeys(text, printed):
     assert printable(text) == printed
     assert printable(text).isprintable()
     printable(text).encode()
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["=cmd()", "+1", "-1", "@sum", "\tx", "\rx", " =1", "\n+1", "\xa0-1", "＝1", " ＋1", "﹫x"],
-)
-def test_a_spreadsheet_computes_nothing(text):
-    assert entry(text).startswith("'")
-    assert entry("arrived") == "arrived"
 
 
 def test_the_text_of_an_error_has_its_hint_in_words_of_python():

@@ -15,7 +15,7 @@ from support.paths import ROOT
 from tetractl.core.errors import UsageError
 from tetractl.tools.table.csv_rows import read_csv
 from tetractl.tools.table.table import Column, Table, fixed
-from tetractl.tools.table.table_files import csv_text, json_text, table_files
+from tetractl.tools.table.table_files import csv_entry, csv_text, json_text, table_files
 from tetractl.tools.table.terminal_table import TEXTS, html, print_tables
 
 TABLE = Table(
@@ -141,3 +141,12 @@ def test_no_other_module_writes_tables():
     }
     names = ("csv_rows", "table_files", "terminal_table")
     assert texts == {f"tetractl/tools/table/{name}.py" for name in names}
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["=cmd()", "+1", "-1", "@sum", "\tx", "\rx", " =1", "\n+1", "\xa0-1", "＝1", " ＋1", "﹫x"],
+)
+def test_a_spreadsheet_computes_nothing(text):
+    assert csv_entry(text).startswith("'")
+    assert csv_entry("arrived") == "arrived"

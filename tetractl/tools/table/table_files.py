@@ -38,7 +38,9 @@ def csv_text(table: Table) -> str:
 
 
 def _write_header(table: Table, stream: TextIO) -> None:
-    csv.writer(stream, lineterminator="\n").writerow(entry(column.key) for column in table.columns)
+    csv.writer(stream, lineterminator="\n").writerow(
+        csv_entry(column.key) for column in table.columns
+    )
 
 
 def _write_rows(table: Table, stream: TextIO) -> None:
@@ -61,14 +63,14 @@ def _cells(values: Sequence[Any]) -> list[str]:
                 return str(value)
             return to_json(value).decode()
         if isinstance(value, str):
-            return entry(value)
+            return csv_entry(value)
         return str(value)
 
     return [cell(value) for value in values]
 
 
 @lru_cache  # columns repeat their words
-def entry(text: str) -> str:
+def csv_entry(text: str) -> str:
     """Return text as an entry of a CSV file, which a spreadsheet may open.
 
     A spreadsheet evaluates text that begins with =, +, - or @, even after white space or as

@@ -130,10 +130,11 @@ def test_an_error_stops_the_robots_and_is_the_reason(where, nth, kind):
 
 
 @pytest.mark.parametrize("kind", ERRORS)
-def test_of_two_errors_the_first_is_the_reason(kind):
+@pytest.mark.parametrize("second", ["stop", "settle", "log.stop"])
+def test_of_two_errors_the_first_is_the_reason(kind, second):
     fakes = bench()
     fakes.fail_at("plan", 2, ERRORS[kind])
-    fakes.fail_at("log.stop", 1, type(ERRORS[kind])("the second"))
+    fakes.fail_at(second, 1, type(ERRORS[kind])("the second"))
     run_to_its_end(fakes, kind)
     ((_, result),) = fakes.observers[0].stops
     assert (result.outcome, result.reason) == (Outcome.ABORTED, REASONS[kind])
@@ -250,6 +251,16 @@ def test_a_plan_that_takes_longer_than_the_period_misses_its_deadline(monkeypatc
     assert result.deadline_misses == 1  # the first plan has no deadline
     missed = [step.deadline_missed for step in fakes.observers[0].steps]
     assert missed == [False, False, True, False]
+
+
+@pytest.mark.parametrize(("late_ns", "next_ns"), [(PERIOD - 1, 2 * PERIOD), (PERIOD, 3 * PERIOD)])
+def test_the_step_after_one_that_is_late_by_a_period_has_a_full_period_again(late_ns, next_ns):
+    """Step 1 is due after a PERIOD. If it ends less than that late, step 2 is due when it would be
+    anyway; otherwise a whole PERIOD after the end of step 1."""
+    fakes = bench(3)
+    fakes.do_at("log.step", 2, lambda: fakes.plant.clock.sleep_until(PERIOD + late_ns))
+    fakes.run()
+    assert [sent_ns for sent_ns, _ in fakes.plant.steered] == [0, PERIOD, next_ns]
 
 
 # ---- The first plan in real time ----

@@ -204,6 +204,16 @@ def test_the_trial_ends_where(costs, fields, poses, periods, outcome):
     assert decide(controller, poses, periods * PERIOD_NS) is outcome
 
 
+def test_robots_whose_plan_is_used_up_far_from_their_targets_get_a_longer_one():
+    """They are not stopped where they are, as if nothing were better than to follow no signal."""
+    controller, search = driving({}, signals_left=0)
+    search.costs |= good_from(SHORTEST, 0.0)
+    plan = decide(controller, STARTS)
+    assert lengths(search)[0] == (1, True)  # robots that cannot stand need a signal
+    assert plan.state is State.DRIVING
+    assert plan.search.length >= SHORTEST  # the shorter ones are BAD
+
+
 ARRIVES_S = 0.1
 MOMENTS_NS = 5_000_000
 """Time between two of the 40 moments of a period at which a stop may come."""

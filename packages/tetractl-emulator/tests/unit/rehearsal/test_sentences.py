@@ -147,6 +147,13 @@ def test_robots_rest_after_a_stop(events, fault):
     assert "not at rest" in broken(events, fault=fault)
 
 
+@pytest.mark.parametrize(("speed_mm_s", "wrong"), [(1.0, False), (2.0, True)])
+def test_wheels_stand_once_the_slowest_have_rolled_from_1_m_s_to_1_mm_s(speed_mm_s, wrong):
+    """At 3.4 s, 1.1 s after the end: a command comes within 0.05 s, the watchdog has 0.25 s, and
+    to roll takes 0.55 s."""
+    assert ("not at rest" in broken([*GOOD, truth_at(3.4, speed_mm_s)])) == wrong
+
+
 CREEPS = GHOST | {"turn": 0.002}  # by 0.24 rad/s
 
 

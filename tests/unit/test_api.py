@@ -114,7 +114,8 @@ def test_arrays_and_tables_hold_the_trial(batch):
 def test_a_batch_goes_on_where_it_stopped(batch, tmp_path):
     spec = tetractl.parse_spec(SPEC, "trials.count=1")
     tetractl.run_batch(spec, tmp_path)
-    with pytest.raises(UsageError, match="holds logs already"):
+    says = "holds logs already\nhint: name another folder with folder=, or add resume=True"
+    with pytest.raises(UsageError, match=says):
         tetractl.run_batch(spec, tmp_path)
     run = []
     resumed = tetractl.run_batch(

@@ -5,7 +5,6 @@ traceback. Anything that is not a `TetractlError` is a bug in tetractl.
 """
 
 import operator
-import re
 import traceback
 from enum import IntEnum
 from itertools import pairwise
@@ -23,29 +22,23 @@ class Exit(IntEnum):
     INTERRUPTED = 130  # Ctrl-C or another signal, after stopping the robots and closing the log
 
 
-IN_PYTHON = {"--out": "folder=", "--resume": "resume=True", "--against": "compare()"}
-"""The names in Python of options that hints name."""
-
-
 class TetractlError(Exception):
     """An error that the user can fix: one clear line, a hint, an exit code.
 
-    `str` is for Python: the message, and below it the hint, with names of Python. What the
-    command line calls `--set` is a text there, as `load_spec` takes it.
+    The command line prints `message` and `hint`. `str` is for Python: the message, and below it the
+    hint, or `in_python` in its place, for a hint that names an option: functions have none.
     """
 
     exit = Exit.FAILED
 
-    def __init__(self, message: str, hint: str | None = None) -> None:
+    def __init__(self, message: str, hint: str | None = None, in_python: str | None = None) -> None:
         super().__init__(message)
         self.message = message
         self.hint = hint
+        self.in_python = in_python or hint
 
     def __str__(self) -> str:
-        message = re.sub("(?m)^--set ", "setting ", self.message)
-        hint = re.sub(r"--set (\S*[^\s:;,.])", r'"\1"', self.hint or "")
-        hint = re.sub(r"--\w+", lambda it: IN_PYTHON.get(it[0], it[0][2:]), hint)
-        return f"{message}\nhint: {hint}" if hint else message
+        return f"{self.message}\nhint: {self.in_python}" if self.in_python else self.message
 
     def _render_traceback_(self) -> list[str]:
         """Return what IPython prints in place of a traceback: the message, and which line of the

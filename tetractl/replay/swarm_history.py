@@ -70,6 +70,7 @@ def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
         raise LogError(
             f"{log.log}: has no swarm: its optimiser is {section.type}",
             "run it with --set controller.optimizer.type=pso",
+            'run it with "controller.optimizer.type=pso"',
         )
     if request.length < 2:
         raise LogError(f"{log.log}: the plan has one signal, but the figure needs two")

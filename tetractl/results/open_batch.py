@@ -206,7 +206,11 @@ def experiment_of(batch: Batch) -> Experiment:
     """
     if not batch.trials:
         if batch.attempts:
-            raise UsageError("all logs are earlier attempts", "complete the batch with --resume")
+            raise UsageError(
+                "all logs are earlier attempts",
+                "complete the batch with --resume",
+                "complete the batch with resume=True",
+            )
         if batch.lost:
             raise LogError("no log can be read: {0.log}: {0.problem}".format(batch.lost[0]))
         raise UsageError("no trial to summarise")
@@ -223,6 +227,7 @@ def _check_alike(first: ResultSummary, second: ResultSummary) -> None:
         raise UsageError(
             f"{first.log} is from the {first.origin}, {second.log} from the {second.origin}",
             "give the logs of one plant, and the others with --against",
+            "give the logs of one plant, and the others with compare()",
         )
     if second.experiment is first.experiment:
         return
@@ -231,6 +236,7 @@ def _check_alike(first: ResultSummary, second: ResultSummary) -> None:
         raise UsageError(
             f"{first.log} and {second.log} have different experiments: {listing(fields)}",
             "give the logs of one batch, and the other batch with --against",
+            "give the logs of one batch, and the other batch with compare()",
         )
 
 

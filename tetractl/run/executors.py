@@ -156,7 +156,8 @@ class Processes:
         for task, ended in self._in_pool(deque([suspect]), 1, ready):
             if isinstance(ended, BrokenProcessPool):
                 hint = "give the same command with fewer --jobs to continue"
-                yield task, AbortError(KILLED, hint)
+                in_python = "give the same command with fewer jobs to continue"
+                yield task, AbortError(KILLED, hint, in_python)
             else:
                 yield task, ended
 

@@ -98,5 +98,7 @@ def _in_use(path: Path, owner: str, more: str = "") -> UsageError:
     by = f"by process {pid} of {user} on {host} since {since}" if words else "by another run"
     by = "".join(c if c.isprintable() else "?" for c in by)
     return UsageError(
-        f"{path.parent}: in use {by}", f"wait for that run, or name another folder with --out{more}"
+        f"{path.parent}: in use {by}",
+        f"wait for that run, or name another folder with --out{more}",
+        f"wait for that run, or name another folder with folder={more}",
     )

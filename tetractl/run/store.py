@@ -90,6 +90,7 @@ class BatchFolder:
             raise UsageError(
                 f"{result.log}: was run with another spec or seed",
                 "name another folder with --out, or give the spec and seed of this trial",
+                "name another folder with folder=, or give the spec and seed of this trial",
             )
 
 
@@ -137,13 +138,18 @@ class Store:
         if not self.folder.exists():
             return
         if not self.folder.is_dir():
-            raise UsageError(f"{self.folder}: not a folder", "name another with --out")
+            raise UsageError(
+                f"{self.folder}: not a folder",
+                "name another with --out",
+                "name another with folder=",
+            )
         if resume:
             return
         if any(path.name.endswith((SUFFIX, LOG_PART)) for path in self.folder.iterdir()):
             raise UsageError(
                 f"{self.folder}: holds logs already",
                 "name another folder with --out, or add --resume",
+                "name another folder with folder=, or add resume=True",
             )
 
     def place(self, arm: str, trial: int) -> Path:

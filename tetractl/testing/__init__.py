@@ -97,4 +97,5 @@ def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
         if not field:  # of a check of the whole section
             raise UsageError(f"{code}: {text}") from None
         hint = f"give the value by --set {field}=VALUE"
-        raise UsageError(f"{code}: {field}: {text}", hint) from None
+        in_python = f'give the value by "{field}=VALUE"'
+        raise UsageError(f"{code}: {field}: {text}", hint, in_python) from None

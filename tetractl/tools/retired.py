@@ -39,7 +39,8 @@ def refuse_retired(what: str, name: str) -> None:
     """Raise UsageError for a name that an earlier version had."""
     instead = INSTEAD.get((what, name))
     if instead:
-        raise UsageError(f"{name!r} is no longer there", instead)
+        in_python = instead.replace("--kind", "kind")
+        raise UsageError(f"{name!r} is no longer there", instead, in_python)
 
 
 def replace_retired_keys(spec: dict[str, Any]) -> None:

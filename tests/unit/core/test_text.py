@@ -3,6 +3,7 @@
 import pytest
 
 from tetractl.core.errors import UsageError, printable
+from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
 
 
 @pytest.mark.parametrize(
@@ -24,13 +25,21 @@ def test_nothing_is_left_that_a_terminal_obeys(text, printed):
 
 
 def test_the_text_of_an_error_has_its_hint_in_words_of_python():
-    error = UsageError("out: holds logs already", "name another folder with --out, or add --resume")
-    said = "out: holds logs already\nhint: name another folder with folder=, or add resume=True"
-    assert (str(error), error.message) == (said, "out: holds logs already")
+    error = UsageError("out: holds logs already", "name another with --out", "give a folder=")
+    assert str(error) == "out: holds logs already\nhint: give a folder="
+    assert (error.message, error.hint) == ("out: holds logs already", "name another with --out")
     assert str(UsageError("alone")) == "alone"
-    bad = UsageError(
-        "--set a=1: no key 'a'\n--set b=2: too large", "give it by --set robots.0.a=1."
-    )
-    assert str(bad) == (
-        "setting a=1: no key 'a'\nsetting b=2: too large\nhint: give it by \"robots.0.a=1\"."
-    )
+
+
+def test_a_hint_that_names_no_option_is_the_same_in_python():
+    """Regression: a command of a hint lost its dashes, and could not be given."""
+    error = UsageError("no lab", "`tetractl init --example three_m3pi_lab` has one")
+    assert str(error) == "no lab\nhint: `tetractl init --example three_m3pi_lab` has one"
+
+
+def test_a_wrong_setting_is_no_option_in_python():
+    problems = [SpecProblem("--set a=1", "no key 'a'"), SpecProblem("--set b=2", "too large")]
+    error = InvalidSpecError(problems, "give it otherwise")
+    assert error.message == "--set a=1: no key 'a'\n--set b=2: too large"
+    said = "setting a=1: no key 'a'\nsetting b=2: too large\nhint: give it otherwise"
+    assert str(error) == said

@@ -123,6 +123,7 @@ def file_of_spec(folder: Path | None, key: str, name: str) -> Path:
         raise SpecError(
             f"{key}: {printable(name)}: is in the folder of a spec that was not read from a file",
             f"name it by its whole path: --set {key}=/PATH; or leave it out: --set {key}=null",
+            f'name it by its whole path: "{key}=/PATH"; or leave it out: "{key}=null"',
         )
     return (folder or Path()) / name
 

@@ -49,12 +49,22 @@ class InvalidSpecError(SpecError):
         lines = self.lines()
         super().__init__("\n".join(lines), hint)
 
+    def __str__(self) -> str:
+        lines = super().__str__().split("\n")
+        return "\n".join(_in_python(line) for line in lines)
+
     def lines(self) -> list[str]:
         """Return one line per problem; a very long list is cut."""
         lines = [str(problem) for problem in self.problems[:SHOWN_PROBLEMS]]
         if len(self.problems) > SHOWN_PROBLEMS:
             lines.append(f"{self.problems[0].origin}: and more; fix these first")
         return lines
+
+
+def _in_python(line: str) -> str:
+    """Return the line of a problem for Python, where a setting is a text that `load_spec` takes."""
+    setting = line.removeprefix("--set ")
+    return line if setting == line else f"setting {setting}"
 
 
 def dotted(loc: Loc) -> str:

@@ -135,6 +135,7 @@ def _by_panel(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
         raise UsageError(
             f"{len(folders)} folders: this figure has a panel for each of at most {PANELS_MAX}",
             "give fewer folders, or use --kind batch",
+            "give fewer folders, or use kind batch",
         )
     for of_folder in folders.values():
         check_alike(of_folder)

@@ -20,6 +20,7 @@ def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
         raise UsageError(
             f"this figure shows one trial, not {len(logs)}",
             "give one log, or use --kind trajectory, errors or batch",
+            "give one log, or use kind trajectory, errors or batch",
         )
     return logs[0]
 

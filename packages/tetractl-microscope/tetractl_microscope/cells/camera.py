@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.poses import Bools, Floats, FrameAddition, Grey, Pose
+from tetractl.core.poses import Bools, CameraFrame, Floats, FrameAddition, Grey, Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import LabLimits
@@ -224,9 +224,10 @@ class CellCamera(PictureCamera[SeenDish]):
         cells[robot] = RobotCell(number)
         self._robots = RobotCells(robots.setup, cells)
 
-    def _is_current(self, result: SeenDish) -> bool:
-        """Return whether the robots were those of now when a picture was searched."""
-        return result.robots is self._robots
+    def frames(self) -> list[CameraFrame]:
+        """Return the frames as the base class does, but none in which others were the robots."""
+        frames = self._searches.take_frames()
+        return [frame for frame, dish in frames if dish.robots is self._robots]
 
     def additions(self) -> list[FrameAddition]:
         """Return the messages of each frame since the last call, oldest first."""

@@ -150,7 +150,9 @@ class PictureSearches(Generic[R]):
 
     def take_frames(self) -> list[tuple[CameraFrame, R]]:
         """Return and forget the frames since the last call, oldest first, each with what was found
-        in its picture."""
+        in its picture; raise the unexpected error that ended the reading or the search."""
+        if self.failure is not None:
+            raise self.failure
         with self.changed:
             return drained(self._frames)
 
@@ -251,15 +253,7 @@ class PictureCamera(ABC, Generic[R]):
     def frames(self) -> list[CameraFrame]:
         """Return the frames since the last call, oldest first; raise the unexpected error that
         ended the reading or the search."""
-        if self._searches.failure is not None:
-            raise self._searches.failure
-        frames = self._searches.take_frames()
-        return [frame for frame, result in frames if self._is_current(result)]
-
-    def _is_current(self, result: R) -> bool:
-        """Return whether what was found in a picture is of the present robots, as it is unless a
-        subclass can go on with others."""
-        return True
+        return [frame for frame, _ in self._searches.take_frames()]
 
     def __enter__(self) -> Self:
         """Open the source and wait for a first frame; AbortError if none comes."""

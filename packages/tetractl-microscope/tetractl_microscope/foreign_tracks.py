@@ -106,7 +106,27 @@ def spot_tracks(
     rate, unless the table states them.
     """
     spots = _graph(path) if path.is_dir() else _spot_table(path, rate_hz, remarks)
-    return _scaled_tracks(path, spots, um_px, rate_hz)
+    um = _size(path, "--scale", "its places are in a unit of length", um_px, spots.across)
+    period = None if rate_hz is None else 1 / rate_hz
+    seconds = _size(path, "--rate", "it states times", period, spots.time)
+    missing = list[str]()
+    if um is None:
+        missing.append("a unit of length")
+    if seconds is None:
+        missing.append("the time of a picture")
+    if um is None or seconds is None:
+        said = f"{path}: its tracks do not state {' and '.join(missing)}"
+        raise UsageError(said, "give --scale UM_PER_PIXEL and --rate PICTURES_PER_SECOND")
+    if not np.isfinite(spots.rows).all():
+        raise UsageError(f"{path}: has a value that is not finite")
+    tracks = list[SpotTrack]()
+    for number in np.unique(spots.rows[:, 0]).tolist():
+        is_on_track = spots.rows[:, 0] == number
+        track = np.unique(spots.rows[is_on_track, 1:], axis=0)  # by time; a row twice counts once
+        rows = track * (seconds, um, -spots.tall * um)
+        _require_one_place(path, number, rows[:, 0])
+        tracks.append(SpotTrack(number, rows))
+    return tracks
 
 
 def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTable:
@@ -241,33 +261,6 @@ def _note_other_times(
         remarks.append(
             f"warning: {path}: --rate {rate_hz:g} replaces its times, up to {most:.3g} s off"
         )
-
-
-def _scaled_tracks(
-    path: Path, spots: SpotTable, um_px: float | None, rate_hz: float | None
-) -> list[SpotTrack]:
-    """Return the tracks of spots in seconds and micrometres."""
-    um = _size(path, "--scale", "its places are in a unit of length", um_px, spots.across)
-    period = None if rate_hz is None else 1 / rate_hz
-    seconds = _size(path, "--rate", "it states times", period, spots.time)
-    missing = list[str]()
-    if um is None:
-        missing.append("a unit of length")
-    if seconds is None:
-        missing.append("the time of a picture")
-    if um is None or seconds is None:
-        said = f"{path}: its tracks do not state {' and '.join(missing)}"
-        raise UsageError(said, "give --scale UM_PER_PIXEL and --rate PICTURES_PER_SECOND")
-    if not np.isfinite(spots.rows).all():
-        raise UsageError(f"{path}: has a value that is not finite")
-    tracks = list[SpotTrack]()
-    for number in np.unique(spots.rows[:, 0]).tolist():
-        is_on_track = spots.rows[:, 0] == number
-        track = np.unique(spots.rows[is_on_track, 1:], axis=0)  # by time; a row twice counts once
-        rows = track * (seconds, um, -spots.tall * um)
-        _require_one_place(path, number, rows[:, 0])
-        tracks.append(SpotTrack(number, rows))
-    return tracks
 
 
 def _require_one_place(path: Path, number: float, times: Floats) -> None:

@@ -213,11 +213,6 @@ class WhichIsWhich:
         not_unknown = self.not_unknown[np.arange(len(order)), order]
         return tuple(order.tolist()), not_unknown * (shares @ (self.orders == order))
 
-    def on_track(self, t: int) -> Floats:
-        """Return the probability (K,) that each cell is on the track with the index `t`."""
-        has_cell = self.orders[:, t, None] == np.arange(len(self.cells))
-        return self.probabilities() @ has_cell
-
     def ends(self, now_s: float) -> bool:
         """Return whether the answer is certain enough, or has been waited for long enough."""
         open_s = now_s - self.since_s

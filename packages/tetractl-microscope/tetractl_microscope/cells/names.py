@@ -275,6 +275,7 @@ class Names:
     def _end(self, question: WhichIsWhich) -> None:
         """Settle a question by its likeliest answer."""
         order, shares = question.best()
+        probabilities = question.probabilities()
         self._name_by(question)
         for t, track in enumerate(question.tracks):
             cell = question.cells[order[t]]
@@ -283,15 +284,16 @@ class Names:
             certainty = float(shares[t]) * cell.certainty
             if self._splits and certainty < ASSERTED:
                 # the new number's cell is any of those asked about
-                self._bank.mix(track.row, question.rows[t], question.on_track(t))
+                has_cell = question.orders[:, t, None] == np.arange(len(question.cells))
+                self._bank.mix(track.row, question.rows[t], probabilities @ has_cell)
             self._set_certainty(track, certainty)
         kept_rows = {track.row for track in question.tracks}
         for row in question.rows.ravel().tolist():
             if row not in kept_rows:
                 self._bank.drop(row)
         self._questions.remove(question)
-        probability = float(question.probabilities().max())
-        self._tell(question.tracks, probability, [cell.name for cell in question.cells])
+        names = [cell.name for cell in question.cells]
+        self._tell(question.tracks, float(probabilities.max()), names)
 
     def _doubt(self, track: CellTrack, share: float) -> None:
         """Lower the certainty of a track's name to a share, since it was last together."""

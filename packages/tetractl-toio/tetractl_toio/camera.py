@@ -17,12 +17,11 @@ from tetractl.lab.serial_port import Ports
 from tetractl.lab.udp_port import SCHEME
 from tetractl_toio.cubes import HINT, UDP_HINT, CubesLink
 from tetractl_toio.messages import (
-    DURATION_MS,
+    NOTIFY_MISSED,
+    NOTIFY_READINGS,
     Characteristic,
     CubeReading,
     decode_reading,
-    encode_missed,
-    encode_notify,
 )
 from tetractl_toio.section import ToioCameraSection
 
@@ -115,7 +114,7 @@ class ToioCamera:
     def _begun(self) -> bool:
         """Make every cube report, and return whether all do; messages may be lost."""
         for cube in self._link.cubes:
-            for setting in (encode_notify(DURATION_MS), encode_missed(DURATION_MS)):
+            for setting in (NOTIFY_READINGS, NOTIFY_MISSED):
                 self._link.send(cube, Characteristic.CONFIGURATION, setting)
             self._link.send(cube, Characteristic.ID)
 

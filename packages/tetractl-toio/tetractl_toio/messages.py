@@ -33,6 +33,10 @@ RIGHT_MOTOR = 2
 FORWARD = 1
 BACKWARD = 2
 DURATION_MS = 10  # unit of a motor command's duration and of a notification interval
+NOTIFY_READINGS = bytes([0x18, 0, 1, 0])
+"""The setting that makes a cube notify its reading each DURATION_MS, changed or not."""
+NOTIFY_MISSED = bytes([0x19, 0, 1])
+"""The setting that makes a cube say that it is off the mat after DURATION_MS there."""
 
 
 class Characteristic(IntEnum):
@@ -122,16 +126,6 @@ def decode_motor(data: bytes) -> MotorCommand:
         speeds[motor] = size if direction == FORWARD else -size
     duration_ms = DURATION_MS * data[7] if len(data) == 8 else 0
     return MotorCommand(speeds[LEFT_MOTOR], speeds[RIGHT_MOTOR], duration_ms)
-
-
-def encode_notify(interval_ms: int) -> bytes:
-    """Return the setting that makes a cube notify its reading at intervals [ms], changed or not."""
-    return bytes([0x18, 0, interval_ms // DURATION_MS, 0])
-
-
-def encode_missed(after_ms: int) -> bytes:
-    """Return the setting after which time off the mat a cube says so [ms]."""
-    return bytes([0x19, 0, after_ms // DURATION_MS])
 
 
 def refused(data: bytes) -> bool:

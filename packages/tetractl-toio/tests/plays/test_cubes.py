@@ -13,10 +13,10 @@ from tetractl_toio.camera import ToioCamera
 from tetractl_toio.cubes import EmulatedCubePort
 from tetractl_toio.emulated.cube import CubeProgram
 from tetractl_toio.messages import (
+    NOTIFY_READINGS,
     Characteristic,
     CubeReading,
     encode_motor,
-    encode_notify,
     encode_reading,
     pack,
 )
@@ -175,7 +175,7 @@ def test_a_cube_obeys_until_its_command_ends_and_ignores_what_it_should():
     assert cube.wheels(2100) == (20, 20)
     cube.set_battery(4400)
     cube.push(pack(Characteristic.BATTERY), 0)
-    cube.push(pack(Characteristic.CONFIGURATION, encode_notify(10)), 0)
+    cube.push(pack(Characteristic.CONFIGURATION, NOTIFY_READINGS), 0)
     answers = cube.take_reply(0)
     assert answers.startswith(pack(Characteristic.BATTERY, b"\x00"))
     assert answers.endswith(pack(Characteristic.CONFIGURATION, b"\x98\x00\x00"))
@@ -219,11 +219,11 @@ def test_of_readings_that_come_together_the_newest_counts(folder):
         requests = 0  # for notifications
 
         def write(self, data):
-            if encode_notify(10) in data:
+            if NOTIFY_READINGS in data:
                 self.requests += 1
             if data == pack(Characteristic.ID):  # though the settings are lost
                 self._heard(event, 9 * MILLISECOND)
-            elif encode_notify(10) in data and self.requests == 2:
+            elif NOTIFY_READINGS in data and self.requests == 2:
                 self._heard(event + answer, 9 * MILLISECOND)
             return 0
 

@@ -17,8 +17,8 @@ def test_the_examples_of_the_specification_are_read_and_written():
     assert messages.encode_motor(100, -20, 100) == DRIVE
     assert messages.decode_motor(DRIVE) == (100, -20, 100)
     assert messages.decode_motor(b"\x01" + DRIVE[1:7]) == (100, -20, 0)
-    assert messages.encode_notify(10) == bytes.fromhex("18 00 01 00")
-    assert messages.encode_missed(100) == bytes.fromhex("19 00 0a")
+    assert bytes.fromhex("18 00 01 00") == messages.NOTIFY_READINGS
+    assert bytes.fromhex("19 00 01") == messages.NOTIFY_MISSED
     assert not messages.refused(bytes.fromhex("98 00 00"))
     assert messages.refused(bytes.fromhex("98 00 01"))
     assert Characteristic.ID.uuid == "10b20101-5b3b-4571-9508-cf3efcd7bbae"
@@ -62,5 +62,5 @@ def test_the_makers_library_reads_and_writes_the_same():
     for command in ((100, -20, 100), (0, 0, 250), (-115, 8, 2550)):
         assert messages.encode_motor(*command) == bytes(motor.MotorControl(*command))
     always = setting.NotificationCondition.Always
-    assert messages.encode_notify(10) == bytes(setting.SetIdNotification(10, always))
-    assert messages.encode_missed(10) == bytes(setting.SetIdMissedNotification(10))
+    assert bytes(setting.SetIdNotification(10, always)) == messages.NOTIFY_READINGS
+    assert bytes(setting.SetIdMissedNotification(10)) == messages.NOTIFY_MISSED

@@ -18,7 +18,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -77,7 +76,7 @@ def mean_of(values: Floats) -> OurNumber:
 
 
 def share_of(values: Floats) -> OurNumber:
-    """Return the share of values (n,), 1 or 0, that are 1, with Wilson's interval."""
+    """Return the share of values (n,) that are above 0, with Wilson's interval."""
     n = len(values)
     count = int(np.sum(values > 0))
     interval = proportion_interval(count, n)
@@ -95,14 +94,6 @@ def deviation_of(values: Floats) -> OurNumber:
     std = _deviation(values)
     low, high = (std * np.sqrt((n - 1) / stats.chi2.ppf(_ENDS[::-1], n - 1))).tolist()
     return OurNumber(NumberKind.DEVIATION, std, n, low, high)
-
-
-def runs_of(values: Floats, published: float) -> OurNumber:
-    """Return the share of values (n,) that are at least the published one, between the ends of the
-    middle 95 % of all."""
-    low, high = np.quantile(values, _ENDS).tolist()
-    share = float(np.mean(values >= published))
-    return OurNumber(NumberKind.RUNS, share, len(values), low, high)
 
 
 # ---- What can be asked of them ----
@@ -131,7 +122,7 @@ def at_least(bound: float) -> Asked:
 
 
 def rarely(share: float = 0.05) -> Asked:
-    """A fact is to hold in fewer than a share of the trials; the values are 1 where it holds."""
+    """A fact is to hold, the values to be above 0, in fewer than a share of the trials."""
     return Asked(f"in fewer than {100 * share:g} %", share_of, _within(-math.inf, share))
 
 
@@ -141,13 +132,20 @@ def same_number(published: float) -> Asked:
 
 
 def as_often(share: float) -> Asked:
-    """A fact is to hold in a stated share of the trials; the values are 1 where it holds."""
+    """A fact is to hold, the values to be above 0, in a stated share of the trials."""
     return Asked(f"agreement with {100 * share:g} %", share_of, _holds(share))
 
 
 def one_run(published: float) -> Asked:
-    """A published run is to be among the middle 95 % of ours."""
-    return Asked("agreement", partial(runs_of, published=published), _holds(published))
+    """A published run is to be among the middle 95 % of ours; our number is the share of runs that
+    are at least it."""
+
+    def number(values: Floats) -> OurNumber:
+        low, high = np.quantile(values, _ENDS).tolist()
+        share = float(np.mean(values >= published))
+        return OurNumber(NumberKind.RUNS, share, len(values), low, high)
+
+    return Asked("agreement", number, _holds(published))
 
 
 def same_mean(mean: float, std: float, n: int) -> Asked:

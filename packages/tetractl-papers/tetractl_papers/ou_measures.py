@@ -105,11 +105,6 @@ def _box(points: Floats) -> float:
     return float(width * height)
 
 
-def spins(log: TrialLog) -> bool:
-    """Return whether the field ever turns in one sense through a whole turn or more."""
-    return spinning(log) > 0
-
-
 def spinning(log: TrialLog) -> float:
     """Return for how long the field turns in one sense through a whole turn or more, apart from
     reversals up to REVERSAL [s]."""

@@ -75,10 +75,10 @@ def emulate(
         address, command_port, data_port, port_link, record, replace_after, seed, chosen
     )
 
-    def report_json(event: str, facts: dict[str, Any]) -> None:
-        print(dumps({"event": event, **facts}), flush=True)
+    def report(event: str, facts: dict[str, Any]) -> None:
+        line = dumps({"event": event, **facts}) if json else _in_words(event, facts)
+        print(line, flush=True)
 
-    report = report_json if json else _report
     emulation = EmulatedLab(lab, loaded.experiment.setup, play, options, report)
 
     def end(number: int, frame: object) -> None:
@@ -93,16 +93,16 @@ def emulate(
     return Exit.DONE
 
 
-def _report(event: str, facts: dict[str, Any]) -> None:
+def _in_words(event: str, facts: dict[str, Any]) -> str:
+    """Return what is printed of an event."""
     match event:
         case "ready":
             where = f"cameras at {facts['camera']}, {facts['actuator']}"
-            line = f"ready: {where}; EMULATION, no hardware"
+            return f"ready: {where}; EMULATION, no hardware"
         case "client":
-            line = f"emulated cameras: {facts['address']} connected"
+            return f"emulated cameras: {facts['address']} connected"
         case "run" | "moving" | "rest" | "placed":
-            line = f"emulated robots: {ROBOTS[event]}"
+            return f"emulated robots: {ROBOTS[event]}"
         case _:
             what = " ".join(filter(None, (facts["name"], facts["robot"], facts["mark"])))
-            line = f"emulated fault: {what}, {facts['phase']}"
-    print(line, flush=True)
+            return f"emulated fault: {what}, {facts['phase']}"

@@ -4,7 +4,6 @@ A script is YAML. Which settings and faults it may name depends on the lab's cam
 `Sides` holds the two classes that emulate them.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self, get_args
@@ -15,7 +14,6 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from tetractl.core.errors import AbortError, SpecError
 from tetractl.experiment.base import Finite, Model, Name, Point, with_tuples
 from tetractl.experiment.explain_errors import list_of, words
-from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean
 from tetractl_emulator.faults import MARK, Fault
@@ -142,11 +140,6 @@ def parse_script(
         raise InvalidSpecError([*document.all_problems, *problems]) from None
     document.require_no_problems()
     return script
-
-
-def script_of(data: Mapping[str, Any], camera: str, actuator: str) -> Script:
-    """Return the script that a spec holds, for a lab of these types."""
-    return parse_script(dump(dict(data)), "plant.faults", camera, actuator)
 
 
 def _sides(info: ValidationInfo) -> Sides:

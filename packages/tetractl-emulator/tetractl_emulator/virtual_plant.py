@@ -104,8 +104,9 @@ class EmulatedPlantSection(RigSection):
         """Return the rig of a new emulated lab. Trials with the same root seed have the same cells
         in the dish; the trial's `seed` gives everything else.
         """
+        from tetractl.experiment.yaml.core_yaml import dump
         from tetractl_emulator.half_real import Blind, MovedCamera, TwinActuator
-        from tetractl_emulator.script import NOTHING, script_of
+        from tetractl_emulator.script import NOTHING, parse_script
         from tetractl_emulator.sides import Options
         from tetractl_emulator.virtual_lab import LabClock, LiveClock, outlive, started
 
@@ -122,7 +123,9 @@ class EmulatedPlantSection(RigSection):
         )
         faults = self.with_files(Path()).faults
         types = self.camera.type, self.actuator.type
-        script = script_of(faults, *types) if isinstance(faults, dict) else NOTHING
+        script = NOTHING
+        if isinstance(faults, dict):
+            script = parse_script(dump(faults), "plant.faults", *types)
         has_cells = chosen or self.actuator.type == "field"
         if self.real and (has_cells or self.camera.type == self.actuator.type):
             names = " and ".join(types)

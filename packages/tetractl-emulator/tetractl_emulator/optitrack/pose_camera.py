@@ -69,10 +69,6 @@ class PoseCamera(ABC):
         self._start_ns = self.timeline.now_ns
         self._plan()
 
-    def tracked_body(self, name: str) -> TrackedBody:
-        """Return the rigid body of the robot with this name."""
-        return next(body for body in self.tracked if body.robot.name == name)
-
     def _plan(self) -> None:
         due_ns = self._start_ns + round(self._planned * SECOND / self._rate)
         self._planned += 1
@@ -131,10 +127,10 @@ class PoseCamera(ABC):
     def _expose(self) -> tuple[RigidBody, ...]:
         """Return the bodies as the cameras report them now."""
         view = self.view.exposed(self.acting.of("picture"))
+        numbers = {body.robot.name: body.asset.number for body in self.tracked}
         bodies = {body.robot.name: body.expose(view) for body in self.tracked}
         for fault in self.acting.of("twin_id"):
-            number = self.tracked_body(fault.other).asset.number
-            bodies[fault.robot] = replace(bodies[fault.robot], id=number)
+            bodies[fault.robot] = replace(bodies[fault.robot], id=numbers[fault.other])
         for fault in self.acting.of("swap"):
             first = bodies[fault.robot]
             second = bodies[fault.other]

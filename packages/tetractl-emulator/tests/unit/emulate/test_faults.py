@@ -376,7 +376,8 @@ def test_a_body_that_a_fault_hides_remains_hidden_when_robots_are_put_down(tmp_p
     carried, the body was not tracked any more."""
     faulty = faulty_lab(tmp_path, "{fault: untracked, robot: green}")
     camera = faulty.lab.camera
-    green = camera.tracked_body("green")
+    bodies = {body.robot.name: body for body in camera.tracked}
+    green = bodies["green"]
     faulty.lab.injector.acting.carried = carried_first
     end_fault = faulty.begin()
     faulty.lab.injector.acting.carried = True
@@ -385,7 +386,7 @@ def test_a_body_that_a_fault_hides_remains_hidden_when_robots_are_put_down(tmp_p
     assert not green.expose(View()).tracking_valid
     end_fault()
     assert green.expose(View()).tracking_valid
-    assert camera.tracked_body("blue").expose(View()).tracking_valid
+    assert bodies["blue"].expose(View()).tracking_valid
 
 
 def test_faults_of_one_body_act_together():

@@ -7,10 +7,11 @@ from support.paths import EXAMPLES
 from tetractl_emulator.fault_rows import FaultRow
 from tetractl_emulator.faults import fault_kind
 from tetractl_emulator.rehearsal.day import plan_of_day, rows_of
-from tetractl_emulator.script import Sides, script_of
+from tetractl_emulator.script import Sides, parse_script
 from tetractl_emulator.twist.side import EmulatedTwist
 
 from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.experiment.yaml.core_yaml import dump
 
 
 def lab_of(spec):
@@ -43,7 +44,8 @@ def test_days_of_cells_and_of_pictures_are_valid_scripts(name):
         plan = plan_of_day(1, day, lab, setup, chosen)
         met |= {fault["kind"] for fault in plan.faults}
         if day % 4 == 0:
-            script = script_of(plan.script(), lab.camera.type, lab.actuator.type)
+            text = dump(plan.script())
+            script = parse_script(text, "day.yaml", lab.camera.type, lab.actuator.type)
             assert len(script.faults) == len(plan.faults)
             assert bool(script.emulation.robots) == (not chosen)
     assert met == {row.name for row in rows_of(lab, setup)}
@@ -72,7 +74,7 @@ def test_days_of_lines_are_valid_scripts_with_a_world_of_their_own():
     lab, setup = lab_of(TWIST_SPEC)
     for day in range(100):
         plan = plan_of_day(1, day, lab, setup)
-        script = script_of(plan.script(), "optitrack", "twist")
+        script = parse_script(dump(plan.script()), "day.yaml", "optitrack", "twist")
         assert len(script.faults) == len(plan.faults)
         assert {robot.name for robot in script.emulation.actuator.robots} == {"green", "blue"}
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, replace
+from dataclasses import replace
 from random import Random
 from typing import Annotated, Any, ClassVar
 
@@ -49,11 +49,6 @@ class MicroscopeSettings(StreamSettings):
     """Whether the pictures are mirrored left to right, as behind an odd number of mirrors."""
     specks: int = Field(default=12, ge=0, le=200)
     """Number of debris particles."""
-
-
-def _first_of(moment: Bodies, count: int) -> Bodies:
-    """Return the first `count` of some bodies."""
-    return Bodies(*(part[:count] for part in astuple(moment)))
 
 
 class EmulatedMicroscope(StreamedCamera):
@@ -185,10 +180,10 @@ class EmulatedMicroscope(StreamedCamera):
         self.painter.change(self._look())
         span = self.painter.look.exposure_s * SECOND
         spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
-        moments = [Bodies(*self._scene_at(exposed_ns + round(part * span))) for part in spread]
+        scenes = [self._scene_at(exposed_ns + round(part * span)) for part in spread]
         # a cell divided during the exposure appears in the next picture
-        count = min(len(moment.x) for moment in moments)
-        moments = [_first_of(moment, count) for moment in moments]
+        count = min(scene.shape[1] for scene in scenes)
+        moments = [Bodies(*scene[:, :count]) for scene in scenes]
         cells = self._dish.cells.kept(np.arange(len(self._dish.cells)) < count)
         is_shown = np.ones(count, bool)
         is_shown[: len(self._bodies)] = self._visible_now()

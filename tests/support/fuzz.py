@@ -91,7 +91,8 @@ def examine(original: Original, copy: Path, data: bytes, complete: int, tally: T
     except LogError:
         tally.unreadable += 1
         return
-    if trial.damage is None and not (complete_records and contents.digests.content == trial.digest):
+    is_whole = complete_records and contents.computed_digests.content == trial.digest
+    if trial.damage is None and not is_whole:
         tally.wrong.append("a damaged trial is said to be whole")
 
 

@@ -47,6 +47,6 @@ class LogDigests:
         digest = self._host if topic in HOST_RECORDS else self._content
         digest.update(b"%b%d:%b%d:%b" % (head, len(times), times, len(data), data))
 
-    def stated(self) -> Digests:
+    def hexdigests(self) -> Digests:
         """Return the digests of all records so far, as 64 hex digits each."""
         return Digests(content=self._content.hexdigest(), host=self._host.hexdigest())

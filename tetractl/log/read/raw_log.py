@@ -30,7 +30,13 @@ ALTERED = "the content does not match the digest that the log states"
 
 @dataclass(frozen=True)
 class RawLog:
-    """The intact records of a log file; `problems` and `lost` are empty for an undamaged file."""
+    """The intact records of a log file; `problems` and `lost` are empty for an undamaged file.
+
+    A log ends with the digests that its writer states, one of the content and one of the host
+    records. Those computed of the records in the file are the same, or the log was altered. A brief
+    log lacks most records of its trial: the content digest that it states is that of the whole log,
+    and it states one more, `brief`, of its own content.
+    """
 
     path: Path
     size: int = 0  # bytes
@@ -137,9 +143,14 @@ class RawLog:
         return max(0, self._stated(channels.RESULT).warnings)
 
     @cached_property
-    def digests(self) -> Digests:
-        """The digests, computed from the records; other programs move attachments, which are put in
-        tetractl's place, after the messages of run and host."""
+    def stated_digests(self) -> Digests:
+        """The digests that the log states; empty texts if it states none."""
+        return self._stated(channels.DIGESTS)
+
+    @cached_property
+    def computed_digests(self) -> Digests:
+        """The digests of the records in this file; other programs move attachments, which are put
+        in tetractl's place, after the messages of run and host."""
         records = self.records
         if self.rewritten:
             attachments = [record for record in records if isinstance(record, Attachment)]
@@ -147,7 +158,28 @@ class RawLog:
         digests = LogDigests()
         for record in records:
             digests.add(record)
-        return digests.stated()
+        return digests.hexdigests()
+
+    @property
+    def brief(self) -> bool:
+        """Whether this is a brief log."""
+        return bool(self.stated_digests.brief)
+
+    @property
+    def content_digest(self) -> str:
+        """The content digest of the whole log: computed, or of a brief log stated."""
+        return self.stated_digests.content if self.brief else self.computed_digests.content
+
+    @property
+    def altered(self) -> bool:
+        """Whether the content in this file differs from the digest that the log states of it."""
+        stated = self.stated_digests.brief or self.stated_digests.content
+        return stated not in ("", self.computed_digests.content) and not self.reordered
+
+    @property
+    def host_altered(self) -> bool:
+        """Whether the host records differ from the digest that the log states of them."""
+        return self.stated_digests.host not in ("", self.computed_digests.host)
 
     @property
     def rewritten(self) -> bool:
@@ -161,38 +193,6 @@ class RawLog:
         if not self.rewritten:
             return False
         return all(entry.log_ns <= later.log_ns for entry, later in pairwise(self.entries))
-
-    @cached_property
-    def stated_digests(self) -> Digests:
-        """The digests that the log states."""
-        return self._stated(channels.DIGESTS)
-
-    @property
-    def stated_digest(self) -> str | None:
-        """The content digest that the log states."""
-        return self.stated_digests.content or None
-
-    @property
-    def brief(self) -> bool:
-        """Whether this is a brief log, which states the content digest of the whole log."""
-        return bool(self.stated_digests.brief)
-
-    @property
-    def content_digest(self) -> str:
-        """The content digest, computed from the records; of a brief log, the one that it states."""
-        return self.stated_digests.content if self.brief else self.digests.content
-
-    @property
-    def altered(self) -> bool:
-        """Whether the content differs from the digest that the log states of it."""
-        of_these_records = self.stated_digests.brief or self.stated_digests.content
-        return of_these_records not in ("", self.digests.content) and not self.reordered
-
-    @property
-    def host_altered(self) -> bool:
-        """Whether the host records do not match their digest."""
-        stated = self.stated_digests.host
-        return bool(stated) and stated != self.digests.host
 
     @cached_property
     def recovered(self) -> Damage | None:

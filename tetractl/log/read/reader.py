@@ -95,7 +95,7 @@ def trial_of(contents: RawLog, steps: int | None = None) -> TrialLog:
         exposed_ns=frames.exposed_ns,
         commands=commands,
         notes=tuple(replace(note, text=printable(note.text, channels.TEXT)) for note in notes),
-        digest=contents.stated_digest,
+        digest=contents.stated_digests.content or None,
         pictures=tuple(pictures),
     )
     if not contents.damaged:
@@ -156,7 +156,7 @@ def result_of(contents: RawLog) -> ResultSummary:
         origin=Origin.of(experiment, start.plant),
         result=result,
         recovered=contents.damaged,
-        digest=contents.stated_digest,
+        digest=contents.stated_digests.content or None,
         warnings=contents.warnings,
         processor=provenance.processor(contents.facts),
         code=contents.facts.get(provenance.CODE, ""),

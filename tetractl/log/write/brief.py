@@ -50,8 +50,8 @@ class _BriefFile(RecordSink):
 
     def finished(self, end_ns: int) -> bytes:
         """End the file with the digests at the end of the trial [Unix ns], and return it."""
-        of_whole_log = self._of_whole_log.stated()
-        of_brief_log = self._mcap.digests.stated()
+        of_whole_log = self._of_whole_log.hexdigests()
+        of_brief_log = self._mcap.digests.hexdigests()
         stated = Digests(
             content=of_whole_log.content, host=of_brief_log.host, brief=of_brief_log.content
         )

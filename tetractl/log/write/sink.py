@@ -98,7 +98,7 @@ class Sink:
     @property
     def digests(self) -> Digests:
         """The digests of the records written so far."""
-        return self._mcap.digests.stated()
+        return self._mcap.digests.hexdigests()
 
     @_while_open
     def flush(self) -> None:

@@ -46,7 +46,7 @@ def test_every_part_of_a_record_counts():
         digests = LogDigests()
         digests.add(entry)
         digests.add(Attachment(0, 0, "spec.yaml", "application/yaml", attached))
-        return digests.stated().content
+        return digests.hexdigests().content
 
     entry = Entry("/step", 1, 2, b"x")
     all_digests = {

@@ -52,17 +52,28 @@ class KindSection:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        usable = self.registry.usable()  # so that a broken package does not hide other mistakes
-        sections = {name: kind for name, kind in usable.items() if issubclass(kind, self.base)}
-        options = {name: handler(kind.__pydantic_core_schema__) for name, kind in sections.items()}
-        for name, option in options.items():
-            if name != self.default:  # a mapping without `type` has the default kind
-                kind = handler.resolve_ref_schema(option)
-                kind["required"] = list(dict.fromkeys(["type", *kind.get("required", ())]))
-        mapping = {name: option["$ref"] for name, option in options.items() if "$ref" in option}
-        discriminator = {"mapping": mapping, "propertyName": "type"}
-        choice = {"discriminator": discriminator, "oneOf": list(options.values())}
-        return choice | ({"default": {"type": self.default}} if self.default else {})
+        options: list[JsonSchemaValue] = []
+        references: dict[str, str] = {}
+        # what is usable: so that a broken package does not hide other mistakes
+        for name, kind in self.registry.usable().items():
+            if not issubclass(kind, self.base):
+                continue
+            option = handler(kind.__pydantic_core_schema__)
+            if "$ref" in option:
+                references[name] = option["$ref"]
+            required: list[str] = handler.resolve_ref_schema(option).get("required", [])
+            if name != self.default and "type" not in required:
+                # a mapping without `type` has the default kind
+                options.append({**option, "required": ["type", *required]})
+            else:
+                options.append(option)
+        choice: JsonSchemaValue = {
+            "discriminator": {"mapping": references, "propertyName": "type"},
+            "oneOf": options,
+        }
+        if self.default:
+            choice["default"] = {"type": self.default}
+        return choice
 
     def make(self) -> Any:
         """Return a section of the default type with default values, as a field's default value."""

@@ -96,23 +96,23 @@ class HandLog(Relay):
 
     def __init__(self, controller: HandController) -> None:
         self._controller = controller
-        self._calls: list[Callable[[], object]] = []
+        self._calls: list[Callable[[Observer], object]] = []
         self._start: Start
 
     def on_start(self, start: Start) -> None:
         """Keep the start."""
         self._start = start
 
-    def put(self, call: Callable[[], object]) -> None:
-        """Keep a call of `observer`, the log that there will be."""
+    def put(self, call: Callable[[Observer], object]) -> None:
+        """Keep a call of the log that there will be."""
         self._calls.append(call)
 
     def on_step(self, step: Step) -> None:
         """Keep a step; its plan will be that of `sequence`."""
 
-        def write() -> None:
+        def write(log: Observer) -> None:
             plan = self._controller.plan_of_sequence(step.k)
-            self.observer.on_step(replace(step, plan=plan))
+            log.on_step(replace(step, plan=plan))
 
         self.put(write)
 
@@ -124,9 +124,8 @@ class HandLog(Relay):
         )
         with LogWriter(path) as log:
             log.on_start(start)
-            self.observer = log
             for call in self._calls:
-                call()
+                call(log)
 
 
 def run_by_hand(

@@ -10,7 +10,7 @@ the writers of logs are called in the loop's thread. In simulation, all are.
 """
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -19,10 +19,11 @@ from pkgutil import resolve_name
 import numpy as np
 
 from tetractl.core.clock import Clock
+from tetractl.core.commands import Command
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Controller, LabSupervision, Observer, Plant
-from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
+from tetractl.core.trial import EPOCH_NS, PlantInfo, Result, Start
 from tetractl.experiment.experiment import packages
 from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.experiment.plants import Prepare
@@ -42,17 +43,38 @@ LAST_CALLS_S = 30.0
 
 
 class ObserverRelay(Relay):
-    """A relay for an observer that may be slow."""
+    """Passes calls to an observer that may be slow, in a thread of its own.
+
+    After an exception of the observer, or with a full queue, the next call raises an exception and
+    later calls are dropped.
+    """
 
     def __init__(self, observer: Observer) -> None:
-        self.observer = observer
-        self.worker = Worker(
+        self._observer = observer
+        self._worker = Worker(
             "observer",
             size=QUEUED_CALLS_MAX,
             wait_s=0.0,
             patience_s=LAST_CALLS_S,
             too_slow=TetractlError("an observer is too slow for the trial"),
         )
+
+    def put(self, call: Callable[[Observer], object]) -> None:
+        """Queue a call of the observer."""
+        self._worker.put(call, self._observer)
+
+    def on_start(self, start: Start) -> None:
+        """Pass the start to the observer directly, since no robot moves yet."""
+        self._observer.on_start(start)
+
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """Queue the stop and the result; wait until the observer has received everything."""
+        super().on_stop(stop, result)
+        self._worker.drain()
+
+    def close(self) -> None:
+        """Make the queued calls, and end the thread."""
+        self._worker.close()
 
 
 def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:

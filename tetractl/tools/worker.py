@@ -1,9 +1,10 @@
-"""A background thread that makes calls in order, and an observer that queues its calls for it: the
+"""A background thread that makes calls in order, and an observer whose calls may wait for it: the
 log's writer, or one that may be slow.
 """
 
 import queue
 import threading
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -12,7 +13,7 @@ from tetractl.core.commands import Command
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Sample
 from tetractl.core.protocols import Observer
-from tetractl.core.trial import Note, Result, Start, Step
+from tetractl.core.trial import Note, Result, Step
 
 T = TypeVar("T")
 
@@ -148,52 +149,29 @@ class Worker:
                 wait_s = None
 
 
-class Relay:
-    """Queues every call for `observer` on `worker`, in order.
+class Relay(Observer):
+    """An observer that keeps each call, in order, to be made later and of another observer."""
 
-    After an exception of the observer, or with a full queue, the next call raises an exception and
-    later calls are dropped. Without a worker, all calls are dropped.
-    """
-
-    observer: Observer
-    worker: Worker | None = None
-
-    def close(self) -> None:
-        """Make the queued calls, and end the thread."""
-        if self.worker:
-            self.worker.close()
-
-    def put(self, call: Callable[[], object]) -> None:
-        """Queue a call."""
-        if self.worker:
-            self.worker.put(call)
-
-    def on_start(self, start: Start) -> None:
-        """Pass the start to the observer directly, since no robot moves yet."""
-        self.observer.on_start(start)
+    @abstractmethod
+    def put(self, call: Callable[[Observer], object]) -> None:
+        """Keep a call, which is made of the observer that it is given."""
 
     def on_samples(self, samples: list[Sample]) -> None:
-        """Queue camera frames."""
-        self.put(lambda: self.observer.on_samples(samples))
+        """Keep camera frames."""
+        self.put(lambda observer: observer.on_samples(samples))
 
     def on_step(self, step: Step) -> None:
-        """Queue a control step."""
-        self.put(lambda: self.observer.on_step(step))
+        """Keep a control step."""
+        self.put(lambda observer: observer.on_step(step))
 
     def on_command(self, command: Command) -> None:
-        """Queue a command sent outside the control steps."""
-        self.put(lambda: self.observer.on_command(command))
+        """Keep a command sent outside the control steps."""
+        self.put(lambda observer: observer.on_command(command))
 
     def on_note(self, note: Note) -> None:
-        """Queue an operator message."""
-        self.put(lambda: self.observer.on_note(note))
+        """Keep an operator message."""
+        self.put(lambda observer: observer.on_note(note))
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Queue the stop and the result; wait until the observer has received everything."""
-        self.put(lambda: self.observer.on_stop(stop, result))
-        self.drain()
-
-    def drain(self) -> None:
-        """Wait until every call so far is done."""
-        if self.worker:
-            self.worker.drain()
+        """Keep the stop and the result."""
+        self.put(lambda observer: observer.on_stop(stop, result))

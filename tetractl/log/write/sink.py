@@ -15,7 +15,6 @@ from mcap.records import Attachment
 
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import DIGESTS, Entry, Record
-from tetractl.log.format.tetractl_pb2 import Digests
 from tetractl.log.write.mcap_records import NO_OTHERS, FileWriter, OtherChannels
 from tetractl.tools.files import lock_file
 
@@ -92,13 +91,8 @@ class Sink:
 
     def seal(self, unix_ns: int) -> None:
         """Add the digests of all records so far."""
-        stated = self.digests.SerializeToString()
-        self.add(Entry(DIGESTS, unix_ns, unix_ns, stated))
-
-    @property
-    def digests(self) -> Digests:
-        """The digests of the records written so far."""
-        return self._mcap.digests.hexdigests()
+        digests = self._mcap.digests.hexdigests()
+        self.add(Entry(DIGESTS, unix_ns, unix_ns, digests.SerializeToString()))
 
     @_while_open
     def flush(self) -> None:

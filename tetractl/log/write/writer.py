@@ -1,10 +1,13 @@
 """The log writer: an observer that stores a trial in an MCAP file."""
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
 from tetractl.core.commands import Command
 from tetractl.core.errors import LogError
+from tetractl.core.protocols import Observer
 from tetractl.core.trial import Result, Start
 from tetractl.log.write.encoder import Encoder
 from tetractl.log.write.sink import Sink
@@ -16,6 +19,16 @@ DISK_PATIENCE_S = 30.0
 """Time after which a disk that accepts no data is given up [s]."""
 BATCH_S = 0.5
 """Time for which the calls of a simulation are collected [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class _OpenLog:
+    """A log that is being written: `worker` is the thread that calls encoder and sink."""
+
+    sink: Sink
+    encoder: Encoder
+    worker: Worker
+    start_unix_ns: int
 
 
 class LogWriter(Relay):
@@ -30,30 +43,19 @@ class LogWriter(Relay):
     def __init__(self, path: Path, real_time: bool = False) -> None:
         self._path = path
         self._real_time = real_time
+        self._log: _OpenLog | None = None  # before the start, or if that failed
         self._early_failure: OSError | None = None  # of the disk, before the log began
-
-    @property
-    def digest(self) -> str:
-        """The content digest of the records written so far."""
-        return self._sink.digests.content
-
-    @property
-    def warnings(self) -> int:
-        """The number of operator warnings and errors so far."""
-        return self._encoder.warnings if self.worker else 0
 
     @property
     def failure(self) -> Exception | None:
         """The reason why the log can no longer be written; None while it can."""
-        return self.worker.failure if self.worker else None
+        return None if self._log is None else self._log.worker.failure
 
     def on_start(self, start: Start) -> None:
         """Create the file; store metadata, specs and scene, and wait until the disk has them."""
-        self._start_ns = start.start_unix_ns
-        self._sink = Sink(self._path)
-        self._encoder = Encoder(self._sink, self._real_time, hosted=True)
-        self.observer = self._encoder
-        self.worker = Worker(
+        sink = Sink(self._path)
+        encoder = Encoder(sink, self._real_time, hosted=True)
+        worker = Worker(
             f"log {self._path.name}",
             size=QUEUE_MAX,
             wait_s=0.0 if self._real_time else DISK_PATIENCE_S,
@@ -62,30 +64,44 @@ class LogWriter(Relay):
                 f"{self._path}: the disk is too slow for this log",
                 f"the log so far is in {self._path}.part",
             ),
-            idle=self._sink.flush_if_due,
+            idle=sink.flush_if_due,
             batch_s=0.0 if self._real_time else BATCH_S,
         )
-        self.put(lambda: self.observer.on_start(start))
+        self._log = _OpenLog(sink, encoder, worker, start.start_unix_ns)
+        worker.put(encoder.on_start, start)
         if self._early_failure is not None:
-            self.worker.put(self._sink.fail, self._early_failure)
-        self.worker.put(self._sink.sync)
-        self.worker.drain()  # no robot moves before the start of the log is on the disk
+            worker.put(sink.fail, self._early_failure)
+        worker.put(sink.sync)
+        worker.drain()  # no robot moves before the start of the log is on the disk
+
+    def put(self, call: Callable[[Observer], object]) -> None:
+        """Queue a call of the encoder."""
+        if self._log is not None:
+            self._log.worker.put(call, self._log.encoder)
 
     def on_stop(self, stop: Command, result: Result) -> None:
         """Store the stop and the result, wait until the disk has them, and rename the log."""
-        if self.worker:
-            self.put(lambda: self.observer.on_stop(stop, result))
-            self.worker.put(self._sink.seal, self._start_ns + stop.sent_ns)
-            self._close(complete=True)
-            self.worker.check()
+        log = self._log
+        if log is None:
+            return
+        super().on_stop(stop, result)
+        log.worker.put(log.sink.seal, log.start_unix_ns + stop.sent_ns)
+        self._close(complete=True)
+        log.worker.check()
+
+    def drain(self) -> None:
+        """Wait until every call so far is done."""
+        if self._log is not None:
+            self._log.worker.drain()
 
     def fail(self, error: OSError) -> None:
         """Let the disk fail from now on, as an emulated lab does: the next call raises LogError."""
-        if self.worker is None:
+        log = self._log
+        if log is None:
             self._early_failure = error
-        elif self.worker.failure is None:
-            self.worker.put(self._sink.fail, error)
-            self.worker.wait()
+        elif log.worker.failure is None:
+            log.worker.put(log.sink.fail, error)
+            log.worker.wait()
 
     def close(self) -> None:
         """Close the log; if the trial has not ended, the file keeps the suffix .part."""
@@ -99,9 +115,12 @@ class LogWriter(Relay):
 
     def _close(self, complete: bool) -> None:
         """Process the calls in the queue, finish the file and end the thread."""
-        if self.worker:
-            self.worker.close(lambda: self._finish(complete and self.failure is None))
+        log = self._log
+        if log is None:
+            return
 
-    def _finish(self, complete: bool) -> None:
-        self._encoder.flush_frames()
-        self._sink.close(complete)
+        def finish() -> None:
+            log.encoder.flush_frames()
+            log.sink.close(complete and log.worker.failure is None)
+
+        log.worker.close(finish)

@@ -276,6 +276,8 @@ def test_warm_compiles_what_specs_and_studies_name(folder):
     assert done.stderr.startswith("kept in /")
     done = tetractl(folder, "warm", "spec.yaml", "--set", "controller.motion=exact")
     assert done.stdout.startswith("pso-mpc, pso, exact: ")
+    done = tetractl(folder, "warm", "study.yaml", "--set", "controller.motion=exact")
+    assert done.stdout.startswith("pso-mpc, pso, exact: ")  # it was compiled for the motion euler
 
 
 def test_the_end_of_a_file_does_not_read_as_an_interruption(tmp_path, monkeypatch):

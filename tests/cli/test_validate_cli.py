@@ -111,6 +111,21 @@ def test_json_holds_warnings_and_the_least_error(tetractl):
     assert second["hint"].startswith("give them different a")
 
 
+def test_set_replaces_a_value_of_every_arm_of_a_study(tetractl, tmp_path):
+    """Regression: with --set, a study was refused as if it were a spec."""
+    (tmp_path / "study.yaml").write_text(
+        "name: two\nbase: alike.yaml\ntrials: {count: 4, seed: 7}\n"
+    )
+    moved = "robots.two.target=[300, 700]"
+    assert len(warned(tetractl("validate", "study.yaml", "--strict"))) == len(WARNINGS)
+    done = tetractl("validate", "study.yaml", "--set", "robots.two.a=3", "--set", moved).ok()
+    assert done.stdout == "study.yaml: ok: study two, arms 1, trials 4 each\n"
+    assert warned(done) == []
+    wrong = tetractl("validate", "study.yaml", "--set", "robots.two.a=fast")
+    assert wrong.returncode == 2
+    assert wrong.stdout == "--set robots.two.a=fast: robots.1.a: fast: must be a number\n"
+
+
 @pytest.mark.parametrize(
     "words", ["validate alike.yaml", "run alike.yaml --out logs", "run alike.yaml --dry-run"]
 )

@@ -186,7 +186,7 @@ def validate(
 
     Example: tetractl validate experiments/*.yaml
     """
-    checked = [_check(spec, sets) for spec in specs]
+    checked = [_check(spec, sets or []) for spec in specs]
     if as_json:
         print(json_text({"specs": [spec.fields for spec in checked]}))
     else:
@@ -205,7 +205,7 @@ class _Checked:
     lines: list[str]
 
 
-def _check(path: Path, sets: list[str] | None) -> _Checked:
+def _check(path: Path, sets: list[str]) -> _Checked:
     """Check a spec, or a study and the specs of its arms; print its warnings."""
     from tetractl.experiment.load import is_study, load_document
     from tetractl.experiment.yaml.document import read_document
@@ -213,9 +213,9 @@ def _check(path: Path, sets: list[str] | None) -> _Checked:
     file = printable(str(path))
     try:
         document = read_document(path)
-        if not sets and is_study(document):
-            return _check_study(path, file)
-        loaded = load_document(document, sets or [])
+        if is_study(document):
+            return _check_study(path, sets, file)
+        loaded = load_document(document, sets)
     except InvalidSpecError as error:
         problems = [asdict(problem) for problem in error.problems]
         return _Checked({"path": file, "ok": False, "problems": problems}, error.lines())
@@ -254,15 +254,15 @@ def _valid(file: str, loaded: "LoadedSpec", warnings: "Sequence[PlacedWarning]")
     return _Checked(fields, [line])
 
 
-def _check_study(path: Path, file: str) -> _Checked:
+def _check_study(path: Path, sets: list[str], file: str) -> _Checked:
     """Check a study and the spec of each arm; each warning is printed once."""
     from tetractl.run.plausibility import find_warnings
     from tetractl.study.load_study import load_study
 
-    loaded = load_study(path)
+    loaded = load_study(path, sets)
     name = loaded.study.name
     arms = len(loaded.arms)
-    trials = loaded.study.trials.count
+    trials = loaded.arms[0].spec.experiment.trials.count
     warnings = {str(warning): warning for arm in loaded.arms for warning in find_warnings(arm.spec)}
     ui.tell(*(f"warning: {text}" for text in warnings))
     fields = {
@@ -325,7 +325,7 @@ def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
     for file in files:
         document = read_document(file)
         if is_study(document):
-            arms = load_study(file).arms
+            arms = load_study(file, sets).arms
             yield from {arm.controller: arm.spec.experiment for arm in arms}.values()
         else:
             yield load_document(document, sets).experiment

@@ -13,7 +13,7 @@ and then `_disagreements` looks for problems that concern several arms.
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from itertools import product
@@ -31,7 +31,12 @@ from tetractl.experiment.explain_errors import validated
 from tetractl.experiment.load import as_text, is_study, load_document, without_lines
 from tetractl.experiment.loaded_spec import LoadedSpec, arm_hash
 from tetractl.experiment.registry_fields import KindSection
-from tetractl.experiment.yaml.document import Document, parse_document, read_document
+from tetractl.experiment.yaml.document import (
+    Document,
+    SpecSetting,
+    parse_document,
+    read_document,
+)
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted, near_files
 from tetractl.run.store import BatchFolder, Store
 from tetractl.run.task import code_of
@@ -140,23 +145,26 @@ class LoadedStudy:
         return Store(folder, batches)
 
 
-def load_study(source: Path | Mapping[str, Any]) -> LoadedStudy:
-    """Read and check a study, a file or its contents, and the spec of every arm.
+def load_study(
+    source: Path | Mapping[str, Any], settings: Sequence[SpecSetting] = ()
+) -> LoadedStudy:
+    """Read and check a study, a file or its contents, and the spec of every arm, in which
+    `settings` replace values last.
 
     Raises InvalidSpecError, with one line per problem. A problem is located in the study if a value
     of the study causes it, and in the base spec if that is invalid by itself.
     """
     if isinstance(source, Path):
-        return _loaded(read_document(source), source.parent)
+        return _loaded(read_document(source), source.parent, settings)
     document = parse_document(as_text(source, "study"), "study")
     with without_lines():
-        return _loaded(document, Path())
+        return _loaded(document, Path(), settings)
 
 
-def _loaded(document: Document, folder: Path) -> LoadedStudy:
+def _loaded(document: Document, folder: Path, settings: Sequence[SpecSetting]) -> LoadedStudy:
     """Check a study whose base is relative to `folder`."""
     study = _study(document)
-    arms = _arms(study, _base(study, document, folder), document)
+    arms = _arms(study, _base(study, document, folder), document, settings)
     disagreements = list(dict.fromkeys(_disagreements(arms, document)))
     if disagreements:
         raise InvalidSpecError(disagreements)
@@ -184,7 +192,9 @@ def _named(study: Study) -> str | None:
     return None if isinstance(study.base, dict) else printable(Path(study.base).name)
 
 
-def _arms(study: Study, base: Document, document: Document) -> list[Arm]:
+def _arms(
+    study: Study, base: Document, document: Document, settings: Sequence[SpecSetting]
+) -> list[Arm]:
     """Return all arms. InvalidSpecError has the problems of all of them, each once; its hint names
     the first arm with a problem that its settings bring out in the base."""
     arms: list[Arm] = []
@@ -192,7 +202,7 @@ def _arms(study: Study, base: Document, document: Document) -> list[Arm]:
     hint: str | None = None
     for controller, point in _combinations(study, document):
         try:
-            arms.append(_arm(base, study, controller, point, document))
+            arms.append(_arm(base, study, controller, point, document, settings))
         except InvalidSpecError as error:
             problems |= dict.fromkeys(error.problems)
             in_base = any(problem.origin != document.origin for problem in error.problems)
@@ -245,6 +255,7 @@ def _arm(
     controller: str,
     point: Mapping[str, Setting],
     document: Document,
+    settings: Sequence[SpecSetting],
 ) -> Arm:
     """Return one arm; InvalidSpecError with locations in the study if its settings are invalid."""
     fields = study.controllers.get(controller, {})
@@ -262,7 +273,7 @@ def _arm(
     try:
         # contents have no lines that a problem could name
         with without_lines() if isinstance(study.base, dict) else nullcontext():
-            spec = load_document(base, (*sets, *trials))
+            spec = load_document(base, (*sets, *trials, *settings))
     except InvalidSpecError as error:
         problems = [_placed(problem, locations, document) for problem in error.problems]
         raise InvalidSpecError(problems) from None

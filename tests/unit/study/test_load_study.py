@@ -61,6 +61,13 @@ def test_an_arm_has_the_spec_that_its_values_make_of_the_base(tmp_path):
     assert experiment.trials.seed == 7
 
 
+def test_settings_replace_values_of_every_arm_last(tmp_path):
+    path = write(tmp_path, STUDY)
+    arms = load_study(path, ["controller.optimizer.particles=7"]).arms
+    assert {arm.spec.experiment.controller.optimizer.particles for arm in arms} == {7}
+    assert [arm.sets for arm in arms] == [arm.sets for arm in load_study(path).arms]
+
+
 @pytest.mark.parametrize(
     ("study", "lines"),
     [

@@ -1,8 +1,8 @@
-"""The optimal control problem of one control step, and the controller's decision: a plan with the
-searches it was chosen from, or the end of the trial.
+"""What is planned in one control step, in the order of the file: a `Problem`; within `Limits`, one
+`Search` of the optimiser for each horizon; and the controller's `Decision`, which is a `Plan`, made
+of the best search, or the `Outcome` of the trial.
 """
 
-import re
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -13,216 +13,6 @@ from tetractl.core.commands import Action, FieldOff, Steer, Stop, Turn
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Bools, Floats, Poses
-
-
-class Outcome(StrEnum):
-    """How a trial ended."""
-
-    ARRIVED = "arrived"
-    SEQUENCE_COMPLETED = "sequence completed"
-    NO_BETTER_PLAN = "no better plan"
-    STEPS_MAX = "steps max"
-    TIME_LIMIT = "time limit"
-    INTERRUPTED = "interrupted"
-    ABORTED = "aborted"
-
-    @property
-    def meaning(self) -> str:
-        """What the outcome means, for readers."""
-        return {
-            Outcome.ARRIVED: "every robot is within the arrival tolerance of its target",
-            Outcome.SEQUENCE_COMPLETED: "every signal was sent",
-            Outcome.NO_BETTER_PLAN: "stopped where driving on would gain too little",
-            Outcome.STEPS_MAX: "the largest number of control steps was reached",
-            Outcome.TIME_LIMIT: "the trial's time was over",
-            Outcome.INTERRUPTED: "Ctrl-C, `tetractl lab stop` or another signal ended the trial",
-            Outcome.ABORTED: "a fault or an error ended the trial",
-        }[self]
-
-    @property
-    def logged(self) -> str:
-        """The name in logs, where it stays as it was, so that digests stay the same."""
-        return "nothing better" if self is Outcome.NO_BETTER_PLAN else self.value
-
-    @classmethod
-    def shown(cls, text: str) -> str:
-        """Return a text of a log that may begin with an outcome, with the outcome's name."""
-        outcome = cls.NO_BETTER_PLAN
-        return re.sub(rf"^{outcome.logged}", outcome.value, text)
-
-    @property
-    def complete(self) -> bool:
-        """Whether the controller ended the trial, so that the trial's error counts."""
-        return self not in (Outcome.INTERRUPTED, Outcome.ABORTED)
-
-
-@dataclass(frozen=True, slots=True)
-class End:
-    """The decision to end a trial by a stop that is sent `delay_ns` after the decision."""
-
-    outcome: Outcome
-    delay_ns: int
-
-
-class StopReason(StrEnum):
-    """Why a search ended; the value is the text in a log."""
-
-    CRITERION = "criterion"  # the stop criterion of the optimiser, such as (20)
-    ITERATIONS = "iterations"  # the optimiser's limit of iterations was reached
-    TARGET = "target"  # a cost that is good enough was found
-    EVALUATIONS = "evaluations"  # the limit allows no further evaluation
-    DEADLINE = "deadline"  # the deadline passed
-    FIXED = "given"  # there was no search: the spec gives the sequence
-
-    @classmethod
-    def read(cls, text: str) -> "StopReason | str":
-        """Return the StopReason that a log calls `text`; `text` itself if there is none."""
-        try:
-            return cls(text)
-        except ValueError:
-            return text
-
-
-class State(StrEnum):
-    """What the robots do in a control step; the value is the text in a log."""
-
-    DRIVING = "driving"  # they follow the plan
-    RESTING = "resting"  # they stand; the next plan is for standing robots
-    PASSING = "passing"  # they follow a plan that leads them through a passage one by one
-    TURNING = "turning"  # they stand and turn on the spot
-    HOLDING = "holding"  # they cannot stand, and stay near their targets
-    STUCK = "stuck"  # they stand, and the trial ends: no candidate helps
-
-
-_DOING = {State.RESTING: "standing", State.STUCK: "standing", State.TURNING: "turning on the spot"}
-
-
-PAUSE_S = 0.5
-"""Length of a pause, in addition to one control period [s]."""
-
-
-def never(evaluations: int) -> bool:
-    """Return False: the default of `Limits.expired`, for no deadline."""
-    return False
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """The limits of one search.
-
-    `evaluations` bounds the cost evaluations, None for no bound. Once `expired(spent)`, given the
-    evaluations spent so far, is true, a search returns the best sequence so far.
-    """
-
-    evaluations: int | None = None
-    expired: Callable[[int], bool] = never
-
-    @property
-    def timed(self) -> bool:
-        """Whether there is a deadline."""
-        return self.expired is not never
-
-    def allow(self, evaluations: int) -> bool:
-        """Return whether a search may use this many evaluations in total."""
-        return self.evaluations is None or evaluations <= self.evaluations
-
-
-@dataclass(frozen=True, slots=True)
-class Search:
-    """One search of the optimiser: one horizon in one control step.
-
-    `length` counts signals; the paper's horizon is h = length - 1. `history[z]` is J(u_gb) after
-    iteration z, and `history[0]` is J(u_gb) before the first (the paper's Figure 3). `stopped` is
-    the reason why the search ended, or a text if a log of another version of tetractl gives a
-    reason that is not a StopReason.
-    """
-
-    length: int
-    signals: Floats = field(repr=False)  # (length,) rad
-    cost: float  # J, (7)
-    history: Floats = field(repr=False)  # (iterations + 1,)
-    evaluations: int
-    stopped: StopReason | str
-
-    @property
-    def ended(self) -> str:
-        """Words for why the search ended."""
-        return "no search" if self.stopped == StopReason.FIXED else str(self.stopped)
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """The decision of one control step: the sequence chosen and how it was found.
-
-    cost = target_cost + obstacle_weight * obstacle_cost, the paper's equation (7). `path` holds the
-    predicted poses (length + 1, N, 3), beginning with those at which the plan starts. `searches`
-    are the searches of all horizons tried, in order; `chosen` is the index of the best. `generator`
-    is the key of all random numbers of this step. `estimate` are the estimates used for the plan,
-    None if the controller estimates nothing. `instead`, if given, is sent in place of signals[0]:
-    with a stop or a turn, robots stand for PAUSE_S, from `delay_ns` after the decision on. `leg` is
-    the number of way-points passed; while the robots hold, it is one more than the number of
-    way-points.
-    """
-
-    signals: Floats = field(repr=False)
-    path: Floats = field(repr=False)
-    cost: float
-    target_cost: float
-    obstacle_cost: float
-    searches: tuple[Search, ...] = field(repr=False)
-    chosen: int
-    generator: int
-    estimate: Estimate | None = field(default=None, repr=False)
-    instead: Turn | Stop | FieldOff | None = None
-    state: State = State.DRIVING
-    delay_ns: int = 0
-    leg: int = 0
-
-    def of_all(self, present: Bools, poses: Poses) -> "Plan":
-        """Return the plan, made for the robots whose `present` (N,) is true, with a path of all N
-        robots: those that are lost stay at their poses in `poses`."""
-        if present.all():
-            return self
-        path = np.repeat(poses.array()[None], len(self.path), axis=0)
-        path[:, present] = self.path
-        return replace(self, path=path)
-
-    @property
-    def action(self) -> Action:
-        """What is to be sent in this step."""
-        return self.instead or Steer(float(self.signals[0]))
-
-    @property
-    def pauses(self) -> bool:
-        """Whether all robots stand, in place of driving; they may turn on the spot."""
-        return isinstance(self.instead, Stop | Turn)
-
-    @property
-    def facing(self) -> float | None:
-        """The direction [rad] to which the robots turn on the spot, None if they do not."""
-        return self.instead.facing if isinstance(self.instead, Turn) else None
-
-    @property
-    def doing(self) -> str:
-        """Words for what the robots do."""
-        if isinstance(self.instead, FieldOff):
-            return "field off"
-        return _DOING.get(self.state, self.state.value)
-
-    @property
-    def direction(self) -> float | None:
-        """The direction to be sent in this step [rad], None if none is sent."""
-        return float(self.signals[0]) if self.instead is None else None
-
-    @property
-    def search(self) -> Search:
-        """The search that found the chosen sequence."""
-        return self.searches[self.chosen]
-
-    @property
-    def evaluations(self) -> int:
-        """Number of cost evaluations of the whole control step."""
-        return sum(search.evaluations for search in self.searches)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -282,3 +72,222 @@ class Problem:
     def seconds(self, length: int) -> float:
         """Return the duration of a sequence of `length` signals [s]."""
         return self.first_period + (length - 1) * self.period
+
+
+def never(evaluations: int) -> bool:
+    """Return False: the default of `Limits.expired`, for no deadline."""
+    return False
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """The limits of one search.
+
+    `evaluations` bounds the cost evaluations, None for no bound. Once `expired(spent)`, given the
+    evaluations spent so far, is true, a search returns the best sequence so far.
+    """
+
+    evaluations: int | None = None
+    expired: Callable[[int], bool] = never
+
+    @property
+    def timed(self) -> bool:
+        """Whether there is a deadline."""
+        return self.expired is not never
+
+    def allow(self, evaluations: int) -> bool:
+        """Return whether a search may use this many evaluations in total."""
+        return self.evaluations is None or evaluations <= self.evaluations
+
+
+class StopReason(StrEnum):
+    """Why a search ended; the value is the text in a log."""
+
+    CRITERION = "criterion"  # the stop criterion of the optimiser, such as (20)
+    ITERATIONS = "iterations"  # the optimiser's limit of iterations was reached
+    TARGET = "target"  # a cost that is good enough was found
+    EVALUATIONS = "evaluations"  # the limit allows no further evaluation
+    DEADLINE = "deadline"  # the deadline passed
+    FIXED = "given"  # there was no search: the spec gives the sequence
+
+    @classmethod
+    def read(cls, text: str) -> "StopReason | str":
+        """Return the StopReason that a log calls `text`; `text` itself if there is none."""
+        try:
+            return cls(text)
+        except ValueError:
+            return text
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """One search of the optimiser: one horizon in one control step.
+
+    `length` counts signals; the paper's horizon is h = length - 1. `history[z]` is J(u_gb) after
+    iteration z, and `history[0]` is J(u_gb) before the first (the paper's Figure 3). `stopped` is
+    the reason why the search ended, or a text if a log of another version of tetractl gives a
+    reason that is not a StopReason.
+    """
+
+    length: int
+    signals: Floats = field(repr=False)  # (length,) rad
+    cost: float  # J, (7)
+    history: Floats = field(repr=False)  # (iterations + 1,)
+    evaluations: int
+    stopped: StopReason | str
+
+    @property
+    def ended(self) -> str:
+        """Words for why the search ended."""
+        return "no search" if self.stopped == StopReason.FIXED else str(self.stopped)
+
+
+class State(StrEnum):
+    """What the robots do in a control step; the value is the text in a log."""
+
+    DRIVING = "driving"  # they follow the plan
+    RESTING = "resting"  # they stand; the next plan is for standing robots
+    PASSING = "passing"  # they follow a plan that leads them through a passage one by one
+    TURNING = "turning"  # they stand and turn on the spot
+    HOLDING = "holding"  # they cannot stand, and stay near their targets
+    STUCK = "stuck"  # they stand, and the trial ends: no candidate helps
+
+    @property
+    def doing(self) -> str:
+        """Words for readers."""
+        if self in (State.RESTING, State.STUCK):
+            return "standing"
+        if self is State.TURNING:
+            return "turning on the spot"
+        return self.value
+
+
+PAUSE_S = 0.5
+"""Time for which robots stand by a plan that pauses, in addition to one control period [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The decision by which a trial goes on: what is sent in a control step, and how it was found.
+
+    What is sent is the direction signals[0], unless there is another action `instead`: a stop or a
+    turn on the spot, for which robots pause, or a field that is off.
+    """
+
+    signals: Floats = field(repr=False)  # (L,) rad, the sequence chosen
+    path: Floats = field(repr=False)  # (L + 1, N, 3), poses predicted, from where the plan starts
+    cost: float  # target_cost + obstacle_weight * obstacle_cost, the paper's equation (7)
+    target_cost: float
+    obstacle_cost: float
+    searches: tuple[Search, ...] = field(repr=False)  # of all horizons tried, in order
+    chosen: int  # index of the best search, which found the signals
+    generator: int  # the key of all random numbers of the step
+    # that the plan was made with; None if the controller estimates nothing
+    estimate: Estimate | None = field(default=None, repr=False)
+    instead: Turn | Stop | FieldOff | None = None
+    state: State = State.DRIVING
+    delay_ns: int = 0  # from the decision until a pause begins
+    leg: int = 0  # number of way-points passed; while robots hold, one more than there are
+
+    @property
+    def action(self) -> Action:
+        """What is to be sent in this step."""
+        return self.instead or Steer(float(self.signals[0]))
+
+    @property
+    def direction(self) -> float | None:
+        """The direction to be sent in this step [rad], None if none is sent."""
+        return float(self.signals[0]) if self.instead is None else None
+
+    @property
+    def facing(self) -> float | None:
+        """The direction [rad] to which the robots turn on the spot, None if they do not."""
+        return self.instead.facing if isinstance(self.instead, Turn) else None
+
+    @property
+    def pauses(self) -> bool:
+        """Whether all robots stand for PAUSE_S, in place of driving; they may turn on the spot."""
+        return isinstance(self.instead, Stop | Turn)
+
+    @property
+    def doing(self) -> str:
+        """Words for what the robots do."""
+        return "field off" if isinstance(self.instead, FieldOff) else self.state.doing
+
+    @property
+    def search(self) -> Search:
+        """The search that found the chosen sequence."""
+        return self.searches[self.chosen]
+
+    @property
+    def evaluations(self) -> int:
+        """Number of cost evaluations of the whole control step."""
+        return sum(search.evaluations for search in self.searches)
+
+    def of_all(self, present: Bools, poses: Poses) -> "Plan":
+        """Return the plan of the robots whose `present` (N,) is true as one of all N robots: in its
+        path, those that are lost stay at their poses in `poses`."""
+        if present.all():
+            return self
+        path = np.repeat(poses.array()[None], len(self.path), axis=0)
+        path[:, present] = self.path
+        return replace(self, path=path)
+
+
+_LOGGED_NO_BETTER_PLAN = "nothing better"
+"""What logs call the outcome NO_BETTER_PLAN."""
+
+
+class Outcome(StrEnum):
+    """How a trial ended."""
+
+    ARRIVED = "arrived"
+    SEQUENCE_COMPLETED = "sequence completed"
+    NO_BETTER_PLAN = "no better plan"
+    STEPS_MAX = "steps max"
+    TIME_LIMIT = "time limit"
+    INTERRUPTED = "interrupted"
+    ABORTED = "aborted"
+
+    @property
+    def meaning(self) -> str:
+        """What the outcome means, for readers."""
+        return {
+            Outcome.ARRIVED: "every robot is within the arrival tolerance of its target",
+            Outcome.SEQUENCE_COMPLETED: "every signal was sent",
+            Outcome.NO_BETTER_PLAN: "stopped where driving on would gain too little",
+            Outcome.STEPS_MAX: "the largest number of control steps was reached",
+            Outcome.TIME_LIMIT: "the trial's time was over",
+            Outcome.INTERRUPTED: "Ctrl-C, `tetractl lab stop` or another signal ended the trial",
+            Outcome.ABORTED: "a fault or an error ended the trial",
+        }[self]
+
+    @property
+    def logged(self) -> str:
+        """The name in logs, where it stays as it was, so that digests stay the same."""
+        return _LOGGED_NO_BETTER_PLAN if self is Outcome.NO_BETTER_PLAN else self.value
+
+    @classmethod
+    def shown(cls, text: str) -> str:
+        """Return a text of a log, with the name of today if it begins with an outcome."""
+        if text.startswith(_LOGGED_NO_BETTER_PLAN):
+            return cls.NO_BETTER_PLAN.value + text.removeprefix(_LOGGED_NO_BETTER_PLAN)
+        return text
+
+    @property
+    def complete(self) -> bool:
+        """Whether the controller ended the trial, so that the trial's error counts."""
+        return self not in (Outcome.INTERRUPTED, Outcome.ABORTED)
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """The decision to end a trial by a stop that is sent `delay_ns` after the decision."""
+
+    outcome: Outcome
+    delay_ns: int
+
+
+Decision = Plan | Outcome | End
+"""What a controller decides in a control step: a plan, or the end of the trial, at once by an
+Outcome or later by an End."""

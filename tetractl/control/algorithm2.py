@@ -28,7 +28,7 @@ from tetractl.control.mpc_section import PsoMpc
 from tetractl.control.rng import mix
 from tetractl.control.trial_time import TrialTime
 from tetractl.core.commands import Command
-from tetractl.core.plan import End, Limits, Outcome, Plan
+from tetractl.core.plan import Decision, Limits, Outcome
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import Host
@@ -61,7 +61,7 @@ class Algorithm2:
         observation: Observation,
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
-    ) -> Plan | Outcome | End:
+    ) -> Decision:
         """Decide what is sent in one control step, or end the trial."""
         problem = self.estimator.add_step(observation, last_command, earlier)  # line 12
         if self.section.arrived(problem.poses.distances(problem.targets)):  # line 13

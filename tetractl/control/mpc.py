@@ -91,7 +91,7 @@ from tetractl.core.commands import Command, Stop, Turn
 from tetractl.core.errors import ControlError
 from tetractl.core.losses import told_dead
 from tetractl.core.motion_estimate import Estimate
-from tetractl.core.plan import End, Limits, Outcome, Plan, Problem, Search, State
+from tetractl.core.plan import Decision, End, Limits, Outcome, Plan, Problem, Search, State
 from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.setup import Setup
 from tetractl.core.shape import Shape
@@ -109,9 +109,6 @@ SLACK = 1.15
 plan without slack cannot be mended, as robots do not drive faster."""
 END_OF_LEG = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
 """Outcomes after which the next leg begins, if there is one."""
-
-Decision = Plan | Outcome | End
-"""What robots do in a step, or how a leg ends."""
 
 
 @dataclass(frozen=True, slots=True)

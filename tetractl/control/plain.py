@@ -10,7 +10,7 @@ from tetractl.control.rng import mix
 from tetractl.control.trial_time import TrialTime
 from tetractl.core.commands import Command
 from tetractl.core.obstacles import Obstacles
-from tetractl.core.plan import End, Outcome, Plan, Problem
+from tetractl.core.plan import Decision, Outcome, Problem
 from tetractl.core.poses import Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ControllerSection
@@ -73,7 +73,7 @@ class PlainController:
         observation: Observation,
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
-    ) -> Plan | Outcome | End:
+    ) -> Decision:
         """Decide what the robots do in one step, or end the trial."""
         problem = self.step(observation, last_command)
         if isinstance(problem, Outcome):
@@ -98,7 +98,5 @@ class PlainController:
         return self.estimator.add_step(observation, last_command)
 
     @abstractmethod
-    def decided(
-        self, problem: Problem, observation: Observation, step_key: int
-    ) -> Plan | Outcome | End:
+    def decided(self, problem: Problem, observation: Observation, step_key: int) -> Decision:
         """Return the decision of step k, whose random numbers `step_key` seeds."""

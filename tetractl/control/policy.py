@@ -26,7 +26,7 @@ from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.plain import PlainController, PlainSection
 from tetractl.core.commands import Command
 from tetractl.core.errors import ControlError
-from tetractl.core.plan import End, Outcome, Plan, Problem
+from tetractl.core.plan import Decision, Plan, Problem
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ALONE, Host
@@ -118,7 +118,7 @@ class PolicyController(PlainController):
         observation: Observation,
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
-    ) -> Plan | Outcome | End:
+    ) -> Decision:
         """Take the direction that was sent; decide what the robots do, or end the trial."""
         if last_command is not None and last_command.direction is not None:
             self._last_direction = last_command.direction

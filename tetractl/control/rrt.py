@@ -21,7 +21,7 @@ from tetractl.control.fixed_sequence import best_stop, given_plan
 from tetractl.control.plain import PlainController, PlainSection
 from tetractl.control.rng import uniform
 from tetractl.core.obstacles import Obstacles
-from tetractl.core.plan import End, Outcome, Plan, Problem
+from tetractl.core.plan import Decision, End, Outcome, Problem
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Bounds, Setup
 from tetractl.experiment.base import NonNegative, Positive
@@ -84,9 +84,7 @@ class Rrt(PlainController):
         self._arena = setup.arena
         self._path = setup.targets  # corners still to be passed (M, 2), the target last
 
-    def decided(
-        self, problem: Problem, observation: Observation, step_key: int
-    ) -> Plan | Outcome | End:
+    def decided(self, problem: Problem, observation: Observation, step_key: int) -> Decision:
         """Point the field at the next corner of the path, or end the trial."""
         signals = np.array([self._towards(problem, step_key)])
         ended = self._passing(problem, signals, float(problem.poses.distances(problem.targets)[0]))

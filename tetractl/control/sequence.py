@@ -8,7 +8,7 @@ from pydantic import Field
 from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.plain import PlainController, PlainSection
 from tetractl.core.clock import SECOND
-from tetractl.core.plan import End, Outcome, Plan, Problem
+from tetractl.core.plan import Decision, End, Outcome, Problem
 from tetractl.core.poses import Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, NonNegative
@@ -43,9 +43,7 @@ class SequenceController(PlainController):
         super().__init__(section, setup, key)
         self.section = section
 
-    def decided(
-        self, problem: Problem, observation: Observation, step_key: int
-    ) -> Plan | Outcome | End:
+    def decided(self, problem: Problem, observation: Observation, step_key: int) -> Decision:
         """Return the plan of the next direction, with the path predicted for up to `ahead`
         directions.
         """

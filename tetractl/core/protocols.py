@@ -7,7 +7,7 @@ from typing import Protocol, Self
 
 from tetractl.core.commands import Action, Command, Steer, Transmission, Turn
 from tetractl.core.guard_findings import Finding, RobotPlace
-from tetractl.core.plan import End, Limits, Outcome, Plan, Problem, Search
+from tetractl.core.plan import Decision, Limits, Problem, Search
 from tetractl.core.poses import CameraFrame, Floats, Observation, Pose, Sample
 from tetractl.core.trial import Note, PlantInfo, Result, Start, Step, Verdict
 
@@ -252,8 +252,9 @@ class Controller(Protocol):
         observation: Observation,
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
-    ) -> Plan | Outcome | End:
-        """Return the plan whose `direction` is sent next, or the end of the trial.
+    ) -> Decision:
+        """Return the plan whose `action` is sent next, or the end of the trial. Called once in each
+        control step.
 
         `observation` is the newest camera frame; `earlier` are the frames exposed since the
         previous control step's observation, oldest first. `last_command` is the command of the

@@ -22,7 +22,17 @@ from tetractl.control.optimizers.pso import Pso
 from tetractl.control.stop import reason_to_stop
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
-from tetractl.core.plan import PAUSE_S, End, Limits, Outcome, Plan, Problem, Search, StopReason
+from tetractl.core.plan import (
+    PAUSE_S,
+    Decision,
+    End,
+    Limits,
+    Outcome,
+    Plan,
+    Problem,
+    Search,
+    StopReason,
+)
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller
 from tetractl.core.trial import Step
@@ -145,7 +155,7 @@ def _plan_difference(plan: Plan, step: Step, tolerance: Tolerance) -> Difference
 
 def plan_again(
     controller: Controller, log: TrialLog, last: Step | None, observation: Observation
-) -> Plan | Outcome | End:
+) -> Decision:
     """Return a controller's decision on an observation that follows the control step `last` of a
     log, or on the first observation if `last` is None. FaultyPluginError if a plug-in fails.
     """

@@ -13,7 +13,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
 from tetractl.core.errors import WrongValueError, printable, text_of
 from tetractl.core.motion_estimate import Estimate
-from tetractl.core.plan import End, Outcome, Plan, Search, State, StopReason
+from tetractl.core.plan import Decision, End, Outcome, Plan, Search, State, StopReason
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ALONE, ControllerSection, Host
@@ -51,7 +51,7 @@ class CheckedController:
         observation: Observation,
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
-    ) -> Plan | Outcome | End:
+    ) -> Decision:
         """Return the decision; WrongValueError for one that cannot be sent and logged."""
         decision: Any = self.controller.plan(observation, last_command, earlier)
         try:
@@ -61,7 +61,7 @@ class CheckedController:
             who = f"controller '{self._section.type}'"
             raise WrongValueError(self._section, who, text) from None
 
-    def _checked(self, decision: Any) -> Plan | Outcome | End:
+    def _checked(self, decision: Any) -> Decision:
         if isinstance(decision, Outcome):
             return _outcome(decision)
         if not isinstance(decision, Plan | End):

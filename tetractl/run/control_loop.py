@@ -72,7 +72,7 @@ from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.commands import Command, Stop, Turn
 from tetractl.core.errors import TetractlError, text_of
 from tetractl.core.losses import told_dead
-from tetractl.core.plan import PAUSE_S, End, Outcome, Plan
+from tetractl.core.plan import PAUSE_S, Decision, End, Outcome, Plan
 from tetractl.core.poses import Observation, Sample
 from tetractl.core.protocols import Controller, Observer, Plant
 from tetractl.core.tour import TourMeasure
@@ -85,9 +85,6 @@ AT_ONCE = "stopped at once by a second interruption"
 STEP_FINISHED = "interrupted; the step was finished"
 TURNING_TEXT = "all robots turn on the spot: they have no safe way ahead"
 PAUSING_TEXT = "all robots pause: the next plan starts from rest, or the trial ends"
-
-Decision = Plan | Outcome | End
-
 
 TimedDecision = tuple[Decision, int]
 """A decision, and the wall time that it needed [ns]."""

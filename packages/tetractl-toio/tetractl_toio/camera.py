@@ -93,14 +93,11 @@ class ToioCamera:
         """Connect; return once every cube has reported. AbortError names those that have not."""
         try:
             self._link.open()
-            has_begun = any(self._begun() for _ in range(TRIES))
-            _, reports = self._reports.now()
-            silent = [
-                name
-                for name, report in zip(self.setup.names, reports, strict=True)
-                if report.read_ns < 0
-            ]
-            if not has_begun and silent:
+            for _ in range(TRIES):
+                if self._begin_reports():
+                    break
+            silent = self._silent()
+            if silent:
                 hint = UDP_HINT if self._link.cubes[0].startswith(SCHEME) else HINT
                 raise AbortError(f"no message came from {', '.join(silent)}", hint)
         except BaseException:
@@ -111,19 +108,27 @@ class ToioCamera:
     def __exit__(self, *_: object) -> None:
         self._link.close()
 
-    def _begun(self) -> bool:
+    def _begin_reports(self) -> bool:
         """Make every cube report, and return whether all do; messages may be lost."""
         for cube in self._link.cubes:
             for setting in (NOTIFY_READINGS, NOTIFY_MISSED):
                 self._link.send(cube, Characteristic.CONFIGURATION, setting)
             self._link.send(cube, Characteristic.ID)
+        cubes = len(self._link.cubes)
+        return wait_for(
+            self._clock,
+            lambda: not self._silent() and len(self._configured) == cubes,
+            FIRST_S / TRIES,
+        )
 
-        def begun() -> bool:
-            _, reports = self._reports.now()
-            have_reported = all(report.read_ns >= 0 for report in reports)
-            return have_reported and len(self._configured) == len(reports)
-
-        return wait_for(self._clock, begun, FIRST_S / TRIES)
+    def _silent(self) -> list[str]:
+        """Return the names of the robots whose cubes have not reported yet."""
+        _, reports = self._reports.now()
+        return [
+            name
+            for name, report in zip(self.setup.names, reports, strict=True)
+            if report.read_ns < 0
+        ]
 
     def check(self) -> Health:
         """Return which robots do not see the mat."""

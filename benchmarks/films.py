@@ -10,7 +10,7 @@
 `score` gives each film in four ways: with the field's record and without, at the film's 30 Hz, and
 every third picture alone, at 10 Hz.
 
-`--without RULE` takes a rule out of the tracker first; `filmworld/taken_out.py` lists them.
+`rules --without RULE` takes out this one alone; `filmworld/taken_out.py` lists them.
 
 Every film is synthetic, except that given to `reversed`. Both renderers were made by
 the hands that made the tracker. Seeds from 9000 on are those of the published figures; smaller ones
@@ -21,8 +21,6 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Iterator
-from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
@@ -32,7 +30,7 @@ from filmworld.in_memory import FilmInMemory
 from filmworld.ours import SETTINGS, Setting, track
 from filmworld.rows import called_sure, f1, idf1, table
 from filmworld.scores import FilmScore, Shown, score_film
-from filmworld.taken_out import RULES, take_out, without
+from filmworld.taken_out import RULES, without
 from filmworld.truth import FilmTruth, write_film
 from tetractl_microscope.film.field_file import FieldRecord, read_field
 from tetractl_microscope.film.follow import follow
@@ -61,7 +59,6 @@ def scored(
     cache: Path, renderer: str, level: str, tracker: str, setting: str, seed: int
 ) -> FilmScore:
     """Track one film, and score it."""
-    cv2.setNumThreads(1)
     folder = rendered(cache, renderer, level, seed)
     truth = FilmTruth.load(folder / "truth.npz").thinned(SETTINGS[setting].step)
     return score_film(folder.name, truth, tracked(tracker, folder, truth, setting))
@@ -75,34 +72,25 @@ def tracked(tracker: str, folder: Path, truth: FilmTruth, setting: str) -> Shown
     return PEERS[tracker](folder, truth.um_px)
 
 
-def each(chosen: argparse.Namespace, work) -> Iterator:
-    """Yield a result for each seed, in order, from one or several processes."""
-    seeds = range(chosen.first_seed, chosen.first_seed + chosen.count)
-    if chosen.processes == 1:
-        yield from map(work, seeds)
-        return
-    with get_context("spawn").Pool(chosen.processes, take_out, (chosen.without,)) as pool:
-        yield from pool.imap(work, seeds)
-
-
 Scores = dict[str, dict[str, list[FilmScore]]]
 """The scores of films by renderer and setting."""
 
 
 def score(chosen: argparse.Namespace, trackers: tuple[str, ...] = ("tetractl",)) -> None:
     """Print the rows of each renderer and level, and of each level over both renderers."""
+    seeds = range(chosen.first_seed, chosen.first_seed + chosen.count)
     for level in chosen.level:
         for tracker in trackers:
             films: Scores = {}
             for renderer in chosen.renderer:
                 films[renderer] = {setting: [] for setting in chosen.setting}
                 for setting, scores in films[renderer].items():
-                    options = renderer, level, tracker, setting
-                    for film in each(chosen, partial(scored, chosen.cache, *options)):
+                    for seed in seeds:
+                        film = scored(chosen.cache, renderer, level, tracker, setting, seed)
                         scores.append(film)
                         wrong = f"{len(film.wrong)} wrong names" if film.wrong else ""
                         print(
-                            f"  {film.film}: {tracker} {setting} F1 {film.f1:.4f} {wrong}",
+                            f"  {film.film}: {tracker} {setting} F1 {f1([film]):.4f} {wrong}",
                             flush=True,
                         )
             show(films, level, tracker)
@@ -141,7 +129,6 @@ def rules(chosen: argparse.Namespace) -> None:
     """
     from filmworld.without_truth import body_masks, followed, no_body, unfitted
 
-    cv2.setNumThreads(1)
     drawn = [film for setting in chosen.setting for film in rule_films(chosen, SETTINGS[setting])]
     film = None
     bodies = []
@@ -205,7 +192,6 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=15, help="films of each kind")
     parser.add_argument("--first-seed", type=int, default=9000)
     parser.add_argument("--cache", type=Path, help="folder of the films; else a temporary one")
-    parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--scale", type=float, help="of a given film, if it states none")
     parser.add_argument("--rate", type=float, help="of a given film, if it states none")
     parser.add_argument("--organism", default="euglena", help="of `reversed`")
@@ -217,11 +203,10 @@ def main() -> None:
     )
     parser.add_argument("--pictures", type=int, help="of `rules`: first pictures of its film")
     parser.add_argument(
-        "--without", nargs="*", choices=list(RULES), default=[], help="rules to take out"
+        "--without", nargs="*", choices=list(RULES), default=[], help="of `rules`: these alone"
     )
     chosen = parser.parse_args()
-    if chosen.part != "rules":
-        take_out(chosen.without)
+    cv2.setNumThreads(1)
     chosen.renderer = RENDERERS if chosen.renderer == "both" else (chosen.renderer,)
     if chosen.setting is None:
         chosen.setting = ["no-field-10hz"] if chosen.part == "rules" else list(SETTINGS)

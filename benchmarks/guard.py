@@ -184,7 +184,7 @@ PARTS = {
 }
 
 
-def alarms(first: int, last: int, rate_hz: float) -> None:
+def alarms(trials: int, rate_hz: float) -> None:
     """Print each trial that did not end by itself or in which a pose was refused, and counts with
     the greatest statistic of the drift check."""
     peak = 0.0
@@ -199,14 +199,14 @@ def alarms(first: int, last: int, rate_hz: float) -> None:
         nonlocal peak
         peak = max(peak, labs[-1].plant.rig.loop.guard.drift.worst)
 
-    for trial in range(first, last):
+    for trial in range(trials):
         result = trial_of(watch, trial, rate_hz)
         refusals = labs[-1].plant.rig.loop.guard.refusals
         how = "complete" if result.outcome.complete else _first(ENDS, result.reason)
         ended[how] += 1
         if refusals or not result.outcome.complete:
             print(f"trial {trial}: {result.summary}, {refusals} poses refused", flush=True)
-    print(f"{last - first} trials: {_counts(ended)}; greatest statistic {peak:.1f}")
+    print(f"{trials} trials: {_counts(ended)}; greatest statistic {peak:.1f}")
 
 
 def main() -> None:
@@ -214,17 +214,14 @@ def main() -> None:
     parser.add_argument("part", nargs="?", choices=[*PARTS, "alarms"], default="shown")
     parser.add_argument("--plays", type=int, default=2, metavar="N", help="of each row; trials")
     parser.add_argument("--rate", type=float, default=CAMERA_HZ, help="camera frames a second")
-    parser.add_argument("--first", type=int, default=0, metavar="K", help="the first of `alarms`")
-    parser.add_argument("--only", default="", metavar="TEXT", help="rows that begin so")
     chosen = parser.parse_args()
     if chosen.part == "alarms":
-        alarms(chosen.first, chosen.first + chosen.plays, chosen.rate)
+        alarms(chosen.plays, chosen.rate)
         return
     print("| shown | ended | named | off [mm] | stop [s] | rest [s] | driven [mm] | later |")
     print(f"|---|---|---{'|--:' * 5}|")
     for row in PARTS[chosen.part]:
-        if row.what.startswith(chosen.only):
-            print(row.line(chosen.plays, chosen.rate), flush=True)
+        print(row.line(chosen.plays, chosen.rate), flush=True)
 
 
 if __name__ == "__main__":

@@ -12,10 +12,7 @@ wheel base make of the spec's, and the radio's dead time.
 
 import argparse
 import json
-import sys
 from collections import defaultdict
-from concurrent.futures import ProcessPoolExecutor
-from itertools import repeat
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -108,26 +105,13 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0, help="number of the first log, its seed")
     parser.add_argument("--trials", type=float, metavar="HZ", default=20.0, help="at this rate")
     parser.add_argument("--bench", action="store_true", help="logs of trials of the bench")
-    parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
     numbers = range(options.first, options.first + options.logs)
     total: dict[str, list[bool]] = defaultdict(list)
-    with ProcessPoolExecutor(options.jobs) as pool:
-        hits_of = (
-            pool.map(bench_coverage, numbers)
-            if options.bench
-            else pool.map(coverage, numbers, repeat(options.trials))
-        )
-        for done, hits in enumerate(hits_of):
-            for name, hits_of_value in hits.items():
-                total[name] += hits_of_value
-            if done % 50 == 49:
-                print(f"{done + 1} logs", file=sys.stderr, flush=True)
-                _print(total)
-    _print(total)
-
-
-def _print(total: dict[str, list[bool]]) -> None:
+    for number in numbers:
+        hits = bench_coverage(number) if options.bench else coverage(number, options.trials)
+        for name, hits_of_value in hits.items():
+            total[name] += hits_of_value
     print("share of 95 % intervals that contain the true value (simulated logs)")
     for name, hits in total.items():
         share = proportion_interval(sum(hits), len(hits))
@@ -136,7 +120,6 @@ def _print(total: dict[str, list[bool]]) -> None:
         print(
             f"  {name:16} {100 * np.mean(hits):5.1f} %  ({low:.1f} to {high:.1f}; n = {len(hits)})"
         )
-    print(flush=True)
 
 
 if __name__ == "__main__":

@@ -219,7 +219,7 @@ RULES = {
     "side": Rule(((PriorSection, "side", 0.0),), ("sides", "saturated-2")),
     "marker bias": Rule(((PriorSection, "marker_bias", 0.0),), ("marker", "cells-body")),
     "turn bias": Rule((_prior(heading_bias_std=0.0),), ("marker", "wander")),
-    "flow": Rule((_prior(flow_std=0.0),), ("slide", "cells", "cells-shear")),
+    "flow": Rule((_prior(flow_std=0.0),), ("slide", "cells")),
     "a cell's frequencies": Rule(
         ((filter_start, "FREQUENCIES", (1.0,)),), ("cells", "cells-body", "cells-pause")
     ),

@@ -21,7 +21,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--world", nargs="+", choices=names, metavar="WORLD", default=[*WORLDS])
     parser.add_argument("--trials", type=int, default=30)
-    parser.add_argument("--first", type=int, default=0, help="number of the first trial")
     parser.add_argument("--seed", type=int, default=20261124)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--set", action="append", default=[], help="a setting of every spec")
@@ -29,9 +28,10 @@ def main() -> None:
     parser.add_argument("--against", type=Path, help="that of another version")
     options = parser.parse_args()
     print(f"Simulated, seed {options.seed}. {load()}.\n\n{HEAD}")
-    numbers = range(options.first, options.first + options.trials)
     places = [" --set ".join([name, *options.set]) for name in options.world]
-    tasks = [Task(options.seed, place, trial) for place in places for trial in numbers]
+    tasks = [
+        Task(options.seed, place, trial) for place in places for trial in range(options.trials)
+    ]
     rows_of: dict[str, list[Row]] = {}
     for task, row in extended(options.out, tasks, options.jobs).items():
         if task.seed == options.seed:

@@ -71,10 +71,6 @@ class FilmScore:
     speed: tuple[int, int] = (0, 0)
     strangers: tuple[int, int] = (0, 0)
 
-    @property
-    def f1(self) -> float:
-        return 2 * self.found / max(2 * self.found + self.missed + self.extra, 1)
-
 
 def score_film(name: str, truth: FilmTruth, tracked: Shown) -> FilmScore:
     """Return how well a film's rows agree with its truth."""

@@ -1,10 +1,11 @@
 """Rules of the tracker that can be taken out, one at a time, to see on the same films what each is
-worth: `films.py ... --without RULE`, and `films.py rules` for all of them.
+worth: `films.py rules`.
 """
 
 import math
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from unittest.mock import patch
 
 import numpy as np
 from tetractl_microscope.cells import (
@@ -112,20 +113,10 @@ RULES = {
 """What replaces what (module or class, name, value) if a rule is taken out."""
 
 
-def take_out(rules: Iterable[str]) -> None:
-    """Take rules out of this process."""
-    for rule in rules:
-        for owner, name, value in RULES[rule]:
-            setattr(owner, name, value)
-
-
 @contextmanager
 def without(rule: str) -> Iterator[None]:
     """Take a rule out for a time, none if it is empty."""
-    usual = [(owner, name, getattr(owner, name)) for owner, name, _ in RULES.get(rule, ())]
-    take_out([rule] if rule else [])
-    try:
+    with ExitStack() as taken_out:
+        for owner, name, value in RULES.get(rule, ()):
+            taken_out.enter_context(patch.object(owner, name, value))
         yield
-    finally:
-        for owner, name, value in usual:
-            setattr(owner, name, value)

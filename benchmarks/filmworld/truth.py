@@ -3,7 +3,7 @@
 import os
 import shutil
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -70,11 +70,11 @@ def write_film(
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
     rate = 1 / (truth.times[1] - truth.times[0])
-    coded = (
+    jpegs = [
         cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
         for picture in pictures
-    )
-    write_mjpeg(part / "film.avi", coded, truth.side_px, truth.side_px, rate)
+    ]
+    (part / "film.avi").write_bytes(mjpeg(jpegs, truth.side_px, truth.side_px, rate))
     lines = [f"{t:.6f},{u:.6f}" for t, u in zip(truth.recorded, truth.turns[:, 1], strict=True)]
     (part / "field.csv").write_text("\n".join(["time_s,direction_rad", *lines, ""]))
     truth.save(part / "truth.npz")
@@ -82,42 +82,26 @@ def write_film(
     part.rename(folder)
 
 
-def write_mjpeg(
-    path: Path, pictures: Iterator[bytes], width: int, height: int, rate_hz: float
-) -> None:
-    """Write JPEG pictures as an AVI file; OpenCV's own writer ignores the quality."""
-
-    def chunk(name: bytes, data: bytes) -> bytes:
-        return name + struct.pack("<I", len(data)) + data + b"\0" * (len(data) % 2)
-
-    def headers(count: int) -> bytes:
-        rate = round(rate_hz * 1000)
-        main = struct.pack(
-            "<14I", round(1e6 / rate_hz), 0, 0, 0x10, count, 0, 1, 1 << 20, width, height, *[0] * 4
-        )
-        stream = b"vidsMJPG" + struct.pack(
-            "<IHHIIIIIIII4H", 0, 0, 0, 0, 1000, rate, 0, count, 1 << 20, 2**32 - 1, 0, *[0] * 4
-        )
-        code = int.from_bytes(b"MJPG", "little")
-        shape = struct.pack("<IiiHHIIiiII", 40, width, height, 1, 24, code, 0, 0, 0, 0, 0)
-        inner = chunk(b"LIST", b"strl" + chunk(b"strh", stream) + chunk(b"strf", shape))
-        return chunk(b"LIST", b"hdrl" + chunk(b"avih", main) + inner)
-
-    index = []
+def mjpeg(jpegs: Sequence[bytes], width: int, height: int, rate_hz: float) -> bytes:
+    """Return JPEG pictures as an AVI file; OpenCV's own writer ignores the quality."""
+    count = len(jpegs)
+    rate = round(rate_hz * 1000)
+    code = int.from_bytes(b"MJPG", "little")
+    main = (round(1e6 / rate_hz), 0, 0, 0x10, count, 0, 1, 1 << 20, width, height, *[0] * 4)
+    stream = (0, 0, 0, 0, 1000, rate, 0, count, 1 << 20, 2**32 - 1, 0, *[0] * 4)
+    shape = (40, width, height, 1, 24, code, 0, 0, 0, 0, 0)
+    of_stream = _chunk(b"strh", b"vidsMJPG" + struct.pack("<IHHIIIIIIII4H", *stream))
+    of_stream += _chunk(b"strf", struct.pack("<IiiHHIIiiII", *shape))
+    headers = _chunk(b"avih", struct.pack("<14I", *main)) + _chunk(b"LIST", b"strl" + of_stream)
+    frames = [_chunk(b"00dc", jpeg) for jpeg in jpegs]
+    index = b""
     place = 4
-    with path.open("wb") as file:
-        file.write(b"RIFF\0\0\0\0AVI " + headers(0))
-        start = file.tell()
-        file.write(b"LIST\0\0\0\0movi")
-        for data in pictures:
-            frame = chunk(b"00dc", data)
-            file.write(frame)
-            index.append(struct.pack("<4sIII", b"00dc", 0x10, place, len(data)))
-            place += len(frame)
-        file.write(chunk(b"idx1", b"".join(index)))
-        end = file.tell()
-        file.seek(start + 4)
-        file.write(struct.pack("<I", place))
-        file.seek(0)
-        length = struct.pack("<I", end - 8)
-        file.write(b"RIFF" + length + b"AVI " + headers(len(index)))
+    for frame, jpeg in zip(frames, jpegs, strict=True):
+        index += struct.pack("<4sIII", b"00dc", 0x10, place, len(jpeg))
+        place += len(frame)
+    movie = _chunk(b"LIST", b"movi" + b"".join(frames)) + _chunk(b"idx1", index)
+    return _chunk(b"RIFF", b"AVI " + _chunk(b"LIST", b"hdrl" + headers) + movie)
+
+
+def _chunk(name: bytes, data: bytes) -> bytes:
+    return name + struct.pack("<I", len(data)) + data + b"\0" * (len(data) % 2)

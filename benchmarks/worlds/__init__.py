@@ -125,6 +125,5 @@ WORLDS = {
     "cells-body": _cells(BODY, *ANY_CELL),
     "cells-pause": _cells({"type": "sticking", "every": 6, "duration": 1}),
     "cells-avoid": World((), (("avoid", 10.0),), base=CELLS),
-    "cells-shear": World((), (("shear", 0.01),), base=CELLS),
 }
 """Each world by its name."""

@@ -194,22 +194,6 @@ class Avoid(Unmodelled):
         return a, speed * np.where(turns, 0.0, np.where(back, -1.0, 1.0))
 
 
-class Shear(Unmodelled):
-    """A flow along a drawn direction that grows by `size` [1/s] across it from the middle on; it
-    turns cells by half of that."""
-
-    def draw(self) -> None:
-        self.along = self.random.uniform(-np.pi, np.pi)
-
-    def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        x, y = poses.xy.T - self.middle
-        cos = np.cos(self.along)
-        sin = np.sin(self.along)
-        way = self.size * (y * cos - x * sin) * seconds * moving
-        turned = poses.heading - self.size / 2 * seconds * moving
-        return Poses(poses.x + way * cos, poses.y + way * sin, turned)
-
-
 KINDS: dict[str, type[Unmodelled]] = {
     "later": Later,
     "sparse-radio": SparseRadio,
@@ -221,7 +205,6 @@ KINDS: dict[str, type[Unmodelled]] = {
     "lens": Lens,
     "dead": Dead,
     "avoid": Avoid,
-    "shear": Shear,
 }
 
 

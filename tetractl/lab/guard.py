@@ -119,13 +119,12 @@ class GuardState(StrEnum):
 class Ruling:
     """The decision of a tick: which robots may move, `moving` (N,), and the accepted `poses` (N,).
 
-    A pose is None if the robot is not tracked. `reason` is why the run was aborted, "" otherwise.
+    A pose is None if the robot is not tracked.
     """
 
     state: GuardState
     moving: tuple[bool, ...]
     poses: tuple[Pose | None, ...]
-    reason: str = ""
     warnings: tuple[str, ...] = ()
 
 
@@ -393,7 +392,7 @@ class Guard:
         state = self.state
         if state is not GuardState.RUN and state is not GuardState.HOLD:
             moving = nobody
-        return Ruling(state, moving, poses, self.reason, warnings)
+        return Ruling(state, moving, poses, warnings)
 
     # ---- a frame ----
 

@@ -66,18 +66,6 @@ class HeldAction:
     moving: tuple[bool, ...] | None = None
 
 
-@dataclass(slots=True)
-class StopSeries:
-    """Stops that are sent one after the other."""
-
-    to_send: int = 0
-    """How many are still to be sent."""
-    first: Transmission | None = None
-    """The first that was sent since `stop` was called."""
-    after_abort: bool = False
-    """Whether the guard has aborted, and its stops were begun: they are so once."""
-
-
 class InnerLoop:
     """Runs a guard between a camera and an actuator.
 
@@ -109,7 +97,12 @@ class InnerLoop:
         self._emergency = emergency
         self._lock = threading.Lock()
         self._held: HeldAction | None = None
-        self._stops = StopSeries()
+        self._stops_left = 0
+        """How many stops are still to be sent, one after the other."""
+        self._first_stop: Transmission | None = None
+        """The first that was sent since `stop` was called."""
+        self._abort_stops_begun = False
+        """Whether the guard has aborted, and its stops were begun: they are so once."""
         self._sent: deque[Transmission] = deque(maxlen=WAITING_MAX)
         self._warnings: deque[tuple[int, str]] = deque(maxlen=WAITING_MAX)
         self._transmit_ns = 0  # when the next transmission is due
@@ -159,7 +152,7 @@ class InnerLoop:
         with self.between_steps():
             self.guard = Guard(rules, self.guard.checks_of)
             self.frames = FrameBuffer()
-            self._stops.after_abort = False  # this guard has not aborted
+            self._abort_stops_begun = False  # this guard has not aborted
 
     def stop(self) -> Transmission | None:
         """Send a stop to every robot, STOPS times with STOP_GAP_NS between them; return the first,
@@ -168,24 +161,24 @@ class InnerLoop:
             # without the lock, too: a step that ends after all goes on with stops
             self._held = None
             self.idle = None
-            self._stops.first = None
+            self._first_stop = None
             self.guard.end_run()
             self._begin_stops(self._clock.now())
         if not is_locked:
             return self._stop_past_thread()
-        while self._stops.to_send:
+        while self._stops_left:
             with self._locked(STOP_S) as is_locked:
                 if not is_locked:
                     return self._stop_past_thread()
                 self._step_safely()
-            if self._stops.to_send:
+            if self._stops_left:
                 self._clock.sleep_until(self._transmit_ns)
-        return self._stops.first
+        return self._first_stop
 
     def _stop_past_thread(self) -> Transmission | None:
         """Send the stops without the lock, as the loop's thread hangs; return the first stop since
         `stop` was called, None if none could be sent."""
-        first = self._stops.first
+        first = self._first_stop
         for _ in range(STOPS):
             # read here, as the step that hangs does not read the operator's key
             emergency = self.guard.emergency or self._emergency.is_set()
@@ -253,7 +246,7 @@ class InnerLoop:
             self.guard.abort(reason)
             self._begin_stops_of_abort(now)
             self._obey_operator(now)  # here too, as every step may fail before it
-            if self._stops.to_send:  # here, as the next step may fail before its stop
+            if self._stops_left:  # here, as the next step may fail before its stop
                 with suppress(Exception, SystemExit):
                     self._repeat_stop(now)
             fault = plugin_fault(error)  # slow, so after the stop
@@ -262,7 +255,8 @@ class InnerLoop:
             return None
 
     def _check_and_transmit(self) -> Transmission | None:
-        """Make one step; return the transmission of the held action, None if it was not sent."""
+        """Let the guard decide on what has come, and transmit what the table above says, if it is
+        due; return the transmission of the held action, None if it was not sent."""
         now = self._clock.now()
         self.guard.check_awake(now)
         self._take_frames()
@@ -274,7 +268,14 @@ class InnerLoop:
         self._warnings.extend((now, warning) for warning in ruling.warnings)
         if ruling.state is GuardState.ABORT:
             self._begin_stops_of_abort(now)
-        return self._transmit(ruling, now)
+        if self._stops_left:
+            self._repeat_stop(now)
+            self.guard.name_culprit(self.frames)  # slow, so after the first stop
+        elif ruling.state in (GuardState.RUN, GuardState.HOLD) and self._held is not None:
+            return self._send_held(self._held, ruling, now)
+        elif ruling.state in (GuardState.PREFLIGHT, GuardState.READY) and self.idle is not None:
+            self._send_idle(self.idle(now), ruling, now)
+        return None
 
     def _take_frames(self) -> None:
         """Let the guard check the frames that have come, and keep those that it accepts."""
@@ -294,27 +295,15 @@ class InnerLoop:
 
     # ---- transmissions ----
 
-    def _transmit(self, ruling: Ruling, now: int) -> Transmission | None:
-        """Transmit what the table above says, if it is due; return the transmission of the held
-        action, None if it was not sent."""
-        if self._stops.to_send:
-            self._repeat_stop(now)
-            self.guard.name_culprit(self.frames)  # slow, so after the first stop
-        elif ruling.state in (GuardState.RUN, GuardState.HOLD) and self._held is not None:
-            return self._send_held(self._held, ruling, now)
-        elif ruling.state in (GuardState.PREFLIGHT, GuardState.READY) and self.idle is not None:
-            self._send_idle(self.idle(now), ruling, now)
-        return None
-
     def _begin_stops(self, now: int) -> None:
         """Let STOPS stops be sent, the first at once."""
-        self._stops.to_send = STOPS
+        self._stops_left = STOPS
         self._transmit_ns = now
 
     def _begin_stops_of_abort(self, now: int) -> None:
         """Let the stops of an abort be sent, once."""
-        if not self._stops.after_abort:
-            self._stops.after_abort = True
+        if not self._abort_stops_begun:
+            self._abort_stops_begun = True
             self._begin_stops(now)
 
     def _repeat_stop(self, now: int) -> None:
@@ -322,12 +311,12 @@ class InnerLoop:
         if now < self._transmit_ns:
             return
         self._transmit_ns = now + STOP_GAP_NS
-        self._stops.to_send -= 1
+        self._stops_left -= 1
         try:
             sent = self._actuator.stop(emergency=self.guard.emergency)
             self._note(sent)
-            if self._stops.first is None:
-                self._stops.first = sent
+            if self._first_stop is None:
+                self._first_stop = sent
         except AbortError as error:  # robots at other ports may hear it, and need the rest, too
             self.guard.abort(error.message)
 

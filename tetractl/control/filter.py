@@ -70,7 +70,7 @@ import numpy as np
 
 from tetractl.control.filter_start import (
     GROUPS_MAX,
-    SATURATION_DRIFT,
+    SATURATION_WALK,
     bank_with_replaced,
     filter_model,
     first_bank,
@@ -137,6 +137,7 @@ class FilterBank:
         """The filters, B of each robot. Frames change its arrays in place."""
         self._common_times = CommonTimes.of(self.bank, prior)
         """Dead times that the robots of this bank may have in common."""
+        self._tried_state = tried_state(prior)
         if not prior.certain:
             self._share_scores()
 
@@ -316,7 +317,7 @@ class FilterBank:
         most = max(len(self.bank.score), REFINED * GROUPS_MAX)
         going_on = NextFilters.room_for(most, self.bank)  # filled by `select`
         commanded = len(self.commands.sent_s) > 0
-        if select(self.bank, tried_state(self.prior), commanded, going_on):
+        if select(self.bank, self._tried_state, commanded, going_on):
             self._go_on_with(going_on.taken_from(self.bank))
 
     def _go_on_with(self, bank: Bank) -> None:
@@ -341,7 +342,7 @@ class FilterBank:
         until now, drifts from that which is tried."""
         bank = reopened_bank(self.bank, self.likeliest(), heading_fits, self.prior)
         walk = self.model.walk.copy()
-        walk[LN_SATURATION] = SATURATION_DRIFT
+        walk[LN_SATURATION] = SATURATION_WALK
         self.model = self.model._replace(walk=walk)
         self.reopened_ns = frame.sampled_ns
         self._go_on_with(bank)

@@ -45,8 +45,7 @@ from tetractl.control.kernels.filter_state import (
 )
 from tetractl.control.prior import Prior
 from tetractl.core.poses import Bools, Floats, Integers
-from tetractl.model.motion.motion import PARAMETERS, in_rows
-from tetractl.model.motion.turn_rate import TURNING
+from tetractl.model.motion.motion import in_rows
 
 # The usual noise of a camera, and the random walks of a robot's states, per sqrt(s). Chosen once by
 # trials; docs/decisions/filter.md has the errors measured with them.
@@ -58,6 +57,14 @@ SLIP = 0.02
 """Walk of the position, over the robot's speed [s]."""
 WALK = 0.1
 """Walk of the heading, at first [rad]."""
+A_WALK = 0.01
+"""Walk of ln of the turning rate a."""
+SPEED_WALK = 0.005
+"""Walk of ln of the speed."""
+SIDE_WALK = 0.005
+"""Walk of the side (`tetractl.model.motion.turn_rate`)."""
+SATURATION_WALK = 0.02
+"""Walk of ln of a saturation that has been tried."""
 TURN_BIAS_WALK = 0.005
 """Walk of the turn bias [rad]."""
 MARKER_BIAS_WALK = 0.002
@@ -80,8 +87,6 @@ SATURATIONS = 0.8, 0.4
 """Saturations of motors to try where the heading does not fit."""
 SATURATION_STD = 0.3
 """Prior standard deviation of ln of each of SATURATIONS."""
-SATURATION_DRIFT = TURNING[1].drift
-"""Random walk of ln of a saturation that has been tried [1/sqrt(s)]."""
 GROUPS_MAX = max(len(FREQUENCIES), 1 + len(SATURATIONS))
 """Greatest number of groups of filters that a robot has."""
 LN_SATURATES = -3.0
@@ -130,13 +135,11 @@ def _deviations(prior: Prior) -> tuple[Floats, Floats]:
     """Return the standard deviations (n, N) of the states at first, and of their random walks
     [1/sqrt(s)]; those of the poses are 0, as these start from a frame. A state that is known does
     not walk. Of a helix of random phase, sine and cosine deviate by its radius / sqrt(2)."""
-    a, speed = PARAMETERS
-    side, _ = TURNING
     flow = (prior.flow_std, FLOW_WALK * prior.flow_std)
     deviations = {
-        LN_A: (prior.a_std, a.drift),
-        LN_SPEED: (prior.speed_std, speed.drift),
-        SIDE: (prior.side_std, side.drift),
+        LN_A: (prior.a_std, A_WALK),
+        LN_SPEED: (prior.speed_std, SPEED_WALK),
+        SIDE: (prior.side_std, SIDE_WALK),
         TURN_BIAS: (prior.heading_bias_std, TURN_BIAS_WALK),
         MARKER_BIAS: (prior.marker_bias_std, MARKER_BIAS_WALK),
         FLOW_X: flow,

@@ -138,11 +138,7 @@ def _check_derivatives(motion: Motion, cases: Cases, moved: XYHeading) -> None:
     near("differentiate: same dx as step", step[0], moved[0] - cases.x, cases.reach)
     near("differentiate: same dy as step", step[1], moved[1] - cases.y, cases.reach)
     near("differentiate: same dheading as step", wrap(step[2] - turned), 0.0, 1.0)
-    of_parameters = [
-        f"d(ln {parameter.name})" if parameter.positive else f"d{parameter.name}"
-        for parameter in PARAMETERS
-    ]
-    variables = ("dheading", "du", *of_parameters)
+    variables = ("dheading", "du", *(f"d(ln {name})" for name in PARAMETERS))
     for k, derivative in enumerate(derivatives):
         shift = STEP / 2 * np.eye(len(variables))[k]
         above = _shifted(motion, cases, shift)
@@ -172,13 +168,12 @@ def _differentiated(compiled: Any, cases: Cases) -> Floats:
 
 
 def _shifted(motion: Motion, cases: Cases, shift: Floats) -> XYHeading:
-    """Return the step of cases whose heading, u and each of PARAMETERS are shifted."""
+    """Return the step of cases whose heading, u and each of PARAMETERS are shifted, the latter
+    by their logarithms."""
     heading = cases.heading + shift[0]
     u = cases.u + shift[1]
-    parameters: list[Floats] = []
-    for parameter, values, by in zip(PARAMETERS, (cases.a, cases.v), shift[2:], strict=True):
-        parameters.append(values * math.exp(by) if parameter.positive else values + by)
-    a, v = parameters
+    a = cases.a * math.exp(shift[2])
+    v = cases.v * math.exp(shift[3])
     return motion.step(cases.x, cases.y, heading, u, a, v, STEP_S)
 
 

@@ -42,8 +42,7 @@ from tetractl.control.kernels.filter_state import (
     Y,
 )
 from tetractl.model.motion import exact, rolling
-from tetractl.model.motion.motion import PARAMETERS
-from tetractl.model.motion.turn_rate import TURNING, by_turning, held, times, turning
+from tetractl.model.motion.turn_rate import RobotParameters, by_turning, held, times, turning
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import INLINE_FAST, inlined
 
@@ -62,7 +61,7 @@ SUBSTEPS_MAX = 4000
 """Greatest number of such steps: beyond 100 s without a command they are longer."""
 NO_CHANGE = (0.0, 0.0, 0.0)
 """Of x, y and the heading."""
-AT_REST = NO_CHANGE, (0.0, 0.0, 1.0), NO_CHANGE, (NO_CHANGE,) * len(PARAMETERS + TURNING)
+AT_REST = NO_CHANGE, (0.0, 0.0, 1.0), NO_CHANGE, (NO_CHANGE,) * len(RobotParameters._fields)
 """`Derivatives` of a robot at rest: it does not move, and keeps its heading."""
 UNKNOWN_HEADING = math.pi**2 / 3
 """Variance of a heading that may be any [rad2]. Linearised, that of a robot that drives against its

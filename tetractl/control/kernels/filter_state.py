@@ -50,7 +50,7 @@ HEADING = 2
 """Heading theta of the course [rad]; not wrapped."""
 LN_A = 3
 """ln of the turning rate a over the prior's. This state and the three that follow are in the order
-of PARAMETERS and TURNING."""
+of `RobotParameters`."""
 LN_SPEED = 4
 """ln of the speed v over the prior's."""
 SIDE = 5

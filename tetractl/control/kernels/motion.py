@@ -23,7 +23,6 @@ from tetractl.model.motion.turn_rate import (
     RobotParameters,
     all_in_rows,
     by_turning,
-    is_left,
     turning,
 )
 from tetractl.tools.kernels.kernel_cache import compiled
@@ -31,7 +30,6 @@ from tetractl.tools.kernels.kernel_options import INLINE_FAST, entries, inlined,
 
 rate = inlined(turning)
 with_turning = inlined(by_turning)
-turns_left = inlined(is_left)
 
 
 class FlatProblem(NamedTuple):
@@ -120,6 +118,13 @@ def robot_of(robots, i):
 def saturates(robot):
     """Return whether a robot's motors may turn it less quickly than (3) does."""
     return robot.saturation < 1
+
+
+@compiled(**INLINE_FAST)
+def turns_left(c, s, cu, su):
+    """Return whether a robot turns to the left, or not at all; c, s and cu, su are cos and sin of
+    its heading and of the direction."""
+    return su * c - cu * s >= 0
 
 
 def advance(

@@ -20,22 +20,9 @@ Derivatives = tuple[XYTurn, XYTurn, XYTurn, tuple[XYTurn, ...]]
 direction u (that of the heading is 1 minus the one by the heading), and by each of PARAMETERS."""
 
 
-class Parameter(NamedTuple):
-    """A parameter of the motion of each robot: `name` is its field in `Problem`, `Prior` and
-    `Estimate`, and with "_std" that of its standard deviation in `Prior`.
-
-    Controllers that identify robots identify it, as the logarithm of its ratio to the spec's value
-    if it is `positive`, and take derivatives by that; `drift` is its random walk [1/sqrt(s)].
-    """
-
-    name: str
-    positive: bool
-    drift: float
-
-
-PARAMETERS = Parameter("a", True, 0.01), Parameter("speed", True, 0.005)
+PARAMETERS = "a", "speed"
 """The parameters of all motions, in the order in which functions take them: a [rad/s] and the speed
-v [length unit/s]."""
+v [length unit/s]. Both are above 0: derivatives are taken by their logarithms."""
 
 
 def in_rows(robots: Any) -> Floats:

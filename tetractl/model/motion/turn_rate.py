@@ -14,15 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.model.motion.motion import Derivatives, Parameter
+from tetractl.model.motion.motion import Derivatives
 from tetractl.model.motion.polynomials import sincos
-
-TURNING = Parameter("side", False, 0.005), Parameter("saturation", True, 0.02)
-"""The parameters of how robots turn, behind the PARAMETERS of all motions."""
 
 
 class RobotParameters(NamedTuple):
-    """PARAMETERS and TURNING of one robot."""
+    """The PARAMETERS of the motion of one robot, and behind them those of how it turns."""
 
     a: float
     speed: float
@@ -38,11 +35,6 @@ def all_in_rows(robots: Any) -> Floats:
     rows[:, 2] = 0.0 if robots.side is None else robots.side
     rows[:, 3] = 1.0 if robots.saturation is None else robots.saturation
     return rows
-
-
-def is_left(c: float, s: float, cu: float, su: float) -> bool:
-    """Return whether a robot turns to the left, or not at all."""
-    return su * c - cu * s >= 0
 
 
 def turning(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Any:

@@ -7,7 +7,6 @@ the spec's length unit; times are in seconds.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Annotated, Any, ClassVar, Self, TypeVar
@@ -15,7 +14,7 @@ from typing import Annotated, Any, ClassVar, Self, TypeVar
 from pydantic import Field, model_validator
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.errors import AbortError, UsageError
+from tetractl.core.errors import UsageError
 from tetractl.core.poses import UNSTATED, Sight
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.registries import ACTUATORS, CAMERAS
@@ -101,19 +100,6 @@ class CameraSection(DeviceSection):
         return None
 
 
-def send_stops(stop: Callable[[], object], clock: Clock) -> AbortError | None:
-    """Send STOPS stops, STOP_GAP_NS apart, also after one that fails: it may fail for one robot,
-    and the others need those to come. Return the first failure, None without one."""
-    failure: AbortError | None = None
-    for _ in range(STOPS):
-        try:
-            stop()
-        except AbortError as error:
-            failure = failure or error
-        clock.sleep_until(clock.now() + STOP_GAP_NS)
-    return failure
-
-
 class ActuatorSection(DeviceSection):
     """An actuator and its parameters."""
 
@@ -121,6 +107,8 @@ class ActuatorSection(DeviceSection):
     """The function that implements `calibrate`, as "module:function"; "" if there is none."""
     checks: ClassVar[str] = "tetractl.lab.guard_checks:robot_checks"
     """The function that makes the guard's checks of the robots, as "module:function"."""
+    stopping: ClassVar[str] = "tetractl.lab.stop_all:stop_all"
+    """The function that implements `stop_all`, as "module:function"."""
 
     def beside(self, camera: CameraSection) -> Iterator[tuple[Loc, str]]:
         """Yield, as `contradictions`, each contradiction with the lab's camera."""
@@ -138,11 +126,7 @@ class ActuatorSection(DeviceSection):
         port is needed; if `alone` is False, a run uses the port at the same time. Returns a text
         about the stops sent; AbortError if one could not be sent to all robots.
         """
-        with self.build(setup, clock) as actuator:
-            failure = send_stops(partial(actuator.stop, emergency=True), clock)
-        if failure is not None:
-            raise failure
-        return f"sent {STOPS} stops"
+        return resolve_name(self.stopping)(self, setup, clock, alone)
 
     def calibrate(
         self,

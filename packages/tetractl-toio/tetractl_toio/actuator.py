@@ -122,9 +122,12 @@ class ToioActuator(WheeledActuator):
         return RobotStatus(True, warnings=low, charge=charge)
 
 
-def stop_all(section: ToioSection, clock: Clock, alone: bool = True) -> str:
+def stop_all(section: ToioSection, setup: Setup, clock: Clock, alone: bool) -> str:
     """Connect to each cube that can be reached, send it ten stops within 200 ms, and disconnect;
-    return a summary. AbortError and PortHeldError as of `stop_all_at`."""
+    return a summary. AbortError and PortHeldError as of `stop_all_at`.
+
+    A cube keeps no stop: a program that has it connected drives it on.
+    """
     links = PortGroup(
         make_port(robot.cube, SPEED, robot.name, clock, lambda *_: None, HINT)
         for robot in section.robots

@@ -2,12 +2,10 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from pkgutil import resolve_name
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from tetractl.core.clock import Clock
 from tetractl.core.poses import Sight
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import NonNegative, Positive
@@ -72,6 +70,7 @@ class ToioSection(ActuatorSection):
 
     device: ClassVar[str] = "tetractl_toio.actuator:ToioActuator"
     calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
+    stopping: ClassVar[str] = "tetractl_toio.actuator:stop_all"
     dead_zone_max: ClassVar[int] = 0
     type: Literal["toio"]
     rate: float = Field(default=20.0, ge=10, le=50, allow_inf_nan=False)
@@ -100,13 +99,6 @@ class ToioSection(ActuatorSection):
             if camera_cube != robot.cube:
                 text = f"is not {robot.name}'s cube in 'camera', {camera_cube}"
                 yield ("robots", i, "cube"), text
-
-    def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
-        """Stop every cube that can be reached by ten messages within 200 ms; return a summary.
-
-        A cube keeps no stop: a program that has it connected drives it on.
-        """
-        return resolve_name("tetractl_toio.actuator:stop_all")(self, clock, alone)
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
         """Return the motor speed for a 127th of the largest wheel speed, and for `limit`."""

@@ -1,6 +1,8 @@
 """The base of actuators for robots of another make: two wheels, and a port for each robot."""
 
 from abc import abstractmethod
+from functools import partial
+from pkgutil import resolve_name
 
 import numpy as np
 
@@ -10,7 +12,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.own_section import OwnSection
 from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_speed
-from tetractl.lab.serial_port import PortGroup, Ports
+from tetractl.lab.serial_port import PortGroup, Ports, stop_all_at
 from tetractl.lab.udp_port import open_port
 from tetractl.model.wheels import CountArray
 
@@ -65,3 +67,10 @@ class OwnRobots(WheeledActuator):
         pairs = enumerate(outputs.T.tolist())
         sent_ns = self.links.send(self.packed(row, *pair) for row, pair in pairs)
         return sent_ns, outputs * self._gain
+
+
+def stop_all(section: OwnSection, setup: Setup, clock: Clock, alone: bool) -> str:
+    """Stop every robot by ten messages within 200 ms; return a summary. AbortError and
+    PortHeldError as of `stop_all_at`."""
+    robots: OwnRobots = resolve_name(section.device)(section, setup, clock)
+    return stop_all_at(robots.links.ports, partial(robots.stop, emergency=True), clock, alone)

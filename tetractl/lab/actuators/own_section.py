@@ -1,13 +1,10 @@
 """The base of sections for robots of another make: two wheels, and a port for each robot."""
 
 from collections.abc import Iterator
-from functools import partial
-from pkgutil import resolve_name
 from typing import Any, ClassVar
 
 from pydantic import Field
 
-from tetractl.core.clock import Clock
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Positive
 from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
@@ -33,6 +30,7 @@ class OwnSection(ActuatorSection):
     `device`, and gives `type` and, if entries have more fields, `robots`."""
 
     calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
+    stopping: ClassVar[str] = "tetractl.lab.actuators.own_robots:stop_all"
     dead_zone_max: ClassVar[int] = 0
     unit_mm: ClassVar[float] = 1.0
     """The speed of a wheel that is sent 1 [mm/s]."""
@@ -72,13 +70,6 @@ class OwnSection(ActuatorSection):
             "robots": f"{ports}, {self.rate:g} commands per second each",
             "wheel speeds": f"at most {self.speed_max_mm_s:g} mm/s",
         }
-
-    def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
-        """Stop every robot by ten messages within 200 ms; return a summary."""
-        from tetractl.lab.serial_port import stop_all_at
-
-        robots = resolve_name(self.device)(self, setup, clock)
-        return stop_all_at(robots.links.ports, partial(robots.stop, emergency=True), clock, alone)
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
         """Return what is sent for a 127th of the largest wheel speed, and for `limit` of them."""

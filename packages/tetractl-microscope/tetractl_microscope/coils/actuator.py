@@ -247,9 +247,13 @@ def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -
     return Health(_holding(problems), _holding(warnings), facts)
 
 
-def stop_all(section: FieldSection, setup: Setup, clock: Clock, alone: bool = True) -> str:
-    """Send the current driver ten emergency stops within 200 ms; return a summary, as
-    `FieldSection.stop_all`."""
+def stop_all(section: FieldSection, setup: Setup, clock: Clock, alone: bool) -> str:
+    """Switch the field off by ten stops within 200 ms, until the driver is switched off and on;
+    return a summary.
+
+    AbortError if the driver does not reply that it is stopped. If not `alone`, another process may
+    have the port open and take the replies, so that none is expected.
+    """
     actuator = FieldActuator(section, setup, clock)
     driver = actuator.driver
     try:

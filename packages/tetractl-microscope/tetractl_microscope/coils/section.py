@@ -8,12 +8,10 @@ field in the coils' axes, and the x pair's axis turned by `rotation` from the sp
 
 import math
 from collections.abc import Iterator
-from pkgutil import resolve_name
 from typing import ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from tetractl.core.clock import Clock
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, NonNegative, Positive, inconsistent
 from tetractl.experiment.lab_section import ActuatorSection
@@ -110,6 +108,7 @@ class FieldSection(ActuatorSection):
 
     device: ClassVar[str] = "tetractl_microscope.coils.actuator:FieldActuator"
     checks: ClassVar[str] = "tetractl_microscope.cell_checks:cell_checks"
+    stopping: ClassVar[str] = "tetractl_microscope.coils.actuator:stop_all"
     settles: ClassVar[bool] = True
     type: Literal["field"]
     port: str = Field(min_length=1, max_length=500)
@@ -161,16 +160,6 @@ class FieldSection(ActuatorSection):
         from tetractl.lab.serial_port import require_port
 
         require_port(self.port, "the current driver")
-
-    def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
-        """Switch the field off by ten stops within 200 ms, until the driver is switched off and on;
-        return a summary.
-
-        AbortError if the driver does not reply that it is stopped. If not `alone`, another process
-        may have the port open and take the replies, so that none is expected.
-        """
-        stop_all = resolve_name("tetractl_microscope.coils.actuator:stop_all")
-        return stop_all(self, setup, clock, alone)
 
     def bounds(self) -> dict[str, str]:
         """Return the driver's port and rate and the current limit as {name: text}, for display."""

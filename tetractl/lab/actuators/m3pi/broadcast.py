@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError, WireError
+from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab import cobs
 from tetractl.lab.actuators.wheel_commands import Reply, Status, polled
@@ -127,9 +128,9 @@ class Broadcaster:
                 yield decode_reply(frame)
 
 
-def stop_all(module: XbeeSection, clock: Clock, alone: bool = True) -> str:
-    """Latch the emergency stop of every robot in radio range by ten frames within 200 ms; return a
-    summary.
+def stop_all(module: XbeeSection, setup: Setup | None, clock: Clock, alone: bool = True) -> str:
+    """Latch the emergency stop of every robot in radio range, those of a setup or not, by ten
+    frames within 200 ms; return a summary.
 
     The module is not checked before, because sending through a wrong module is better than no stop;
     AbortError if none answers after it. If not `alone`, another process may have the port open and

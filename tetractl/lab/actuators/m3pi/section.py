@@ -5,7 +5,6 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
-from tetractl.core.clock import Clock
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
@@ -51,6 +50,7 @@ class M3piSection(XbeeSection, ActuatorSection):
 
     device: ClassVar[str] = "tetractl.lab.actuators.m3pi.actuator:M3piActuator"
     calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
+    stopping: ClassVar[str] = "tetractl.lab.actuators.m3pi.broadcast:stop_all"
     dead_zone_max: ClassVar[int] = 60
     type: Literal["m3pi-xbee"]
     rate: float = Field(default=40.0, ge=20, le=120, allow_inf_nan=False)
@@ -109,12 +109,3 @@ class M3piSection(XbeeSection, ActuatorSection):
             "right": calibrated.right._asdict(),
             "swap": calibrated.swap,
         }
-
-    def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
-        """Stop every robot in radio range until it is switched off and on; return a summary.
-
-        If not `alone`, another process may have the port open.
-        """
-        from tetractl.lab.actuators.m3pi.broadcast import stop_all
-
-        return stop_all(self, clock, alone)

@@ -3,9 +3,12 @@
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
+from typing import Self
 
 from tetractl.core.clock import Clock, wait_for
 from tetractl.core.errors import WireError
+from tetractl.core.setup import Setup
 from tetractl.lab.actuators.twist.lines import (
     REPLY_SLOT_MS,
     Entry,
@@ -14,9 +17,10 @@ from tetractl.lab.actuators.twist.lines import (
     decode_reply,
     encode_command,
 )
+from tetractl.lab.actuators.twist.section import TwistSection
 from tetractl.lab.actuators.wheel_commands import Reply, polled
 from tetractl.lab.cobs import Flag
-from tetractl.lab.serial_port import Heard, PortGroup, Ports
+from tetractl.lab.serial_port import Heard, PortGroup, Ports, stop_all_at
 from tetractl.lab.udp_port import open_port
 from tetractl.tools.worker import WAITING_MAX, drained
 
@@ -51,6 +55,24 @@ class TwistLink(PortGroup):
         super().__init__(
             make(port, baud, "the radio", clock, self._taker(port), PORT_LOST_HINT)
             for port in self._names
+        )
+
+    @classmethod
+    def of(
+        cls,
+        section: TwistSection,
+        names: Sequence[str],
+        clock: Clock,
+        ports: Ports | None = None,
+    ) -> Self:
+        """Return the connections to the robots of these names."""
+        return cls(
+            "T" if section.sends == "twist" else "W",
+            [section.index(name) for name in names],
+            [section.port_of(name) for name in names],
+            section.baud,
+            clock,
+            ports,
         )
 
     def drive(self, pairs: Sequence[tuple[int, int]]) -> int:
@@ -107,3 +129,11 @@ class TwistLink(PortGroup):
                         self._replies.append(reply)
 
         return take
+
+
+def stop_all(section: TwistSection, setup: Setup, clock: Clock, alone: bool) -> str:
+    """Latch the emergency stop of every robot that the ports reach by ten lines within 200 ms;
+    return a summary. AbortError and PortHeldError as of `stop_all_at`."""
+    link = TwistLink.of(section, setup.names, clock)
+    sent = stop_all_at(link.ports, partial(link.stop, emergency=True), clock, alone)
+    return f"{sent}; switch the robots off and on to drive them again"

@@ -1,12 +1,10 @@
 """The section of the spec for robots that take lines of text: `actuator: {type: twist, ...}`."""
 
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator
 from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
-from tetractl.core.clock import Clock
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import NonNegative, Positive
 from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
@@ -39,6 +37,7 @@ class TwistSection(ActuatorSection):
 
     device: ClassVar[str] = "tetractl.lab.actuators.twist.actuator:TwistActuator"
     calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
+    stopping: ClassVar[str] = "tetractl.lab.actuators.twist.line_ports:stop_all"
     dead_zone_max: ClassVar[int] = 0
     type: Literal["twist"]
     port: str = Field(min_length=1, max_length=500)
@@ -117,21 +116,3 @@ class TwistSection(ActuatorSection):
     def ports(self) -> list[str]:
         """Return the ports of all robots, each once."""
         return list(dict.fromkeys(robot.port or self.port for robot in self.robots))
-
-    def wiring(self, names: Sequence[str]) -> tuple[Literal["T", "W"], list[int], list[str], int]:
-        """Return kind of lines, numbers and ports of these robots, and baud rate, for a
-        `TwistLink`."""
-        kind: Literal["T", "W"] = "T" if self.sends == "twist" else "W"
-        indices = [self.index(name) for name in names]
-        ports = [self.port_of(name) for name in names]
-        return kind, indices, ports, self.baud
-
-    def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
-        """Latch the emergency stop of every robot that the ports reach by ten lines within 200 ms;
-        return a summary."""
-        from tetractl.lab.actuators.twist.line_ports import TwistLink
-        from tetractl.lab.serial_port import stop_all_at
-
-        link = TwistLink(*self.wiring(setup.names), clock)
-        sent = stop_all_at(link.ports, partial(link.stop, emergency=True), clock, alone)
-        return f"{sent}; switch the robots off and on to drive them again"

@@ -147,7 +147,7 @@ def stop_robots(monkeypatch):
 
     def stop(module, alone=True):
         monkeypatch.setattr("tetractl.lab.actuators.xbee.link.SerialPort", module.network.serial)
-        return stop_all(XbeeSection(port=module.name), module.clock, alone)
+        return stop_all(XbeeSection(port=module.name), None, module.clock, alone)
 
     return stop
 

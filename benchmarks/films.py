@@ -31,14 +31,13 @@ from filmworld.ours import SETTINGS, Setting, track
 from filmworld.rows import called_sure, f1, idf1, table
 from filmworld.scores import FilmScore, Shown, score_film
 from filmworld.taken_out import RULES, without
-from filmworld.truth import FilmTruth, write_film
+from filmworld.truth import LEVELS, FilmTruth, write_film
 from tetractl_microscope.film.field_file import FieldRecord, read_field
 from tetractl_microscope.film.follow import follow
 from tetractl_microscope.film.pictures import open_film
 from tetractl_microscope.organisms import named
 
 RENDERERS = ("first", "second")
-LEVELS = ("easy", "normal", "hard")
 CELLS = 20  # with a magnet, in a film
 RULE_FILMS = (("second", "normal"), ("first", "hard"), ("second", "hard"))
 
@@ -180,7 +179,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("part", choices=PARTS)
     parser.add_argument("film", type=Path, nargs="?", help="the film of `reversed`, or `rules`")
-    parser.add_argument("--renderer", choices=(*RENDERERS, "both"), default="both")
+    parser.add_argument("--renderer", nargs="+", choices=RENDERERS, default=list(RENDERERS))
     parser.add_argument("--level", nargs="+", choices=LEVELS, default=list(LEVELS))
     parser.add_argument(
         "--setting",
@@ -207,7 +206,6 @@ def main() -> None:
     )
     chosen = parser.parse_args()
     cv2.setNumThreads(1)
-    chosen.renderer = RENDERERS if chosen.renderer == "both" else (chosen.renderer,)
     if chosen.setting is None:
         chosen.setting = ["no-field-10hz"] if chosen.part == "rules" else list(SETTINGS)
     if chosen.part == "reversed" and chosen.film is None:

@@ -23,7 +23,7 @@ from tetractl_emulator.pictures.dish.picture import (
 
 from tetractl.model.swimmers import Bodies, Swimmers
 
-from .truth import FilmTruth
+from .truth import LEVELS, FilmTruth
 
 SIDE_PX = 1024
 UM_PX = 2.3
@@ -111,7 +111,7 @@ class WideFilm(SyntheticFilm):
 
     @classmethod
     def drawn(cls, seed: int, level: str, cell_count: int = CELLS) -> "WideFilm":
-        level_index = ("easy", "normal", "hard").index(level)
+        level_index = LEVELS.index(level)
         random = np.random.default_rng([seed, 1, level_index])
         hard = level == "hard"
         easy = level == "easy"
@@ -190,23 +190,20 @@ class WideFilm(SyntheticFilm):
             a[self._mother] = math.nan  # it changes
         late = random.uniform(0.5 * self.late_s, self.late_s, len(self.turns))
 
-        def only(values):
-            return np.where(is_alive, values, np.nan)
-
         return FilmTruth(
             times=self.times,
-            x=only(place[..., 0]),
-            y=only(place[..., 1]),
-            heading=only(self.heading),
-            speed=only(speed),
-            resting=resting & is_alive,
+            x=place[..., 0],
+            y=place[..., 1],
+            heading=self.heading,
+            speed=speed,
+            resting=resting,
             a=a,
             parent=parent,
             turns=self.turns,
             recorded=self.turns[:, 0] + late,
             um_px=UM_PX,
             side_px=SIDE_PX,
-        )
+        ).only(is_alive)
 
 
 def first_film(
@@ -218,7 +215,7 @@ def first_film(
 
 
 def _look(random: np.random.Generator, level: str) -> PictureLook:
-    level_index = ("easy", "normal", "hard").index(level)
+    level_index = LEVELS.index(level)
     span = SIDE_PX * UM_PX
     bright = bool(random.random() < 0.5)
     light = random.uniform(60, 110) if bright else random.uniform(120, 190)

@@ -12,7 +12,7 @@ import numpy as np
 from .conditions import RATE_HZ, SIDE_PX, UM_PX, Conditions
 from .optics import Shape, bubble
 from .swim import NEARBY_UM, STEPS_S, Fauna, Swum, swim
-from .truth import FilmTruth
+from .truth import LEVELS, FilmTruth
 
 CELLS = 20
 STRANGERS = 4
@@ -25,7 +25,7 @@ def second_film(
     seed: int, level: str, cell_count: int = CELLS
 ) -> tuple[FilmTruth, Iterator[np.ndarray], int]:
     """Return the truth of a film, its pictures and the quality at which they are to be coded."""
-    random = np.random.default_rng([seed, 2, ("easy", "normal", "hard").index(level)])
+    random = np.random.default_rng([seed, 2, LEVELS.index(level)])
     conditions = Conditions.drawn(random, level)
     fauna = Fauna.drawn(random, cell_count, STRANGERS, conditions.pulse)
     times = [0.0]
@@ -158,23 +158,20 @@ class _World:
         )
         place = self.swum.place[step][:, self.slot, :2] + self.shift + knocked
 
-        def only(values: np.ndarray) -> np.ndarray:
-            return np.where(is_alive, values, np.nan)
-
         return FilmTruth(
             times=moments - moments[0],
-            x=only(place[..., 0]),
-            y=only(place[..., 1]),
-            heading=only(self.swum.heading[step][:, self.slot]),
-            speed=only(self.swum.speed[step][:, self.slot]),
-            resting=self.swum.resting[step][:, self.slot] & is_alive,
+            x=place[..., 0],
+            y=place[..., 1],
+            heading=self.swum.heading[step][:, self.slot],
+            speed=self.swum.speed[step][:, self.slot],
+            resting=self.swum.resting[step][:, self.slot],
             a=self.fauna.a[self.slot],
             parent=self.parent,
             turns=turns - [moments[0], 0.0],
             recorded=recorded - moments[0],
             um_px=UM_PX,
             side_px=SIDE_PX,
-        )
+        ).only(is_alive)
 
     def pictures(self, random, moments: np.ndarray) -> Iterator[np.ndarray]:
         """Yield the pictures at the given times [s]."""

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+LEVELS = ("easy", "normal", "hard")
 VIEW_UM = 30.0  # a cell whose middle is nearer to the picture's edge need not be found
 
 
@@ -44,6 +45,12 @@ class FilmTruth:
         with np.errstate(invalid="ignore"):
             low = np.minimum(self.x, self.y) > VIEW_UM
             return low & (np.maximum(self.x, self.y) < span - VIEW_UM)
+
+    def only(self, is_there: np.ndarray) -> "FilmTruth":
+        """Return the truth of individuals that are there, or not, in each picture (K, M)."""
+        states = {name: getattr(self, name) for name in ("x", "y", "heading", "speed")}
+        hidden = {name: np.where(is_there, state, np.nan) for name, state in states.items()}
+        return replace(self, **hidden, resting=self.resting & is_there)
 
     def thinned(self, every: int) -> "FilmTruth":
         """Return the truth of every so many pictures."""

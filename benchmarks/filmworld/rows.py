@@ -61,10 +61,9 @@ def called_sure(films: Sequence[FilmScore]) -> float:
 
 
 def counts(films: Sequence[FilmScore], name: str) -> tuple[int, int]:
-    """Return how many intervals of all films hold the truth, and how many there are."""
-    pairs = [getattr(film, name) for film in films]
-    hold, number = np.sum(pairs, axis=0)
-    return int(hold), int(number)
+    """Return of how many of all films' intervals something is true, and how many there are."""
+    holds = [interval_holds for film in films for interval_holds in getattr(film, name)]
+    return sum(holds), len(holds)
 
 
 def table(films: Sequence[FilmScore], numbers: bool = True) -> list[tuple[str, str]]:

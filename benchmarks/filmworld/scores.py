@@ -51,7 +51,8 @@ class FilmScore:
 
     `wrong` says of each wrong name that lasts whether it is called sure, in most of its rows.
     `right` counts the rows of the cell that the name had at first, `covered` those called sure;
-    `a`, `speed` and `strangers` are the intervals that hold the truth, and their number.
+    `a` and `speed` say of each interval whether it holds the truth, `strangers` of each of a
+    stranger's a whether it leaves out 0.
     """
 
     film: str = ""
@@ -67,9 +68,9 @@ class FilmScore:
     wrong: list[bool] = field(default_factory=list)
     right: int = 0
     covered: int = 0
-    a: tuple[int, int] = (0, 0)
-    speed: tuple[int, int] = (0, 0)
-    strangers: tuple[int, int] = (0, 0)
+    a: list[bool] = field(default_factory=list)
+    speed: list[bool] = field(default_factory=list)
+    strangers: list[bool] = field(default_factory=list)
 
 
 def score_film(name: str, truth: FilmTruth, tracked: Shown) -> FilmScore:
@@ -199,7 +200,6 @@ def _wrong(truth: FilmTruth, tracked: Shown, owner, free) -> list[bool]:
 
 def _intervals(score: FilmScore, truth: FilmTruth, tracked: Shown, owner) -> None:
     """Score the intervals of names seen for LONG_S by the cell that bears each for longest."""
-    held = {"a": [0, 0], "speed": [0, 0], "strangers": [0, 0]}
     for name in np.unique(tracked.name):
         rows = np.flatnonzero(tracked.name == name)
         times = truth.times[tracked.frame[rows]]
@@ -212,19 +212,15 @@ def _intervals(score: FilmScore, truth: FilmTruth, tracked: Shown, owner) -> Non
         said = tracked.numbers.get(int(name), {})
         rows = rows[np.flatnonzero(owners == i)]
         if "speed" in said:
+            low, high = said["speed"]
             mean = float(truth.speed[tracked.frame[rows], i].mean())
-            _count(held["speed"], said["speed"][0] <= mean <= said["speed"][1])
+            score.speed.append(low <= mean <= high)
+        if "a" not in said:
+            continue
+        low, high = said["a"]
+        a = float(truth.a[i])
         # what a is while a cell rests is not defined
-        rests = truth.resting[tracked.frame[rows], i].any()
-        if "a" in said and truth.a[i] > 0 and not rests:
-            _count(held["a"], said["a"][0] <= truth.a[i] <= said["a"][1])
-        elif "a" in said and truth.a[i] == 0:
-            _count(held["strangers"], not said["a"][0] <= 0 <= said["a"][1])
-    score.a, score.speed, score.strangers = (
-        tuple(held[name]) for name in ("a", "speed", "strangers")
-    )
-
-
-def _count(held: list[int], holds: bool) -> None:
-    held[0] += bool(holds)
-    held[1] += 1
+        if a > 0 and not truth.resting[tracked.frame[rows], i].any():
+            score.a.append(low <= a <= high)
+        elif a == 0:
+            score.strangers.append(not low <= 0 <= high)

@@ -459,6 +459,13 @@ def test_two_recordings_in_one_table_are_told(tmp_path, poses, later_s):
         tracks_of(tmp_path, poses, twice(NO_NAME, later_s))
 
 
+def test_two_recordings_by_two_clocks_are_told(tmp_path):
+    """Regression: a grid of half seconds from one to the other took all memory."""
+    poses = twice(ONE_POSES, 1_764_000_000.0)
+    with pytest.raises(UsageError, match=r"there is no pose\nhint: .*column trial"):
+        tracks_of(tmp_path, poses, NO_NAME)
+
+
 @pytest.mark.parametrize(("units_per_s", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
 def test_times_of_a_smaller_unit_are_told(tmp_path, units_per_s, unit):
     poses, commands = (

@@ -15,7 +15,12 @@ from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Bools, Floats, turn_problem, wrap
 from tetractl.replay.identification.measured_poses import jumps_of, measured
 from tetractl.replay.identification.motion_angle import PoseSteps, check_angle
-from tetractl.replay.identification.one_recording import Span, clock_remark, refuse_sparse
+from tetractl.replay.identification.one_recording import (
+    Span,
+    clock_remark,
+    refuse_pause,
+    refuse_sparse,
+)
 from tetractl.replay.identification.sent_directions import (
     DELAYS_S,
     FOLLOWED,
@@ -414,6 +419,7 @@ def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: se
     _refuse_copies(poses_path, names, time, poses, sent)
     seen_at = [rows[rows[:, 1] == number, 0] for number in robots.values()]
     refuse_sparse(str(poses_path), min(seen_at, key=_usual_gap))
+    refuse_pause(str(poses_path), begin + time)
     valid, remarks = _measured(poses_path, names, begin + time, poses, valid)
     if not numbers.twists:
         _check_angles(poses_path, names, time, poses, valid)
@@ -500,8 +506,7 @@ def _frames(path: Path, rows: Floats, count: int) -> tuple[Floats, Floats, Bools
 def _share_of_way(time: Floats, poses: Floats, begin_s: float, end_s: float) -> float:
     """Return the share of their way that robots drive from `begin_s` to `end_s` [s], in steps of
     WAY_STEP_S: robots that stand before their first command and after their last need none."""
-    rows = np.unique(np.searchsorted(time, np.arange(0.0, time[-1] + WAY_STEP_S, WAY_STEP_S)))
-    rows = rows[rows < len(time)]
+    _, rows = np.unique(time // WAY_STEP_S, return_index=True)  # the first pose in each step
     moved = np.diff(poses[rows, :, :2], axis=0)
     way = np.nansum(np.hypot(moved[..., 0], moved[..., 1]), axis=1)
     acts = (time[rows[1:]] > begin_s) & (time[rows[:-1]] < end_s)

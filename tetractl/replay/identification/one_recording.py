@@ -30,6 +30,8 @@ LONG = 100
 """Number of commands in the time seen, below which it is said if all last LONG times as long."""
 APART_MAX_S = 0.5
 """Most time between two poses of robots on wheels that are of use [s]."""
+PAUSE_MAX_S = 86_400.0
+"""Longest time without a pose in a recording [s]: a day."""
 SMALLER = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Units in which times may be counted [s]."""
 COUNTED_MOST = 10
@@ -109,6 +111,17 @@ def clock_remark(poses: Span, sent: Floats, commands: Span, of_way: float) -> st
             f"{length:.3g} s of {poses.source}: are they in s, as they say?"
         )
     return None
+
+
+def refuse_pause(source: str, times: Floats) -> None:
+    """Raise UsageError if the times (M,) of poses in order [s] are those of two clocks, or days."""
+    pauses = np.diff(times)
+    row = int(pauses.argmax()) if len(pauses) else 0
+    if len(pauses) and pauses[row] > PAUSE_MAX_S:
+        raise UsageError(
+            f"{source}: between {times[row]:.12g} and {times[row + 1]:.12g} s there is no pose",
+            "two recordings? number them in a column trial",
+        )
 
 
 def refuse_sparse(source: str, times: Floats) -> None:

@@ -75,7 +75,7 @@ def identify(
     if wheels:
         _show_response(tracks, out, as_json)
     else:
-        show_found(identify_robots(tracks, expected_a, dead_time_s), out, as_json)
+        _show_robots(identify_robots(tracks, expected_a, dead_time_s), out, as_json)
     return Exit.FAILED if damaged else Exit.DONE
 
 
@@ -123,17 +123,21 @@ def _show_response(tracks: "list[Track]", out: Path | None, as_json: bool) -> No
     ui.show(as_json, responses, [response_table(responses, title, tracks[0].unit)])
 
 
-def show_found(robots: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
+def _show_robots(robots: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
     """Print the identified values; if a file is named, write them to it for use in specs."""
     from tetractl.experiment.yaml.core_yaml import dump
-    from tetractl.replay.identification.identify import identified, stated, tables
+    from tetractl.replay.identification.identify import (
+        spec_section,
+        tables,
+        without_unsure_intervals,
+    )
 
-    shown_robots = stated(robots)
-    ui.show(as_json, shown_robots, tables(shown_robots))
+    robots = without_unsure_intervals(robots)
+    ui.show(as_json, robots, tables(robots))
     if out is None:
         return
     when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    section = identified(shown_robots, when).model_dump(mode="json", exclude_none=True)
+    section = spec_section(robots, when).model_dump(mode="json", exclude_none=True)
     save_whole(out, dump(section).encode())
     if not as_json:
         print(f"wrote {out}; name it in the spec: identified: {out.name}")

@@ -18,9 +18,9 @@ from tetractl.replay.identification.identify import (
     IdentifiedRobots,
     clock_doubt,
     identify,
-    stated,
     tables,
     turn_uniformly,
+    without_unsure_intervals,
 )
 from tetractl.replay.identification.passes import TrackFrames, speed_wander
 from tetractl.replay.identification.tracks import Track
@@ -209,7 +209,7 @@ def identification_of(*robots, **fields: Any):
 
 def test_intervals_that_hold_too_seldom_are_not_printed():
     """Of a robot's six those of the noise and of the walk of headings."""
-    identification = stated(identification_of(identified_robot()))
+    identification = without_unsure_intervals(identification_of(identified_robot()))
     (table,) = tables(identification)
     text = str([*table.rows])
     assert text.count("0.0123 (0.0100 to 0.0200)") == 4
@@ -233,7 +233,9 @@ def test_what_a_doubt_may_spoil_has_no_interval(doubt, says):
     2.78 (2.74 to 2.81) rad/s for a robot of 3.0; of directions that turn uniformly 4.87 (4.6 to
     5.1) for an a of 4, and a dead time of .302 for .10; of robots that steer themselves 2.91 (2.76
     to 3.07) of smooth directions and 4.22 (4.12 to 4.32) of those that jump."""
-    identification = stated(identification_of(FITTING, WITH_ODD_HEADING, **{doubt: True}))
+    identification = without_unsure_intervals(
+        identification_of(FITTING, WITH_ODD_HEADING, **{doubt: True})
+    )
     assert np.isnan(identification.dead_time.low)  # which all robots share
     for robot in identification.robots:
         assert np.isnan(robot.a.low)
@@ -469,7 +471,9 @@ def test_directions_that_turn_smoothly_take_more_rounds():
     driven = drive(6, *NOISY, "plant.dead_time=0.1", period_s=0.1, directions=directions)
     identification = identify([replace(driven.track, rates_unstated=True)], None, None)
     assert rates_of(identification) == pytest.approx(A_RAD_S, rel=0.03)
-    assert np.isnan(stated(identification).robots[0].a.low)  # as of a table that states a lag
+    assert np.isnan(
+        without_unsure_intervals(identification).robots[0].a.low
+    )  # as of a table that states a lag
 
 
 def test_robots_with_lagging_wheels_are_followed_from_where_they_stand():

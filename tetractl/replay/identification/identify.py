@@ -1,9 +1,13 @@
-"""Identifies robots from tracks, and returns each value with its 95 % interval: as tables, and as a
-section of a spec.
+"""Identifies robots from tracks: each value with its 95 % interval, to be shown in tables and
+written to a section of a spec.
+
+    robots = identify(tracks, expected_a)
+    robots = without_unsure_intervals(robots)
+    tables(robots), spec_section(robots, when)
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,20 +27,6 @@ INTERVALS_MIN = 20
 """Least number of intervals of a robot for a fit."""
 UNKNOWN_A = 3.0
 """Prior a if the log states no value [rad/s]."""
-MAY_LAG = (
-    "a, heading bias and dead time have no intervals, as wheels that lag, or a host that sees "
-    "headings late, would explain the turns as well or better, and the dead time then holds the "
-    "lag: state it, lag_s in a table, wheels.lag or lab.lag in a spec, or measure it with "
-    "--wheels; or send directions that jump, which show that there is none"
-)
-RATES_UNSTATED = (
-    "a, heading bias and dead time have no intervals, as it is assumed that a host foresees the "
-    "lag, as it does in logs and exports: a of robots that steer themselves may be 40 % off"
-)
-UNIFORM = (
-    "a, heading bias and dead time have no intervals, as directions that turn at one rate cannot "
-    "tell one from another: send directions that jump"
-)
 QUANTITIES = {
     "a": "rad/s",
     "speed": "{unit}/s",
@@ -46,10 +36,6 @@ QUANTITIES = {
     "heading_walk": "rad/sqrt(s)",
 }
 """The fields of a robot in a table, with their units."""
-UNSTATED = ("heading_noise", "heading_walk")
-"""Those whose intervals are not stated."""
-OF_HEADING = ("a", "heading_bias")
-"""Those that the equation of the heading gives, with the dead time of all robots."""
 UNIFORM_RAD = 0.2
 """Directions turn uniformly if none is further from a straight line over time than this, nor from
 the direction before [rad]: steps of .4 rad tell a and dead time from one another."""
@@ -98,10 +84,25 @@ class IdentifiedRobots:
         """Why a, heading bias and dead time have no intervals, and what gives them; "" if they
         have."""
         if self.turns_uniformly:
-            return UNIFORM
-        if self.rates_unstated:
-            return RATES_UNSTATED
-        return MAY_LAG if self.may_lag else ""
+            why = (
+                "directions that turn at one rate cannot tell one from another: send directions "
+                "that jump"
+            )
+        elif self.rates_unstated:
+            why = (
+                "it is assumed that a host foresees the lag, as it does in logs and exports: a of "
+                "robots that steer themselves may be 40 % off"
+            )
+        elif self.may_lag:
+            why = (
+                "wheels that lag, or a host that sees headings late, would explain the turns as "
+                "well or better, and the dead time then holds the lag: state it, lag_s in a table, "
+                "wheels.lag or lab.lag in a spec, or measure it with --wheels; or send directions "
+                "that jump, which show that there is none"
+            )
+        else:
+            return ""
+        return f"a, heading bias and dead time have no intervals, as {why}"
 
 
 def identify(
@@ -114,8 +115,10 @@ def identify(
     the tracks contain too few data.
     """
     require_same(tracks)
-    frames = [TrackFrames.of(track) for track in tracks]
     names = tracks[0].names
+    frames = [TrackFrames.of(track) for track in tracks]
+
+    # each robot must drive, and for long enough
     seen_s = sum(float(np.ptp(track.time)) for track in tracks)
     for name, count in zip(names, intervals_used(frames), strict=True):
         if count < INTERVALS_MIN:
@@ -123,14 +126,17 @@ def identify(
                 f"robot {name} drives in only {count} intervals between frames in {seen_s:.3g} s",
                 f"{INTERVALS_MIN} intervals are needed; give more logs, or longer ones",
             )
-    expected_a = np.full(len(names), UNKNOWN_A) if a is None else a
     speed = speeds(frames)
     if speed.min() < LEAST_SPEED:
         still = names[int(np.argmin(speed))]
         raise UsageError(f"robot {still} does not move", "a is found of robots that drive")
+
+    expected_a = np.full(len(names), UNKNOWN_A) if a is None else a
     all_commands = all(track.all_commands for track in tracks)
     shared_dead_time, robots = fit(frames, names, expected_a, speed, dead_time, all_commands)
-    is_unstated = any(track.on_wheels and track.lag == 0 for track in tracks)
+
+    # what the user must know of the values
+    no_lag_stated = any(track.on_wheels and track.lag == 0 for track in tracks)
     stood: list[Stood] = []
     for robot in range(len(names)):
         stood += stands_of(tracks, robot, shared_dead_time.value)
@@ -145,7 +151,7 @@ def identify(
         robots=robots,
         strength=tracks[0].strength,
         strength_unit=tracks[0].strength_unit,
-        may_lag=is_unstated and lag_may_turn(tracks, shared_dead_time.value),
+        may_lag=no_lag_stated and lag_may_turn(tracks, shared_dead_time.value),
         turns_uniformly=turn_uniformly(tracks),
         rates_unstated=any(track.rates_unstated for track in tracks),
         stood=tuple(stood),
@@ -169,43 +175,52 @@ def turn_uniformly(tracks: list[Track]) -> bool:
     return max(rates) < UNIFORM_RATES * min(rates)
 
 
-def stated(result: IdentifiedRobots) -> IdentifiedRobots:
+def without_unsure_intervals(result: IdentifiedRobots) -> IdentifiedRobots:
     """Return the values as they are printed and written: without the ends of intervals that hold in
-    fewer than 92 % of the logs of trials (docs/how-to/identify.md). A lag of wheels that nothing
-    states gives the dead time wrong, which all robots share, and with it a and the bias of each; so
-    may directions that turn uniformly.
-    """
-    withheld = (*UNSTATED, *OF_HEADING) if result.why_no_intervals else UNSTATED
+    fewer than 92 % of the logs of trials (docs/how-to/identify.md)."""
+    unsure = ["heading_noise", "heading_walk"]
+    dead_time = result.dead_time
+    if result.why_no_intervals:
+        # all robots share the dead time: if it is wrong, a and bias of each are
+        unsure += ["a", "heading_bias"]
+        dead_time = _without_ends(dead_time)
     robots: list[FittedRobot] = []
     for robot in result.robots:
-        bare = {name: _bare(getattr(robot, name)) for name in withheld}
-        robots.append(replace(robot, **bare))
-    dead_time = _bare(result.dead_time) if result.why_no_intervals else result.dead_time
+        values = {name: _without_ends(getattr(robot, name)) for name in unsure}
+        robots.append(replace(robot, **values))
     return replace(result, dead_time=dead_time, robots=tuple(robots))
 
 
-def _bare(interval: SampleInterval) -> SampleInterval:
-    """Return a value without the ends of its interval."""
+def _without_ends(interval: SampleInterval) -> SampleInterval:
     return SampleInterval(interval.value, math.nan, math.nan)
 
 
-def identified(result: IdentifiedRobots, when: str) -> Identified:
+def spec_section(result: IdentifiedRobots, when: str) -> Identified:
     """Return the section `identified` of a spec; `when` is its date and time as text. There, a dead
     time is not below 0."""
     ends = (result.dead_time.value, result.dead_time.low, result.dead_time.high)
     robots: dict[str, IdentifiedRobot] = {}
     for robot in result.robots:
-        values = {name: _value(getattr(robot, name)) for name in QUANTITIES}
+        values = {name: _spec_value(getattr(robot, name)) for name in QUANTITIES}
         robots[robot.name] = IdentifiedRobot(**values)
     return Identified(
         identified=when,
         origin=result.origin,
         sources=result.sources,
         unit=result.unit,
-        dead_time=_value(SampleInterval(*np.maximum(ends, 0.0).tolist())),
+        dead_time=_spec_value(SampleInterval(*np.maximum(ends, 0.0).tolist())),
         frame_age=result.frame_age or 0.0,
         strength=result.strength,
         robots=robots,
+    )
+
+
+def _spec_value(interval: SampleInterval) -> IdentifiedValue:
+    """Return a value with the ends of its interval that are known."""
+    return IdentifiedValue(
+        value=interval.value,
+        low=interval.low if math.isfinite(interval.low) else None,
+        high=interval.high if math.isfinite(interval.high) else None,
     )
 
 
@@ -213,21 +228,24 @@ def tables(result: IdentifiedRobots) -> list[Table]:
     """Return tables of each value with its 95 % interval; a row per value, a column per robot."""
     logs = "1 log" if len(result.sources) == 1 else f"{len(result.sources)} logs"
     title = f"{logs}, {result.commands} directions: {result.origin}; 95 % intervals"
-    note = f"dead time from sending: {cell(result.dead_time)} s"
+    dead_time = f"dead time from sending: {cell(result.dead_time)} s"
     if result.frame_age is not None:
-        note += f"; frames are {result.frame_age:.4f} s old at sending"
-    note += f"\n{_fits(result)}"
-    if result.why_no_intervals:
-        note += f"\n{result.why_no_intervals}"
-    note += clock_doubt(result.dead_time)
-    note += "".join(f"\n{stood}" for stood in result.stood)
+        dead_time += f"; frames are {result.frame_age:.4f} s old at sending"
+    notes = [
+        dead_time,
+        _fit_text(result.robots),
+        result.why_no_intervals,
+        clock_doubt(result.dead_time),
+        *map(str, result.stood),
+    ]
+    note = "\n".join(text for text in notes if text)
     labels = [*labels_of(QUANTITIES, result.unit), "lost"]
     if result.strength is not None:
         labels.append(f"a per strength [rad/(s {result.strength_unit})]")
     abreast: list[Table] = []
     for start in range(0, len(result.robots), _ABREAST):
         robots = result.robots[start : start + _ABREAST]
-        columns = [Column(robot.name, _texts(robot, result.strength)) for robot in robots]
+        columns = [Column(robot.name, _entries(robot, result.strength)) for robot in robots]
         abreast.append(Table(title, (Column("quantity", labels), *columns), note))
     return abreast
 
@@ -242,15 +260,15 @@ def labels_of(quantities: Mapping[str, str], unit: str) -> list[str]:
 
 
 def clock_doubt(dead_time: SampleInterval) -> str:
-    """Return a line on a dead time as of poses and commands with two clocks, "" for others."""
+    """Return what to say of a dead time as of poses and commands with two clocks, "" for others."""
     if dead_time.value < 0 and not dead_time.high >= 0:  # or unknown
-        return "\na dead time below 0: times of poses and commands are of two clocks"
+        return "a dead time below 0: times of poses and commands are of two clocks"
     if dead_time.value > LATE_S and not dead_time.low <= LATE_S:
-        return f"\na dead time above {LATE_S:g} s: are times of poses and commands of one clock?"
+        return f"a dead time above {LATE_S:g} s: are times of poses and commands of one clock?"
     return ""
 
 
-def _texts(robot: FittedRobot, strength: float | None) -> list[str]:
+def _entries(robot: FittedRobot, strength: float | None) -> list[str]:
     """Return the entries of a robot's column, for the labels of `tables`; the last is alpha, the
     turning rate per unit of the field's strength."""
     texts = [cell(getattr(robot, name)) for name in QUANTITIES]
@@ -262,11 +280,9 @@ def _texts(robot: FittedRobot, strength: float | None) -> list[str]:
     return texts
 
 
-def _fits(result: IdentifiedRobots) -> str:
+def _fit_text(robots: Sequence[FittedRobot]) -> str:
     """Return whether the model fits, as text."""
-    misfits = [
-        f"{robot.name} ({', '.join(robot.misfits)})" for robot in result.robots if robot.misfits
-    ]
+    misfits = [f"{robot.name} ({', '.join(robot.misfits)})" for robot in robots if robot.misfits]
     if not misfits:
         return "the model fits"
     return f"the model does not fit {'; '.join(misfits)}: speed or turning wanders over seconds"
@@ -286,12 +302,3 @@ def cell(interval: SampleInterval) -> str:
         digits = min(max(1 - first_digit, 0), DECIMALS_MAX)
     low, high = (f"{end:.{digits}f}" if math.isfinite(end) else "?" for end in ends)
     return f"{interval.value:.{digits}f} ({low} to {high})"
-
-
-def _value(interval: SampleInterval) -> IdentifiedValue:
-    """Return a value with the ends of its interval that are known."""
-    return IdentifiedValue(
-        value=interval.value,
-        low=interval.low if math.isfinite(interval.low) else None,
-        high=interval.high if math.isfinite(interval.high) else None,
-    )

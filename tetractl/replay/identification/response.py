@@ -743,21 +743,22 @@ def response_table(responses: Sequence[RobotResponse], title: str, unit: str) ->
         values = [cell(value) for value in robot.quantities.values()]
         left_out = f"{robot.left_out} of {robot.left_out + robot.intervals}"
         columns.append(Column(robot.name, [*values, left_out]))
-    note = _lag_for_spec(responses)
     doubts = [clock_doubt(robot.dead_time) for robot in responses]
-    note += max(doubts, key=len)
+    notes = [_lag_for_spec(responses), max(doubts, key=len)]
     low, high = GAIN_OF_BASE
     if any(low < robot.turning_gain.value < high for robot in responses):
-        note += "\na turning gain near 2: is radius, or that of w, the distance between the wheels?"
+        notes.append(
+            "a turning gain near 2: is radius, or that of w, the distance between the wheels?"
+        )
     gains = np.array([(robot.turning_gain.value, robot.speed_gain.value) for robot in responses])
     is_of_unit = (gains > 1 / UNIT_WITHIN) & (gains < UNIT_WITHIN)
     if not is_of_unit.any(axis=1).all():  # a robot that obeys turns or drives as it is sent
-        note += (
-            "\ngains far from 1: are commands speeds in their unit, not counts or shares of power?"
+        notes.append(
+            "gains far from 1: are commands speeds in their unit, not counts or shares of power?"
         )
     for robot in responses:
-        note += "".join(f"\n{stood}" for stood in robot.stood)
-    return Table(title, tuple(columns), note)
+        notes += map(str, robot.stood)
+    return Table(title, tuple(columns), "\n".join(text for text in notes if text))
 
 
 def _lag_for_spec(responses: Sequence[RobotResponse]) -> str:

@@ -107,7 +107,7 @@ def play(
     if in_lab:
         ui.require_yes_or_terminal(yes)
     folder = out or new_log_folder(experiment.name)
-    ui.refuse_existing(folder, folder=True)
+    ui.refuse_filled(folder)
 
     with stoppable(directed, RunOptions(yes=yes), by_keys=timed_keys is None) as interrupt:
         game = Game(loaded, directed, folder, interrupt)

@@ -25,25 +25,14 @@ if TYPE_CHECKING:
     from tetractl.run.plausibility import PlacedWarning
 
 
+# ---- What is read ----
+
+
 def load(path: Path, sets: Sequence[str] | None) -> "LoadedSpec":
     """Load a spec by its path, with `--set` applied."""
     from tetractl.experiment.load import load_spec
 
     return load_spec(path, sets or [])
-
-
-def tell(*lines: str) -> None:
-    """Print lines to stderr, safe for a terminal."""
-    for line in lines:
-        print(printable(line), file=sys.stderr, flush=True)
-
-
-def show(as_json: bool, items: object, tables: "Sequence[Table]") -> None:
-    """Print results to stdout: as one JSON object of `items`, or as tables."""
-    if as_json:
-        print(json_text(items))
-    else:
-        print_tables(tables)
 
 
 def warn(loaded: "LoadedSpec", strict: bool = False) -> "tuple[PlacedWarning, ...]":
@@ -77,6 +66,75 @@ def warn_of_damage(path: str, damage: "Damage | None") -> None:
         tell(*(f"lost: {path}: {lost}" for lost in damage.lost))
 
 
+# ---- What is printed ----
+
+
+def tell(*lines: str) -> None:
+    """Print lines to stderr, safe for a terminal."""
+    for line in lines:
+        print(printable(line), file=sys.stderr, flush=True)
+
+
+def show(as_json: bool, items: object, tables: "Sequence[Table]") -> None:
+    """Print results to stdout: as one JSON object of `items`, or as tables."""
+    if as_json:
+        print(json_text(items))
+    else:
+        print_tables(tables)
+
+
+@contextmanager
+def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
+    """Show a progress bar on a terminal; yields the function that updates it, called with the
+    number done and the total.
+    """
+    from rich.progress import Progress
+
+    console = open_console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, count: bar.update(task, completed=done, total=count)
+
+
+def announce_compiling(quiet: bool, text: str) -> None:
+    """Print on stderr that code is being compiled; with `quiet`, only if stderr is a terminal."""
+    if not quiet or sys.stderr.isatty():
+        tell(text)
+
+
+# ---- What is written ----
+
+
+def refuse_existing(out: Path | None) -> None:
+    """Raise UsageError if an output file exists already, or the folder that it is to be in does
+    not."""
+    if out is None:
+        return
+    if out.exists():
+        raise UsageError(f"{out}: exists already", "name another with --out")
+    require_folder_of(out)
+
+
+def refuse_filled(folder: Path | None) -> None:
+    """Raise UsageError if an output folder exists already, unless it is an empty one."""
+    if folder is None or not folder.exists():
+        return
+    if not folder.is_dir() or any(folder.iterdir()):
+        raise UsageError(f"{folder}: exists already", "name another with --out")
+
+
+def require_folder_of(out: Path) -> None:
+    """Raise UsageError if the folder of an output file is missing, or if the name is that of a
+    folder: before the work, not after."""
+    if not out.parent.is_dir():
+        raise UsageError(f"{out}: there is no folder {out.parent}")
+    if out.is_dir():
+        raise UsageError(f"{out}: is a folder", "name a file in it")
+
+
+# ---- Labs, and robots that move ----
+
+
 def rig_section(experiment: "Experiment") -> "RigSection":
     """Return the experiment's plant, which must be a lab, real or emulated."""
     from tetractl.plant.lab_plant import RigSection
@@ -98,14 +156,6 @@ def rig_of(experiment: "Experiment", supervision: "LabSupervision | None" = None
     return lab.rig(experiment.setup, lab.clock(), seed, supervision, chosen=experiment.open)
 
 
-def require_consent(yes: bool, what: str) -> None:
-    """Ask on stderr whether robots may move, unless `yes`, and say `what` will happen; raises if
-    they may not, or if there is no terminal at which to ask."""
-    require_yes_or_terminal(yes)
-    if not yes:
-        typer.confirm(f"{what} Continue?", abort=True, err=True)
-
-
 def has_keys() -> bool:
     """Return whether a person can press keys: whether stdin is a terminal."""
     return sys.stdin is not None and sys.stdin.isatty()
@@ -121,41 +171,9 @@ def require_yes_or_terminal(yes: bool) -> None:
         )
 
 
-def refuse_existing(out: Path | None, folder: bool = False) -> None:
-    """Raise UsageError if the output exists already, or the folder of a file does not; with
-    `folder`, the output is a folder, which may exist if it is empty."""
-    if out is None:
-        return
-    empty = folder and out.is_dir() and not any(out.iterdir())
-    if out.exists() and not empty:
-        raise UsageError(f"{out}: exists already", "name another with --out")
-    if not folder:
-        require_folder_of(out)
-
-
-def require_folder_of(out: Path) -> None:
-    """Raise UsageError if the folder of an output file is missing, or if the name is that of a
-    folder: before the work, not after."""
-    if not out.parent.is_dir():
-        raise UsageError(f"{out}: there is no folder {out.parent}")
-    if out.is_dir():
-        raise UsageError(f"{out}: is a folder", "name a file in it")
-
-
-@contextmanager
-def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
-    """Show a progress bar on a terminal; yields the function that updates it, called with the
-    number done and the total.
-    """
-    from rich.progress import Progress
-
-    console = open_console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, count: bar.update(task, completed=done, total=count)
-
-
-def announce_compiling(quiet: bool, text: str) -> None:
-    """Print on stderr that code is being compiled; with `quiet`, only if stderr is a terminal."""
-    if not quiet or sys.stderr.isatty():
-        tell(text)
+def require_consent(yes: bool, what: str) -> None:
+    """Ask on stderr whether robots may move, unless `yes`, and say `what` will happen; raises if
+    they may not, or if there is no terminal at which to ask."""
+    require_yes_or_terminal(yes)
+    if not yes:
+        typer.confirm(f"{what} Continue?", abort=True, err=True)

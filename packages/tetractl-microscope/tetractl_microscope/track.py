@@ -96,7 +96,7 @@ def track(
     if y_down and field is None:
         raise UsageError("--y-down needs --field")
     kind = None if organism is None else named(organism)
-    ui.refuse_existing(out, folder=True)
+    ui.refuse_filled(out)
     directions = None if field is None else read_field(field, y_down)
     if film.suffix.lower() in TABLES:
         return _show_tracks(film, field, directions, scale, rate, kind, out, as_json)

@@ -43,6 +43,7 @@ class CheckedController:
     ) -> None:
         self._section = section
         self._setup = setup
+        self._legs = len(setup.legs)
         self._ours = type(section).__module__.startswith("tetractl.")
         self.controller = section.build(setup if self._ours else copy.deepcopy(setup), key, host)
 
@@ -79,7 +80,7 @@ class CheckedController:
                 raise ValueError("a plan has very many numbers")
             if not 0 <= checked.chosen < len(checked.searches):
                 raise ValueError(f"chosen is {checked.chosen} of {len(checked.searches)} searches")
-            if not (0 <= checked.leg <= len(self._setup.legs) and 0 <= checked.generator < 1 << 64):
+            if not (0 <= checked.leg <= self._legs and 0 <= checked.generator < 1 << 64):
                 raise ValueError(f"leg is {checked.leg}, generator is {checked.generator}")
         if not 0 <= checked.delay_ns <= round(self._setup.period_s * SECOND):
             raise ValueError(f"delay_ns is {checked.delay_ns}, not within a control period")

@@ -89,7 +89,7 @@ def score(chosen: argparse.Namespace, trackers: tuple[str, ...] = ("tetractl",))
                         scores.append(film)
                         wrong = f"{len(film.wrong)} wrong names" if film.wrong else ""
                         print(
-                            f"  {film.film}: {tracker} {setting} F1 {f1([film]):.4f} {wrong}",
+                            f"  {film.film}: {tracker} {setting} F1 {film.f1:.4f} {wrong}",
                             flush=True,
                         )
             show(films, level, tracker)

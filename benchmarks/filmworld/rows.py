@@ -68,12 +68,11 @@ def counts(films: Sequence[FilmScore], name: str) -> tuple[int, int]:
 
 def table(films: Sequence[FilmScore], numbers: bool = True) -> list[tuple[str, str]]:
     """Return the rows (what, figure) of films of one level; `numbers` if intervals are stated."""
-    f1_of = {film.film: f1([film]) for film in films}
-    worst = min(f1_of, key=f1_of.__getitem__)
+    worst = min(films, key=lambda film: film.f1)
     rows = [
         ("films, cell-hours", f"{len(films)}, {total(films, 'hours'):.3f}"),
         ("F1", over_films(films, f1, 4)),
-        ("worst film's F1", f"{f1_of[worst]:.3f} ({worst})"),
+        ("worst film's F1", f"{worst.f1:.3f} ({worst.film})"),
         ("position apart, um", over_films(films, root("place2", "near"), 2)),
         ("IDF1", over_films(films, idf1, 3)),
         ("wrong names that last, a cell-hour", over_films(films, wrong_names, 1)),

@@ -72,6 +72,10 @@ class FilmScore:
     speed: list[bool] = field(default_factory=list)
     strangers: list[bool] = field(default_factory=list)
 
+    @property
+    def f1(self) -> float:
+        return 2 * self.found / max(2 * self.found + self.missed + self.extra, 1)
+
 
 def score_film(name: str, truth: FilmTruth, tracked: Shown) -> FilmScore:
     """Return how well a film's rows agree with its truth."""

@@ -4,7 +4,7 @@ import subprocess
 import sys
 
 import numpy as np
-from filmworld.rows import f1, table
+from filmworld.rows import table
 from filmworld.scores import Shown, score_film
 from filmworld.taken_out import RULES
 from filmworld.truth import FilmTruth, write_film
@@ -57,7 +57,7 @@ def test_a_perfect_tracker_has_a_perfect_score():
         2: {"speed": (80.0, 90.0), "a": (0.1, 0.2)},
     }
     score = score_film("film", truth, said)
-    assert (f1([score]), score.place2, score.named, score.wrong) == (1.0, 0.0, 2 * PICTURES, [])
+    assert (score.f1, score.place2, score.named, score.wrong) == (1.0, 0.0, 2 * PICTURES, [])
     assert (score.a, score.speed, score.strangers) == ([True], [True, False], [True])
     assert dict(table([score]))["95 % interval of the speed holds"].startswith("1 of 2")
 

@@ -49,22 +49,21 @@ class Paper:
 def table(name: str, source: str, rows: Sequence[Row]) -> Table:
     """Return the table of a paper's claims."""
     header = ("figure", "published", "asked", "ours", "n", "95 % interval", "verdict", "why")
-    return Table.of_texts(f"{name}: {source}", header, [_texts(row) for row in rows])
-
-
-def _texts(row: Row) -> tuple[str, ...]:
-    """Return the cells of a row."""
-    claim = row.claim
-    return (
-        claim.figure,
-        claim.published,
-        claim.asked.words,
-        _number(row.ours, claim.unit),
-        str(row.ours.n),
-        _interval(row.ours, claim.unit),
-        row.verdict,
-        claim.why,
-    )
+    texts = []
+    for row in rows:
+        claim = row.claim
+        cells = (
+            claim.figure,
+            claim.published,
+            claim.asked.words,
+            _number(row.ours, claim.unit),
+            str(row.ours.n),
+            _interval(row.ours, claim.unit),
+            row.verdict,
+            claim.why,
+        )
+        texts.append(cells)
+    return Table.of_texts(f"{name}: {source}", header, texts)
 
 
 def _number(number: OurNumber, unit: str) -> str:

@@ -211,6 +211,22 @@ def test_a_table_is_read_however_it_is_written(tmp_path, form):
     assert not track.remarks
 
 
+@pytest.mark.parametrize("corner", ["", " "])
+@pytest.mark.parametrize("separator", [",", "\t", ";"])
+def test_a_column_without_a_name_is_left_out(tmp_path, separator, corner):
+    """Regression: with tabs, as pandas writes its index, and ImageJ the numbers of rows, "has 6
+    entries, the header has 5"."""
+    paths = write_drive(tmp_path, separated_by(separator))
+    plain = csv_tracks(paths)
+    for path in paths:
+        header, *rows = path.read_text().splitlines()
+        numbered = [f"{k}{separator}{row}" for k, row in enumerate(rows)]
+        path.write_text("\n".join([f"{corner}{separator}{header}", *numbered]))
+    (track,) = csv_tracks(paths)
+    assert np.array_equal(track.poses, plain[0].poses)
+    assert np.array_equal(track.u, plain[0].u)
+
+
 def write_headings(folder, heading_of):
     """Write the drive with other headings [rad], by the time [s] and the heading; return both
     paths."""

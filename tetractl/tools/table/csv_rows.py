@@ -130,6 +130,7 @@ def _rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
             break
     else:
         return
+    text = top[1].rstrip().lstrip(" ")  # a tab before it ends a name that is empty
     below = list(islice(lines, 1))
     separator = stated or _separator(text, below[0][1] if below else "")
     header = csv_entries(text, separator)

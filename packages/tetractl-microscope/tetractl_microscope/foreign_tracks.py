@@ -74,6 +74,8 @@ class AxisStep:
     counted: bool = True
 
 
+TRACK_MAX = 2.0**53
+"""Largest number of a track: Imaris counts them from 1e9."""
 FROM_ONE = "pictures are numbered from 1: that is taken as the first of the film, at 0 s"
 
 
@@ -150,6 +152,7 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     _require_columns(path, headers, list(quantities))
     units = {what: quantities[header][1] for what, header in headers.items() if header}
     columns = {what: NumberColumn(headers[what]) for what in units}
+    columns["track"] = NumberColumn(headers["track"], largest=TRACK_MAX)
     if "time" in units:
         second = factor(units["time"], SECONDS) or 1.0
         columns["time"] = NumberColumn(headers["time"], second, TIME_MAX)
@@ -269,7 +272,7 @@ def _require_one_place(path: Path, number: float, times: Floats) -> None:
     if is_twice.any():
         when = times[:-1][is_twice][0]
         raise UsageError(
-            f"{path}: cell {number:g} is at two places at {when:.6g} s",
+            f"{path}: cell {number:.0f} is at two places at {when:.6g} s",
             "are these several tracks, or times that are rounded?",
         )
 

@@ -67,7 +67,7 @@ def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool)
     cell goes on as it went.
     """
     long_tracks = [track for track in tracks if np.ptp(track.rows[:, 0]) >= SHORTEST_S]
-    brief = [f"{track.number:g}" for track in tracks if np.ptp(track.rows[:, 0]) < SHORTEST_S]
+    brief = [f"{track.number:.0f}" for track in tracks if np.ptp(track.rows[:, 0]) < SHORTEST_S]
     if not long_tracks:
         raise UsageError(f"{source}: has no cell that is seen for {SHORTEST_S:g} s")
     remarks = list[str]()
@@ -87,7 +87,7 @@ def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool)
     if hardly_any_goes_on(onwards):
         raise TetractlError(f"{source}: {TO_AND_FRO}", "give the tracks of cells that swim")
     to_and_fro = [
-        f"{track.number:g}"
+        f"{track.number:.0f}"
         for track, way in zip(long_tracks, onwards, strict=True)
         if not way.goes_on
     ]

@@ -152,6 +152,7 @@ def test_spots_of_trackmate(um, s, factor, written, tmp_path):
         ("Nr,TID,PID,x [pixel],y [pixel],t [sec]", (K, NUMBER, K, X, Y, K / HZ)),
         ("Index,Track n°,Slice n°,X,Y,Distance,Velocity", (K, NUMBER, K + 1, X, Y, K, K)),
         ("Position X,Position Y,Position Z,Time,TrackID,ID", (X, Y, K, K + 1, NUMBER, K)),
+        ("Position X,Position Y,Time,TrackID,ID", (X, Y, K + 1, 1e9 + NUMBER, K)),
         ("TRACK_ID,POSITION_X,POSITION_Y,FRAME", (NUMBER, X, Y, K)),
         ("ID,t,x,y,z,parent,root,state,generation,dummy", (NUMBER, K, X, Y, *[K] * 6)),
         ("y,x,mass,size,ecc,frame,particle", (Y, X, K, K, K, K, NUMBER)),
@@ -162,7 +163,8 @@ def test_spots_of_trackmate(um, s, factor, written, tmp_path):
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_tables_of_other_programs_are_read_by_their_own_columns(header, columns, tmp_path):
-    """Regression: MTrackJ's were "neither poses nor commands"."""
+    """Regression: MTrackJ's were "neither poses nor commands", and of Imaris's the second track "not
+    a number of at most 1e+09"."""
     path = placed(tmp_path / "a.csv", header, *columns)
     has_length = "[um]" in header or "[mm]" in header
     has_time = "[sec]" in header or "[ms]" in header

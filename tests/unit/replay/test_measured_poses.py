@@ -40,6 +40,10 @@ def heading_of_zeros(poses, begin, count):
     poses[begin : begin + count, 2] = 0.0
 
 
+def place_of_last(poses, begin, count):
+    poses[begin : begin + count, :2] = poses[begin - 1, :2]
+
+
 def turned(angle):
     def turn(poses, begin, count):
         poses[begin : begin + count, 2] += angle
@@ -55,6 +59,8 @@ WRONG = {
     "frozen for 0.2 s": (repeat_last, 4),
     "frozen for a second": (repeat_last, 20),
     "frozen for 2 s": (repeat_last, 40),
+    "places frozen for half a second": (place_of_last, 10),
+    "places frozen for 2 s": (place_of_last, 40),
     "a zero": (zeros_of_lost, 1),
     "zeros for a second": (zeros_of_lost, 20),
     "headings of 0 for a second": (heading_of_zeros, 20),
@@ -118,6 +124,18 @@ def straight_at_the_end(poses):
     return poses
 
 
+def turns_and_goes(poses):
+    """The robot turns at one place to the last digit for 2 s of each 10, and in the last 3."""
+    drives = np.arange(len(poses)) // RATE_HZ % 10 < 8
+    drives[-3 * RATE_HZ :] = False
+    way = np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]) * drives[:, None]
+    return np.column_stack([poses[0, :2] + np.cumsum(way, axis=0), poses[:, 2]])
+
+
+def in_centimetres(poses):
+    return np.round(poses / (10, 10, 0.01)) * (10, 10, 0.01)
+
+
 def stands_mostly(poses):
     """The robot drives in 2 s of each 10; its places differ by noise while it stands."""
     drives = np.arange(len(poses)) // RATE_HZ % 10 < 2
@@ -149,6 +167,10 @@ RIGHT = {
     "without noise": {"noise": 0.0},
     "straight on at the end, without noise": {"noise": 0.0, "change": straight_at_the_end},
     "stop and go, without noise": {"noise": 0.0, "change": stop_and_go},
+    "turns and goes": {"noise": 0.0, "change": turns_and_goes},
+    "places in cm, slow": {"speed": 20.0, "change": in_centimetres},
+    "places in cm": {"change": in_centimetres},
+    "places in cm, at 5 Hz": {"rate_hz": 5, "change": in_centimetres},
     "rounded, at 200 Hz": {"rate_hz": 200, "change": in_half_mm},
     "stands mostly": {"change": stands_mostly},
     "stands mostly, slow": {"speed": 30.0, "change": stands_mostly},

@@ -57,17 +57,20 @@ def jumps_of(times: Floats, poses: Floats) -> Integers:
 
 
 def _repeats(poses: Floats) -> Bools:
-    """Return which poses (M, 3) repeat the one before them, or its heading, until the robot is
-    suddenly far away, or until the end."""
+    """Return which poses (M, 3) repeat the one before them, or its heading or place, until the
+    robot is suddenly far away, or until the end."""
     moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     turned = np.abs(wrap(np.diff(poses[:, 2])))
     is_turned = turned == 0
-    is_same = is_turned & (moved == 0)
+    is_placed = moved == 0
+    is_same = is_turned & is_placed
     turns_far = turned > RELEASE * _fast(turned)
     moves_far = moved > RELEASE * _fast(moved)
     poses_frozen = _frozen(is_same, np.append(turns_far | moves_far, True))
-    # a robot that drives straight on until the end keeps its heading
-    return poses_frozen | _frozen(is_turned & ~is_same, np.append(turns_far, False))
+    # a robot that drives straight on until the end keeps its heading, one that turns its place
+    headings_frozen = _frozen(is_turned & ~is_same, np.append(turns_far, False))
+    places_frozen = _frozen(is_placed & ~is_same, np.append(moves_far, False))
+    return poses_frozen | headings_frozen | places_frozen
 
 
 def _fast(steps: Floats) -> float:

@@ -318,8 +318,8 @@ def test_at_a_row_without_speeds_or_a_direction_nothing_was_sent(tmp_path, comma
 # ---- Units, names, one robot, two recordings ----
 
 
-SPEEDS = ["v_mm_s", "v_cm_s", "v [m/s]", "v (mm/s)", "v_um_s", "V_mm_per_s"]
-PER_METRE = [1e3, 1e2, 1.0, 1e3, 1e6, 1e3]
+SPEEDS = ["v_mm_s", "v_cm_s", "v [m/s]", "v_m/s", "v m/s", "v (mm/s)", "v_um_s", "V_mm_per_s"]
+PER_METRE = [1e3, 1e2, 1.0, 1.0, 1.0, 1e3, 1e6, 1e3]
 
 
 @pytest.mark.parametrize(("column", "per_metre"), list(zip(SPEEDS, PER_METRE, strict=True)))
@@ -480,6 +480,13 @@ def test_two_recordings_by_two_clocks_are_told(tmp_path):
     poses = twice(ONE_POSES, 1_764_000_000.0)
     with pytest.raises(UsageError, match=r"there is no pose\nhint: .*column trial"):
         tracks_of(tmp_path, poses, NO_NAME)
+
+
+def test_a_recording_that_begins_amidst_another_may_be_numbered(tmp_path):
+    """Regression: they were only to be sorted by time, which mixes them."""
+    middle_s = float(ONE_POSES.splitlines()[-1].partition(",")[0]) / 2
+    with pytest.raises(UsageError, match=r"earlier than before\nhint: sort.*column trial instead"):
+        tracks_of(tmp_path, twice(ONE_POSES, middle_s), NO_NAME)
 
 
 @pytest.mark.parametrize(("units_per_s", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])

@@ -51,6 +51,8 @@ def test_directions_in_degrees_are_refused(name):
         ("w (degrees/second)", "deg_s"),
         ("w [rad/s]", "rad_s"),
         ("w_deg_s", "deg_s"),
+        ("w_deg/s", "deg_s"),
+        ("w/deg", "deg"),
         ("w [mm/sec]", "mm_s"),
         ("w [µm]", "um"),
         ("w [turns/s]", "turns_s"),  # no unit that is known

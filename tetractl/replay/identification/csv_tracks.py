@@ -141,7 +141,7 @@ class _Numbers:
                 hint += "; two robots? name them in a column robot"
             raise UsageError(f"{path}, line {row.line}: the time starts again", hint)
         if time < newest:
-            raise earlier(path, row)
+            raise earlier(path, row, "; two recordings? number them in a column trial instead")
         self.newest[series] = time
         return time
 

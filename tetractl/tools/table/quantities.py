@@ -127,10 +127,10 @@ class DateColumn(NumberColumn):
 
 def name_and_unit(header: str) -> tuple[str, str]:
     """Return the name of a column in lower case and its unit, "" if it states none."""
-    text = re.sub(r"[ _]+", "_", header.strip().lower()).replace("_per_", "_")
+    text = re.sub(r"[ _/]+", "_", header.strip().lower()).replace("_per_", "_")
     match = _BRACKETS.fullmatch(text)
     if match:
-        parts = match[2].replace("/", "_").split("_")
+        parts = match[2].split("_")
         return match[1], "_".join(_UNITS.get(part, part) for part in parts)
     for unit in sorted(_UNITS, key=len, reverse=True):
         if text.endswith(f"_{unit}"):
@@ -201,10 +201,12 @@ def refuse_degrees(path: Path, column: NumberColumn, lines: Sequence[int], angle
     raise UsageError(f"{where}: {angles[first]:g} {said}", f"{hint}, or name the column {name}_deg")
 
 
-def earlier(path: Path, row: CsvRow) -> UsageError:
-    """Return the error that the time of a row is earlier than those before it."""
+def earlier(path: Path, row: CsvRow, other: str = "") -> UsageError:
+    """Return the error that the time of a row is earlier than those before it, with what else than
+    to sort the rows may be to do."""
     return UsageError(
-        f"{path}, line {row.line}: the time is earlier than before", "sort the rows by time"
+        f"{path}, line {row.line}: the time is earlier than before",
+        f"sort the rows by time{other}",
     )
 
 

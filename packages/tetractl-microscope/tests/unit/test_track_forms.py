@@ -163,7 +163,7 @@ def test_spots_of_trackmate(um, s, factor, written, tmp_path):
     ids=lambda value: value if isinstance(value, str) else "",
 )
 def test_tables_of_other_programs_are_read_by_their_own_columns(header, columns, tmp_path):
-    """Regression: MTrackJ's were "neither poses nor commands", and of Imaris's the second track "not
+    """Regression: MTrackJ's were "neither poses nor commands", and the second number of Imaris "not
     a number of at most 1e+09"."""
     path = placed(tmp_path / "a.csv", header, *columns)
     has_length = "[um]" in header or "[mm]" in header

@@ -1,9 +1,9 @@
 """Verifies a log: runs its simulation again, or computes its decisions again.
 
-The end of the trial is compared with what gives it again (`_differences_of_end`). A simulation that
-was run again to the same records has decided each step again; of any other log the decisions are
-computed from its frames (`recompute`). Then the records are compared with what the log says of them
-(`_differences_of_records`): numbers in a row, digests, damage.
+The end of the trial is compared with what gives it again (`EndCheck`). A simulation that was run
+again to the same records has decided each step again; of any other log the decisions are computed
+from its frames (`recompute`). Then the records are compared with what the log says of them
+(`_differences_of_records`): the plant, numbers in a row, digests, damage.
 
 If another machine or version wrote the log, costs must agree within a tolerance.
 """
@@ -11,7 +11,7 @@ If another machine or version wrote the log, costs must agree within a tolerance
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import Enum, StrEnum
 from pathlib import Path
 
 from tetractl.core.plan import Outcome
@@ -54,6 +54,15 @@ class Method(StrEnum):
 
     RECOMPUTED = "re-computed, bit-identical"
     REEVALUATED = f"costs of the logged plans re-evaluated, to {TOLERANCE:g}"
+
+
+class EndCheck(Enum):
+    """With what the end of a trial is compared."""
+
+    NOTHING = "nothing: run and spec dispute the plant, or the log is damaged or without a result"
+    LAB = "frames and commands of a lab"
+    RECORDS = "spec, records and last poses of a simulation that does not repeat here"
+    AGAIN = "the simulation, run again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,15 +115,19 @@ def verify(path: Path) -> Verification:
     log = trial_of(raw)
     elsewhere = host_differences(log)
     why_not_again = run_again.why_not_again(log, elsewhere)
-    of_end = list(_differences_of_end(raw, log, why_not_again))
+    end_check = _end_check(log, why_not_again)
+    of_end = list(_differences_of_end(end_check, raw, log))
     method = Method.RECOMPUTED
     decisions = Recomputed(len(log.steps), None)
-    is_repeated = log.damage is None and not why_not_again and not of_end
+    is_repeated = end_check is EndCheck.AGAIN and not of_end
     if not is_repeated and not raw.brief:
         method, decisions = _decisions(log, elsewhere)
     problems = [] if decisions.difference is None else [decisions.difference]
     problems += of_end
     problems += _differences_of_records(raw, log)
+    notes = list(_notes(raw, log))
+    if end_check is EndCheck.RECORDS:
+        notes.append(f"the trial is not run again: {why_not_again}")
     rewritten = ""
     if raw.rewritten:
         rewritten = raw.library or "an unknown program"
@@ -126,7 +139,7 @@ def verify(path: Path) -> Verification:
         method=method,
         elsewhere=elsewhere,
         problems=tuple(problems),
-        notes=tuple(_notes(raw, log, why_not_again)),
+        notes=tuple(notes),
         seconds=time.perf_counter() - began_s,
     )
 
@@ -143,38 +156,48 @@ def _decisions(log: TrialLog, elsewhere: tuple[str, ...]) -> tuple[Method, Recom
     return Method.REEVALUATED, recompute(log, search_again=False)
 
 
-def _differences_of_end(raw: RawLog, log: TrialLog, why_not_again: str) -> Iterator[Difference]:
-    """Yield how an undamaged log with a result differs from what gives it again: in a lab its
-    frames and commands; in a simulation the trial run again or, where it does not repeat, its last
-    poses. Of what is not run again, run and messages have to follow from spec and records."""
+def _end_check(log: TrialLog, why_not_again: str) -> EndCheck:
+    """Return how the end of a trial is checked: the first row of EndCheck that holds."""
+    is_simulated = log.start.plant.simulated
+    is_disputed = is_simulated != log.experiment.plant.simulated
+    if is_disputed or log.damage is not None or log.result is None:
+        return EndCheck.NOTHING
+    if not is_simulated:
+        return EndCheck.LAB
+    return EndCheck.RECORDS if why_not_again else EndCheck.AGAIN
+
+
+def _differences_of_end(check: EndCheck, raw: RawLog, log: TrialLog) -> Iterator[Difference]:
+    """Yield how the end of a trial differs from what gives it again; a brief log lacks the records
+    from which stop, reason, messages and errors follow."""
     result = log.result
-    simulated = log.start.plant.simulated
-    if simulated != log.experiment.plant.simulated:
-        yield Difference(None, "run.mode", "differs from the plant of the spec")
+    if check is EndCheck.NOTHING or result is None:
         return
-    if log.damage is not None or result is None:
-        return
-    if log.stop is None and not raw.brief:
+    is_whole = not raw.brief
+    if is_whole and log.stop is None:
         yield Difference(None, "stop", "missing: no stop is on /commands")
-    if result.outcome is Outcome.ABORTED and not result.reason and not raw.brief:
+    if is_whole and result.outcome is Outcome.ABORTED and not result.reason:
         yield Difference(None, "result.reason", "aborted without a reason")
-    if simulated and not why_not_again:
+    if check is EndCheck.AGAIN:
         yield from run_again.differences(raw, log)
-        return
-    if not simulated:
+    elif check is EndCheck.LAB:
         yield from lab_differences(log, result)
         yield from command_differences(log, result)
         yield from encoding_differences(raw, log, result)
+        if is_whole:
+            yield from message_differences(raw, log, result)
     else:
         yield from run_differences(raw, log)
-    if not raw.brief:
-        yield from message_differences(raw, log, result)
-    if simulated and not raw.brief:
-        yield from error_differences(log, result)
+        if is_whole:
+            yield from message_differences(raw, log, result)
+            yield from error_differences(log, result)
 
 
 def _differences_of_records(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
-    """Yield which frames and steps are missing, which digests do not match, and the damage."""
+    """Yield whether run and spec dispute the plant, which frames and steps are missing, which
+    digests do not match, and the damage."""
+    if log.start.plant.simulated != log.experiment.plant.simulated:
+        yield Difference(None, "run.mode", "differs from the plant of the spec")
     if not _may_lose_frames(log):
         for gap in frame_gaps(log):
             yield Difference(None, "frames", f"missing: {gap}")
@@ -190,17 +213,13 @@ def _differences_of_records(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
         yield Difference(None, "host_digest", text)
 
 
-def _notes(raw: RawLog, log: TrialLog, why_not_again: str) -> Iterator[str]:
+def _notes(raw: RawLog, log: TrialLog) -> Iterator[str]:
     """Yield what a reader must know of a log that is not wrong for it."""
     if _may_lose_frames(log):
         for gap in frame_gaps(log):
             yield f"missing: {gap}"
     if raw.reordered:
         yield "the content digest is of another order of the messages: not compared"
-    is_simulation = log.start.plant.simulated and log.experiment.plant.simulated
-    is_whole = log.damage is None and log.result is not None
-    if is_simulation and is_whole and why_not_again:
-        yield f"the trial is not run again: {why_not_again}"
 
 
 def _may_lose_frames(log: TrialLog) -> bool:

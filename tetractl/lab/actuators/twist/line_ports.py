@@ -29,9 +29,9 @@ PENDING_MAX = 1000  # most bytes kept of a line that has not ended
 
 
 class TwistLink(PortGroup):
-    """Connections to robots with the numbers `indices`, each at a port of its own or not, `port_of`
-    each. Times are ns on `clock`. After a failure, which raises AbortError, nothing can be sent any
-    more. `ports` makes a port, `open_port` by default.
+    """Connections to robots with the numbers `indices`, no two the same, each at a port of its own
+    or not, `port_of` each. Times are ns on `clock`. After a failure, which raises AbortError,
+    nothing can be sent any more. `ports` makes a port, `open_port` by default.
     """
 
     def __init__(
@@ -46,15 +46,17 @@ class TwistLink(PortGroup):
         self._clock = clock
         self._kind: Kind = kind
         self._indices = tuple(indices)
-        self._port_of = tuple(port_of)
+        self._indices_at: dict[str, set[int]] = {}
+        """The robots at each port, in the order of the ports."""
+        for index, name in zip(indices, port_of, strict=True):
+            self._indices_at.setdefault(name, set()).add(index)
         self._replies: deque[Reply] = deque(maxlen=WAITING_MAX)
         self._rest: dict[str, bytes] = {}
         self._sequence = clock.now() % 256  # a first number that no one can foretell
         make = ports or open_port
-        self._names = tuple(dict.fromkeys(port_of))  # of the ports, each once
         super().__init__(
             make(port, baud, "the radio", clock, self._taker(port), PORT_LOST_HINT)
-            for port in self._names
+            for port in self._indices_at
         )
 
     @classmethod
@@ -102,22 +104,18 @@ class TwistLink(PortGroup):
         return drained(self._replies)
 
     def _send(self, flags: Flag, entries: Sequence[Entry]) -> int:
+        """Send each port a line with the entries of the robots there; robots without one stop."""
         self._sequence = (self._sequence + 1) % 256
         lines: list[bytes] = []
-        for name in self._names:
-            entries_here = tuple(
-                entry
-                for entry, port_name in zip(entries, self._port_of, strict=False)
-                if port_name == name
-            )
+        for indices_here in self._indices_at.values():
+            entries_here = tuple(entry for entry in entries if entry[0] in indices_here)
             command = LineCommand(self._kind, self._sequence, flags, entries_here)
             lines.append(encode_command(command))
         return self.send(lines)
 
     def _taker(self, port: str) -> Heard:
         """Return what takes the replies at a port, of the robots that are there."""
-        places = zip(self._indices, self._port_of, strict=True)
-        indices_here = {index for index, place in places if place == port}
+        indices_here = self._indices_at[port]
 
         def take(data: bytes, now: int) -> None:
             *lines, rest = (self._rest.get(port, b"") + data).split(b"\n")

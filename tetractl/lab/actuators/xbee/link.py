@@ -34,7 +34,8 @@ class Link:
         self.questions: tuple[str, ...] = ()
         self._decoder = frames.Decoder()
         self._fresh: deque[bytes] = deque(maxlen=WAITING_MAX)
-        self._answers: deque[tuple[int, bytes, bytes | None]] = deque(maxlen=WAITING_MAX)
+        self._answers: dict[tuple[int, bytes], bytes | None] = {}
+        """The values since the last request, by its number and its two letters."""
         self._frame_id = 0
         self._clock = clock
         make = ports or SerialPort
@@ -65,8 +66,8 @@ class Link:
         self._port.write(frames.encode(content))
         awaited = self._frame_id, command
         # a module at 9600 baud answers within 30 ms
-        self._wait(lambda: any(answer[:2] == awaited for answer in self._answers), 0.3)
-        return next((answer[2] for answer in self._answers if answer[:2] == awaited), None)
+        self._wait(lambda: awaited in self._answers, 0.3)
+        return self._answers.get(awaited)
 
     def ask_twice(self, command: bytes) -> bytes | None:
         """Return the value of a parameter, asked for once more if no answer came."""
@@ -90,52 +91,35 @@ class Link:
     def _take(self, data: bytes, now: int) -> None:
         for content in self._decoder.feed(data):
             if (answer := frames.answered(content)) is not None:
-                self._answers.append(answer)
+                frame_id, command, value = answer
+                self._answers[frame_id, command] = value
             elif sent := frames.received(content):
                 self._fresh.append(sent)
 
     def _check(self) -> tuple[str, ...]:
         """Raise AbortError unless an 802.15.4 module with AP=2 and the spec's baud rate answers.
 
-        Returns a question for the operator if the module's protocol is not known.
+        Returns a question for the operator if the module's protocol is not known. A parameter is
+        asked for twice if a module that does not give it is refused (HV, AP), else once (VR, BD).
         """
         radio = self.radio
-        # the first request may be lost behind an incomplete frame
-        hardware = self.ask_twice(b"HV")
-        if hardware is None:
-            silent = self._silent()
-            # a module that wakes late answers all requests at once, also those at another baud rate
-            self._port.set_baud(radio.baud)
-            hardware = self.ask(b"HV")
-            if hardware is None:
-                raise silent
-        version = self.ask(b"VR") or b""
-        runs = protocol(hardware, version)
-        if runs not in (RIGHT_PROTOCOL, None):
-            raise AbortError(
-                f"{radio.port}: the module runs {runs} firmware, not {RIGHT_PROTOCOL}",
-                "this firmware could not broadcast wheel commands fast enough; "
-                + (
-                    f"load {RIGHT_PROTOCOL} firmware with XCTU"
-                    if RIGHT_PROTOCOL in protocols(hardware).values()
-                    else f"use a module that has {RIGHT_PROTOCOL} firmware: Series 1, S2C, XBee 3 "
-                    "or RR"
-                ),
-            )
-        rate = _number(self.ask(b"BD"))
+        hardware = self._hardware()
+        questions = self._check_firmware(hardware)
+        code = self.ask(b"BD")
+        rate = None if code is None else int.from_bytes(code)
         if rate is not None and rate < len(BAUDS) and BAUDS[rate] != radio.baud:
             raise AbortError(
                 f"{radio.port}: the module is set to {BAUDS[rate]} baud, not the spec's "
                 f"{radio.baud}",
                 f"set lab.actuator.baud to {BAUDS[rate]}, or BD in the module",
             )
-        mode = _number(self.ask_twice(b"AP"))
+        mode = self.ask_twice(b"AP")
         if mode is None:
             raise AbortError(
                 f"{radio.port}: the radio's module does not answer any more",
                 "does it have power, and is its plug firm?",
             )
-        if mode != ESCAPED_FRAMES:
+        if int.from_bytes(mode) != ESCAPED_FRAMES:
             raise AbortError(
                 f"{radio.port}: the module is not in API mode with escapes",
                 "set its AP to 2 with XCTU",
@@ -145,30 +129,52 @@ class Link:
                 f"{radio.port}: a Series 1 module loses API frames at 115200 baud",
                 "set the module (BD=6) and lab.actuator.baud to 57600",
             )
-        if runs is None:
-            reported = version.hex().upper() or "not reported"
-            module = f"the module (HV {hardware.hex().upper()}, VR {reported})"
-            question = f"is not in tetractl's list: does it run {RIGHT_PROTOCOL} firmware?"
-            return (f"{radio.port}: {module} {question}",)
-        return ()
+        return questions
 
-    def _silent(self) -> AbortError:
-        """Try the other baud rates; return the error for a module silent at the spec's."""
+    def _hardware(self) -> bytes:
+        """Return HV; AbortError, with the rate at which the module answers, if it is silent."""
         radio = self.radio
+        # the first request may be lost behind an incomplete frame
+        hardware = self.ask_twice(b"HV")
+        if hardware is not None:
+            return hardware
+        silent = AbortError(
+            f"{radio.port}: no XBee module answers at {radio.baud} or any other baud rate",
+            "is the module in API mode (AP=2)? is it an XBee, and does it have power?",
+        )
         for baud in BAUDS[3:]:  # those that a spec may state, first a module's usual one
             if baud == radio.baud:
                 continue
             self._port.set_baud(baud)
             if self.ask(b"HV") is not None:
-                return AbortError(
+                silent = AbortError(
                     f"{radio.port}: the module answers at {baud} baud, not the spec's {radio.baud}",
                     f"set lab.actuator.baud to {baud}, or BD in the module",
                 )
-        return AbortError(
-            f"{radio.port}: no XBee module answers at {radio.baud} or any other baud rate",
-            "is the module in API mode (AP=2)? is it an XBee, and does it have power?",
+                break
+        # a module that wakes late answers all requests at once, also those at another baud rate
+        self._port.set_baud(radio.baud)
+        hardware = self.ask(b"HV")
+        if hardware is None:
+            raise silent
+        return hardware
+
+    def _check_firmware(self, hardware: bytes) -> tuple[str, ...]:
+        """Raise AbortError if the firmware is a wrong one; return a question if it is unknown."""
+        port = self.radio.port
+        version = self.ask(b"VR") or b""
+        runs = protocol(hardware, version)
+        if runs == RIGHT_PROTOCOL:
+            return ()
+        if runs is None:
+            reported = version.hex().upper() or "not reported"
+            module = f"the module (HV {hardware.hex().upper()}, VR {reported})"
+            question = f"is not in tetractl's list: does it run {RIGHT_PROTOCOL} firmware?"
+            return (f"{port}: {module} {question}",)
+        cure = f"use a module that has {RIGHT_PROTOCOL} firmware: Series 1, S2C, XBee 3 or RR"
+        if RIGHT_PROTOCOL in protocols(hardware).values():
+            cure = f"load {RIGHT_PROTOCOL} firmware with XCTU"
+        raise AbortError(
+            f"{port}: the module runs {runs} firmware, not {RIGHT_PROTOCOL}",
+            f"this firmware could not broadcast wheel commands fast enough; {cure}",
         )
-
-
-def _number(value: bytes | None) -> int | None:
-    return None if value is None else int.from_bytes(value, "big")

@@ -42,7 +42,6 @@ from tetractl.control.kernels import filter_state
 from tetractl.control.lengths import Searcher
 from tetractl.control.mpc import Mpc
 from tetractl.control.mpc_section import PriorSection, RecommendedMpc
-from tetractl.control.passage import Tree
 from tetractl.control.prior import Sticks
 from tetractl.control.reception import Reception
 from tetractl.control.value import Worth
@@ -167,7 +166,6 @@ RULES = {
     "rest where robots stray from a passage": Rule((_returns(Mpc, "_strays", False),), ("gap",)),
     "narrow margins of a tree": Rule(((Mpc, "_with_margins", _known_margins),), ("gap",)),
     "ways of a tree round obstacles": Rule(((passage, "_grid_ways", _bee_lines),), ("gap",)),
-    "a tree's nodes differ": Rule(((Tree, "unlike", lambda _, order: order),), ("gap",)),
     # lengths and values
     "shortening": Rule(
         ((Searcher, "shorten", lambda self, *_: self.found[-1].length),), (*TIME, "sticking-5hz")

@@ -9,9 +9,7 @@ one direction, held for HELD_S, and its end may be a node of the next *level*. F
 
     _grid_ways      say how far each robot still has to go, round the obstacles, to its target
     _best_branches  keeps the branches with the least sum of squares of these ways (beam search;
-                    Lowerre, The HARPY speech recognition system, 1976), if bodies keep clear; of
-                    those that bring all robots to nearly the same places only the best one, so
-                    that the few that are kept differ
+                    Lowerre, The HARPY speech recognition system, 1976), if bodies keep clear
 
 and the signals to nodes at which all robots are near their targets are yielded, or at last those to
 the nearest one. Nothing depends on a clock: the number of nodes bounds the time.
@@ -49,8 +47,6 @@ NODES_KEPT = 400
 """Number of nodes kept of each level, times that of the robots."""
 NODES_COMPUTED = 4
 """Of so many times that number, the best, the bodies' distances are computed."""
-SQUARE_SIDE = 1.2
-"""Side of the squares, in units of the largest v / a: nodes in the same ones are alike."""
 WAYS_LEFT = 2.3
 """Sum of the ways left from which an optimiser begins, in units of the sum of all v / a."""
 STARTS_OF_LEVEL = 6
@@ -76,8 +72,6 @@ class Nodes(NamedTuple):
     """(K,) directions of the branches to them [rad]."""
     poses: Floats
     """(K, N, 3) where robots are."""
-    squares: Integers
-    """(K,) numbers of the squares in which they are."""
 
     def part(self, chosen: Integers) -> Self:
         """Return some of the nodes."""
@@ -88,58 +82,36 @@ class Tree:
     """A tree of directions, of which the nodes of the last level can grow branches.
 
     A node is where robots are, poses (N, 3), after the signals that lead to it. A branch is one
-    direction, held for `held` signals. Two nodes are alike if all their robots are in the same
-    squares, of which the side is SQUARE_SIDE times the largest v / a. `key` seeds the first of the
-    directions of each level.
+    direction, held for `held` signals. `key` seeds the first of the directions of each level.
     """
 
     def __init__(self, problem: Problem, key: int, held: int) -> None:
-        count = len(problem.a)
         self.levels: list[Nodes] = []
         self._problem = problem
         self._key = key
         self._held = held
-        self._side = SQUARE_SIDE * float((problem.speed / problem.a).max())
-        self._factors = (uniform(key, 0, 2 * count) * 2.0**62).astype(np.int64) | 1
-        """Odd numbers (2 N,): the sum of a node's squares times these is a number of its own."""
-        self._squares_of_nodes: Integers = np.empty(0, dtype=np.int64)
-        """Those of all nodes of all levels."""
-        none = np.zeros(1, dtype=np.int64)
-        self._nodes = Nodes(none, np.zeros(1), problem.poses.array()[None], squares=none)
-        self._grown = self._nodes
+        root = problem.poses.array()[None]
+        self._grown = Nodes(np.zeros(1, dtype=np.int64), np.zeros(1), root)
+        """What may become the nodes of the next level: the root, or the branches grown last."""
 
     def grow(self) -> Floats:
         """Grow BRANCHES of them from each node of the last level; return the poses
         (PARTS held, B, N, 3) along them."""
-        count = len(self._problem.a)
-        first = uniform(self._key, 2 * count + len(self.levels), 1)
+        first = uniform(self._key, len(self.levels), 1)
         all_round = wrap(2 * np.pi / BRANCHES * (np.arange(BRANCHES) + first))
-        nodes = len(self._nodes.poses)
-        parents = np.arange(nodes).repeat(BRANCHES)
-        starts = self._nodes.poses[parents]
-        directions = np.tile(all_round, nodes)
+        nodes = self.levels[-1] if self.levels else self._grown
+        parents = np.arange(len(nodes.poses)).repeat(BRANCHES)
+        directions = np.tile(all_round, len(nodes.poses))
         turns = np.zeros(PARTS * self._held)
         part = self._problem.period / PARTS
+        starts = nodes.poses[parents]
         path = compiled_branches(self._problem, starts, directions, turns, part)[1:]
-        squares = np.floor(path[-1, ..., :2].reshape(len(directions), -1) / self._side)
-        numbers = (squares.astype(np.int64) * self._factors).sum(axis=1)
-        self._grown = Nodes(parents, directions, path[-1], numbers)
+        self._grown = Nodes(parents, directions, path[-1])
         return path
-
-    def unlike(self, order: Integers) -> Integers:
-        """Return those of the branches `order`, best first, whose ends are like neither a node nor
-        the end of a better branch."""
-        squares = self._grown.squares
-        _, first_places = np.unique(squares[order], return_index=True)
-        unlike_each_other = order[np.sort(first_places)]
-        like_a_node = np.isin(squares[unlike_each_other], self._squares_of_nodes)
-        return unlike_each_other[~like_a_node]
 
     def keep(self, branches: Integers) -> None:
         """Make the ends of branches the nodes of the next level."""
-        self._nodes = self._grown.part(branches)
-        self._squares_of_nodes = np.append(self._squares_of_nodes, self._nodes.squares)
-        self.levels.append(self._nodes)
+        self.levels.append(self._grown.part(branches))
 
     def sequence(self, node: int, levels: int | None = None) -> Floats:
         """Return the signals (L,) that lead to a node of the last of so many levels, or of all."""
@@ -214,7 +186,7 @@ def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Float
     for level in range(most // held):
         path = tree.grow()
         ways_left = grid_ways[grid.cells(path[..., :2]) + first_cells]  # (T, B, N)
-        branches = _best_branches(problem, tree, path, ways_left, nodes_max)
+        branches = _best_branches(problem, path, ways_left, nodes_max)
         if len(branches) == 0:
             break
         tree.keep(branches)
@@ -241,16 +213,14 @@ def _grid_ways(problem: Problem, grid: Squares) -> Floats:
     return grid.ways(free, problem.targets)
 
 
-def _best_branches(
-    problem: Problem, tree: Tree, path: Floats, ways_left: Floats, nodes_max: int
-) -> Integers:
+def _best_branches(problem: Problem, path: Floats, ways_left: Floats, nodes_max: int) -> Integers:
     """Return the branches grown last, with poses path (T, B, N, 3), whose ends become nodes: up to
     `nodes_max`, the best first. Clearances take time, so only those of the best are computed.
     """
     squares = (ways_left[-1] ** 2).sum(axis=1)
     order = np.argsort(squares, kind="stable")
     reaches = np.isfinite(ways_left.sum(axis=(0, 2)))  # no robot is cut off from its target
-    best = tree.unlike(order[reaches[order]])[: NODES_COMPUTED * nodes_max]
+    best = order[reaches[order]][: NODES_COMPUTED * nodes_max]
     clear = _keep_clear(problem, path[:, best, :, :2])
     return best[clear][:nodes_max]
 

@@ -15,6 +15,7 @@ from tetractl.plant.simulation import SimPlant
 from tetractl.replay.identification import fit
 from tetractl.replay.identification.fit import WANDERS, FittedRobot, SampleInterval
 from tetractl.replay.identification.identify import (
+    Doubt,
     IdentifiedRobots,
     clock_doubt,
     identify,
@@ -223,9 +224,9 @@ WITH_ODD_HEADING = identified_robot("two", misfits=("heading",))
 @pytest.mark.parametrize(
     ("doubt", "says"),
     [
-        ("may_lag", "the dead time then holds the lag"),
-        ("turns_uniformly", "directions that turn at one rate"),
-        ("rates_unstated", "steer themselves"),
+        (Doubt.LAG_UNSTATED, "the dead time then holds the lag"),
+        (Doubt.UNIFORM_TURNS, "directions that turn at one rate"),
+        (Doubt.RATES_UNSTATED, "steer themselves"),
     ],
 )
 def test_what_a_doubt_may_spoil_has_no_interval(doubt, says):
@@ -234,12 +235,12 @@ def test_what_a_doubt_may_spoil_has_no_interval(doubt, says):
     5.1) for an a of 4, and a dead time of .302 for .10; of robots that steer themselves 2.91 (2.76
     to 3.07) of smooth directions and 4.22 (4.12 to 4.32) of those that jump."""
     identification = without_unsure_intervals(
-        identification_of(FITTING, WITH_ODD_HEADING, **{doubt: True})
+        identification_of(FITTING, WITH_ODD_HEADING, doubt=doubt)
     )
     assert np.isnan(identification.dead_time.low)  # which all robots share
     for robot in identification.robots:
         assert np.isnan(robot.a.low)
-        assert np.isnan(robot.heading_bias.high) or doubt != "may_lag"
+        assert np.isnan(robot.heading_bias.high)
         assert robot.speed == INTERVAL
     assert says in tables(identification)[0].note
 
@@ -250,10 +251,11 @@ def test_a_lag_is_asked_for_of_robots_on_wheels(lag_s):
     """Regression: only a heading that did not fit asked for it, and of lags of .04 to .06 s with
     little noise of the camera none did."""
     driven = drive(2, *(LAGGING_WHEELS if lag_s else ()), *NOISE, NO_WATCHDOG)
-    assert not identify([driven.track], A_RAD_S).may_lag  # as of cells
+    assert identify([driven.track], A_RAD_S).doubt is None  # as of cells
     on_wheels = replace(driven.track, on_wheels=True)
-    assert identify([on_wheels], A_RAD_S).may_lag == (lag_s > 0)
-    assert not identify([replace(on_wheels, lag=LAG_S)], A_RAD_S).may_lag
+    doubt = Doubt.LAG_UNSTATED if lag_s else None
+    assert identify([on_wheels], A_RAD_S).doubt is doubt
+    assert identify([replace(on_wheels, lag=LAG_S)], A_RAD_S).doubt is None
 
 
 def turning(*directions, apart_s=0.1):

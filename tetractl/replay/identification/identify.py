@@ -9,6 +9,7 @@ written to a section of a spec.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 
@@ -53,6 +54,14 @@ DECIMALS_OF_EXACT = 3
 """Decimals of a value whose interval has no width, or no known end."""
 
 
+class Doubt(Enum):
+    """Why the intervals of a, heading bias and dead time cannot be trusted."""
+
+    UNIFORM_TURNS = "all directions turn at one rate"
+    RATES_UNSTATED = "a track has `rates_unstated`"
+    LAG_UNSTATED = "wheels whose lag nothing states would explain turns"
+
+
 @dataclass(frozen=True, slots=True)
 class IdentifiedRobots:
     """The identified values of all robots.
@@ -60,9 +69,7 @@ class IdentifiedRobots:
     `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is the median time from
     the exposure of a frame to the sending of the direction decided on it, None if unknown.
     `strength` is that of the field in `strength_unit`, None if the logs do not state it.
-    `may_lag` says that robots are on wheels whose lag nothing states and that would explain their
-    turns, `turns_uniformly` that all directions turn at one rate, `rates_unstated` is as in
-    `Track`; `stood` is when robots stood though they were sent directions.
+    `doubt` is the first that holds; `stood` is when robots stood though they were sent directions.
     """
 
     origin: str
@@ -74,35 +81,8 @@ class IdentifiedRobots:
     robots: tuple[FittedRobot, ...]
     strength: float | None = None
     strength_unit: str = "mT"
-    may_lag: bool = False
-    turns_uniformly: bool = False
-    rates_unstated: bool = False
+    doubt: Doubt | None = None
     stood: tuple[Stood, ...] = ()
-
-    @property
-    def why_no_intervals(self) -> str:
-        """Why a, heading bias and dead time have no intervals, and what gives them; "" if they
-        have."""
-        if self.turns_uniformly:
-            why = (
-                "directions that turn at one rate cannot tell one from another: send directions "
-                "that jump"
-            )
-        elif self.rates_unstated:
-            why = (
-                "it is assumed that a host foresees the lag, as it does in logs and exports: a of "
-                "robots that steer themselves may be 40 % off"
-            )
-        elif self.may_lag:
-            why = (
-                "wheels that lag, or a host that sees headings late, would explain the turns as "
-                "well or better, and the dead time then holds the lag: state it, lag_s in a table, "
-                "wheels.lag or lab.lag in a spec, or measure it with --wheels; or send directions "
-                "that jump, which show that there is none"
-            )
-        else:
-            return ""
-        return f"a, heading bias and dead time have no intervals, as {why}"
 
 
 def identify(
@@ -136,7 +116,6 @@ def identify(
     shared_dead_time, robots = fit(frames, names, expected_a, speed, dead_time, all_commands)
 
     # what the user must know of the values
-    no_lag_stated = any(track.on_wheels and track.lag == 0 for track in tracks)
     stood: list[Stood] = []
     for robot in range(len(names)):
         stood += stands_of(tracks, robot, shared_dead_time.value)
@@ -151,11 +130,21 @@ def identify(
         robots=robots,
         strength=tracks[0].strength,
         strength_unit=tracks[0].strength_unit,
-        may_lag=no_lag_stated and lag_may_turn(tracks, shared_dead_time.value),
-        turns_uniformly=turn_uniformly(tracks),
-        rates_unstated=any(track.rates_unstated for track in tracks),
+        doubt=_doubt(tracks, shared_dead_time.value),
         stood=tuple(stood),
     )
+
+
+def _doubt(tracks: list[Track], dead_time_s: float) -> Doubt | None:
+    """Return the first doubt that holds."""
+    if turn_uniformly(tracks):
+        return Doubt.UNIFORM_TURNS
+    if any(track.rates_unstated for track in tracks):
+        return Doubt.RATES_UNSTATED
+    no_lag_stated = any(track.on_wheels and track.lag == 0 for track in tracks)
+    if no_lag_stated and lag_may_turn(tracks, dead_time_s):
+        return Doubt.LAG_UNSTATED
+    return None
 
 
 def turn_uniformly(tracks: list[Track]) -> bool:
@@ -180,7 +169,7 @@ def without_unsure_intervals(result: IdentifiedRobots) -> IdentifiedRobots:
     fewer than 92 % of the logs of trials (docs/how-to/identify.md)."""
     unsure = ["heading_noise", "heading_walk"]
     dead_time = result.dead_time
-    if result.why_no_intervals:
+    if result.doubt is not None:
         # all robots share the dead time: if it is wrong, a and bias of each are
         unsure += ["a", "heading_bias"]
         dead_time = _without_ends(dead_time)
@@ -224,6 +213,20 @@ def _spec_value(interval: SampleInterval) -> IdentifiedValue:
     )
 
 
+_WHY_NO_INTERVALS = {
+    None: "",
+    Doubt.UNIFORM_TURNS: "a, heading bias and dead time have no intervals, as directions that turn "
+    "at one rate cannot tell one from another: send directions that jump",
+    Doubt.RATES_UNSTATED: "a, heading bias and dead time have no intervals, as it is assumed that "
+    "a host foresees the lag, as it does in logs and exports: a of robots that steer themselves "
+    "may be 40 % off",
+    Doubt.LAG_UNSTATED: "a, heading bias and dead time have no intervals, as wheels that lag, or a "
+    "host that sees headings late, would explain the turns as well or better, and the dead time "
+    "then holds the lag: state it, lag_s in a table, wheels.lag or lab.lag in a spec, or measure "
+    "it with --wheels; or send directions that jump, which show that there is none",
+}
+
+
 def tables(result: IdentifiedRobots) -> list[Table]:
     """Return tables of each value with its 95 % interval; a row per value, a column per robot."""
     logs = "1 log" if len(result.sources) == 1 else f"{len(result.sources)} logs"
@@ -234,7 +237,7 @@ def tables(result: IdentifiedRobots) -> list[Table]:
     notes = [
         dead_time,
         _fit_text(result.robots),
-        result.why_no_intervals,
+        _WHY_NO_INTERVALS[result.doubt],
         clock_doubt(result.dead_time),
         *map(str, result.stood),
     ]
@@ -261,9 +264,13 @@ def labels_of(quantities: Mapping[str, str], unit: str) -> list[str]:
 
 def clock_doubt(dead_time: SampleInterval) -> str:
     """Return what to say of a dead time as of poses and commands with two clocks, "" for others."""
-    if dead_time.value < 0 and not dead_time.high >= 0:  # or unknown
+    least = dead_time.low
+    greatest = dead_time.high
+    if math.isnan(least):  # no interval is stated
+        least = greatest = dead_time.value
+    if greatest < 0:
         return "a dead time below 0: times of poses and commands are of two clocks"
-    if dead_time.value > LATE_S and not dead_time.low <= LATE_S:
+    if least > LATE_S:
         return f"a dead time above {LATE_S:g} s: are times of poses and commands of one clock?"
     return ""
 

@@ -131,13 +131,23 @@ def rewrite(
     return path
 
 
-def rewritten(log: Path, path: Path, in_order: bool = False, **options: Any) -> Path:
+def rewritten(
+    log: Path, path: Path, in_order: bool = False, keeps_name: bool = False, **options: Any
+) -> Path:
     """Write a log again as a program does that has MCAP's library and not tetractl; the messages
-    are in the order of their times, which is the reader's default, or else `in_order`."""
+    are in the order of their times, which is the reader's default, or else `in_order`. One that
+    `keeps_name` copies the header, and writes attachments first."""
     with log.open("rb") as source, path.open("wb") as file:
         reader = make_reader(source)
         writer = Writer(file, **options)
-        writer.start()
+        header = reader.get_header()
+        if keeps_name:
+            writer.start(header.profile, header.library)
+        else:
+            writer.start()
+        attachments = list(reader.iter_attachments())
+        for item in attachments if keeps_name else ():
+            writer.add_attachment(0, item.log_time, item.name, item.media_type, item.data)
         for item in reader.iter_metadata():
             writer.add_metadata(item.name, item.metadata)
         numbers: dict[int, int] = {}
@@ -149,7 +159,7 @@ def rewritten(log: Path, path: Path, in_order: bool = False, **options: Any) -> 
                 numbers[channel.id] = number
             number = numbers[channel.id]
             writer.add_message(number, message.log_time, message.data, message.publish_time)
-        for item in reader.iter_attachments():
+        for item in () if keeps_name else attachments:
             writer.add_attachment(0, item.log_time, item.name, item.media_type, item.data)
         writer.finish()
     return path

@@ -128,12 +128,9 @@ def verify(path: Path) -> Verification:
     notes = list(_notes(raw, log))
     if end_check is EndCheck.RECORDS:
         notes.append(f"the trial is not run again: {why_not_again}")
-    rewritten = ""
-    if raw.rewritten:
-        rewritten = raw.library or "an unknown program"
     return Verification(
         log=str(path),
-        rewritten=rewritten,
+        rewritten=raw.rewritten_by,
         steps=len(log.steps),
         checked=decisions.agreeing,
         method=method,

@@ -26,6 +26,9 @@ from tetractl.log.read.trial_log import Damage
 from tetractl.log.read.validate import stated_result
 
 ALTERED = "the content does not match the digest that the log states"
+UNKNOWN = "an unknown program"
+BEFORE_ATTACHMENTS = (channels.RUN, channels.HOST)
+"""Topics of the messages that tetractl writes before any attachment."""
 
 
 @dataclass(frozen=True)
@@ -149,16 +152,21 @@ class RawLog:
 
     @cached_property
     def computed_digests(self) -> Digests:
-        """The digests of the records in this file; other programs move attachments, which are put
-        in tetractl's place, after the messages of run and host."""
-        records = self.records
-        if self.rewritten:
-            attachments = [record for record in records if isinstance(record, Attachment)]
-            records = [*self.entries[:2], *attachments, *self.entries[2:]]
+        """The digests of the records in this file, in tetractl's order."""
         digests = LogDigests()
-        for record in records:
+        for record in self._in_tetractls_order:
             digests.add(record)
         return digests.hexdigests()
+
+    @cached_property
+    def _in_tetractls_order(self) -> list[Record]:
+        """The records with attachments, which other programs move, where tetractl puts them: after
+        the messages of run and host."""
+        attachments = [record for record in self.records if isinstance(record, Attachment)]
+        before = 0
+        while before < len(self.entries) and self.entries[before].topic in BEFORE_ATTACHMENTS:
+            before += 1
+        return [*self.entries[:before], *attachments, *self.entries[before:]]
 
     @property
     def brief(self) -> bool:
@@ -182,15 +190,19 @@ class RawLog:
         return self.stated_digests.host not in ("", self.computed_digests.host)
 
     @property
-    def rewritten(self) -> bool:
-        """Whether another program wrote the file, such as MCAP's own from a log of tetractl."""
-        return not self.library.startswith(channels.WRITER)
+    def rewritten_by(self) -> str:
+        """The program that wrote the file again, such as MCAP's own, from a log of tetractl; "" if
+        tetractl wrote it. One that copies tetractl's name with the header is known by attachments
+        in another place."""
+        if not self.library.startswith(channels.WRITER):
+            return self.library or UNKNOWN
+        return "" if self.records == self._in_tetractls_order else UNKNOWN
 
     @property
     def reordered(self) -> bool:
         """Whether another program wrote the messages in the order of their times, to which the
         digests do not apply."""
-        if not self.rewritten:
+        if not self.rewritten_by:
             return False
         return all(entry.log_ns <= later.log_ns for entry, later in pairwise(self.entries))
 

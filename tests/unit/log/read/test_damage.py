@@ -1,5 +1,6 @@
 """A log is whole or says what it lacks: by its file, its source, its result and its digests."""
 
+from support.mutate import rewritten
 from support.paths import ROOT
 
 from tetractl.log.format.channels import RESULT, STEP
@@ -49,3 +50,5 @@ def test_an_altered_log_is_not_whole_though_all_its_records_can_be_read(tmp_path
     damage = overview(altered).damage
     assert damage.problems == (ALTERED,)
     assert losses(raw, trial_of(raw))[0].startswith("control step")
+    copied = rewritten(altered, tmp_path / "copied.mcap", in_order=True, keeps_name=True)
+    assert scan(copied).altered

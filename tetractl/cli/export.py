@@ -60,25 +60,19 @@ def export(
 
 
 def _table_paths(out: Path, table: str | None) -> dict[str, Path]:
-    """Return the file of each table to write: of all tables in the folder `out`, or of one."""
+    """Return the file of each table to write: in the folder `out`, or of one table `out` itself."""
     from tetractl.results.trial_tables import TABLES
 
     if table is not None and table not in TABLES:
         raise UsageError(f"there is no table {table!r}", f"there are {', '.join(TABLES)}")
-    ending = out.suffix.lower().removeprefix(".")
-    refuse_retired("export", ending)
-    if ending != "csv" or out.is_dir():
-        _refuse_file_as_folder(out)
-        names = TABLES if table is None else (table,)
-        return {name: out / f"{name}.csv" for name in names}
-    if table is None:
+    names = TABLES if table is None else (table,)
+    ending = out.suffix.lower()
+    refuse_retired("export", ending.removeprefix("."))
+    is_table = ending == ".csv" and not out.is_dir()
+    if is_table and table is None:
         raise UsageError(f"{out}: one file holds one table", "name the table with --table")
-    _refuse_file_as_folder(out.parent)
-    return {table: out}
-
-
-def _refuse_file_as_folder(folder: Path) -> None:
-    """Raise UsageError if a folder cannot be made, as it or one that it is in is a file."""
+    folder = out.parent if is_table else out
     there = next(place for place in (folder, *folder.parents) if place.exists())
     if not there.is_dir():
         raise UsageError(f"{there}: not a folder", "name another with --out")
+    return {name: out if is_table else out / f"{name}.csv" for name in names}

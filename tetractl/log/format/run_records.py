@@ -125,12 +125,14 @@ def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Re
 
 
 def _require_robots(message: pb.Result, robots: int) -> None:
-    """Raise ValueError unless each column of a result that must have an entry per robot has it."""
-    always = (message.final_x, message.final_y, message.final_heading)
-    always += (message.robot_errors, message.entered, message.clearance)
-    optional = (message.edge, message.apart, message.inside, message.lost)
-    columns = [*always, *(column for column in optional if column)]
-    if message.turn or message.turn_std:
-        columns += [message.turn, message.turn_std]
+    """Raise ValueError unless each column of a result has an entry per robot. Columns that a log
+    may lack are there or empty, together if they belong together; `passed` has an entry per
+    way-point."""
+    columns = [message.final_x, message.final_y, message.final_heading]
+    columns += [message.robot_errors, message.entered, message.clearance]
+    may_lack = [[message.edge], [message.apart], [message.inside], [message.lost]]
+    for group in (*may_lack, [message.turn, message.turn_std]):
+        if any(group):
+            columns += group
     if any(len(column) != robots for column in columns):
         raise ValueError("the result and the run have different numbers of robots")

@@ -33,12 +33,13 @@ What happens next, if
 
     a pose jumps              if it is further from a pose of the last second than twice the speed
                               explains plus `jump_mm` (or has turned more, plus JUMP_HEADING), it is
-                              refused; after UNTRACKED_STOP_S (experiment/lab_section.py) the robot
-                              is hidden, and stops; after `untracked_abort` it is lost (3), or the
-                              run is aborted (10). If it stays, and so comes within reach, it
+                              refused (`robot_track`); after UNTRACKED_STOP_S (lab_section) the
+                              robot is hidden, and stops; after `untracked_abort` it is lost (3), or
+                              the run is aborted (10). If it stays, and so comes within reach, it
                               disobeys commands
-    poses disobey commands    on wheels they are refused likewise, and the run is aborted once the
-                              robot is hidden; those of a cell are accepted, with a warning
+    poses disobey commands    on wheels they are refused likewise (`motion_check`), and the run is
+                              aborted once the robot is hidden; those of a cell are accepted, with a
+                              warning
     no pose of a robot comes  as if it jumped
     no frame comes            all robots stop after `stale`; the run is aborted after `stream_lost`
                               (9)

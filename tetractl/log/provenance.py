@@ -1,4 +1,13 @@
-"""The provenance of a log: machine, time, versions, and state of the source tree."""
+"""The provenance of a log: machine, time, versions, and state of the source tree.
+
+host_facts        what a log states at its start, of these sets, which share no key:
+  process         started, pid
+  CODE            one hash, by which a study knows the trials of its own code
+  host            the machine
+  versions        python, tetractl, libraries, and a hash of what decides a step
+  git_state       in a checkout
+  plugins         packages that provide kinds
+"""
 
 import hashlib
 import json
@@ -6,11 +15,12 @@ import os
 import platform
 import socket
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from functools import cache
 from importlib import metadata
 from pathlib import Path
+from types import MappingProxyType
 
 from tetractl.core import __version__
 from tetractl.core.errors import printable
@@ -24,12 +34,17 @@ PACKAGES = (*COMPUTING, "pydantic", "pyyaml", "mcap", "zstandard", "protobuf")
 """Packages whose version may change a result or its log."""
 
 CODE = "trial_code"
-"""Key of the hash `trial_code`, by which a study knows the trials of its own code."""
+"""Key of the hash `trial_code`, of all code that a simulated trial and its log follow from."""
+
+DECISION_CODE = "code"
+"""Key of a hash of DECIDING, the code that a decision follows from."""
 
 FILES_MAX = 200
 """Largest number of changed files, and of untracked ones, that a log names: so that a checkout with
 large local changes makes no large logs."""
-VERSION_KEYS = frozenset({"python", "tetractl", "code", CODE, "git_commit", "git_dirty", *PACKAGES})
+VERSION_KEYS = frozenset(
+    {"python", "tetractl", DECISION_CODE, CODE, "git_commit", "git_dirty", *PACKAGES}
+)
 """Keys of versions in a log."""
 
 LISTS = frozenset({"cpu_features", "numba_settings", "numpy_dispatch"})
@@ -38,6 +53,9 @@ LISTS = frozenset({"cpu_features", "numba_settings", "numpy_dispatch"})
 PLUGIN = "package."
 """Prefix of the key for a package that provides a kind used by the spec; the value is its version.
 """
+
+DECIDING = ("control", "model")
+"""The parts of tetractl that determine a decision."""
 
 TRIAL_CODE = (
     "core",
@@ -61,14 +79,17 @@ def now() -> str:
 
 
 @cache
-def host() -> dict[str, str]:
+def host() -> Mapping[str, str]:
     """Return name, system and processor of this machine, and the settings that select compiled
     code.
     """
-    from llvmlite import binding  # slow to import, but loaded anyway if anything is computed
-    from numpy._core._multiarray_umath import __cpu_features__ as numpy_uses  # not public in numpy
+    # slow to import, but loaded anyway if anything is computed
+    from llvmlite import binding
 
-    return {
+    # private, but numpy.show_config names levels such as X86_V3 only, not the sets in them
+    from numpy._core._multiarray_umath import __cpu_features__ as numpy_uses
+
+    facts = {
         "host": socket.gethostname(),
         "os": platform.platform(),
         "cpu": _cpu(),
@@ -78,6 +99,7 @@ def host() -> dict[str, str]:
         "numpy_dispatch": _present(numpy_uses),
         "cpus": str(os.cpu_count() or 0),
     }
+    return MappingProxyType(facts)
 
 
 def _present(features: Mapping[str, bool]) -> str:
@@ -100,28 +122,15 @@ def processor(host: Mapping[str, str]) -> str:
 
 
 @cache
-def versions() -> dict[str, str]:
-    """Return `code_versions` and, in a checkout, the git state.
-
-    `git_commit` and `git_dirty` are left out if tetractl does not run from a git checkout or git is
-    not installed.
-    """
-    return code_versions() | _git_state()
-
-
-@cache
-def code_versions() -> dict[str, str]:
-    """Return the versions of code that affects results.
-
-    `code` is a hash of the source files of `tetractl.control` and `tetractl.model`.
-    """
-    sources = [file for part in ("control", "model") for file in (HERE / part).rglob("*.py")]
-    return {
+def versions() -> Mapping[str, str]:
+    """Return the versions of code that affects results."""
+    facts = {
         "python": platform.python_version(),
         "tetractl": __version__,
-        "code": cache_name(sources),
+        DECISION_CODE: cache_name(_sources(DECIDING)),
         **{name: metadata.version(name) for name in PACKAGES},
     }
+    return MappingProxyType(facts)
 
 
 @cache
@@ -131,10 +140,13 @@ def trial_code(packages: tuple[tuple[str, str], ...] = ()) -> str:
     They cover the source files of TRIAL_CODE, the versions of numerical libraries, and `packages`,
     name and version of each package that provides a kind used by the spec, with its source files.
     """
-    sources = {file for part in TRIAL_CODE for file in (HERE / part).rglob("*.py")}
-    sources.update(*(package_files(name) for name, _ in packages))
+    sources = _sources(TRIAL_CODE).union(*(package_files(name) for name, _ in packages))
     computing = [(name, metadata.version(name)) for name in COMPUTING]
     return cache_name(sources, repr([*computing, *packages]))
+
+
+def _sources(parts: Iterable[str]) -> set[Path]:
+    return {file for part in parts for file in (HERE / part).rglob("*.py")}
 
 
 def host_facts(packages: Mapping[str, str]) -> dict[str, str]:
@@ -143,8 +155,15 @@ def host_facts(packages: Mapping[str, str]) -> dict[str, str]:
     `packages` are name and version of each package that provides a kind used by the spec.
     """
     by_name = tuple(sorted(packages.items()))
-    process = {"started": now(), "pid": str(os.getpid())}
-    return process | {CODE: trial_code(by_name)} | host() | versions() | plugins(packages)
+    return {
+        "started": now(),
+        "pid": str(os.getpid()),
+        CODE: trial_code(by_name),
+        **host(),
+        **versions(),
+        **git_state(),
+        **plugins(packages),
+    }
 
 
 def plugins(packages: Mapping[str, str]) -> dict[str, str]:
@@ -153,7 +172,7 @@ def plugins(packages: Mapping[str, str]) -> dict[str, str]:
 
 
 def is_version(key: str) -> bool:
-    """Return whether a key of the host is one of `versions` or `plugins`."""
+    """Return whether a key of the host is of code: not of `host` nor of the process."""
     return key in VERSION_KEYS or key.startswith(PLUGIN)
 
 
@@ -161,12 +180,12 @@ def is_version(key: str) -> bool:
 def environment() -> str:
     """Return machine, versions, installed packages and local changes, as JSON."""
     facts: dict[str, object] = {
-        "host": host(),
-        "versions": versions(),
+        "host": dict(host()),
+        "versions": {**versions(), **git_state()},
         "python": sys.version,
         "packages": _installed(),
     }
-    if versions().get("git_dirty") == "true":
+    if git_state().get("git_dirty") == "true":
         facts |= _local_changes()
     return json.dumps(facts, indent=1) + "\n"
 
@@ -191,14 +210,20 @@ def _local_changes() -> dict[str, object]:
     }
 
 
-def _git_state() -> dict[str, str]:
+@cache
+def git_state() -> Mapping[str, str]:
+    """Return commit and dirtiness of tetractl's checkout; nothing if it does not run from one, or
+    git is not installed."""
     if _git("ls-files", "--error-unmatch", "__init__.py") is None:
-        return {}  # not a checkout, or the checkout of another project around an installed package
+        return MappingProxyType(
+            {}
+        )  # not a checkout, or the checkout of another project around an installed package
     commit = _git("rev-parse", "HEAD")
     changes = _git("status", "--porcelain", ":/")
     if commit is None or changes is None:
-        return {}
-    return {"git_commit": commit.strip(), "git_dirty": "true" if changes.strip() else "false"}
+        return MappingProxyType({})
+    dirty = "true" if changes.strip() else "false"
+    return MappingProxyType({"git_commit": commit.strip(), "git_dirty": dirty})
 
 
 def _git(*arguments: str) -> str | None:

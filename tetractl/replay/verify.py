@@ -229,7 +229,7 @@ def host_differences(log: TrialLog) -> tuple[str, ...]:
     line.
     """
     used = provenance.plugins(packages(log.experiment))
-    these_facts = provenance.host() | provenance.code_versions() | used
+    these_facts = {**provenance.host(), **provenance.versions(), **used}
     return tuple(
         _difference(key, log.facts.get(key), these_facts.get(key))
         for key in (*DECIDES_BITS, *used)

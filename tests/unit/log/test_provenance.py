@@ -19,10 +19,10 @@ def checkout(tmp_path, monkeypatch):
     (package / "log").mkdir(parents=True)
     (package / "__init__.py").write_text("")
     monkeypatch.setattr(provenance, "HERE", package)
-    for cached in (provenance.code_versions, provenance.versions, provenance.environment):
+    for cached in (provenance.versions, provenance.git_state, provenance.environment):
         cached.cache_clear()
     yield tmp_path
-    for cached in (provenance.code_versions, provenance.versions, provenance.environment):
+    for cached in (provenance.versions, provenance.git_state, provenance.environment):
         cached.cache_clear()
 
 
@@ -44,7 +44,7 @@ def committed(checkout):
 
 
 def test_a_clean_checkout_is_its_commit(committed):
-    facts = provenance.versions()
+    facts = {**provenance.versions(), **provenance.git_state()}
     assert facts["git_commit"] == _git(committed, "rev-parse", "HEAD")
     assert facts["git_dirty"] == "false"
     assert facts["tetractl"] == __version__
@@ -57,7 +57,7 @@ def test_a_clean_checkout_is_its_commit(committed):
 
 def test_a_changed_checkout_names_its_changes(committed):
     (committed / "tetractl" / "__init__.py").write_text("changed = True\n")
-    assert provenance.versions()["git_dirty"] == "true"
+    assert provenance.git_state()["git_dirty"] == "true"
     changed = json.loads(provenance.environment())
     assert changed["git_changed"] == ["tetractl/__init__.py"]
     diff = _git(committed, "diff", "HEAD") + "\n"

@@ -27,6 +27,7 @@ def elsewhere(monkeypatch):
     monkeypatch.setattr(provenance, "now", lambda: "2031-01-01T00:00:00.000+00:00")
     monkeypatch.setattr(provenance, "host", lambda: {"host": "another machine", "cpu": "other"})
     monkeypatch.setattr(provenance, "versions", lambda: {"python": "3.99.0"})
+    monkeypatch.setattr(provenance, "git_state", dict)
 
 
 def test_the_digest_ignores_where_and_when(tmp_path, request):

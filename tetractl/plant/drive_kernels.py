@@ -51,32 +51,23 @@ def answer(
     robots: KnownRobots,
     sent: SentRates,
     trains: Trains,
-) -> Floats:
-    """Return the wheel speeds sent, as the host knows them, and the true ones, each left and right,
-    (2, 2, N) [length unit/s].
+) -> tuple[Floats, Floats]:
+    """Return the wheel speeds sent, as the host knows them, and the true ones, (2, N) each, left
+    and right [length unit/s].
 
     The arguments up to `sent` are those of `rolling.wish`; what is sent is also noted in `sent`.
     """
     wished = _wish(heading, u, since_ns, acts_ns, robots, sent)
     if robots.lag_s > 0:
         _note(sent, acts_ns, wished, robots.radius)
-    gain = trains.gain
-    zone = trains.dead_zone
-    limit = trains.limit
-    steps = _count(wished, trains.owed, gain, zone, limit) if limit[0] > 0 else wished
-    speeds = np.empty((2, 2, heading.size))
+    if trains.limit[0] == 0:  # speeds are not rounded to counts
+        return wished, trains.true_gain * wished
+    steps = _count(wished, trains.owed, trains.gain, trains.dead_zone, trains.limit)
+    true_steps = np.zeros(steps.shape)
     for side in range(2):
         for i in range(heading.size):
-            step = steps[side, i]  # counts beyond the dead zone; without counts a speed
-            known_speed = step
-            true_step = step
-            if limit[i] > 0:
-                known_speed = gain[side, i] * step
-                if step != 0:
-                    counts = abs(step) + zone[side, i] - trains.true_dead_zone[side, i]
-                    true_step = math.copysign(max(counts, 0), step)
-                else:
-                    true_step = 0.0
-            speeds[0, side, i] = known_speed
-            speeds[1, side, i] = trains.true_gain[side, i] * true_step
-    return speeds
+            step = steps[side, i]  # counts beyond the dead zone
+            if step != 0:
+                counts = abs(step) + trains.dead_zone[side, i] - trains.true_dead_zone[side, i]
+                true_steps[side, i] = math.copysign(max(counts, 0), step)
+    return trains.gain * steps, trains.true_gain * true_steps

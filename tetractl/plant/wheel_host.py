@@ -41,7 +41,7 @@ class SimHost:
         )
         self._lead_ns = round((section.lead or 0.0) * SECOND)
         self._sent = SentRates.none(robots)
-        self._speeds = np.zeros((2, 2, robots))
+        self._speeds = np.zeros((2, robots)), np.zeros((2, robots))
         """The wheel speeds of the last transmission, as `transmit` returns them."""
         self.trains = true_trains(section, robots, random)
         """Wheels as calibrated and in truth."""
@@ -60,33 +60,36 @@ class SimHost:
 
     def transmit(
         self, now_ns: int, action: Steer | Turn | FieldOff, is_new: bool, frame: Observation
-    ) -> Floats:
+    ) -> tuple[Floats, Floats]:
         """Return the wheel speeds sent `now_ns` for an action, and schedule the next transmission.
 
-        They have the shape (2, 2, N) [length unit/s]: as the host knows them, by calibrated gains
-        and dead zones, and as the wheels run in truth; of each, left and right ones. `frame` is the
-        newest one received; `is_new` if the action has not been transmitted before.
+        Of left and right wheels, (2, N) each [length unit/s]: as the host knows them, by calibrated
+        gains and dead zones, and as the wheels run in truth. `frame` is the newest one received;
+        `is_new` if the action has not been transmitted before.
         """
         if self._section.rate is not None:  # as the lab's inner loop does
             due_ns = 0 if self.repeats_ns == NEVER else self.repeats_ns
             self.repeats_ns = next_due_ns(due_ns, now_ns, round(SECOND / self._section.rate))
-        if not is_new and not self._section.recompute:
-            return self._speeds
-        acts_ns = now_ns + self._lead_ns
-        # without a lead, the measured headings are taken as those at which the speeds act
-        since_ns = acts_ns if self._section.lead is None else frame.sampled_ns
-        headings = frame.poses.heading
+        if is_new or self._section.recompute:
+            self._compute(now_ns + self._lead_ns, action, frame)
+        return self._speeds
+
+    def _compute(self, acts_ns: int, action: Steer | Turn | FieldOff, frame: Observation) -> None:
+        """Compute the wheel speeds that begin to act at `acts_ns`."""
+        measured_ns = frame.sampled_ns
+        if self._section.lead is None:  # headings are taken as those of that time
+            measured_ns = acts_ns
+        headings = frame.poses.heading.copy()  # a read-only array is another type to the kernel
         self._sent = self._sent.with_room()
         self._speeds = self._answer(
-            headings.copy(),  # those of a frame are read-only, which is another type
-            aim(action, headings).copy(),
-            since_ns,
-            acts_ns,
-            self._known.turning() if isinstance(action, Turn) else self._known,
-            self._sent,
-            self.trains,
+            heading=headings,
+            u=aim(action, headings),
+            since_ns=measured_ns,
+            acts_ns=acts_ns,
+            robots=self._known.turning() if isinstance(action, Turn) else self._known,
+            sent=self._sent,
+            trains=self.trains,
         )
-        return self._speeds
 
 
 def true_trains(section: WheelDriveSection, robots: int, random: np.random.Generator) -> "Trains":

@@ -5,6 +5,8 @@ radius v / W; a field turned by pi makes robots drive back. The search minimises
 robots spend farther than `Problem.within` from their targets. It tries rotations first, and then
 adds random normal changes to the best sequence so far: half of the changes are independent from
 signal to signal, half accumulate along the sequence. Each round's changes are smaller.
+
+Rotations a little faster than a are tried, too: a robot falls behind the field and turns by fits.
 """
 
 from typing import ClassVar, Literal
@@ -19,8 +21,7 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.experiment.controller import OptimizerSection
 
 PHASES = np.linspace(-np.pi, np.pi, 16, endpoint=False)  # first directions of rotations [rad]
-# angular velocities of rotations, in units of the least a
-RATES = np.array([-1.25, -0.95, -0.75, 0.75, 0.95, 1.25])
+RATES = np.array([-1.25, -0.95, -0.75, 0.75, 0.95, 1.25])  # W of rotations, in units of the least a
 
 
 class CircleSearch(OptimizerSection):
@@ -55,26 +56,34 @@ class CircleSearch(OptimizerSection):
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search sequences of `length` signals; the previous plan `warm` is extended to that
-        length by repeating its last change of direction."""
+        """Search sequences of `length` signals, first rotations and the previous plan `warm`."""
         progress = Progress(length, limits)
         times = problem.period * np.arange(length)
-        rates = RATES * float(problem.a.min())
-        sequences = (PHASES[:, None, None] + rates[:, None] * times).reshape(-1, length)
+        angles = np.outer(RATES * problem.a.min(), times)
+        sequences = np.add.outer(PHASES, angles).reshape(-1, length)
         if warm is not None and len(warm):
-            turn = float(warm[-1] - warm[-2]) if len(warm) > 1 else 0.0
-            further = warm[-1] + turn * np.arange(1, length + 1)
-            sequences = np.vstack([np.append(warm, further)[:length], sequences])
+            sequences = np.vstack([_extended(warm, length), sequences])
         sequences = wrap(sequences)
         progress.add(sequences.T, evaluate(problem, sequences).total)
         for z in range(self.rounds):
             progress.ended = progress.limit_before(self.samples)
             if progress.ended is not None:
                 break
-            steps = normal(key, z * length * self.samples, length * self.samples).reshape(
-                self.samples, length
-            )
-            steps[::2] = np.cumsum(self.adding * steps[::2], axis=1)
-            tried = wrap(progress.best + self.spread * self.shrink**z * steps)
-            progress.add(tried.T, evaluate(problem, tried).total)
+            sequences = wrap(progress.best + self._changes(key, z, length))
+            progress.add(sequences.T, evaluate(problem, sequences).total)
         return progress.search()
+
+    def _changes(self, key: int, z: int, length: int) -> Floats:
+        """Return the random changes of round z [rad], (samples, length)."""
+        draws = self.samples * length
+        changes = normal(key, z * draws, draws).reshape(-1, length)
+        accumulating = changes[::2]  # every other sequence
+        np.cumsum(self.adding * accumulating, axis=1, out=accumulating)
+        return self.spread * self.shrink**z * changes
+
+
+def _extended(plan: Floats, length: int) -> Floats:
+    """Return a plan of `length` signals that goes on with the last change of direction of one."""
+    turn = plan[-1] - plan[-2] if len(plan) > 1 else 0.0
+    further = plan[-1] + turn * np.arange(1, length + 1)
+    return np.append(plan, further)[:length]

@@ -16,6 +16,7 @@ from support.terminal import PATIENCE_S, Terminal
 from support.trials import three_robots, write_torn, write_trial
 
 from tetractl.log.read.reader import read_trial
+from tetractl.view.plan_words import search_end
 
 pytestmark = pytest.mark.slow
 
@@ -153,7 +154,7 @@ def test_without_a_terminal_one_line_a_step(folder):
     for line, step in zip(lines, steps, strict=True):
         assert f"k {step.k} " in line
         assert f"evaluations {step.plan.evaluations} " in line
-        assert line.endswith(step.plan.search.ended)
+        assert line.endswith(search_end(step.plan.search))
     assert "\x1b" not in done.stdout
 
 

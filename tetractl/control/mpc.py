@@ -157,7 +157,8 @@ class TrialProgress:
         """Return the progress after a step in which `plan` was decided."""
         moving = not plan.pauses
         driven = self.driven + 1 if moving else 0
-        turning = self.turning.then(plan.facing)
+        facing = plan.instead.facing if isinstance(plan.instead, Turn) else None
+        turning = self.turning.then(facing)
         return replace(self, k=self.k + 1, last=plan, moving=moving, driven=driven, turning=turning)
 
 

@@ -110,14 +110,6 @@ class StopReason(StrEnum):
     DEADLINE = "deadline"  # the deadline passed
     FIXED = "given"  # there was no search: the spec gives the sequence
 
-    @classmethod
-    def read(cls, text: str) -> "StopReason | str":
-        """Return the StopReason that a log calls `text`; `text` itself if there is none."""
-        try:
-            return cls(text)
-        except ValueError:
-            return text
-
 
 @dataclass(frozen=True, slots=True)
 class Search:
@@ -136,11 +128,6 @@ class Search:
     evaluations: int
     stopped: StopReason | str
 
-    @property
-    def ended(self) -> str:
-        """Words for why the search ended."""
-        return "no search" if self.stopped == StopReason.FIXED else str(self.stopped)
-
 
 class State(StrEnum):
     """What the robots do in a control step; the value is the text in a log."""
@@ -151,15 +138,6 @@ class State(StrEnum):
     TURNING = "turning"  # they stand and turn on the spot
     HOLDING = "holding"  # they cannot stand, and stay near their targets
     STUCK = "stuck"  # they stand, and the trial ends: no candidate helps
-
-    @property
-    def doing(self) -> str:
-        """Words for readers."""
-        if self in (State.RESTING, State.STUCK):
-            return "standing"
-        if self is State.TURNING:
-            return "turning on the spot"
-        return self.value
 
 
 PAUSE_S = 0.5
@@ -200,19 +178,9 @@ class Plan:
         return float(self.signals[0]) if self.instead is None else None
 
     @property
-    def facing(self) -> float | None:
-        """The direction [rad] to which the robots turn on the spot, None if they do not."""
-        return self.instead.facing if isinstance(self.instead, Turn) else None
-
-    @property
     def pauses(self) -> bool:
         """Whether all robots stand for PAUSE_S, in place of driving; they may turn on the spot."""
         return isinstance(self.instead, Stop | Turn)
-
-    @property
-    def doing(self) -> str:
-        """Words for what the robots do."""
-        return "field off" if isinstance(self.instead, FieldOff) else self.state.doing
 
     @property
     def search(self) -> Search:
@@ -234,45 +202,16 @@ class Plan:
         return replace(self, path=path)
 
 
-_LOGGED_NO_BETTER_PLAN = "nothing better"
-"""What logs call the outcome NO_BETTER_PLAN."""
-
-
 class Outcome(StrEnum):
     """How a trial ended."""
 
-    ARRIVED = "arrived"
-    SEQUENCE_COMPLETED = "sequence completed"
-    NO_BETTER_PLAN = "no better plan"
+    ARRIVED = "arrived"  # at their targets
+    SEQUENCE_COMPLETED = "sequence completed"  # every signal was sent
+    NO_BETTER_PLAN = "no better plan"  # driving on would gain too little
     STEPS_MAX = "steps max"
     TIME_LIMIT = "time limit"
-    INTERRUPTED = "interrupted"
-    ABORTED = "aborted"
-
-    @property
-    def meaning(self) -> str:
-        """What the outcome means, for readers."""
-        return {
-            Outcome.ARRIVED: "every robot is within the arrival tolerance of its target",
-            Outcome.SEQUENCE_COMPLETED: "every signal was sent",
-            Outcome.NO_BETTER_PLAN: "stopped where driving on would gain too little",
-            Outcome.STEPS_MAX: "the largest number of control steps was reached",
-            Outcome.TIME_LIMIT: "the trial's time was over",
-            Outcome.INTERRUPTED: "Ctrl-C, `tetractl lab stop` or another signal ended the trial",
-            Outcome.ABORTED: "a fault or an error ended the trial",
-        }[self]
-
-    @property
-    def logged(self) -> str:
-        """The name in logs, where it stays as it was, so that digests stay the same."""
-        return _LOGGED_NO_BETTER_PLAN if self is Outcome.NO_BETTER_PLAN else self.value
-
-    @classmethod
-    def shown(cls, text: str) -> str:
-        """Return a text of a log, with the name of today if it begins with an outcome."""
-        if text.startswith(_LOGGED_NO_BETTER_PLAN):
-            return cls.NO_BETTER_PLAN.value + text.removeprefix(_LOGGED_NO_BETTER_PLAN)
-        return text
+    INTERRUPTED = "interrupted"  # by a signal, such as Ctrl-C, or `tetractl lab stop`
+    ABORTED = "aborted"  # by a fault or an error
 
     @property
     def complete(self) -> bool:

@@ -19,6 +19,8 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import SHOWN_HZ
 from tetractl.replay.dish_pictures import PICTURES_MAX, DishPictures
 from tetractl.replay.player import end_ns, first_seen, tracked
+from tetractl.results.outcome_meanings import MEANINGS
+from tetractl.view.plan_words import doing, search_end
 
 COARSER = 3
 """By how many decimals plans are coarser than what is shown in digits: a thousandth of the arena at
@@ -79,7 +81,7 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
         "dish": _dish(log) if plans else None,
         "events": _events(log),
         "outcome": result.outcome.value if result else "the log ends early",
-        "reason": result and (result.reason or result.outcome.meaning),
+        "reason": result and (result.reason or MEANINGS[result.outcome]),
     }
 
 
@@ -122,11 +124,11 @@ def _steps(log: TrialLog) -> dict[str, Any]:
     return {
         "t": rounded([log.elapsed_s(step.command.sent_ns) for step in steps]),
         "u": [plan.direction for plan in plans],
-        "doing": [plan.doing for plan in plans],
+        "doing": [doing(plan) for plan in plans],
         "cost": significant([np.nan if plan.pauses else plan.cost for plan in plans]),
         "signals": [None if plan.pauses else len(plan.signals) for plan in plans],
         "solve_ms": significant([step.solve_ns / MILLISECOND for step in steps]),
-        "ended": ["–" if plan.pauses else plan.search.ended for plan in plans],
+        "ended": ["–" if plan.pauses else search_end(plan.search) for plan in plans],
     }
 
 

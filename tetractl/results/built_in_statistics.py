@@ -31,6 +31,7 @@ from tetractl.results.flagged import (
     turns_of,
 )
 from tetractl.results.open_batch import listing
+from tetractl.results.outcome_meanings import MEANINGS
 from tetractl.results.statistic import Figure, Statistic, mean_figure, share_figure
 from tetractl.tools.table.table import NONE, digits, lengths
 
@@ -45,7 +46,7 @@ def _outcomes(trials: Sequence[ResultSummary]) -> list[Figure]:
         "aborted": counts[Outcome.ABORTED],
         "interrupted": counts[Outcome.INTERRUPTED],
     }
-    text = "; ".join(f"{n} {way.value} ({way.meaning})" for way, n in ways)
+    text = "; ".join(f"{n} {way.value} ({MEANINGS[way]})" for way, n in ways)
     brief = ", ".join(f"{n} {way.value}" for way, n in ways)
     return [Figure("outcomes", text, items, brief=brief)]
 

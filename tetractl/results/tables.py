@@ -20,6 +20,7 @@ from tetractl.results.estimate import Distribution, Interval, known_distribution
 from tetractl.results.flagged import flagged, unsafe
 from tetractl.results.mean_difference import MeanDifference
 from tetractl.results.open_batch import GIVEN_DIRECTIONS, directions_given, listing
+from tetractl.results.outcome_meanings import MEANINGS
 from tetractl.results.statistic import Figure
 from tetractl.tools.table.table import NONE, Column, Table, digits, fixed, lengths, p_value
 from tetractl.tools.table.terminal_table import LISTED_MAX
@@ -413,5 +414,5 @@ def trials_listed(group: BatchStatistics) -> Table:
             Column("unsafe", [", ".join(unsafe(trial)) or "no" for trial in trials]),
             Column("outcome", [trial.outcome.value for trial in trials]),
         ),
-        "; ".join(f"{outcome.value}: {outcome.meaning}" for outcome in outcomes),
+        "; ".join(f"{outcome.value}: {MEANINGS[outcome]}" for outcome in outcomes),
     )

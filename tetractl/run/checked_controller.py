@@ -11,14 +11,14 @@ import numpy as np
 from tetractl.control.work_clock import WorkClock
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
-from tetractl.core.errors import WrongValueError, printable, text_of
+from tetractl.core.errors import WrongValueError, text_of
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Decision, End, Outcome, Plan, Search, State, StopReason
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ALONE, ControllerSection, Host
 from tetractl.experiment.experiment import Experiment
-from tetractl.log.format.codec import STOP_REASON_MAX
+from tetractl.log.format.codec import decode_stop_reason
 from tetractl.log.read.limits import CHUNK_MAX
 from tetractl.log.read.validate import check_actions, check_plan
 
@@ -135,7 +135,7 @@ def _or_none(convert: Callable[[Any], Any]) -> Callable[[Any], Any]:
 _CONVERT: Mapping[Any, Callable[[Any], Any]] = {
     Floats: _array, float: float, int: index, State: State, Outcome: _outcome,
     Floats | None: _or_none(_array), float | None: _or_none(float),
-    StopReason | str: lambda text: StopReason.read(printable(text, STOP_REASON_MAX)),
+    StopReason | str: decode_stop_reason,
     tuple[Search, ...]: lambda searches: tuple(_made(Search, search) for search in searches),
     Estimate | None: _or_none(lambda estimate: _made(Estimate, estimate)),
     Turn | Stop | FieldOff | None: _instead,

@@ -6,6 +6,7 @@ from support.batches import batch
 from tetractl.core.plan import Outcome
 from tetractl.results import built_in_statistics
 from tetractl.results.estimate import distributions, proportion_interval
+from tetractl.results.outcome_meanings import MEANINGS
 from tetractl.results.statistic import count, mean_figure, share, share_figure
 
 VALUES = np.array([1.0, 1.0, 1.0, 100.0])  # one of four is above 10 times the median
@@ -46,7 +47,7 @@ def test_outcomes_are_explained_where_there_is_room():
     done = trials[0].outcome
     trials[4] = batch([[1.0]], outcome=Outcome.ABORTED)[0]
     (figure,) = built_in_statistics.OUTCOMES.of_batch(trials)
-    explained = f"4 {done.value} ({done.meaning}); 1 aborted ({Outcome.ABORTED.meaning})"
+    explained = f"4 {done.value} ({MEANINGS[done]}); 1 aborted ({MEANINGS[Outcome.ABORTED]})"
     assert figure.text == explained
     assert figure.brief == f"4 {done.value}, 1 aborted"
     assert set(figure.items["outcomes"]) == {way.value for way in Outcome}

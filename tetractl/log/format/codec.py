@@ -311,8 +311,17 @@ def _decode_search(message: pb.Search) -> Search:
         cost=message.cost,
         history=_floats(message.history),
         evaluations=message.evaluations,
-        stopped=StopReason.read(printable(message.stopped, STOP_REASON_MAX)),
+        stopped=decode_stop_reason(message.stopped),
     )
+
+
+def decode_stop_reason(text: str) -> StopReason | str:
+    """Return the StopReason that a log calls `text`; the text, printable, if there is none."""
+    reason = printable(text, STOP_REASON_MAX)
+    try:
+        return StopReason(reason)
+    except ValueError:
+        return reason
 
 
 def _encode_estimate(estimate: Estimate) -> pb.Estimate:

@@ -13,6 +13,7 @@ from tetractl.core.poses import Poses
 from tetractl.core.trial import Result, Start, Verdict
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import FORMAT_VERSION, TEXT
+from tetractl.log.format.outcome_names import outcome_from_log, outcome_to_log
 
 
 def encode_facts(facts: Mapping[str, str]) -> Iterable[pb.Fact]:
@@ -67,7 +68,7 @@ def encode_result(result: Result, unit: str, warnings: int = 0) -> pb.Result:
     """
     verdict = result.verdict
     return pb.Result(
-        outcome=result.outcome.logged,
+        outcome=outcome_to_log(result.outcome),
         reason=printable(result.reason, TEXT),
         steps=result.steps,
         duration_s=result.duration_s,
@@ -97,7 +98,7 @@ def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Re
     """
     _require_robots(message, robots)
     return Result(
-        outcome=Outcome(Outcome.shown(message.outcome)),
+        outcome=Outcome(outcome_from_log(message.outcome)),
         reason=message.reason,
         steps=message.steps,
         duration_s=message.duration_s,

@@ -12,6 +12,7 @@ from tetractl.core.shown import Shown
 from tetractl.core.trial import EMULATED_DEVICES, EMULATED_PLANT, PlantInfo, Result, TrialRecords
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.loaded_spec import LoadedSpec
+from tetractl.log.format.outcome_names import outcome_from_log
 
 
 class Origin(StrEnum):
@@ -117,7 +118,7 @@ class TrialLog(TrialRecords, Shown):
             Event(
                 self.elapsed_s(note.t_ns),
                 note.level,
-                Outcome.shown(note.text) + _next_step(note.text),
+                outcome_from_log(note.text) + _next_step(note.text),
             )
             for note in self.notes
         ]

@@ -30,6 +30,7 @@ from tetractl.log import provenance
 from tetractl.log.format import channels, codec, layout
 from tetractl.log.format.channels import Entry, Record
 from tetractl.log.format.codec import Frames
+from tetractl.log.format.outcome_names import outcome_to_log
 from tetractl.log.format.run_records import encode_facts, encode_result, encode_run
 from tetractl.log.format.scene import Scene, encode_note
 from tetractl.log.format.tetractl_pb2 import Host, HostEnd, StepTiming
@@ -259,4 +260,4 @@ def undelivered_texts(names: Sequence[str], step: Step) -> Iterator[str]:
 def end_text(result: Result) -> tuple[str, str]:
     """Return level and text of the message on the end of a trial."""
     level = "error" if result.outcome is Outcome.ABORTED else "info"
-    return level, result.summary.replace(result.outcome, result.outcome.logged, 1)
+    return level, outcome_to_log(result.summary)

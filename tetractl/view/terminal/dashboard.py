@@ -28,6 +28,7 @@ from tetractl.core.colors import robot_colors
 from tetractl.core.plan import Outcome, State, StopReason
 from tetractl.core.trial import Result, Step
 from tetractl.replay.player import Moment
+from tetractl.view.plan_words import doing
 from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import arrow, bar, sparkline
 
@@ -200,11 +201,11 @@ class Dashboard:
             lines.append(_row("horizon", signals))
         direction = step.command.direction
         if direction is None:
-            doing = step.plan.doing
+            robots = doing(step.plan)
             searches = moment.result is None and step.plan.state is not State.STUCK
             if searches and step.plan.pauses:
-                doing += ", searching"
-            lines.append(_row("robots", doing))
+                robots += ", searching"
+            lines.append(_row("robots", robots))
         else:
             degrees = math.degrees(math.remainder(direction, math.tau))
             lines.append(_row("direction", f"{arrow(direction)} {degrees:+.0f}°"))
@@ -290,7 +291,7 @@ class Dashboard:
         most = max(setup.iterations_max, done)
         first = _number(float(search.history[0])) if done >= 0 else "?"
         last = _number(step.plan.cost)
-        ended = ENDED.get(str(search.stopped), search.ended)
+        ended = ENDED.get(search.stopped, search.stopped)
         line_width = min(width, SPARKLINE_MOST)
         return [
             _row("plan cost J", f"{first} → {last} {setup.unit}"),

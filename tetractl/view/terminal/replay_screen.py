@@ -13,6 +13,7 @@ from tetractl.core.clock import Clock
 from tetractl.core.plan import State
 from tetractl.replay.player import Playback, Player, Recording
 from tetractl.tools.table.table import lengths
+from tetractl.view.plan_words import doing, search_end
 from tetractl.view.terminal.dashboard import Dashboard, Footer, fitted, printed
 from tetractl.view.terminal.keys import Keyboard
 from tetractl.view.terminal.screen import Screen
@@ -183,7 +184,7 @@ def step_line(recording: Recording, index: int) -> str:
     setup = recording.log.start.setup
     step = recording.log.steps[index]
     plan = step.plan
-    direction = plan.doing
+    direction = doing(plan)
     state = ""
     if step.command.direction is not None:
         degrees = math.degrees(math.remainder(step.command.direction, math.tau))
@@ -198,5 +199,5 @@ def step_line(recording: Recording, index: int) -> str:
         f"{time_s:6.2f} s  k {step.k:<3}  horizon {len(plan.signals):<3}  "
         f"J {cost} {setup.unit}  total error {recording.totals[index]:7.1f} {setup.unit} measured  "
         f"direction {direction:>10}  evaluations {plan.evaluations:<6}  "
-        f"{plan.search.ended}{state}"
+        f"{search_end(plan.search)}{state}"
     )

@@ -8,7 +8,7 @@ from itertools import islice
 
 import numpy as np
 
-from tetractl.core.commands import Stop
+from tetractl.core.commands import Stop, Turn
 from tetractl.core.plan import Outcome
 from tetractl.replay.lab_result import lab_differences
 from tetractl_emulator.fault_rows import MOTION, PLACE
@@ -148,7 +148,7 @@ def _late_in_a_row(truth: Truth) -> int:
     for step in truth.trial.steps:
         began_ns = max(step.observation.received_ns, ended_ns)
         ended_ns = step.command.sent_ns
-        stops = isinstance(step.command.action, Stop) or step.plan.facing is not None
+        stops = isinstance(step.command.action, Stop | Turn)
         is_late = ended_ns - began_ns > period_ns
         in_row = is_late and not stops and not robots_stand
         count = count + 1 if in_row else 0

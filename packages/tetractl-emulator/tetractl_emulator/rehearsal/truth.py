@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Turn
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import Bools, Floats, Integers
@@ -279,7 +280,7 @@ class Truth:
             return np.zeros(len(self.commanded_s))
         steps = self.trial.steps
         directed_s = np.array([step.command.sent_ns for step in steps]) / SECOND
-        is_turn = [step.plan.facing is not None for step in steps]
+        is_turn = [isinstance(step.command.action, Turn) for step in steps]
         turns_s = np.where(is_turn, PAUSE_S, 0.0)
         last_step = np.searchsorted(directed_s, self.commanded_s, "right") - 1
         is_known = last_step >= 0

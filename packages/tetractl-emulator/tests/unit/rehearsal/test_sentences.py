@@ -14,7 +14,7 @@ from tetractl_emulator.rehearsal.day import Day, DayPlan
 from tetractl_emulator.rehearsal.sentences import SENTENCES, violations
 from tetractl_emulator.rehearsal.truth import Truth
 
-from tetractl.core.commands import Steer, Stop
+from tetractl.core.commands import Steer, Stop, Turn
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Sight
 from tetractl.experiment.lab_section import LabLimits
@@ -325,10 +325,10 @@ def complete(fault=LOST, events=(), steps=()):
 
 
 def step(received_s, sent_s, facing=None):
+    action = Steer(0.0) if facing is None else Turn(facing)
     return SimpleNamespace(
-        plan=SimpleNamespace(facing=facing),
         observation=SimpleNamespace(received_ns=round(received_s * 1e9)),
-        command=SimpleNamespace(sent_ns=round(sent_s * 1e9), action=Steer(0.0)),
+        command=SimpleNamespace(sent_ns=round(sent_s * 1e9), action=action),
     )
 
 

@@ -272,7 +272,7 @@ def _require_one_place(path: Path, number: float, times: Floats) -> None:
     if is_twice.any():
         when = times[:-1][is_twice][0]
         raise UsageError(
-            f"{path}: cell {number:.0f} is at two places at {when:.6g} s",
+            f"{path}: cell {number:.0f} is at two places at {when:.15g} s",
             "are these several tracks, or times that are rounded?",
         )
 
@@ -363,8 +363,13 @@ def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
     for names_of_place in AXES:
         by_place += [by_name[name] for name in names_of_place if name in by_name][:1]
     if len(by_place) < len(AXES):
-        said = ", ".join(axis.name for axis in named_axes)
-        raise ValueError(f"no axis has a type, and their names are {said}")
+        names_said = ", ".join(axis.name for axis in named_axes)
+        has_types = "no axis has a type"
+        if times:
+            has_types = "no two axes have the type space"
+        elif places:
+            has_types = "no axis has the type time"
+        raise ValueError(f"{has_types}, and their names are {names_said}")
     return by_place
 
 

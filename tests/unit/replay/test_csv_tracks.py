@@ -257,6 +257,17 @@ def test_a_robot_at_two_places_at_once_is_refused(tmp_path, aside_mm):
             csv_tracks([poses, commands])
 
 
+def test_two_places_at_one_unix_time_are_refused_with_that_time(tmp_path):
+    """Regression: "at 1.764e+09 s", by which no row is found."""
+    poses, commands = write_drive(tmp_path)
+    lines = poses.read_text().splitlines()
+    places = [line.split(",", 1)[1] for line in lines[1:]]
+    rows = [f"{1_764_000_003 + k // 30},{place}" for k, place in enumerate(places)]
+    poses.write_text("\n".join([lines[0], *rows, ""]))
+    with pytest.raises(UsageError, match="green is at two places at 1764000003 s"):
+        csv_tracks([poses, commands])
+
+
 def test_robots_that_stand_after_their_last_command_need_none(tmp_path):
     """Regression: each export of a right trial was said to cover 13.2 s of 14.9 s."""
     poses, commands = write_drive(tmp_path)
@@ -383,6 +394,12 @@ def test_robots_are_those_of_the_commands(tmp_path, poses, commands, names):
     assert [text for text in track.remarks if "no command is for a" in text] == [
         text for text in track.remarks if names == ("b",)
     ]
+
+
+def test_a_robot_without_commands_is_said_with_the_names_of_those_that_have_some(tmp_path):
+    """Regression: "no command is for a" did not say that commands are for "3"."""
+    (track,) = tracks_of(tmp_path, TWO_POSES, sent_to("b", "3"))
+    assert any("no command is for a; commands are for 3, b" in text for text in track.remarks)
 
 
 LOST = "time_s,robot,x_mm,y_mm,heading_rad\n" + "".join(

@@ -425,7 +425,10 @@ def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: se
         _check_angles(poses_path, names, time, poses, valid)
     unsent = idle & set(numbers.robots)
     if unsent:
-        remarks.append(f"{commands_path}: no command is for {_names(unsent)}")
+        receivers = _names(numbers.twists)
+        remarks.append(
+            f"{commands_path}: no command is for {_names(unsent)}; commands are for {receivers}"
+        )
     never_seen = (unseen - idle) & set(numbers.robots)
     if never_seen:
         remarks.append(f"{poses_path}: no pose is of {_names(never_seen)}")
@@ -479,7 +482,7 @@ def _refuse_two_places(path: Path, rows: Floats, names: list[str]) -> None:
         hint = "are these poses of several robots, or times that are rounded?"
         if not names[int(robot)]:
             hint = "several robots? name them in a column robot"
-        raise UsageError(f"{path}: {name} is at two places at {time:.6g} s", hint)
+        raise UsageError(f"{path}: {name} is at two places at {time:.15g} s", hint)
 
 
 def _usual_gap(times: Floats) -> float:

@@ -87,6 +87,13 @@ def test_a_graph_without_the_names_of_axes_is_named_with_those_that_it_has(tmp_p
         poses(path, UM, HZ)
 
 
+def test_a_graph_without_an_axis_of_time_is_told_so(tmp_path):
+    """Regression: "no axis has a type", though two have."""
+    path = graph(tmp_path / "tracks.geff", {"y": SPACE, "x": SPACE}, {"y": Y, "x": X})
+    with pytest.raises(UsageError, match="no axis has the type time, and their names are y, x"):
+        poses(path, UM, HZ)
+
+
 @pytest.mark.parametrize(
     ("header", "times"), [("time_s", K / HZ), ("t (ms)", 1000 * K / HZ), ("Timestamp_us", 4e4 * K)]
 )
@@ -180,6 +187,14 @@ def test_a_track_at_two_places_at_once_is_refused_and_a_row_twice_is_not(tmp_pat
     path = placed(tmp_path / "b.csv", "particle,frame,y,x", np.vstack([twice, moved]))
     with pytest.raises(UsageError, match="cell 1 is at two places at 0 s"):
         poses(path, UM, HZ)
+
+
+def test_a_track_at_two_places_at_a_unix_time_is_refused_with_that_time(tmp_path):
+    """Regression: "at 1.764e+09 s", by which no row is found."""
+    rows = np.column_stack([NUMBER, 1_764_000_003 + K // 2, Y, X])
+    path = placed(tmp_path / "a.csv", "particle,time_s,y,x", rows)
+    with pytest.raises(UsageError, match="at two places at 1764000003 s"):
+        poses(path, UM)
 
 
 @pytest.mark.parametrize(("step", "is_said"), [(40, True), (10, True), (9, False), (1, False)])

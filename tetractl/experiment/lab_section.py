@@ -5,7 +5,7 @@ Each section of a camera or actuator is in the file of its adapter, and named in
 the spec's length unit; times are in seconds.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from pkgutil import resolve_name
@@ -296,3 +296,22 @@ def mismatches(
             first = taken.setdefault((key, value), i)
             if first != i:
                 yield ("robots", i, key), f"is also that of {robots[first].name}; they must differ"
+
+
+def too_fast(setup: Setup, speed_max_mm_s: float) -> Iterator[tuple[Loc, str]]:
+    """Yield, as a section's `contradictions`, that a robot is faster than its wheels are driven."""
+    speeds = setup.speed * setup.metres * 1000
+    if speeds.max() > speed_max_mm_s:
+        name = setup.names[int(speeds.argmax())]
+        yield ("speed_max_mm_s",), f"is below the speed of {name}, {speeds.max():g} mm/s"
+
+
+def unknown_radii(setup: Setup, radii_mm: Iterable[float | None]) -> Iterator[tuple[Loc, str]]:
+    """Yield, as a section's `contradictions`, the robots of which neither their entries, by the
+    radii (N,), nor the spec says how far the wheels are from the centre."""
+    if setup.wheel_radius is not None:
+        return
+    for i, radius_mm in enumerate(radii_mm):
+        if radius_mm is None:
+            message = "is missing; add it, or 'wheels: {radius: ..}' for all robots"
+            yield ("robots", i, "radius_mm"), message

@@ -9,9 +9,15 @@ from pydantic import Field
 from tetractl.core.poses import Sight
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import NonNegative, Positive
-from tetractl.experiment.lab_section import ActuatorSection, CameraSection, RobotPart, mismatches
+from tetractl.experiment.lab_section import (
+    ActuatorSection,
+    CameraSection,
+    RobotPart,
+    mismatches,
+    too_fast,
+)
 from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.actuators.wheeled_section import Found, too_fast
+from tetractl.lab.actuators.wheeled_section import Found, wheel_gains
 from tetractl_toio.messages import MAT_MM, RADIUS_MM, WHEEL_MM_S
 
 MatPoint = tuple[Annotated[int, Field(ge=0, le=65_535)], Annotated[int, Field(ge=0, le=65_535)]]
@@ -107,7 +113,7 @@ class ToioSection(ActuatorSection):
 
     def measured(self, result: Found) -> dict[str, Any]:
         """Return a cube's r and gains."""
-        return result.gains(WHEEL_MM_S)
+        return wheel_gains(result, WHEEL_MM_S)
 
     def bounds(self) -> dict[str, str]:
         """Return the cubes, the rate and the largest wheel speed, for display."""

@@ -7,9 +7,15 @@ from pydantic import Field
 
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Positive
-from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
+from tetractl.experiment.lab_section import (
+    ActuatorSection,
+    RobotPart,
+    mismatches,
+    too_fast,
+    unknown_radii,
+)
 from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.actuators.wheeled_section import Found, too_fast, unknown_radii
+from tetractl.lab.actuators.wheeled_section import Found, wheel_gains
 
 
 class OwnRobot(RobotPart):
@@ -78,4 +84,4 @@ class OwnSection(ActuatorSection):
 
     def measured(self, calibrated: Found) -> dict[str, Any]:
         """Return a robot's r and gains."""
-        return calibrated.gains(self.unit_mm)
+        return wheel_gains(calibrated, self.unit_mm)

@@ -7,9 +7,9 @@ from pydantic import Field
 
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
-from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
+from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches, unknown_radii
 from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.actuators.wheeled_section import Found, unknown_radii
+from tetractl.lab.actuators.wheeled_section import Found
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 
 

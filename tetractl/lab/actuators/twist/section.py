@@ -7,9 +7,15 @@ from pydantic import Field
 
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import NonNegative, Positive
-from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
+from tetractl.experiment.lab_section import (
+    ActuatorSection,
+    RobotPart,
+    mismatches,
+    too_fast,
+    unknown_radii,
+)
 from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.actuators.wheeled_section import Found, too_fast, unknown_radii
+from tetractl.lab.actuators.wheeled_section import Found, wheel_gains
 
 
 class TwistRobot(RobotPart):
@@ -101,7 +107,7 @@ class TwistSection(ActuatorSection):
 
     def measured(self, calibrated: Found) -> dict[str, Any]:
         """Return a robot's r and gains."""
-        return calibrated.gains(1.0)
+        return wheel_gains(calibrated, 1.0)
 
     def index(self, name: str) -> int:
         """Return the number in lines of the robot with this name."""

@@ -107,6 +107,6 @@ def true_trains(section: WheelDriveSection, robots: int, random: np.random.Gener
         gain=np.full(wheels, float(gain)),
         dead_zone=np.full(wheels, float(section.dead_zone)),
         true_gain=gain * gain_factors,
-        true_dead_zone=np.maximum(dead_zones, 0).astype(np.float64),
+        true_dead_zone=np.maximum(dead_zones, 0.0),
         limit=np.full(robots, 0.0 if section.count is None else float(COUNT_MAX)),
     )

@@ -38,6 +38,7 @@ from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
 from tetractl.experiment.registry_fields import KindName, KindSection, OrMapping
+from tetractl.experiment.section_abilities import GivenDirections
 from tetractl.experiment.trial_robots import OrTrialRobots, TrialRobots
 
 
@@ -351,6 +352,12 @@ class Experiment(Model):
     def open(self) -> bool:
         """Whether the robots are still to be found by the trial."""
         return self.chosen is not None and not self.chosen.are_found
+
+    @property
+    def directions_given(self) -> bool:
+        """Whether no controller decides: the spec gives the directions. Errors may come from
+        hindsight then, so they are no controller's."""
+        return isinstance(self.controller, GivenDirections)
 
     @property
     def asked(self) -> tuple[Robot, ...] | TrialRobots:

@@ -30,10 +30,9 @@ from tetractl.results.flagged import (
     turn_columns,
     turns_of,
 )
-from tetractl.results.open_batch import listing
 from tetractl.results.outcome_meanings import MEANINGS
 from tetractl.results.statistic import Figure, Statistic, mean_figure, share_figure
-from tetractl.tools.table.table import NONE, digits, lengths
+from tetractl.tools.table.table import NONE, digits, lengths, listing
 
 # ---- How trials ended ----
 

@@ -25,7 +25,6 @@ from tetractl.results.open_batch import (
     Batch,
     counts,
     differences,
-    directions_given,
     experiment_of,
 )
 from tetractl.results.statistic import Figure, statistics
@@ -214,7 +213,7 @@ class Contrast(Shown):
     @property
     def no_controller(self) -> bool:
         """Whether directions were given, of a batch or both."""
-        return directions_given(self.first.experiment) or directions_given(self.second.experiment)
+        return self.first.experiment.directions_given or self.second.experiment.directions_given
 
     @property
     def reason(self) -> str | None:
@@ -332,7 +331,7 @@ def contrast(
 def _is_tested(first: BatchStatistics, second: BatchStatistics) -> bool:
     """Return whether a difference is tested: between plants that are alike, and controllers that
     decided."""
-    no_controller = directions_given(first.experiment) or directions_given(second.experiment)
+    no_controller = first.experiment.directions_given or second.experiment.directions_given
     return first.origin is second.origin and not no_controller
 
 

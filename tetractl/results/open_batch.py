@@ -11,10 +11,10 @@ from typing import Any
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.shown import Shown
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.section_abilities import GivenDirections
 from tetractl.log.read.find import find_logs, is_set_aside, without_others
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
+from tetractl.tools.table.table import listing
 
 OnLog = Callable[[int, int], object]
 """Called with the numbers of logs read and of all logs."""
@@ -134,17 +134,6 @@ class Source:
             name += f" and {len(paths) - 1} more"
         return cls(name, logs)
 
-    def by_arm(self, folder: Path) -> "list[Source]":
-        """Return a source per folder in `folder` if all trials are in several of these, such as the
-        arms of a study, otherwise this source.
-        """
-        by_arm: dict[Path, list[Path]] = {}
-        for log in self.logs:
-            by_arm.setdefault(log.parent, []).append(log)
-        if len(by_arm) < 2 or any(arm.parent != folder for arm in by_arm):
-            return [self]
-        return [Source(arm.name, logs) for arm, logs in by_arm.items()]
-
     def read(self, on_log: OnLog = lambda done, count: None) -> Batch:
         """Read every result; `on_log` is called with the numbers of logs read and of all logs."""
         trials: list[ResultSummary] = []
@@ -165,33 +154,41 @@ def open_batch(paths: Sequence[Path | str]) -> Batch:
     return Source.of(paths).read()
 
 
-def sources(paths: Sequence[str]) -> list[Source]:
-    """Return the files of each batch: of each folder, if the paths are several folders; of each
-    folder in it, if the only path is a folder of folders, such as a study's; otherwise of all paths
-    together.
-    """
-    paths = [str(path) for path in without_others(paths)]
-    if len(paths) == 1:
-        return Source.of(paths).by_arm(Path(paths[0]))
-    if not all(Path(path).is_dir() for path in paths):
-        return [one_source(paths)]
-    batches = [one_source([path]) for path in paths]
-    if len({source.name for source in batches}) == len(batches):
-        return batches
-    return [Source(path, source.logs) for path, source in zip(paths, batches, strict=True)]
+def batches_in(path: Path | str) -> list[Source]:
+    """Return what a file, folder or pattern holds: one batch or, if all logs are in several folders
+    of a folder, such as a study's, one of each."""
+    source = Source.of([path])
+    by_arm: dict[Path, list[Path]] = {}
+    for log in source.logs:
+        by_arm.setdefault(log.parent, []).append(log)
+    if len(by_arm) < 2 or any(arm.parent != Path(path) for arm in by_arm):
+        return [source]
+    return [Source(arm.name, logs) for arm, logs in by_arm.items()]
 
 
-def one_source(paths: Sequence[str]) -> Source:
-    """Return the files of all paths as one batch; UsageError if a path is a folder of
-    several batches.
-    """
+def one_source(paths: Sequence[Path | str]) -> Source:
+    """Return what all paths hold as one batch; UsageError if a path is a folder of several."""
     source = Source.of(paths)
     for folder in filter(Path.is_dir, map(Path, paths)):
-        in_folder = source if len(paths) == 1 else Source.of([folder])
-        batches = len(in_folder.by_arm(folder))
+        batches = len(batches_in(folder))
         if batches > 1:
             raise UsageError(f"{folder}: holds {batches} batches", "name the folder of each")
     return source
+
+
+def sources(paths: Sequence[str]) -> list[Source]:
+    """Return the batches that a user means: those in the only path; one per path, if all are
+    folders; else one of all paths together.
+    """
+    listed = without_others(paths)
+    if len(listed) == 1:
+        return batches_in(listed[0])
+    if not all(map(Path.is_dir, listed)):
+        return [one_source(listed)]
+    batches = [one_source([folder]) for folder in listed]
+    if len({source.name for source in batches}) == len(batches):
+        return batches
+    return [Source(str(path), source.logs) for path, source in zip(listed, batches, strict=True)]
 
 
 _BOOKKEEPING = {"trials", "description", "error_bound"}
@@ -268,21 +265,11 @@ def differences(ours: Experiment, theirs: Experiment) -> list[str]:
     if ours.chosen is not None and ours.asked == theirs.asked:
         left_out["robots"] = True
         left_out["chosen"] = True
-    if directions_given(ours) and directions_given(theirs):
+    if ours.directions_given and theirs.directions_given:
         left_out["controller"] = {"directions"}
     our_fields = ours.model_dump(mode="json", exclude=left_out)
     their_fields = theirs.model_dump(mode="json", exclude=left_out)
     return list(_differences(our_fields, their_fields))
-
-
-GIVEN_DIRECTIONS = "given directions"
-"""What tables and figures call a batch in which no controller decided."""
-
-
-def directions_given(experiment: Experiment) -> bool:
-    """Return whether no controller decided: the spec gives the directions. Its errors may come from
-    hindsight, so they are no controller's."""
-    return isinstance(experiment.controller, GivenDirections)
 
 
 def _differences(ours: Any, theirs: Any, path: str = "") -> Iterator[str]:
@@ -306,14 +293,3 @@ def _differences(ours: Any, theirs: Any, path: str = "") -> Iterator[str]:
 def _as_text(value: Any) -> str:
     """Return a single value as in JSON, text without quotes."""
     return value if isinstance(value, str) else json.dumps(value)
-
-
-LISTED = 4
-"""Most texts in one line."""
-
-
-def listing(texts: Sequence[str], between: str = ", ") -> str:
-    """Join the first texts into one line, with the number of the rest."""
-    joined = between.join(texts[:LISTED])
-    more = len(texts) - LISTED
-    return f"{joined} and {more} more" if more > 0 else joined

@@ -19,10 +19,9 @@ from tetractl.results.describe import BatchComparison, BatchStatistics, Contrast
 from tetractl.results.estimate import Distribution, Interval, known_distribution
 from tetractl.results.flagged import flagged, unsafe
 from tetractl.results.mean_difference import MeanDifference
-from tetractl.results.open_batch import GIVEN_DIRECTIONS, directions_given, listing
 from tetractl.results.outcome_meanings import MEANINGS
 from tetractl.results.statistic import Figure
-from tetractl.tools.table.table import NONE, Column, Table, digits, fixed, lengths, p_value
+from tetractl.tools.table.table import NONE, Column, Table, digits, fixed, lengths, listing, p_value
 from tetractl.tools.table.terminal_table import LISTED_MAX
 
 DECIMALS_MAX = 9
@@ -120,10 +119,14 @@ def _remarks(group: BatchStatistics, several: bool) -> Iterator[tuple[str, str, 
 # ---- The figures of a batch ----
 
 
+GIVEN_DIRECTIONS = "given directions"
+"""What tables and figures call a batch in which no controller decided."""
+
+
 def figures_of(group: BatchStatistics) -> Iterator[Figure]:
     """Yield the figures of a batch that tables show below its errors, in their order."""
     yield Figure("plant", str(group.origin), unusual=False)
-    if directions_given(group.experiment):
+    if group.experiment.directions_given:
         yield Figure(GIVEN_DIRECTIONS, "no controller decided; not ranked with controllers")
     if group.origin is Origin.DISTURBED:
         # the title of several batches says so

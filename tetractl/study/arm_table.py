@@ -10,8 +10,8 @@ import numpy as np
 from tetractl.core.trial import PlantInfo
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.estimate import ArmErrors, numeric
-from tetractl.results.open_batch import GIVEN_DIRECTIONS, Batch, counts, directions_given
-from tetractl.results.tables import error_table, processors_note
+from tetractl.results.open_batch import Batch, counts
+from tetractl.results.tables import GIVEN_DIRECTIONS, error_table, processors_note
 from tetractl.results.trial_tables import trials_table
 from tetractl.run.store import Store
 from tetractl.study.load_study import Arm, LoadedStudy, as_yaml, shown
@@ -102,7 +102,7 @@ def field_values(store: Store, path: str, arms: Iterable[Arm]) -> list[ArmErrors
 
 def given_note(arms: Sequence[Arm]) -> str:
     """Return which of several arms were given their directions, "" for none."""
-    names = [arm.name for arm in arms if directions_given(arm.spec.experiment)]
+    names = [arm.name for arm in arms if arm.spec.experiment.directions_given]
     return f"{GIVEN_DIRECTIONS}: {', '.join(names)}" if names else ""
 
 

@@ -7,6 +7,8 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 NONE = "-"
 """The text for an unknown value."""
+LISTED = 4
+"""Most texts in one line."""
 
 
 def fixed(decimals: int) -> Callable[[float], str]:
@@ -40,6 +42,13 @@ def digits(value: float) -> str:
 def plural(noun: str, count: int) -> str:
     """Return a regular noun as it stands after a count."""
     return noun if count == 1 else f"{noun}s"
+
+
+def listing(texts: Sequence[str], between: str = ", ") -> str:
+    """Join the first texts into one line, with the number of the rest."""
+    joined = between.join(texts[:LISTED])
+    more = len(texts) - LISTED
+    return f"{joined} and {more} more" if more > 0 else joined
 
 
 def p_value(p: float) -> str:

@@ -26,7 +26,8 @@ from tetractl.results.estimate import (
     distributions,
     published_distribution,
 )
-from tetractl.results.open_batch import GIVEN_DIRECTIONS, counts, directions_given
+from tetractl.results.open_batch import counts
+from tetractl.results.tables import GIVEN_DIRECTIONS
 from tetractl.view import style
 from tetractl.view.figures.axes import log_axis, name_categories, spans_orders
 from tetractl.view.figures.trials import by_folder
@@ -82,7 +83,7 @@ def figure_of_logs(logs: Sequence[TrialLog]) -> Figure:
         known = [(path, error) for path, error in errors if math.isfinite(error)]
         totals = np.array([error for _, error in known])
         paths = [path for path, _ in known]
-        batches.append(BatchErrors(name, totals, paths, directions_given(trials[0].experiment)))
+        batches.append(BatchErrors(name, totals, paths, trials[0].experiment.directions_given))
     return _drawn(batches, logs[0].experiment, {}, narrow=False)
 
 
@@ -99,7 +100,7 @@ def batch_figure(
     batches: list[BatchErrors] = []
     for group in groups:
         paths = [trial.log for trial in group.batch.trials if counts(trial)]
-        no_controller = directions_given(group.experiment)
+        no_controller = group.experiment.directions_given
         batches.append(BatchErrors(group.name, group.totals, paths, no_controller))
     figure = _drawn(batches, groups[0].experiment, links or {}, narrow)
     drawn = [group for group in groups if group.counted]

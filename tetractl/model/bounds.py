@@ -3,34 +3,14 @@
 N robots move by the paper's equations (1)-(3) for at most t seconds: theta_i' = a_i sin(u -
 theta_i), one u for all. Let g_i be the vector from a robot's start to its target, e_i its distance
 to the target at the end, and w_i the integral of its unit heading vector, so that the robot moves
-by v_i w_i.
+by v_i w_i. Each function derives its part:
 
-Reach. |w_i| <= t, hence e_i >= |g_i| - v_i t.
+    reach          e_i >= |g_i| - v_i t                    one robot, that drives straight
+    drift          |w_1 - w_2| <= G(t)                     two robots turn by the same u
+    _pair_bounds   e_1 + e_2 >= min(v_1, v_2) (|g_1 / v_1 - g_2 / v_2| - G(t))
+    _least_sum     the least e_1 + ... + e_N under all of these, a linear programme
 
-Pairs. For two robots let delta = theta_1 - theta_2, s = a_1 + a_2, d = |a_1 - a_2| and m be u minus
-the mean heading. Then delta' = a_1 sin(m - delta/2) - a_2 sin(m + delta/2)
-= (a_1 - a_2) sin m cos(delta/2) - s cos m sin(delta/2), and over all m
-
-    |delta|' <= sqrt(d^2 cos^2(delta/2) + s^2 sin^2(delta/2)) <= sqrt(d^2 + (s delta/2)^2).
-
-So |delta| never exceeds the solution D of D' = sqrt(d^2 + (s D/2)^2) from D(0) = |delta(0)|, the
-difference of the start headings:
-
-    D(t) = D(0) cosh(k t) + B sinh(k t),   k = s/2,   B = sqrt((2d/s)^2 + D(0)^2).
-
-Unit vectors that differ in angle by delta have the distance 2 |sin(delta/2)| <= min(|delta|, 2),
-hence |w_1 - w_2| <= G(t), the integral of min(D, 2). With p_i = g_i / v_i,
-
-    e_1 + e_2 = v_1 |w_1 - p_1| + v_2 |w_2 - p_2| >= min(v_1, v_2) (|p_1 - p_2| - G(t)).
-
-Robots of equal turning rate a and start heading have D = 0: their paths have the same shape, and
-for two such robots the bound is exact if t is long enough. The bounds also hold for the Euler model
-(4)-(6) and held wheel speeds (24)-(25): the right-hand side of D' grows with D, so a step of length
-T along the tangent stays below D, and a left Riemann sum of a growing function stays below its
-integral.
-
-All robots. The total error is at least the minimum of e_1 + ... + e_N under all these inequalities,
-a linear programme.
+The bounds also hold for the Euler model (4)-(6) and held wheel speeds (24)-(25), see `drift`.
 """
 
 import numpy as np
@@ -40,68 +20,86 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
 
 PAIRS_MAX = 1000
-"""Largest number of pairs in the linear programme; further pairs could only raise the bound."""
+"""Largest number of pairs in the linear programme: those that raise the bound most. It holds
+without the others, which could only raise it."""
 
 
-@np.errstate(all="ignore")
+@np.errstate(over="ignore")  # a speed may be so great that the robot drives an infinite way
 def reach(setup: Setup, seconds: float) -> Floats:
     """Return each robot's error (N,) after driving straight towards its target for `seconds`, 0 if
-    it arrives [length unit]."""
+    it arrives [length unit]: as |w_i| <= t, no other way brings it nearer."""
     gaps = np.linalg.norm(setup.targets - setup.starts.xy, axis=1)
     return np.maximum(gaps - setup.speed * seconds, 0.0)
 
 
-@np.errstate(all="ignore")
+# if both turn alike, divisions by 0; if almost, e^(k t) overflows before D is 2
+@np.errstate(divide="ignore", invalid="ignore", over="ignore")
 def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
     """Return G [s], an upper bound of |w_1 - w_2| for pairs of robots; w is the integral of a
     robot's unit heading vector over at most `seconds`.
 
     `turned` >= 0 is the difference of their start headings [rad]; all arguments broadcast.
+
+    Let delta = theta_1 - theta_2, s = a_1 + a_2, d = |a_1 - a_2| and m be u minus the mean heading.
+    Then delta' = a_1 sin(m - delta/2) - a_2 sin(m + delta/2)
+    = (a_1 - a_2) sin m cos(delta/2) - s cos m sin(delta/2), and over all m
+
+        |delta|' <= sqrt(d^2 cos^2(delta/2) + s^2 sin^2(delta/2)) <= sqrt(d^2 + (s delta/2)^2).
+
+    So |delta| never exceeds the solution D of D' = sqrt(d^2 + (s D/2)^2) from D(0) = |delta(0)|:
+
+        D(t) = D(0) cosh(k t) + B sinh(k t),   k = s/2,   B = sqrt((2d/s)^2 + D(0)^2).
+
+    Unit vectors that differ in angle by delta have the distance 2 |sin(delta/2)| <= min(|delta|,
+    2): G is the integral of min(D, 2). Robots of equal a and start heading have D = 0 and G = 0:
+    their paths have the same shape.
+
+    In the Euler model and with held wheel speeds, too: the right-hand side of D' grows with D, so a
+    step along the tangent stays below D, and a left Riemann sum of a growing function stays below
+    its integral.
     """
     rate = (a_1 + a_2) / 2  # k
-    relative = np.abs(a_1 - a_2) / rate
+    relative = np.abs(a_1 - a_2) / rate  # 2d/s
     slope = np.hypot(relative, turned)  # B
-    # e^(k t) at the time when D = 2, the solution of a quadratic equation
+    # D = 2 is a quadratic equation in e^(k t), of which this is the solution
     growth = (2 + np.sqrt(4 + relative**2)) / (turned + slope)
     until = np.clip(np.log(growth) / rate, 0.0, seconds)
     # the integral of D up to that time; from then on min(D, 2) is 2
     grown = (turned * np.sinh(rate * until) + slope * (np.cosh(rate * until) - 1)) / rate
     bound = np.minimum(grown, 2 * until) + 2 * (seconds - until)
-    return np.where(turned + slope > 0, bound, 0.0)  # else both turn alike
+    return np.where(turned + slope > 0, bound, 0.0)
 
 
-@np.errstate(all="ignore")
-def least_total_error(setup: Setup, seconds: float, alike: bool = False) -> float:
-    """Return a lower bound of the total error of any sequence of directions [length unit].
-
-    With `alike`, the bound is for robots with equal turning rates and equal start headings.
-    """
+def least_total_error(setup: Setup, seconds: float) -> float:
+    """Return a lower bound of the total error of any sequence of directions [length unit]."""
     alone = reach(setup, seconds)
-    pairs, pair_errors = _pair_bounds(setup, seconds, alike)
+    pairs, pair_errors = _pair_bounds(setup, seconds)
     gain = pair_errors - alone[pairs[:, 0]] - alone[pairs[:, 1]]
-    raising = np.flatnonzero(gain > 0)
+    raising = np.flatnonzero((gain > 0) & np.isfinite(gain))
     raising = raising[np.argsort(-gain[raising], kind="stable")[:PAIRS_MAX]]
-    errors = np.concatenate([alone, pair_errors[raising]])
-    if not raising.size or not np.isfinite(errors).all():
+    if not raising.size:
         return float(alone.sum())
     return _least_sum(alone, pairs[raising], pair_errors[raising])
 
 
-def _pair_bounds(setup: Setup, seconds: float, alike: bool) -> tuple[NDArray[np.int64], Floats]:
-    """Return the pairs (P, 2) of robots that move, and the lower bound of e_1 + e_2 of each (P,).
+@np.errstate(over="ignore", invalid="ignore")  # of robots that hardly move, p overflows
+def _pair_bounds(setup: Setup, seconds: float) -> tuple[NDArray[np.int64], Floats]:
+    """Return the pairs (P, 2) of robots that move, and the lower bound of e_1 + e_2 of each (P,),
+    which is not finite if its numbers overflow.
 
-    With `alike`, the robots of a pair turn alike: G = 0.
+    With p_i = g_i / v_i,
+
+        e_1 + e_2 = v_1 |w_1 - p_1| + v_2 |w_2 - p_2| >= min(v_1, v_2) (|p_1 - p_2| - G(t)).
+
+    If G = 0 and t is long enough, robots get as near as that.
     """
     i, j = np.triu_indices(len(setup.names), 1)
     moving = (setup.speed[i] > 0) & (setup.speed[j] > 0)
     i = i[moving]
     j = j[moving]
     headings = setup.starts.heading
-    if alike:
-        apart = np.zeros(len(i))
-    else:
-        turned = np.abs(wrap(headings[i] - headings[j]))
-        apart = drift(setup.a[i], setup.a[j], turned, seconds)
+    turned = np.abs(wrap(headings[i] - headings[j]))
+    apart = drift(setup.a[i], setup.a[j], turned, seconds)
     speed = np.where(setup.speed > 0, setup.speed, 1)
     p = (setup.targets - setup.starts.xy) / speed[:, None]
     gaps = np.linalg.norm(p[i] - p[j], axis=1) - apart

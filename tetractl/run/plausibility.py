@@ -8,7 +8,7 @@ rules by which a spec is refused.
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import BaseModel
@@ -235,7 +235,12 @@ def robots_alike(context: CheckContext) -> Findings:
     """Robots that one signal cannot separate, though their targets require it."""
     for group in _groups_alike(context.setup):
         alike = context.setup.only(group)
-        least = bounds.least_total_error(alike, context.longest_s, alike=True)
+        as_first = replace(
+            alike,
+            a=np.full_like(alike.a, alike.a[0]),
+            starts=replace(alike.starts, heading=np.full_like(alike.a, alike.starts.heading[0])),
+        )
+        least = bounds.least_total_error(as_first, context.longest_s)
         if context.is_worth_warning(least, len(group)):
             yield SpecFinding(
                 ("robots", group[1], "a"),

@@ -10,7 +10,7 @@ from tetractl.core.errors import UsageError
 from tetractl.replay.identification.fit import SampleInterval
 from tetractl.replay.identification.identify import LATE_S
 from tetractl.replay.identification.response import RobotResponse, respond, response_table
-from tetractl.replay.identification.tracks import Track
+from tetractl.replay.identification.tracks import Track, rows_apart
 
 TRUE = {
     "dead_time": 0.12,  # [s], as both lags
@@ -310,3 +310,9 @@ def test_nothing_but_the_dead_time_depends_on_the_clocks(late_s):
     note = response_table([moved], "", "mm").note
     assert ("of two clocks" in note) == (late_s > by_one_clock)
     assert ("of one clock?" in note) == (by_one_clock - late_s > LATE_S)
+
+
+def test_steps_of_poses_at_unix_times_are_not_longer_by_rounding():
+    """Regression: at 20 Hz, steps of 0.1 s were 0.15 s."""
+    times_s = 1_764_000_000.25 + np.arange(200) / 20
+    assert np.diff(rows_apart(times_s - times_s[0], 0.1)).tolist() == [2] * 99

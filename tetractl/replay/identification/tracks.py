@@ -14,6 +14,9 @@ from tetractl.model.wheels import body_velocity
 
 SETTLED_S = 0.5
 """Time from the first direction after a pause until all robots drive again."""
+ROUNDING_S = 1e-6
+"""How much shorter a time between two poses may be by rounding: floats near Unix times, from which
+times may be counted, are 2.4e-7 s apart [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +73,7 @@ def rows_apart(times: Floats, least_s: float, last_s: float = -math.inf) -> Inte
     row before, the first one after `last_s` [s]."""
     rows: list[int] = []
     for row, time_s in enumerate(times.tolist()):
-        if time_s - last_s >= least_s - 1e-9:
+        if time_s - last_s >= least_s - ROUNDING_S:
             rows.append(row)
             last_s = time_s
     return np.array(rows, dtype=np.int64)

@@ -111,7 +111,7 @@ def track(
     if directions is not None and field is not None:
         last_s = pictures.seconds(followed.pictures - 1)
         ui.tell(*clock_remarks(directions, str(field), str(film), pictures.seconds(0), last_s))
-        readings = other_readings(str(field), directions, 1 / pictures.rate_hz)
+        readings = other_readings(str(field), directions, 1 / pictures.rate_hz, "cells")
         of_sides = _side_remarks(str(field), directions, followed.paths, readings)
         followed = replace(followed, remarks=(*followed.remarks, *of_sides))
     with ui.progress("Fitting"):
@@ -182,8 +182,8 @@ def _show_tracks(
     if directions is not None and field is not None:
         times = cells.timing.stated or [0.0]
         ui.tell(*clock_remarks(directions, str(field), str(source), times[0], times[-1]))
-        readings = other_readings(str(field), directions, 1 / cells.timing.rate_hz)
-        readings.append(image(str(source), str(field), directions))
+        readings = other_readings(str(field), directions, 1 / cells.timing.rate_hz, "cells")
+        readings.append(image(str(source), str(field), directions, "cells"))
         ui.tell(*_side_remarks(str(field), directions, cells.paths, readings))
     together = stage_remarks(cells.paths, directions)
     ui.tell(*together)

@@ -1,5 +1,6 @@
 """Which directions robots turn by, where several explain their turning."""
 
+import math
 import re
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from tetractl.replay.identification.sent_directions import (
     TurnedCourse,
     check_clock_rate,
     check_directions,
+    check_quarter_turn,
     image,
     other_readings,
 )
@@ -158,3 +160,44 @@ def test_directions_of_another_robot_explain_few_turns():
     of_another = sent_every_1_5_s(np.random.default_rng(8).uniform(-3, 3, 16))
     with pytest.raises(UsageError, match=r"p\.csv: the commands explain 1?\d% of the turns"):
         check([course_by(RANDOM)], of_another, least=0.2)
+
+
+ROBOTS_ANGLES = {
+    "one at 0.3": [0.3, 0, 0],
+    "one at 0.5": [0.5, 0, 0],
+    "one at 1.0": [1.0, 0, 0],
+    "one a quarter turn off": [math.pi / 2, 0, 0],
+    "all at 0.2": [0.2, 0.2, 0.2],
+    "all at 1.0": [1.0, 1.0, 1.0],
+    "to both sides": [1.4, -1.4, 1.4],
+}
+
+
+def rotated_by(sent, angle):
+    return replace(sent, angles=sent.angles + angle)
+
+
+REGULAR = sent_every_1_5_s(np.tile([0.0, 1.57, 3.14, -1.57], 4))
+
+
+@pytest.mark.parametrize("late_s", [0.1, 1.4])
+@pytest.mark.parametrize("sent", [RANDOM, EVEN_AT_FIRST, REGULAR], ids=["random", "even", "four"])
+@pytest.mark.parametrize("name", ROBOTS_ANGLES)
+def test_heading_biases_are_no_quarter_turn(name, sent, late_s):
+    turned = [course_by(rotated_by(sent, angle), late_s) for angle in ROBOTS_ANGLES[name]]
+    check_quarter_turn("p.csv", "c.csv", turned, sent)
+
+
+@pytest.mark.parametrize(
+    ("angle", "says", "remedy"),
+    [
+        (math.pi / 2, "to the left of those of c.csv", "add 1.571 rad to"),
+        (-math.pi / 2, "to the right of those of c.csv", "take 1.571 rad off"),
+    ],
+)
+def test_directions_a_quarter_turn_off_are_refused(angle, says, remedy):
+    """Regression: a heading bias of -1.570 of each robot, without a word."""
+    turned = [course_by(rotated_by(RANDOM, angle + off), 0.1) for off in (0.0, 0.1, -0.1)]
+    with pytest.raises(UsageError, match=f"robots turn to directions 90 degrees {says}") as error:
+        check_quarter_turn("p.csv", "c.csv", turned, RANDOM)
+    assert remedy in error.value.hint

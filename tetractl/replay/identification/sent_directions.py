@@ -10,6 +10,7 @@ and is fitted to each robot by least squares. The share of the turning that this
 for the directions that acted, and near 0 for others, unless these hardly change.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,9 +19,11 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
+from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats
 from tetractl.replay.identification.one_recording import (
     EXPLAINED,
+    SURELY_MORE,
     Reading,
     check_explained,
     refuse_drift,
@@ -47,6 +50,9 @@ DRIFTS_S = np.arange(-60, 61) / 20
 ENOUGH_S = 8.0
 """Time for which robots are seen, all together, below which chance explains much of their turning
 [s]."""
+OFF_QUARTER = 0.3
+"""Deviation from a quarter turn, by dead time and by magnets, of robots all of which turn to a
+direction that far off those sent [rad]."""
 COURSES_MAX = 20
 """Number of courses, the longest, that are enough to see which directions act."""
 COURSE_S = 120.0
@@ -151,10 +157,8 @@ def check_directions(
     Directions that are only rotated are no problem: the heading bias is the angle. Nothing is known
     of robots that were seen for less than ENOUGH_S, or hardly turn.
     """
-    by_length = sorted(turned, key=lambda course: len(course.times), reverse=True)
-    begin = slice(round(COURSE_S / GRID_S))
-    longest = [course.at(begin) for course in by_length[:COURSES_MAX]]
-    if sum(len(course.times) for course in longest) * GRID_S < ENOUGH_S:
+    longest = _longest(turned)
+    if not longest:
         return
     share, _ = _best_delay(longest, sent, delays_s, towards)
     if share >= EXPLAINED:
@@ -168,6 +172,40 @@ def check_directions(
     turns = rates.std() > TURNS
     share, _ = _best_delay(longest, sent, delays_s, rotated)
     check_explained(source, "turns", share, least if turns else 0.0, others)
+
+
+def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:
+    """Return the longest courses, none if robots are seen for less than ENOUGH_S."""
+    by_length = sorted(turned, key=lambda course: len(course.times), reverse=True)
+    begin = slice(round(COURSE_S / GRID_S))
+    longest = [course.at(begin) for course in by_length[:COURSES_MAX]]
+    seen_s = sum(len(course.times) for course in longest) * GRID_S
+    return longest if seen_s >= ENOUGH_S else []
+
+
+def check_quarter_turn(
+    poses_file: str, source: str, turned: Sequence[TurnedCourse], sent: SentDirections
+) -> None:
+    """Raise UsageError if all robots turn to a direction about a quarter turn off those of the file
+    `source`, and not towards these after any delay: no robots are built so."""
+    longest = _longest(turned)
+    if not longest:
+        return
+    as_stated, _ = _best_delay(longest, sent, DELAYS_S, towards)
+    share, delay_s = _best_delay(longest, sent, DELAYS_S, rotated)
+    if share < max(EXPLAINED, as_stated + SURELY_MORE):
+        return
+    _, vectors = turning_fit(longest, replace(sent, times=sent.times + delay_s).at)
+    angles = np.angle(vectors)
+    quarter = math.copysign(math.pi / 2, angles[0])
+    if np.abs(angles - quarter).max() > OFF_QUARTER:
+        return
+    side = "left" if quarter > 0 else "right"
+    remedy = "add {} to" if quarter > 0 else "take {} off"
+    raise UsageError(
+        f"{poses_file}: robots turn to directions 90 degrees to the {side} of those of {source}",
+        f"do directions or headings count from +y? {remedy.format('1.571 rad')} the directions",
+    )
 
 
 def check_clock_rate(source: str, turned: Sequence[TurnedCourse], sent: SentDirections) -> None:
@@ -196,39 +234,46 @@ def check_clock_rate(source: str, turned: Sequence[TurnedCourse], sent: SentDire
     refuse_drift(source, shares, DRIFTS_S, 2 * third_s)
 
 
-def image(poses_file: str, source: str, sent: SentDirections) -> DirectionReading:
-    """Return the mirror image of the directions of the file `source`."""
+def image(
+    poses_file: str, source: str, sent: SentDirections, who: str = "robots"
+) -> DirectionReading:
+    """Return the mirror image of the directions of the file `source`, by which `who` turn."""
     return DirectionReading(
         sent=replace(sent, angles=-sent.angles),
         delays_s=DELAYS_S,
         response=rotated,
-        said=f"{poses_file}: robots turn right where {source} turns left",
+        said=f"{poses_file}: {who} turn right where {source} turns left",
         hint="is the picture mirrored, or y downwards? reverse y and headings, or the directions",
     )
 
 
-def other_readings(source: str, sent: SentDirections, picture_s: float) -> list[DirectionReading]:
-    """Return the directions of the file `source` in degrees, or at other times: those of another
-    clock, or of times that count pictures, of `picture_s` [s] each, milliseconds or minutes."""
+def other_readings(
+    source: str, sent: SentDirections, picture_s: float, who: str = "robots"
+) -> list[DirectionReading]:
+    """Return the directions of the file `source`, by which `who` turn, in degrees, or at other
+    times: those of another clock, or of times that count pictures, of `picture_s` [s] each, or are
+    in another unit."""
     degrees = replace(sent, angles=np.radians(sent.angles))
-    said = f"{source}: robots turn by its directions if these are degrees"
+    said = f"{source}: {who} turn by its directions if these are degrees"
     readings = [
         DirectionReading(degrees, DELAYS_S, towards, said, "name the column direction_deg"),
         DirectionReading(
             sent=sent,
             delays_s=SHIFTS_S,
             response=towards,
-            said=f"{source}: robots turn {WHEN} the times of its directions",
+            said=f"{source}: {who} turn {WHEN} the times of its directions",
             hint="both files need times of one clock",
         ),
     ]
     for seconds, unit, hint in (
         (picture_s, "numbers of pictures", f"multiply by {picture_s:.4g} s"),
         (1e-3, "milliseconds", "name the column time_ms"),
+        (1e-6, "microseconds", "name the column time_us"),
+        (1e-9, "nanoseconds", "name the column time_ns"),
         (60.0, "minutes", "name the column time_min"),
     ):
         in_unit = replace(sent, times=seconds * sent.times)
-        said = f"{source}: robots turn at its times if these are {unit}"
+        said = f"{source}: {who} turn at its times if these are {unit}"
         readings.append(DirectionReading(in_unit, DELAYS_S, towards, said, hint))
     return readings
 

@@ -64,16 +64,18 @@ def field_at_times(tmp_path, times):
 @pytest.mark.parametrize(
     ("stated", "says"),
     [
-        (lambda t: 30 * t, "robots turn at its times if these are numbers of pictures"),
-        (lambda t: 1000 * t, "robots turn at its times if these are milliseconds"),
-        (lambda t: t / 60, "robots turn at its times if these are minutes"),
-        (lambda t: t + 1.2, "robots turn 1.2 s before the times of its directions"),
-        (lambda t: t - 1.5, "robots turn 1.5 s after the times of its directions"),
+        (lambda t: 30 * t, "cells turn at its times if these are numbers of pictures"),
+        (lambda t: 1000 * t, "cells turn at its times if these are milliseconds"),
+        (lambda t: 1e6 * t, "cells turn at its times if these are microseconds"),
+        (lambda t: 1e9 * t, "cells turn at its times if these are nanoseconds"),
+        (lambda t: t / 60, "cells turn at its times if these are minutes"),
+        (lambda t: t + 1.2, "cells turn 1.2 s before the times of its directions"),
+        (lambda t: t - 1.5, "cells turn 1.5 s after the times of its directions"),
     ],
 )
 def test_a_field_whose_times_are_not_the_films_is_refused(tmp_path, stated, says):
     def check(sent):
-        readings = other_readings("field.csv", sent, 1 / 30)
+        readings = other_readings("field.csv", sent, 1 / 30, "cells")
         check_directions("field.csv", turned, sent, AT_ONCE_S, readings)
 
     true_times = [time for time, _ in STEPS]

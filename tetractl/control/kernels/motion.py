@@ -23,6 +23,7 @@ from tetractl.model.motion.turn_rate import (
     RobotParameters,
     all_in_rows,
     by_turning,
+    is_left,
     turning,
 )
 from tetractl.tools.kernels.kernel_cache import compiled
@@ -30,6 +31,7 @@ from tetractl.tools.kernels.kernel_options import INLINE_FAST, entries, inlined,
 
 rate = inlined(turning)
 with_turning = inlined(by_turning)
+turns_left = inlined(is_left)
 
 
 class FlatProblem(NamedTuple):
@@ -118,13 +120,6 @@ def robot_of(robots, i):
 def saturates(robot):
     """Return whether a robot's motors may turn it less quickly than (3) does."""
     return robot.saturation < 1
-
-
-@compiled(**INLINE_FAST)
-def turns_left(c, s, cu, su):
-    """Return whether a robot turns to the left, or not at all; c, s and cu, su are cos and sin of
-    its heading and of the direction."""
-    return su * c - cu * s >= 0
 
 
 def advance(

@@ -37,6 +37,11 @@ def all_in_rows(robots: Any) -> Floats:
     return rows
 
 
+def is_left(c: float, s: float, cu: float, su: float) -> bool:
+    """Return whether a robot turns to the left, or not at all."""
+    return su * c - cu * s >= 0
+
+
 def turning(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Any:
     """Return the a [rad/s] of a step of t [s] under a direction, and the derivatives of its
     logarithm by phi = u - heading, by `side` and by ln `saturation`; c, s and cu, su are cos and

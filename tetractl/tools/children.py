@@ -182,16 +182,6 @@ def fresh_context(preload: Sequence[str] = ()) -> BaseContext:
     return context
 
 
-def copying_context() -> BaseContext:
-    """Return what starts workers that are copies of this process."""
-    return multiprocessing.get_context("fork")
-
-
-def living_workers() -> list[int]:
-    """Return the ids of this process's workers."""
-    return [child.pid for child in multiprocessing.active_children() if child.pid]
-
-
 class WorkerPool:
     """A pool of processes, each of which calls `prepare(*arguments)` first; a context manager.
 

@@ -1,5 +1,6 @@
 """Robots identified from tracks made up for the tests: dead time, a, speed, noise."""
 
+import json
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,6 +26,7 @@ from tetractl.replay.identification.identify import (
 )
 from tetractl.replay.identification.passes import TrackFrames, speed_wander
 from tetractl.replay.identification.tracks import Track
+from tetractl.tools.table.table_files import json_text
 
 pytestmark = pytest.mark.slow
 
@@ -222,20 +224,20 @@ WITH_ODD_HEADING = identified_robot("two", misfits=("heading",))
 
 
 @pytest.mark.parametrize(
-    ("doubt", "says"),
+    ("flag", "says"),
     [
-        (Doubt.LAG_UNSTATED, "the dead time then holds the lag"),
-        (Doubt.UNIFORM_TURNS, "directions that turn at one rate"),
-        (Doubt.RATES_UNSTATED, "steer themselves"),
+        ("may_lag", "the dead time then holds the lag"),
+        ("turns_uniformly", "directions that turn at one rate"),
+        ("rates_unstated", "steer themselves"),
     ],
 )
-def test_what_a_doubt_may_spoil_has_no_interval(doubt, says):
+def test_what_a_doubt_may_spoil_has_no_interval(flag, says):
     """Regression: the tables of `export` said nothing of the wheels' lag, and `identify` printed
     2.78 (2.74 to 2.81) rad/s for a robot of 3.0; of directions that turn uniformly 4.87 (4.6 to
     5.1) for an a of 4, and a dead time of .302 for .10; of robots that steer themselves 2.91 (2.76
     to 3.07) of smooth directions and 4.22 (4.12 to 4.32) of those that jump."""
     identification = without_unsure_intervals(
-        identification_of(FITTING, WITH_ODD_HEADING, doubt=doubt)
+        identification_of(FITTING, WITH_ODD_HEADING, **{flag: True})
     )
     assert np.isnan(identification.dead_time.low)  # which all robots share
     for robot in identification.robots:
@@ -243,6 +245,7 @@ def test_what_a_doubt_may_spoil_has_no_interval(doubt, says):
         assert np.isnan(robot.heading_bias.high)
         assert robot.speed == INTERVAL
     assert says in tables(identification)[0].note
+    assert json.loads(json_text(identification))[flag] is True
 
 
 @pytest.mark.long

@@ -69,7 +69,9 @@ class IdentifiedRobots:
     `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is the median time from
     the exposure of a frame to the sending of the direction decided on it, None if unknown.
     `strength` is that of the field in `strength_unit`, None if the logs do not state it.
-    `doubt` is the first that holds; `stood` is when robots stood though they were sent directions.
+    `may_lag` says that robots are on wheels whose lag nothing states and that would explain their
+    turns, `turns_uniformly` that all directions turn at one rate, `rates_unstated` is as in
+    `Track`; `stood` is when robots stood though they were sent directions.
     """
 
     origin: str
@@ -81,8 +83,19 @@ class IdentifiedRobots:
     robots: tuple[FittedRobot, ...]
     strength: float | None = None
     strength_unit: str = "mT"
-    doubt: Doubt | None = None
+    may_lag: bool = False
+    turns_uniformly: bool = False
+    rates_unstated: bool = False
     stood: tuple[Stood, ...] = ()
+
+    @property
+    def doubt(self) -> Doubt | None:
+        """The first that holds."""
+        if self.turns_uniformly:
+            return Doubt.UNIFORM_TURNS
+        if self.rates_unstated:
+            return Doubt.RATES_UNSTATED
+        return Doubt.LAG_UNSTATED if self.may_lag else None
 
 
 def identify(
@@ -119,6 +132,7 @@ def identify(
     stood: list[Stood] = []
     for robot in range(len(names)):
         stood += stands_of(tracks, robot, shared_dead_time.value)
+    no_lag_stated = any(track.on_wheels and track.lag == 0 for track in tracks)
     ages = [track.frame_age for track in tracks if track.frame_age is not None]
     return IdentifiedRobots(
         origin=", ".join(dict.fromkeys(track.origin for track in tracks)),
@@ -130,21 +144,11 @@ def identify(
         robots=robots,
         strength=tracks[0].strength,
         strength_unit=tracks[0].strength_unit,
-        doubt=_doubt(tracks, shared_dead_time.value),
+        may_lag=no_lag_stated and lag_may_turn(tracks, shared_dead_time.value),
+        turns_uniformly=turn_uniformly(tracks),
+        rates_unstated=any(track.rates_unstated for track in tracks),
         stood=tuple(stood),
     )
-
-
-def _doubt(tracks: list[Track], dead_time_s: float) -> Doubt | None:
-    """Return the first doubt that holds."""
-    if turn_uniformly(tracks):
-        return Doubt.UNIFORM_TURNS
-    if any(track.rates_unstated for track in tracks):
-        return Doubt.RATES_UNSTATED
-    no_lag_stated = any(track.on_wheels and track.lag == 0 for track in tracks)
-    if no_lag_stated and lag_may_turn(tracks, dead_time_s):
-        return Doubt.LAG_UNSTATED
-    return None
 
 
 def turn_uniformly(tracks: list[Track]) -> bool:

@@ -124,8 +124,9 @@ class TrialEnv(gymnasium.Env[Features, Features]):
             self.trial.stop()
         result = self.trial.result
         if result is None:
-            measured = observation.poses.distances(self.trial.setup.targets)
-            return self._observed(), self._take_reward(float(measured.sum())), False, False, {}
+            distances = observation.poses.distances(self.trial.setup.targets)
+            reward = self._take_reward(float(distances.sum()))
+            return self._observed(), reward, False, False, {}
         failed = self.trial.failed
         error = greatest_error(self.trial.setup) if failed else result.total_error
         terminated = failed or result.outcome is Outcome.ARRIVED

@@ -363,8 +363,8 @@ def _line(game: Game) -> str:
 
 def _best(results: "Sequence[Result]") -> "Result":
     """Return the result of the least error, of those that are not lost if there are any."""
-    kept = [r for r in results if not (r.entered_obstacle or r.left_arena)]
-    return min(kept or results, key=lambda result: result.total_error)
+    not_lost = [r for r in results if not (r.entered_obstacle or r.left_arena)]
+    return min(not_lost or results, key=lambda result: result.total_error)
 
 
 def _how_well(result: "Result", experiment: "Experiment") -> str:

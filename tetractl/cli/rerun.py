@@ -121,10 +121,10 @@ def _compare(raw: "RawLog", trial: "TrialLog", raw_again: "RawLog") -> int:
     if plant.type != plant_again.type or plant.real_time:
         name = PLANT_NAMES.get(plant.type, plant.type)
         name_again = PLANT_NAMES.get(plant_again.type, plant_again.type)
-        both = f"the log is {name}, the new one {name_again}"
+        names = f"the log is {name}, the new one {name_again}"
         if name == name_again:
-            both = f"both logs are {name}"
-        ui.tell(f"{both}: they are not compared")
+            names = f"names logs are {name}"
+        ui.tell(f"{names}: they are not compared")
         return Exit.DONE
     digest = raw.content_digest
     digest_again = raw_again.content_digest

@@ -90,9 +90,9 @@ class Algorithm2:
         if self.warm is None:
             lengths = range(1, self.section.horizon_max + 1)  # line 2
             return [(length, None) for length in lengths]
-        left = len(self.warm)  # H of line 10
-        one_longer = (left + 1, np.append(self.warm, 0.0))  # line 17
-        as_long = (left, self.warm)  # line 19
-        if left == 1:
+        steps = len(self.warm)  # H of line 10
+        one_longer = (steps + 1, np.append(self.warm, 0.0))  # line 17
+        as_long = (steps, self.warm)  # line 19
+        if steps == 1:
             return [as_long, one_longer]  # a sequence has at least one signal
-        return [(left - 1, self.warm[1:]), as_long, one_longer]
+        return [(steps - 1, self.warm[1:]), as_long, one_longer]

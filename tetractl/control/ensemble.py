@@ -125,7 +125,9 @@ class Ensemble(PlainController):
         """Rotate the field by one step; if it is off, begin at the robots' mean heading."""
         if self._field is None:
             heading = problem.poses.heading
-            self._field = float(np.arctan2(np.sin(heading).sum(), np.cos(heading).sum()))
+            east = np.cos(heading).sum()
+            north = np.sin(heading).sum()
+            self._field = float(np.arctan2(north, east))
         step_rad = self.section.rate * float(problem.a.min()) * self.section.period
         self._field = float(np.remainder(self._field + step_rad + np.pi, 2 * np.pi) - np.pi)
         self._turned_rad += step_rad

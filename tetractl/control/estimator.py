@@ -119,11 +119,11 @@ class StateEstimator:
     def _is_sent_again(self, command: Command) -> bool:
         """Return whether a command repeats the last one given to the filter, within a signal
         period; the step that comes a whole period later may come up to half a step early."""
-        given = self.filter.commands
-        if command.direction is None or not len(given.sent_s):
+        commands = self.filter.commands
+        if command.direction is None or not len(commands.sent_s):
             return False
-        is_same = command.direction == given.directions[-1]
-        since_ns = command.sent_ns - round(given.sent_s[-1] * SECOND)
+        is_same = command.direction == commands.directions[-1]
+        since_ns = command.sent_ns - round(commands.sent_s[-1] * SECOND)
         signal_ns = round(self.problem.period * SECOND)
         return bool(is_same and since_ns < signal_ns - self._period_ns // 2)
 

@@ -110,8 +110,8 @@ class CommandSender:
         (2, N), None if the robots receive the direction itself."""
         setup = self._setup
         if self._host is not None:
-            known, true_speeds = self._host.transmit(now_ns, self._held, is_new, answered)
-            return known[0], known[1], true_speeds
+            known_speeds, true_speeds = self._host.transmit(now_ns, self._held, is_new, answered)
+            return known_speeds[0], known_speeds[1], true_speeds
         if setup.wheel_radius is None:
             return None, None, None
         # the robots have wheels, but wheels are not simulated: the speeds of (24)-(25) are logged

@@ -136,7 +136,8 @@ def _value_difference(
     elif isinstance(ours, np.ndarray):
         yield from _array_difference(ours, logged, tolerance, name)
     elif isinstance(ours, float) and isinstance(logged, float | int):
-        yield from _array_difference(np.array(ours), np.array(float(logged)), tolerance, name)
+        number = np.array(float(logged))
+        yield from _array_difference(np.array(ours), number, tolerance, name)
     elif ours != logged:
         yield Difference(None, name, f"logged {logged!r}, computed {ours!r}")
 

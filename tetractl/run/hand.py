@@ -140,11 +140,11 @@ def run_by_hand(
     log if no direction was given."""
     make_folder(folder)
     path = log_path(folder, controller.trial)
-    kept = HandLog(controller)
+    hand_log = HandLog(controller)
     with (
         LogWriter(path, real_time=spec.experiment.plant.real_time) as log,
         ready_trial(
-            [log, kept],
+            [log, hand_log],
             spec,
             controller.trial,
             observers,
@@ -156,7 +156,7 @@ def run_by_hand(
         result = ready.run()
     if controller.directions:
         finished = path.with_name(f"finished-{path.name}")
-        kept.save(spec, finished)
+        hand_log.save(spec, finished)
         finished.replace(path)
     else:
         path.unlink()

@@ -69,8 +69,8 @@ def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
 
 def code_of(experiment: Experiment) -> str:
     """Return the hash of the code that runs the trials of an experiment on this machine."""
-    versions = packages(experiment)
-    return trial_code(tuple(sorted(versions.items())))
+    by_name = sorted(packages(experiment).items())
+    return trial_code(tuple(by_name))
 
 
 def run_task(

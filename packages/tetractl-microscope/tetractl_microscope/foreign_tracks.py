@@ -246,7 +246,8 @@ def _from_first_picture(path: Path, frames: Floats, remarks: list[str]) -> Float
 
 def _note_sparse(path: Path, column: str, frames: Floats, remarks: list[str]) -> None:
     """Say if all numbers of pictures are multiples of one that is large."""
-    step = int(np.gcd.reduce((frames - frames.min()).astype(np.int64)))
+    after_first = (frames - frames.min()).astype(np.int64)
+    step = int(np.gcd.reduce(after_first))
     if step >= SPARSE:
         name = printable(column)
         remarks.append(
@@ -340,7 +341,8 @@ def _said(error: Exception) -> str:
         first: Any = problems(include_url=False)[0]  # pyright: ignore[reportIndexIssue]
         place = ".".join(map(str, first["loc"]))
         return printable(f"{place}: {first['msg']}" if place else str(first["msg"]), SAID_MAX)
-    return printable(" ".join(f"{type(error).__name__}: {error}".split()), SAID_MAX)
+    words = f"{type(error).__name__}: {error}".split()
+    return printable(" ".join(words), SAID_MAX)
 
 
 def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:

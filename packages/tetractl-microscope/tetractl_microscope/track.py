@@ -109,8 +109,9 @@ def track(
             pictures, pictures.um_px, directions, kind, lambda number: on_picture(number, None)
         )
     if directions is not None and field is not None:
+        first_s = pictures.seconds(0)
         last_s = pictures.seconds(followed.pictures - 1)
-        ui.tell(*clock_remarks(directions, str(field), str(film), pictures.seconds(0), last_s))
+        ui.tell(*clock_remarks(directions, str(field), str(film), first_s, last_s))
         readings = other_readings(str(field), directions, 1 / pictures.rate_hz, "cells")
         of_sides = _side_remarks(str(field), directions, followed.paths, readings)
         followed = replace(followed, remarks=(*followed.remarks, *of_sides))

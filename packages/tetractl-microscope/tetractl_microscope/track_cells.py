@@ -95,7 +95,8 @@ def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool)
         remarks.append(f"warning: to and fro, as beads do, go, so left out: {_cells(to_and_fro)}")
     swimming = [track for track, way in zip(long_tracks, onwards, strict=True) if way.goes_on]
     paths = tuple(_path(track, times) for track in swimming)
-    return CellTracks(paths, PictureTimes(1 / period_s, times.tolist()), tuple(remarks))
+    timing = PictureTimes(1 / period_s, times.tolist())
+    return CellTracks(paths, timing, tuple(remarks))
 
 
 def stage_remarks(paths: Sequence[CellPath], field: FieldRecord | None = None) -> tuple[str, ...]:
@@ -118,7 +119,8 @@ def stage_remarks(paths: Sequence[CellPath], field: FieldRecord | None = None) -
         pace_um_s = float(np.median([_speed_um_s(path) for path in paths]))
         straight = speed_um_s / pace_um_s
         times = np.unique(np.concatenate([path.times for path in paths]))
-        if straight < STRAIGHT or abs(np.mean(np.sign(field.at(times)))) > TURNS_ABOUT:
+        to_a_side = abs(np.mean(np.sign(field.at(times))))
+        if straight < STRAIGHT or to_a_side > TURNS_ABOUT:
             return ()
     of_field = "" if field is None else ", and no a is fitted"
     return (
@@ -161,7 +163,8 @@ def _path(track: SpotTrack, times: Floats) -> CellPath:
 
 def organism_by_speed(paths: Sequence[CellPath]) -> Organism:
     """Return the organism whose speeds are most like the median one of cells."""
-    log_speed = math.log(float(np.median([_speed_um_s(path) for path in paths])))
+    speed_um_s = float(np.median([_speed_um_s(path) for path in paths]))
+    log_speed = math.log(speed_um_s)
 
     def unlike(kind: Organism) -> float:
         return abs(log_speed - math.log(math.prod(kind.speed_um_s)) / 2)
@@ -171,7 +174,8 @@ def organism_by_speed(paths: Sequence[CellPath]) -> Organism:
 
 def _speed_um_s(path: CellPath) -> float:
     """Return the median speed of a cell over SPEED_S [um/s]."""
-    steps = max(1, round(SPEED_S / float(np.median(np.diff(path.times)))))
+    step_s = float(np.median(np.diff(path.times)))
+    steps = max(1, round(SPEED_S / step_s))
     steps = min(steps, len(path.times) - 1)
     ways = np.linalg.norm(path.places[steps:] - path.places[:-steps], axis=1)
     return max(float(np.median(ways / (path.times[steps:] - path.times[:-steps]))), 1e-9)

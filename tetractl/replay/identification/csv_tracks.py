@@ -273,22 +273,22 @@ def _idle_robots(trials: list[_Numbers]) -> set[str]:
     """Return the robots to which no trial sends a speed; UsageError if there is no other, or if it
     is not known which robot is sent one."""
     paths = next((numbers for numbers in trials if numbers.poses_path), _Numbers())
-    seen = {robot for numbers in trials for robot in numbers.robots}
+    in_poses = {robot for numbers in trials for robot in numbers.robots}
     sent_to = {robot for numbers in trials for robot in numbers.twists}
-    if "" in sent_to or not sent_to or not seen:
+    if "" in sent_to or not sent_to or not in_poses:
         return set()
     receivers = _names(sent_to)
-    if seen == {""}:
+    if in_poses == {""}:
         if len(sent_to) == 1:
             return set()
         raise UsageError(
             f"{paths.poses_path}: has no column robot, and commands are for {receivers}",
             "name the robot of each pose in a column robot",
         )
-    idle = seen - sent_to
-    if idle == seen:
+    idle = in_poses - sent_to
+    if idle == in_poses:
         raise UsageError(
-            f"{paths.commands_path}: no command is for {_names(seen)}; commands are for "
+            f"{paths.commands_path}: no command is for {_names(in_poses)}; commands are for "
             f"{receivers}",
             "name robots alike in both files",
         )
@@ -302,12 +302,15 @@ def _names(robots: Collection[str]) -> str:
 
 def _unseen_robots(trials: list[_Numbers]) -> set[str]:
     """Return the robots of which no trial has a pose."""
-    seen = set[str]()
+    with_pose = set[str]()
     for numbers in trials:
         rows = np.array(numbers.poses).reshape(-1, 5)
-        known = set(rows[np.isfinite(rows).all(axis=1), 1].tolist())
-        seen.update(robot for robot, number in numbers.robots.items() if number in known)
-    return {robot for numbers in trials for robot in numbers.robots} - seen
+        whole_rows = rows[np.isfinite(rows).all(axis=1)]
+        numbers_with_pose = set(whole_rows[:, 1].tolist())
+        with_pose.update(
+            robot for robot, number in numbers.robots.items() if number in numbers_with_pose
+        )
+    return {robot for numbers in trials for robot in numbers.robots} - with_pose
 
 
 def _refuse_twice(paths: list[Path]) -> None:
@@ -514,7 +517,9 @@ def _share_of_way(time: Floats, poses: Floats, begin_s: float, end_s: float) -> 
     moved = np.diff(poses[rows, :, :2], axis=0)
     way = np.nansum(np.hypot(moved[..., 0], moved[..., 1]), axis=1)
     acts = (time[rows[1:]] > begin_s) & (time[rows[:-1]] < end_s)
-    return float(way[acts].sum() / way.sum()) if way.any() else 1.0
+    if not way.any():
+        return 1.0
+    return float(way[acts].sum() / way.sum())
 
 
 def _check_degrees(path: Path, poses: Floats, valid: Bools) -> None:
@@ -534,8 +539,10 @@ def _check_degrees(path: Path, poses: Floats, valid: Bools) -> None:
         way *= np.abs(way) <= JUMP * np.median(np.abs(way))
         squares = way**2
         ways += float(np.abs(squares).sum())
-        in_rad += abs((squares * np.exp(-2j * heading[:-1])).sum())
-        in_degrees += abs((squares * np.exp(-2j * np.radians(heading[:-1]))).sum())
+        as_rad = heading[:-1]
+        as_degrees = np.radians(as_rad)
+        in_rad += abs((squares * np.exp(-2j * as_rad)).sum())
+        in_degrees += abs((squares * np.exp(-2j * as_degrees)).sum())
     if in_degrees > max(in_rad, ALONG * ways):
         said, hint = problem
         raise UsageError(
@@ -572,14 +579,14 @@ def _measured(
     jumped: list[str] = []
     for robot, name in enumerate(names):
         rows = np.flatnonzero(valid[:, robot])
-        kept = rows[measured(time[rows], poses[rows, robot])]
-        is_measured[kept, robot] = True
-        share = 1 - len(kept) / max(len(rows), 1)
+        measured_rows = rows[measured(time[rows], poses[rows, robot])]
+        is_measured[measured_rows, robot] = True
+        share = 1 - len(measured_rows) / max(len(rows), 1)
         if share > NO_MEASUREMENT:
             said.append(f"{share:.1%} of {printable(name)}")
-        jumps = jumps_of(time[kept], poses[kept, robot])
+        jumps = jumps_of(time[measured_rows], poses[measured_rows, robot])
         if len(jumps):
-            jumped.append(f"{printable(name)} at {time[kept[jumps[0]]]:.2f} s")
+            jumped.append(f"{printable(name)} at {time[measured_rows[jumps[0]]]:.2f} s")
     remarks: list[str] = []
     if said:
         text = f"{path}: poses that repeat the one before, or jump away and back, are left out"

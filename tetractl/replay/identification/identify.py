@@ -158,8 +158,10 @@ def turn_uniformly(tracks: list[Track]) -> bool:
     for track in tracks:
         u = np.unwrap(track.u)
         times = track.sent - track.sent[0]
-        jumps = len(u) < 3 or np.abs(np.diff(u)).max() > UNIFORM_RAD
-        if jumps or np.ptp(u) < TURN_LEAST or not times.any():
+        if len(u) < 3 or np.ptp(u) < TURN_LEAST or not times.any():
+            return False
+        changes = np.abs(np.diff(u))
+        if changes.max() > UNIFORM_RAD:
             return False
         rate, first = np.polyfit(times, u, 1)
         if np.abs(u - first - rate * times).max() > UNIFORM_RAD:

@@ -40,10 +40,10 @@ def measured(times: Floats, poses: Floats) -> Bools:
     """Return which poses (M, 3) of a robot at `times` (M,) [s] are measurements."""
     if not len(times):
         return np.zeros(0, dtype=np.bool_)
-    kept = np.flatnonzero(~_repeats(poses))
-    chain = _longest_chain(times[kept], poses[kept])
+    without_repeats = np.flatnonzero(~_repeats(poses))
+    chain = _longest_chain(times[without_repeats], poses[without_repeats])
     is_measured = np.zeros(len(times), dtype=np.bool_)
-    is_measured[kept[chain]] = True
+    is_measured[without_repeats[chain]] = True
     return is_measured
 
 
@@ -140,10 +140,12 @@ def _longest_chain(times: Floats, poses: Floats) -> Integers:
     if count < 3:
         return np.arange(count)
     jumps = _Jumps.of(times, poses)
-    cuts = np.flatnonzero(jumps.between(np.arange(count - 1), np.arange(1, count))) + 1
+    after_next = jumps.between(np.arange(count - 1), np.arange(1, count))
+    cuts = np.flatnonzero(after_next) + 1
     begins = np.concatenate([[0], cuts])
     ends = np.concatenate([cuts, [count]])
-    cost = max(1.0, JUMP_S / float(np.median(np.diff(times))))
+    step_s = float(np.median(np.diff(times)))
+    cost = max(1.0, JUMP_S / step_s)
     length = (ends - begins).astype(np.float64)
     before = np.full(len(begins), -1)
     for stretch in range(1, len(begins)):

@@ -115,12 +115,14 @@ class _MotionAngle:
         gains = robust_gains(moved, causes)
         rest = (moved - causes @ gains) * np.exp(-1j * np.angle(gains[0]))
         total = np.abs(moved).sum()
+        along = np.abs(rest.real).sum()
+        across = np.abs(rest.imag).sum()
         reach = np.abs(gains[0]) * np.linalg.norm(sent) + 1e-300
         return cls(
             angle=float(np.angle(gains[0])),
             std=float(np.abs(rest).mean() / reach),
             explained=float(1 - np.abs(rest).sum() / total),
-            across=float((np.abs(rest.imag).sum() - np.abs(rest.real).sum()) / total),
+            across=float((across - along) / total),
         )
 
 

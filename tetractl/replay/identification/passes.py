@@ -177,7 +177,8 @@ def position_noise(tracks: Sequence[TrackFrames]) -> Floats:
                 share = (times[1:-1] - times[:-2]) / np.maximum(times[2:] - times[:-2], SHORTEST_S)
                 between = places[:-2] + share * (places[2:] - places[:-2])
                 off.append(np.abs(places[1:-1] - between))
-        noises.append(float(np.median(np.concatenate(off))) / MEDIAN_OFF)
+        median_off = float(np.median(np.concatenate(off)))
+        noises.append(median_off / MEDIAN_OFF)
     return np.array(noises)
 
 
@@ -209,7 +210,8 @@ def _paces_of_blocks(track: TrackFrames, robot: int) -> list[float]:
     turned = np.asarray(wrap(np.diff(heading)))
     way = (np.diff(x + 1j * y) * np.exp(-1j * (heading[:-1] + turned / 2))).real
     apart_s = np.diff(track.time[:, robot])
-    near = np.ones(max(1, round(STANDS_S / float(np.median(apart_s[is_measured])))))
+    step_s = float(np.median(apart_s[is_measured]))
+    near = np.ones(max(1, round(STANDS_S / step_s)))
     way_near = np.convolve(np.where(is_measured, way, 0.0), near, "same")
     time_near_s = np.convolve(np.where(is_measured, apart_s, 0.0), near, "same")
     pace = way_near / np.where(time_near_s > 0, time_near_s, np.inf)

@@ -429,7 +429,8 @@ def _correlation(first: Floats, second: Floats) -> float:
     """Return the correlation of two series (S,), 0 if one of them never changes."""
     a = first - first.mean()
     b = second - second.mean()
-    return float(a @ b) / (float(np.linalg.norm(a) * np.linalg.norm(b)) + 1e-300)
+    lengths = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(a @ b) / (lengths + 1e-300)
 
 
 def _far_off(measured: Floats, driven: Floats, drives: Bools) -> Bools:
@@ -503,7 +504,8 @@ class _Whitened:
     def restricted_likelihood(self) -> float:
         """Return ln of the likelihood whatever the gains are."""
         _, ln_information = np.linalg.slogdet(self.x.T @ self.x)
-        return float(self.likelihoods(self.gains()).sum() - ln_information / 2)
+        likelihoods = self.likelihoods(self.gains())
+        return float(likelihoods.sum() - ln_information / 2)
 
 
 def _whiten(

@@ -123,7 +123,8 @@ def courses(paths: Sequence[Floats]) -> list[TurnedCourse]:
         times = np.arange(piece[0, 0], piece[-1, 0], GRID_S)
         x, y = (np.interp(times, piece[:, 0], piece[:, k]) for k in (1, 2))
         places = x + 1j * y
-        turned.append(_course(times, np.unwrap(np.angle(places[SMOOTH:] - places[:-SMOOTH]))))
+        directions = np.angle(places[SMOOTH:] - places[:-SMOOTH])
+        turned.append(_course(times, np.unwrap(directions)))
     return turned
 
 
@@ -134,7 +135,8 @@ def courses_of_headings(times: Floats, headings: Floats) -> list[TurnedCourse]:
     for piece in _pieces(np.column_stack([times, np.unwrap(headings)])):
         times = np.arange(piece[0, 0], piece[-1, 0], GRID_S)
         angle = np.interp(times, piece[:, 0], piece[:, 1])
-        turned.append(_course(times, np.convolve(angle, np.ones(SMOOTH) / SMOOTH, "valid")))
+        means = np.convolve(angle, np.ones(SMOOTH) / SMOOTH, "valid")
+        turned.append(_course(times, means))
     return turned
 
 
@@ -226,11 +228,11 @@ def check_clock_rate(source: str, turned: Sequence[TurnedCourse], sent: SentDire
             course.at((course.times >= from_s) & (course.times < from_s + third_s))
             for course in turned
         ]
-        seen = [course for course in part if len(course.times) > 2 * SMOOTH][:COURSES_MAX]
+        long_enough = [course for course in part if len(course.times) > 2 * SMOOTH][:COURSES_MAX]
         for i, delay_s in enumerate(DRIFTS_S.tolist()):
             field = replace(sent, times=sent.times + delay_s).at
-            if seen:
-                of_third[i], _ = turning_fit(seen, field)
+            if long_enough:
+                of_third[i], _ = turning_fit(long_enough, field)
     refuse_drift(source, shares, DRIFTS_S, 2 * third_s)
 
 

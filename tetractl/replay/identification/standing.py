@@ -52,11 +52,11 @@ def stands_of(tracks: Sequence[Track], robot: int, dead_time_s: float) -> tuple[
     stands: list[Stood] = []
     for track in tracks:
         times = track.exposed[:, robot]
-        seen = track.valid[:, robot]
-        if not seen.any() or not len(track.sent):
+        is_valid = track.valid[:, robot]
+        if not is_valid.any() or not len(track.sent):
             continue
         begin_s = float(track.time[0])
-        stood = _stood(times[seen] - begin_s, track.poses[seen, robot])
+        stood = _stood(times[is_valid] - begin_s, track.poses[is_valid, robot])
         middles_s = begin_s - dead_time_s + BIN_S * np.arange(0.5, len(stood) + 1)
         stood &= _is_asked(track, robot, middles_s)
         edges = np.diff(stood.astype(np.int64), prepend=0, append=0)
@@ -75,10 +75,12 @@ def _stood(times: Floats, poses: Floats) -> Bools:
     counts = np.maximum(np.bincount(bins), 1e-9)
     x, y, heading = poses.T
     place = (np.bincount(bins, x) + 1j * np.bincount(bins, y)) / counts
-    ahead = np.bincount(bins, np.cos(heading)) + 1j * np.bincount(bins, np.sin(heading))
+    east = np.bincount(bins, np.cos(heading))
+    north = np.bincount(bins, np.sin(heading))
     is_known = (counts[1:] >= 1) & (counts[:-1] >= 1)
     ways = np.abs(np.diff(place))
-    turns = np.abs(wrap(np.diff(np.angle(ahead))))
+    headings = np.angle(east + 1j * north)
+    turns = np.abs(wrap(np.diff(headings)))
     if not is_known.any():
         return is_known
     return is_known & (ways < LITTLE * np.quantile(ways[is_known], USUAL)) & (turns < LITTLE_RAD)

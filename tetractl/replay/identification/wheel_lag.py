@@ -51,7 +51,8 @@ def lag_may_turn(tracks: Sequence[Track], dead_time_s: float) -> bool:
     without = _unexplained(robots, 0.0, dead_time_s)
     with_lag = _unexplained(robots, LAG_S, dead_time_s - LAG_S)
     of_blocks = np.add.reduceat(with_lag - without, np.arange(0, len(without), BLOCK))
-    return float(of_blocks.sum()) < SURE * float(of_blocks.std()) * np.sqrt(len(of_blocks))
+    deviation = float(of_blocks.std()) * np.sqrt(len(of_blocks))
+    return float(of_blocks.sum()) < SURE * deviation
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +75,9 @@ class _Turns:
         """Return the turns of a robot from where it drives until the stop."""
         times = track.exposed[:, robot]
         drives = (times >= track.sent[0] + SETTLED_S) & (times <= track.until)
-        seen = drives & track.valid[:, robot]
-        times = times[seen]
-        headings = np.unwrap(track.poses[seen, robot, 2])
+        is_used = drives & track.valid[:, robot]
+        times = times[is_used]
+        headings = np.unwrap(track.poses[is_used, robot, 2])
         rows = rows_apart(times[::2], TURN_S)
         ends = times[::2][rows]
         turned = np.diff(headings[::2][rows])
@@ -102,8 +103,8 @@ class _Turns:
         acting = np.diff(sums[newest] + (since_s - self.when[newest]) * sent[newest])
         pull = acting * np.exp(-0.5j * (self.heading[:-1] + self.heading[1:]))
         if lag_s > 0:
-            kept = np.exp(-GRID_S / lag_s)
-            pull = lfilter([(1 - kept) / 2, (1 - kept) / 2], [1, -kept], pull)
+            decay = np.exp(-GRID_S / lag_s)
+            pull = lfilter([(1 - decay) / 2, (1 - decay) / 2], [1, -decay], pull)
         total = np.concatenate([[0], np.cumsum(pull)])
         of_ends = np.interp(self.end, self.grid, total)
         return np.asarray(of_ends - np.interp(self.begin, self.grid, total), dtype=np.complex128)
@@ -117,8 +118,8 @@ def _unexplained(robots: Sequence[Sequence[_Turns]], lag_s: float, near_s: float
         of_robots: list[Floats] = []
         for of_robot in robots:
             angle = np.concatenate([turns.angle for turns in of_robot])
-            asked = np.concatenate([turns.asked(lag_s, dead_time_s) for turns in of_robot])
-            causes = np.column_stack([asked.imag, asked.real])
+            turning = np.concatenate([turns.asked(lag_s, dead_time_s) for turns in of_robot])
+            causes = np.column_stack([turning.imag, turning.real])
             of_robots.append(np.abs(angle - causes @ robust_gains(angle, causes)))
         return np.concatenate(of_robots)
 

@@ -127,7 +127,8 @@ class DateColumn(NumberColumn):
 
 def name_and_unit(header: str) -> tuple[str, str]:
     """Return the name of a column in lower case and its unit, "" if it states none."""
-    text = re.sub(r"[ _/]+", "_", header.strip().lower()).replace("_per_", "_")
+    words = header.strip().lower()
+    text = re.sub(r"[ _/]+", "_", words).replace("_per_", "_")
     match = _BRACKETS.fullmatch(text)
     if match:
         parts = match[2].split("_")

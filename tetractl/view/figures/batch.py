@@ -80,9 +80,9 @@ def figure_of_logs(logs: Sequence[TrialLog]) -> Figure:
     batches: list[BatchErrors] = []
     for name, trials in by_folder(logs).items():
         errors = [(log.log, log.result.total_error) for log in trials if log.result is not None]
-        known = [(path, error) for path, error in errors if math.isfinite(error)]
-        totals = np.array([error for _, error in known])
-        paths = [path for path, _ in known]
+        finite = [(path, error) for path, error in errors if math.isfinite(error)]
+        totals = np.array([error for _, error in finite])
+        paths = [path for path, _ in finite]
         batches.append(BatchErrors(name, totals, paths, trials[0].experiment.directions_given))
     return _drawn(batches, logs[0].experiment, {}, narrow=False)
 

@@ -386,7 +386,8 @@ def _is_ghost(
     """
     level = background[ring].mean() if ring.any() else np.median(background)
     off_now = float(np.abs(now - level)[body].mean())
-    return float(np.abs(background - level)[body].mean()) >= GHOST * max(off_now, 1.0)
+    off_background = float(np.abs(background - level)[body].mean())
+    return off_background >= GHOST * max(off_now, 1.0)
 
 
 class Box(NamedTuple):

@@ -47,7 +47,8 @@ def onward(places: Floats, apart: int) -> Onward:
     before = moved[:-apart]
     after = moved[apart:]
     lengths = np.linalg.norm(before, axis=1) @ np.linalg.norm(after, axis=1)
-    return Onward(float(np.vdot(before, after)), float(lengths))
+    product = float(np.vdot(before, after))
+    return Onward(product, float(lengths))
 
 
 def hardly_any_goes_on(objects: Sequence[Onward]) -> bool:
@@ -58,6 +59,7 @@ def hardly_any_goes_on(objects: Sequence[Onward]) -> bool:
 def onward_of_track(times: Floats, places: Floats) -> Onward:
     """Return how a track goes on, over that time in which its displacements are most alike."""
     step_s = float(np.median(np.diff(times)))
-    longest = max(1, min(round(LONGEST_S / step_s), len(times) // PAIRS_MIN))
+    steps_longest = round(LONGEST_S / step_s)
+    longest = max(1, min(steps_longest, len(times) // PAIRS_MIN))
     tried = [onward(places, apart) for apart in range(1, longest + 1)]
     return max(tried, key=lambda single: single.alike / max(single.most, 1e-300))

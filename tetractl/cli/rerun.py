@@ -123,7 +123,7 @@ def _compare(raw: "RawLog", trial: "TrialLog", raw_again: "RawLog") -> int:
         name_again = PLANT_NAMES.get(plant_again.type, plant_again.type)
         names = f"the log is {name}, the new one {name_again}"
         if name == name_again:
-            names = f"names logs are {name}"
+            names = f"both logs are {name}"
         ui.tell(f"{names}: they are not compared")
         return Exit.DONE
     digest = raw.content_digest

@@ -214,16 +214,15 @@ def _local_changes() -> dict[str, object]:
 def git_state() -> Mapping[str, str]:
     """Return commit and dirtiness of tetractl's checkout; nothing if it does not run from one, or
     git is not installed."""
-    if _git("ls-files", "--error-unmatch", "__init__.py") is None:
-        return MappingProxyType(
-            {}
-        )  # not a checkout, or the checkout of another project around an installed package
-    commit = _git("rev-parse", "HEAD")
-    changes = _git("status", "--porcelain", ":/")
-    if commit is None or changes is None:
-        return MappingProxyType({})
-    dirty = "true" if changes.strip() else "false"
-    return MappingProxyType({"git_commit": commit.strip(), "git_dirty": dirty})
+    facts: dict[str, str] = {}
+    # else no checkout, or the checkout of another project around an installed package
+    if _git("ls-files", "--error-unmatch", "__init__.py") is not None:
+        commit = _git("rev-parse", "HEAD")
+        changes = _git("status", "--porcelain", ":/")
+        if commit is not None and changes is not None:
+            facts["git_commit"] = commit.strip()
+            facts["git_dirty"] = "true" if changes.strip() else "false"
+    return MappingProxyType(facts)
 
 
 def _git(*arguments: str) -> str | None:

@@ -300,8 +300,7 @@ class CellTracker:
         have not swum far in the time that the slowest need for it; note which others have swum so
         far that they are new no more.
 
-        If new cells that stay were kept, links of the film of Euglena that it contradicts backwards
-        would be 17 of 152 [0.07, 0.17] in place of 2 of 151 [0.00, 0.05].
+        What links of the film of Euglena say of new cells that stay is in docs/cells-explained.md.
         """
         organism = self.bank.organism
         slowest_s = NEW * organism.body_um[0] / organism.slowest_um_s

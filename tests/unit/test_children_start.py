@@ -24,7 +24,7 @@ HARMLESS = {
     "tetractl/run/executors.py": {"multiprocessing", "multiprocessing.synchronize"},
 }
 """What modules other than the helper may import, to see processes, not to start them."""
-SEES = {"parent_process", "Event", "BrokenProcessPool"}
+SEES = {"parent_process", "active_children", "Event", "BrokenProcessPool"}
 
 
 def sources():

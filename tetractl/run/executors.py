@@ -30,7 +30,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.run.interrupt import STOP_SIGNALS, Interrupt
 from tetractl.run.task import Finished, Task, run_task
-from tetractl.tools.children import WorkerPool, fresh_context, isolated
+from tetractl.tools.children import WorkerPool, copying_context, fresh_context, isolated
 
 KILLED = "a trial's process was killed twice, perhaps because memory ran out"
 SAID = "printed in a trial's process"
@@ -211,7 +211,7 @@ def called(
     if jobs < 2:
         yield from map(call, items)
         return
-    with WorkerPool(multiprocessing.get_context("fork"), jobs, SAID, tell) as pool:
+    with WorkerPool(copying_context(), jobs, SAID, tell) as pool:
         for ended in as_completed([pool.submit(call, item) for item in items]):
             yield ended.result()
 

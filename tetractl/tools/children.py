@@ -182,6 +182,11 @@ def fresh_context(preload: Sequence[str] = ()) -> BaseContext:
     return context
 
 
+def copying_context() -> BaseContext:
+    """Return what starts workers that are copies of this process."""
+    return multiprocessing.get_context("fork")
+
+
 class WorkerPool:
     """A pool of processes, each of which calls `prepare(*arguments)` first; a context manager.
 

@@ -1,7 +1,6 @@
 """Child processes: what they import, and what of their words is shown."""
 
 import errno
-import multiprocessing
 import os
 import signal
 import sys
@@ -15,6 +14,7 @@ from tetractl.tools.children import (
     SHOWN_LINE_MAX,
     Child,
     WorkerPool,
+    copying_context,
     fresh_context,
     python,
     run_tool,
@@ -76,7 +76,7 @@ def print_hostile(number):
 def test_what_workers_print_is_told_by_lines_with_who_printed():
     """Regression: a plug-in's `print` in a worker reached the terminal with its escapes."""
     lines = []
-    with WorkerPool(multiprocessing.get_context("fork"), 1, "a worker", lines.append) as pool:
+    with WorkerPool(copying_context(), 1, "a worker", lines.append) as pool:
         assert pool.submit(print_hostile, 7).result() == 7
     assert lines == [r"a worker: \x1b[2J 7", "a worker: to the descriptor"]
 

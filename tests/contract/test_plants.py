@@ -215,7 +215,7 @@ def test_robots_stand_in_a_pause_and_drive_on_with_the_next_direction(make):
 
 def test_robots_on_wheels_turn_on_the_spot_in_a_pause(make):
     rig = make(1)
-    if rig.plant.setup.wheel_radius is None:
+    if not rig.plant.setup.on_wheels:
         pytest.skip("these robots cannot turn on the spot")
     with opened(rig):
         rig.plant.send(Steer(0.7))

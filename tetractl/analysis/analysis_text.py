@@ -52,7 +52,7 @@ def _facts(analysis: Analysis) -> Iterator[Fact]:
     if analysis.alike:
         pair = ", ".join(analysis.alike)
         yield "smallest difference of a", f"{100 * analysis.gap:.3g} % ({pair})"
-    if setup.hold is not None and setup.wheel_radius is None:
+    if setup.hold is not None and not setup.on_wheels:
         radii = setup.speed / setup.a.min()
         circles = [f"{name} {r:.3g}" for name, r in zip(setup.names, radii, strict=True)]
         yield f"radii of the smallest circles, v / least a [{unit}]", ", ".join(circles)

@@ -50,7 +50,7 @@ def planner(experiment: Experiment) -> RecommendedMpc:
         shared |= control.model_dump(include={"motion", "horizon_max", "obstacle_weight"})
     setup = experiment.setup
     section = RecommendedMpc(estimate=False, collision=POINTS, **shared)
-    return section.fitted(setup.wheel_radius is not None, float(setup.speed.sum()))
+    return section.fitted(setup.on_wheels, float(setup.speed.sum()))
 
 
 def tolerance(section: RecommendedMpc) -> float:

@@ -281,7 +281,7 @@ class Mpc:
         targets = parted(stated, least)
         walls = self.setup.arena if collision.walls else None
         shapes = list(self.setup.obstacles)
-        if collision.radius and self.setup.wheel_radius:
+        if collision.radius and self.setup.on_wheels:
             shapes += [Shape(place, collision.radius) for place in poses.xy[~present, None]]
         return Leg(
             index=index,
@@ -313,7 +313,7 @@ class Mpc:
         outcome = self._outcome(step, observation)
         if outcome is not None:
             return outcome
-        if self._holds and self.setup.wheel_radius is None:
+        if self._holds and not self.setup.on_wheels:
             return self._circle(step)
         if step.warm is None:
             return self._at_rest(step)

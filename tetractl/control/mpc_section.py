@@ -89,11 +89,11 @@ class PriorSection(Model):
         """Return whether cells are to be expected to rest: a stray can be distinguished from the
         noise only if that is known."""
         is_noise_known = self.position_noise > 0 and self.heading_noise > 0
-        return setup.wheel_radius is None and is_noise_known
+        return not setup.on_wheels and is_noise_known
 
     def of(self, problem: Problem, dead_time: float, setup: Setup) -> Prior:
         """Return the prior of a problem's robots; those without wheels are taken for cells."""
-        is_cell = setup.wheel_radius is None
+        is_cell = not setup.on_wheels
         mean_speed = float(problem.speed.mean())
         x, y, heading = setup.sight.spread
         mm = MM / setup.metres
@@ -262,7 +262,7 @@ class RecommendedMpc(SearchFields):
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield an error if robots that cannot stand still are to pause."""
-        if self.collision.stop_before_collision and setup.wheel_radius is None:
+        if self.collision.stop_before_collision and not setup.on_wheels:
             message = "is only for robots that can stand still, which have wheels"
             yield ("collision", "stop_before_collision"), message
 

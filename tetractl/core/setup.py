@@ -98,6 +98,11 @@ class Setup:
     strength_unit: str = "mT"
 
     @property
+    def on_wheels(self) -> bool:
+        """Whether all robots drive on wheels, and so can stand; others, such as cells, swim on."""
+        return self.wheel_radius is not None
+
+    @property
     def legs(self) -> Floats:
         """The way-points and then the targets, (M + 1, N, 2) [length unit]."""
         return np.concatenate(

@@ -249,7 +249,7 @@ class LabSection(PlantSection):
                 yield (device, *loc), message
         for loc, message in self.actuator.beside(self.camera):
             yield ("actuator", *loc), message
-        if self.lag is not None and setup.wheel_radius is None:
+        if self.lag is not None and not setup.on_wheels:
             yield ("lag",), "is for robots on wheels, and the spec has no `wheels`"
 
     def bounds(self) -> dict[str, str]:
@@ -309,7 +309,7 @@ def too_fast(setup: Setup, speed_max_mm_s: float) -> Iterator[tuple[Loc, str]]:
 def unknown_radii(setup: Setup, radii_mm: Iterable[float | None]) -> Iterator[tuple[Loc, str]]:
     """Yield, as a section's `contradictions`, the robots of which neither their entries, by the
     radii (N,), nor the spec says how far the wheels are from the centre."""
-    if setup.wheel_radius is not None:
+    if setup.on_wheels:
         return
     for i, radius_mm in enumerate(radii_mm):
         if radius_mm is None:

@@ -92,7 +92,7 @@ class CommandSender:
                 wheels=np.zeros((2, robots)),
             )
             heard |= self._transit.send(stop, now_ns).reached
-        still = None if self._setup.wheel_radius is None else np.zeros(robots)
+        still = np.zeros(robots) if self._setup.on_wheels else None
         received = tuple(heard.tolist())
         return Command(Stop(), now_ns, received, still, still)
 

@@ -154,7 +154,7 @@ class SimSection(PlantSection):
             yield ("truth_rate",), f"{message}; at most {POSES_MAX:g} are allowed; lower the rate"
         if self.drive is not None and self.cells is not None:
             yield ("cells",), "have no wheels; leave out 'drive' or 'cells'"
-        if self.drive is not None and setup.wheel_radius is None:
+        if self.drive is not None and not setup.on_wheels:
             yield ("drive",), "needs the experiment's field 'wheels: {radius: ..}'"
         repeats_hz = None if self.drive is None else self.drive.rate
         transmissions_hz = repeats_hz or 1 / setup.period_s

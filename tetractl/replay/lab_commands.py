@@ -98,7 +98,7 @@ def _actions(log: TrialLog, sent: list[Command], result: Result) -> Iterator[Dif
 def _wheels(log: TrialLog, sent: list[Command]) -> Iterator[Difference]:
     """Yield each command whose wheel speeds are not those of its action."""
     setup = log.start.setup
-    if setup.wheel_radius is None:
+    if not setup.on_wheels:
         return
     commands = [command for command in sent if command.left is not None]
     wheels = np.array([[command.left, command.right] for command in commands], dtype=np.float64)
@@ -199,7 +199,7 @@ def _late_steps(log: TrialLog) -> float:
 def _stops(log: TrialLog, sent: list[Command], result: Result) -> Iterator[Difference]:
     """Yield that fewer stops were sent in a row than there must be; robots in one field are held
     still by single stops, and after an abort an actuator may have failed."""
-    if log.start.setup.wheel_radius is None or not result.outcome.complete:
+    if not log.start.setup.on_wheels or not result.outcome.complete:
         return
     series: list[int] = []
     since_ns: int | None = None  # the last stop, None after another action

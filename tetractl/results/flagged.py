@@ -173,7 +173,7 @@ def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
 
 def turn_columns(trial: ResultSummary) -> dict[str, Any]:
     """Return each robot's rate and its standard error, None if they are unknown."""
-    if trial.simulated or trial.experiment.setup.wheel_radius is None:
+    if trial.simulated or not trial.experiment.setup.on_wheels:
         return {}
     names = trial.experiment.setup.names
     verdict = trial.result.verdict

@@ -105,7 +105,7 @@ def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[s
     }
     for robot, delivered in zip(setup.names, sent.delivered, strict=True):
         row[f"delivered_{robot}"] = delivered
-    if setup.wheel_radius is None:
+    if not setup.on_wheels:
         return row
     unknown = [None] * len(setup.names)
     wheels = zip(setup.names, sent.left or unknown, sent.right or unknown, strict=True)

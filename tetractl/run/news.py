@@ -71,12 +71,12 @@ def stated_model(experiment: Experiment) -> StatedModel:
     plant = experiment.plant
     control = experiment.controller
     lacks_noise = False
-    if isinstance(control, Accepting) and experiment.setup.wheel_radius is None:
+    if isinstance(control, Accepting) and not experiment.setup.on_wheels:
         lacks_noise = control.prior.position_noise == 0 or control.prior.heading_noise == 0
     delays = [DEAD_TIME]
     if isinstance(plant, LabSection) and hasattr(plant.camera, "latency"):
         delays.append(LATENCY)
-    if experiment.setup.wheel_radius is not None:
+    if experiment.setup.on_wheels:
         delays.append(HOST_DELAY)
     return StatedModel(control.dead_time, tuple(delays), lacks_noise)
 

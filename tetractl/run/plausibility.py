@@ -466,7 +466,7 @@ def targets_near_each_other(context: CheckContext) -> Findings:
 def hold_too_tight(context: CheckContext) -> Findings:
     """A hold within less than v / a of robots that cannot stand still."""
     setup = context.setup
-    if setup.hold is None or setup.wheel_radius is not None:
+    if setup.hold is None or setup.on_wheels:
         return
     for name, least in zip(setup.names, (setup.speed / setup.a).tolist(), strict=True):
         if setup.hold.radius < least:

@@ -118,7 +118,7 @@ def track_of(log: TrialLog) -> Track:
         frame_age=float(np.median(ages_ns)) / SECOND if ages_ns else None,
         watchdog=setup.watchdog_s,
         lag=setup.lag_s,
-        on_wheels=setup.wheel_radius is not None,
+        on_wheels=setup.on_wheels,
         strength=setup.strength,
         strength_unit=setup.strength_unit,
     )

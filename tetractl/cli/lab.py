@@ -115,7 +115,7 @@ def _stops(
     if port is not None and spec is None:
         from tetractl.lab.actuators.m3pi import broadcast as m3pi
 
-        return partial(m3pi.stop_all, _xbee(port, baud), None, MonotonicClock())
+        return partial(m3pi.stop_in_range, _xbee(port, baud), MonotonicClock())
     raise UsageError("give either a SPEC or --port")
 
 

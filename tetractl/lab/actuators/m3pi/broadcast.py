@@ -128,9 +128,14 @@ class Broadcaster:
                 yield decode_reply(frame)
 
 
-def stop_all(module: XbeeSection, setup: Setup | None, clock: Clock, alone: bool = True) -> str:
-    """Latch the emergency stop of every robot in radio range, those of a setup or not, by ten
-    frames within 200 ms; return a summary.
+def stop_all(module: XbeeSection, _setup: Setup, clock: Clock, alone: bool) -> str:
+    """Stop the robots, as `stop_in_range`: those of the setup or not."""
+    return stop_in_range(module, clock, alone)
+
+
+def stop_in_range(module: XbeeSection, clock: Clock, alone: bool = True) -> str:
+    """Latch the emergency stop of every robot in radio range by ten frames within 200 ms; return a
+    summary.
 
     The module is not checked before, because sending through a wrong module is better than no stop;
     AbortError if none answers after it. If not `alone`, another process may have the port open and

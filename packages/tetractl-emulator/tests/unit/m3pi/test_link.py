@@ -9,7 +9,7 @@ from tetractl_emulator.virtual_lab import LabClock
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
-from tetractl.lab.actuators.m3pi.broadcast import Broadcaster, decode_command, stop_all
+from tetractl.lab.actuators.m3pi.broadcast import Broadcaster, decode_command, stop_in_range
 from tetractl.lab.actuators.wheel_commands import Reply, Status
 from tetractl.lab.actuators.xbee.api_frames import (
     AT_COMMAND,
@@ -147,7 +147,7 @@ def stop_robots(monkeypatch):
 
     def stop(module, alone=True):
         monkeypatch.setattr("tetractl.lab.actuators.xbee.link.SerialPort", module.network.serial)
-        return stop_all(XbeeSection(port=module.name), None, module.clock, alone)
+        return stop_in_range(XbeeSection(port=module.name), module.clock, alone)
 
     return stop
 

@@ -211,6 +211,7 @@ def _step(
         chosen=chosen,
         generator=int(rng.integers(2**63, 2**64, dtype=np.uint64)),
         estimate=_estimate(rng, k, robots),
+        numbers={"margin_mm": float(rng.normal(30, 10))} if k % 2 else {},
     )
     command = Command(
         action=plan.action,

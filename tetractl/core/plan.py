@@ -3,7 +3,7 @@
 of the best search, or the `Outcome` of the trial.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -166,6 +166,8 @@ class Plan:
     state: State = State.DRIVING
     delay_ns: int = 0  # from the decision until a pause begins
     leg: int = 0  # number of way-points passed; while robots hold, one more than there are
+    # whatever else a controller says of the step, by a name that ends in its unit: "margin_mm"
+    numbers: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     @property
     def action(self) -> Action:

@@ -17,7 +17,12 @@ from tetractl.core.errors import printable
 from tetractl.core.motion_estimate import INNOVATIONS
 from tetractl.core.poses import Floats, Integers
 from tetractl.log.format.channels import HOST_TIMING, STEP
-from tetractl.log.format.codec import ESTIMATE_FIELDS, STOP_REASON_MAX
+from tetractl.log.format.codec import (
+    ESTIMATE_FIELDS,
+    NUMBER_NAME_MAX,
+    NUMBERS_MAX,
+    STOP_REASON_MAX,
+)
 from tetractl.log.format.tetractl_pb2 import (
     ControllerStep,
     Estimate,
@@ -67,18 +72,18 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
     Columns that begin with `left_NAME` and `right_NAME` are the wheel speeds of robot NAME by the
     paper's equations (24)-(25); `delivered_NAME` is False if the plant knows that the command did
     not reach it. `lag_s` is the time constant of the wheels by the spec, 0 without one; `identify`
-    reads it.
+    reads it. Columns that begin with `plan_` are `Plan.numbers`.
     """
     timings = {timing.k: timing for timing in contents.messages(HOST_TIMING)}
     untimed = StepTiming()
-    steps = contents.messages(STEP)
+    steps = list(contents.messages(STEP))
     rows = [_step_row(log, step, timings.get(step.k, untimed)) for step in steps]
     no_command = WheelCommand(delivered=[False] * len(log.start.setup.names))
     no_step = ControllerStep(command=no_command, searches=[Search()])
     columns: dict[str, list[Any]] = {}
     for name in _step_row(log, no_step, untimed):  # a trial without steps has columns, too
         columns[name] = [row[name] for row in rows]
-    return _table("steps", columns)
+    return _table("steps", columns | _number_columns(steps))
 
 
 def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[str, Any]:
@@ -113,6 +118,19 @@ def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[s
         row[f"left_{robot}_{setup.unit}_s"] = left_speed
         row[f"right_{robot}_{setup.unit}_s"] = right_speed
     return row
+
+
+def _number_columns(steps: Sequence[ControllerStep]) -> dict[str, list[float | None]]:
+    """Return a column for each name of the controller's numbers, None where a step has none of this
+    name."""
+    numbers = [{number.name: number.value for number in step.numbers} for step in steps]
+    names = dict.fromkeys(name for of_step in numbers for name in of_step)
+    if len(names) > NUMBERS_MAX:
+        raise ValueError(f"the controller's numbers have {len(names)} names")
+    return {
+        f"plan_{printable(name, NUMBER_NAME_MAX)}": [of_step.get(name) for of_step in numbers]
+        for name in names
+    }
 
 
 def poses(log: TrialLog) -> Table:

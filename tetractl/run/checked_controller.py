@@ -128,6 +128,10 @@ def _instead(value: Any) -> Turn | Stop | FieldOff | None:
     return value
 
 
+def _numbers(value: Any) -> dict[str, float]:
+    return {str(name): float(number) for name, number in value.items()}
+
+
 def _or_none(convert: Callable[[Any], Any]) -> Callable[[Any], Any]:
     return lambda value: None if value is None else convert(value)
 
@@ -138,5 +142,5 @@ _CONVERT: Mapping[Any, Callable[[Any], Any]] = {
     StopReason | str: decode_stop_reason,
     tuple[Search, ...]: lambda searches: tuple(_made(Search, search) for search in searches),
     Estimate | None: _or_none(lambda estimate: _made(Estimate, estimate)),
-    Turn | Stop | FieldOff | None: _instead,
+    Turn | Stop | FieldOff | None: _instead, Mapping[str, float]: _numbers,
 }  # fmt: skip

@@ -54,6 +54,12 @@ def test_the_table_of_steps_has_the_search_of_each(log, columns):
     assert list(steps["cost_mm"]) == [plan.cost for plan in plans]
 
 
+def test_the_table_of_steps_has_the_numbers_that_the_controller_says(log, columns):
+    margins = [step.plan.numbers.get("margin_mm") for step in log.steps]
+    assert None in margins and any(margins)  # only some steps have it
+    assert list(columns["steps"]["plan_margin_mm"]) == margins
+
+
 def test_the_table_of_estimates_has_a_row_for_each_robot_and_step(log, columns):
     table = columns["estimates"]
     plans = [step.plan for step in log.steps]

@@ -30,6 +30,10 @@ FORMER_STATES = ("nearing", "leaving a corner")
 """States of earlier versions, in which robots followed signals; they are read as `driving`."""
 STOP_REASON_MAX = 60
 """Largest number of characters read of the reason why a search stopped."""
+NUMBERS_MAX = 100
+"""Largest number of names that the numbers of a controller have in a log."""
+NUMBER_NAME_MAX = 60
+"""Largest number of characters of such a name."""
 DRAWN_BITS_CUT = 10
 """Bits of single precision's 24 that `drawn` sets to 0."""
 DRAWN_PRECISION = 2.0 ** (DRAWN_BITS_CUT - 24)
@@ -259,6 +263,7 @@ def encode_step(step: Step, command: pb.WheelCommand) -> pb.ControllerStep:
         delay_ns=plan.delay_ns,
         state=plan.state,
         estimate=_encode_estimate(plan.estimate) if plan.estimate else None,
+        numbers=[pb.Number(name=name, value=value) for name, value in plan.numbers.items()],
     )
 
 
@@ -293,6 +298,7 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
         state=State.DRIVING if message.state in FORMER_STATES else State(message.state),
         leg=message.leg,
         delay_ns=message.delay_ns,
+        numbers={number.name: number.value for number in message.numbers},
     )
     return Step(
         k=message.k,

@@ -105,8 +105,16 @@ class Estimate(_message.Message):
     stands: _containers.RepeatedScalarFieldContainer[float]
     def __init__(self, a: _Optional[_Iterable[float]] = ..., a_std: _Optional[_Iterable[float]] = ..., speed: _Optional[_Iterable[float]] = ..., speed_std: _Optional[_Iterable[float]] = ..., heading_bias: _Optional[_Iterable[float]] = ..., heading_bias_std: _Optional[_Iterable[float]] = ..., dead_time: _Optional[float] = ..., dead_time_std: _Optional[float] = ..., misfit: _Optional[_Iterable[float]] = ..., side: _Optional[_Iterable[float]] = ..., side_std: _Optional[_Iterable[float]] = ..., saturation: _Optional[_Iterable[float]] = ..., stands: _Optional[_Iterable[float]] = ...) -> None: ...
 
+class Number(_message.Message):
+    __slots__ = ("name", "value")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    VALUE_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    value: float
+    def __init__(self, name: _Optional[str] = ..., value: _Optional[float] = ...) -> None: ...
+
 class ControllerStep(_message.Message):
-    __slots__ = ("k", "observation", "command", "signals", "cost", "target_cost", "obstacle_cost", "searches", "chosen", "generator", "path_x", "path_y", "leg", "delay_ns", "state", "estimate")
+    __slots__ = ("k", "observation", "command", "signals", "cost", "target_cost", "obstacle_cost", "searches", "chosen", "generator", "path_x", "path_y", "leg", "delay_ns", "state", "estimate", "numbers")
     K_FIELD_NUMBER: _ClassVar[int]
     OBSERVATION_FIELD_NUMBER: _ClassVar[int]
     COMMAND_FIELD_NUMBER: _ClassVar[int]
@@ -123,6 +131,7 @@ class ControllerStep(_message.Message):
     DELAY_NS_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
     ESTIMATE_FIELD_NUMBER: _ClassVar[int]
+    NUMBERS_FIELD_NUMBER: _ClassVar[int]
     k: int
     observation: MocapSample
     command: WheelCommand
@@ -139,7 +148,8 @@ class ControllerStep(_message.Message):
     delay_ns: int
     state: str
     estimate: Estimate
-    def __init__(self, k: _Optional[int] = ..., observation: _Optional[_Union[MocapSample, _Mapping]] = ..., command: _Optional[_Union[WheelCommand, _Mapping]] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., target_cost: _Optional[float] = ..., obstacle_cost: _Optional[float] = ..., searches: _Optional[_Iterable[_Union[Search, _Mapping]]] = ..., chosen: _Optional[int] = ..., generator: _Optional[int] = ..., path_x: _Optional[_Iterable[float]] = ..., path_y: _Optional[_Iterable[float]] = ..., leg: _Optional[int] = ..., delay_ns: _Optional[int] = ..., state: _Optional[str] = ..., estimate: _Optional[_Union[Estimate, _Mapping]] = ...) -> None: ...
+    numbers: _containers.RepeatedCompositeFieldContainer[Number]
+    def __init__(self, k: _Optional[int] = ..., observation: _Optional[_Union[MocapSample, _Mapping]] = ..., command: _Optional[_Union[WheelCommand, _Mapping]] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., target_cost: _Optional[float] = ..., obstacle_cost: _Optional[float] = ..., searches: _Optional[_Iterable[_Union[Search, _Mapping]]] = ..., chosen: _Optional[int] = ..., generator: _Optional[int] = ..., path_x: _Optional[_Iterable[float]] = ..., path_y: _Optional[_Iterable[float]] = ..., leg: _Optional[int] = ..., delay_ns: _Optional[int] = ..., state: _Optional[str] = ..., estimate: _Optional[_Union[Estimate, _Mapping]] = ..., numbers: _Optional[_Iterable[_Union[Number, _Mapping]]] = ...) -> None: ...
 
 class StepTiming(_message.Message):
     __slots__ = ("k", "solve_ns", "deadline_missed")

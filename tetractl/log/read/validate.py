@@ -18,7 +18,13 @@ from tetractl.core.poses import Floats, Sample
 from tetractl.core.trial import Result, Step
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import TEXT
-from tetractl.log.format.codec import ESTIMATE_FIELDS, Frames, drawn
+from tetractl.log.format.codec import (
+    ESTIMATE_FIELDS,
+    NUMBER_NAME_MAX,
+    NUMBERS_MAX,
+    Frames,
+    drawn,
+)
 from tetractl.log.format.run_records import decode_result
 
 
@@ -81,6 +87,11 @@ def check_plan(plan: Plan, robots: int) -> None:
             raise ValueError("a search has no history")
         if not isinstance(search.stopped, str):
             raise ValueError(f"a search was stopped by {type(search.stopped).__name__}, not a text")
+    if len(plan.numbers) > NUMBERS_MAX:
+        raise ValueError(f"a plan has {len(plan.numbers)} numbers of its controller")
+    for name in plan.numbers:
+        if not (name.isidentifier() and len(name) <= NUMBER_NAME_MAX):
+            raise ValueError(f"a number is called {printable(name, NUMBER_NAME_MAX)!r}")
     costs = [plan.cost, plan.target_cost, plan.obstacle_cost]
     costs += [search.cost for search in searches]
     values = {
@@ -88,6 +99,7 @@ def check_plan(plan: Plan, robots: int) -> None:
         "a signal": np.concatenate([plan.signals, *(search.signals for search in searches)]),
         "a cost": np.concatenate([costs, *(search.history for search in searches)]),
     }
+    values |= {f"the number {name}": [number] for name, number in plan.numbers.items()}
     if plan.estimate is not None:
         values |= _numbers_of_estimate(plan.estimate, robots)
     for what, numbers in values.items():

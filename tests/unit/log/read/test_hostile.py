@@ -21,6 +21,7 @@ from tetractl.log.format.tetractl_pb2 import (
     CameraFrames,
     ControllerStep,
     MocapSample,
+    Number,
     Search,
     WheelCommand,
 )
@@ -206,6 +207,8 @@ def test_a_bad_result_costs_its_own_trial_only(tmp_path, contents, topic, change
         (COMMANDS, WheelCommand(direction=NAN, delivered=[True])),
         (COMMANDS, WheelCommand(direction=1.0, delivered=[True], left=[1.0, 2.0])),
         (STEP, spoilt_step(cost=INF)),
+        (STEP, spoilt_step(numbers=[Number(name="margin_mm", value=NAN)])),
+        (STEP, spoilt_step(numbers=[Number(name="margin\n", value=1.0)])),
         (STEP, spoilt_step(path_x=[1.0, NAN])),
         (STEP, spoilt_step(path_x=[1.0] * 3, path_y=[1.0] * 3)),
         (STEP, spoilt_step(searches=[Search(length=2, signals=[0.5], history=[1.0])])),

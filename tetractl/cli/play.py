@@ -88,11 +88,12 @@ def play(
     Example: tetractl play experiments/three_m3pi.yaml
     """
     from tetractl.control.build import warm_up
+    from tetractl.experiment.yaml.document import FieldValue
     from tetractl.run.open_trial import directed_spec
     from tetractl.view.terminal.hand_keys import read_script
     from tetractl.view.terminal.screen import shows_pictures
 
-    loaded = load_to_run(spec, sets or [], plant, seed=seed)
+    loaded = load_to_run(spec, sets or [], plant, [FieldValue("trials.seed", seed, "--seed")])
     directed = directed_spec(loaded)
     experiment = loaded.experiment
     in_lab = experiment.plant.real_time

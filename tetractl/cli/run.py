@@ -49,6 +49,8 @@ def run(
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
+    from tetractl.experiment.yaml.document import FieldValue
+
     if resume and out is None:
         raise UsageError("--resume needs --out", "name the folder of the batch to continue")
     if serve and jobs > 1:
@@ -64,6 +66,10 @@ def run(
         json=json,
         unattended=unattended,
     )
-    loaded = load_to_run(spec, sets or [], plant, trials, seed, strict)
+    of_spec = [
+        FieldValue("trials.count", trials, "--trials"),
+        FieldValue("trials.seed", seed, "--seed"),
+    ]
+    loaded = load_to_run(spec, sets or [], plant, of_spec, strict)
     code, _ = run_command(loaded, how)
     return code

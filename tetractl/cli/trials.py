@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from tetractl.core.protocols import Observer
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.loaded_spec import LoadedSpec
+    from tetractl.experiment.yaml.document import FieldValue
     from tetractl.run.batch import Report, RunObserver
     from tetractl.run.executors import Executor
     from tetractl.run.store import Store
@@ -49,23 +50,20 @@ def load_to_run(
     spec: Path,
     sets: Sequence[str],
     plant: str | None,
-    trials: int | None = None,
-    seed: int | None = None,
+    values: "Sequence[FieldValue]" = (),
     strict: bool = False,
 ) -> "LoadedSpec":
     """Return a spec with what options replace in it, on the plant that will be run, and print its
-    warnings; with `strict`, raise UsageError if there are any."""
+    warnings; with `strict`, raise UsageError if there are any. `values` are those of options for
+    one field each, None of an option that is not given.
+    """
     from tetractl.experiment.load import load_document
     from tetractl.experiment.plants import on_plant, settings_on
-    from tetractl.experiment.yaml.document import FieldValue, SpecSetting, read_document
+    from tetractl.experiment.yaml.document import read_document
 
     document = read_document(spec)
-    settings: list[SpecSetting] = list(settings_on(document, sets, plant))
-    if trials is not None:
-        settings.append(FieldValue("trials.count", trials, "--trials"))
-    if seed is not None:
-        settings.append(FieldValue("trials.seed", seed, "--seed"))
-    loaded = load_document(document, settings)
+    given = [value for value in values if value.value is not None]
+    loaded = load_document(document, [*settings_on(document, sets, plant), *given])
     ui.warn(loaded, strict)
     return on_plant(loaded, plant)
 

@@ -94,12 +94,12 @@ def predict(problem: Problem, signals: Floats) -> Floats:
 
 def _rates(heading: Floats, u: Floats, parameters: Floats, seconds: float) -> Floats:
     """Return the rates a (..., N) of a step, by `turning`, of robots with rows of parameters."""
-    c = np.cos(heading)
-    s = np.sin(heading)
-    cu = np.cos(u)
-    su = np.sin(u)
-    rates = np.vectorize(lambda c, s, cu, su, *robot: turning(c, s, cu, su, robot, seconds)[0])
-    return rates(c, s, cu, su, *parameters.T)
+
+    def rate(c: float, s: float, cu: float, su: float, *robot: float) -> float:
+        return turning(c, s, cu, su, robot, seconds)[0]
+
+    rates = np.vectorize(rate)
+    return rates(np.cos(heading), np.sin(heading), np.cos(u), np.sin(u), *parameters.T)
 
 
 def evaluate(problem: Problem, signals: Floats) -> Costs:

@@ -25,6 +25,19 @@ class DueTimes:
     samples: Bools
     """At which of them the true path is sampled, (M,)."""
 
+    def part(self, begin: int, end: int) -> "DueTimes":
+        """Return a copy of the rows from `begin` to before `end`."""
+        rows = slice(begin, end)
+        return DueTimes(
+            self.times_ns[rows].copy(), self.frames[rows].copy(), self.samples[rows].copy()
+        )
+
+    def end_at(self, end_ns: int) -> None:
+        """Let the last time be `end_ns`, at which nothing is exposed or sampled."""
+        self.times_ns[-1] = end_ns
+        self.frames[-1] = False
+        self.samples[-1] = False
+
 
 class Timetable:
     """The times of frames and of samples: each k / rate [ns] with k = 0, 1, 2, ...
@@ -54,17 +67,11 @@ class Timetable:
         self._taken = end
         self.next_ns = self._times[end]
         self.next_frame_ns = self._next_frames_ns[end]
-        ends = end > begin and self._times[end - 1] == until_ns
-        replaces = with_end and not ends  # the time after the last one: quicker than to append one
-        part = slice(begin, end + 1 if replaces else end)
-        block = self._block
-        due = DueTimes(
-            block.times_ns[part].copy(), block.frames[part].copy(), block.samples[part].copy()
-        )
-        if replaces:
-            due.times_ns[-1] = until_ns
-            due.frames[-1] = False
-            due.samples[-1] = False
+        ends_there = end > begin and self._times[end - 1] == until_ns
+        if ends_there or not with_end:
+            return self._block.part(begin, end)
+        due = self._block.part(begin, end + 1)  # a row more is there, and quicker than one appended
+        due.end_at(until_ns)
         return due
 
     def _lay_out(self, end_ns: int) -> None:

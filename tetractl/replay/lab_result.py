@@ -16,6 +16,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND, seconds
 from tetractl.core.commands import Command
+from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.trial import HALTS, Result, Verdict
 from tetractl.log.read.reader import trial_path
 from tetractl.log.read.trial_log import TrialLog
@@ -90,36 +91,55 @@ def _final_poses(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Dif
 
 
 def _paths(log: TrialLog, verdict: Verdict, stop: Command) -> Iterator[Difference]:
-    """Check the entered obstacles and the least distances (N,) in a verdict against the path.
-
-    The frames between the first step and the stop have surely been read. A least distance is that
-    of these frames, or a smaller one of a frame that is open: one that was perhaps read, or with a
-    pose that came too late for its robot to count as tracked (`is_known`, but not `is_tracked`),
-    and may be a place on its path. Where the other robots were then is not known, so that no
-    distance between robots follows from such a pose.
-    """
+    """Check the entered obstacles and the least distances (N,) in a verdict against the path."""
     path, is_tracked = trial_path(log)
     is_known = np.asarray(np.isfinite(path).all(axis=2))
-    setup = log.start.setup
-    entered = check_path(setup, path, is_known, verdict.final).entered
-    first_step_ns = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
-    is_read = (log.received_ns > first_step_ns) & (log.received_ns <= stop.sent_ns)
-    of_read = check_path(setup, path[is_read], is_tracked[is_read], verdict.final)
-    is_open = ~is_read | (is_known & ~is_tracked).any(axis=1)
-    alone = [slice(i, i + 1) for i in np.flatnonzero(is_open)]
-    of_open = [check_path(setup, path[i], is_known[i], verdict.final) for i in alone]
-    aparts = [tracked_separations(path[i], is_tracked[i]) for i in alone]
-    for name, stated, read, open_frames in (
-        ("clearance", verdict.clearance, of_read.clearance, [v.clearance for v in of_open]),
-        ("edge", verdict.edge, of_read.edge, [v.edge for v in of_open]),
-        ("apart", verdict.apart, of_read.apart, aparts),
+    possible = _possible_distances(log, path, is_known, is_tracked, verdict.final, stop)
+    for name, stated in (
+        ("clearance", verdict.clearance),
+        ("edge", verdict.edge),
+        ("apart", verdict.apart),
     ):
-        possible = np.minimum(read, np.array([read, *open_frames]))
         for i, distance in enumerate(stated):
-            if distance not in possible[:, i]:
-                text = f"states {distance}, the frames show {possible[:, i].min()} to {read[i]}"
+            of_robot = possible[name][:, i]
+            if distance not in of_robot:
+                text = f"states {distance}, the frames show {of_robot.min()} to {of_robot[0]}"
                 yield Difference(None, f"result.{name}.{i}", text)
+    entered = check_path(log.start.setup, path, is_known, verdict.final).entered
     for i, (stated, again) in enumerate(zip(verdict.entered, entered, strict=True)):
         if stated != again:
             text = f"states {stated}, but the logged path gives {again}"
             yield Difference(None, f"result.entered.{i}", text)
+
+
+def _possible_distances(
+    log: TrialLog, path: Floats, is_known: Bools, is_tracked: Bools, final: Poses, stop: Command
+) -> dict[str, Floats]:
+    """Return the values that each least distance of a robot may have (V, N), by name, along the
+    path (F, N, 3) of which poses are known and tracked (F, N).
+
+    The frames between the first step and the stop have surely been read, and row 0 is of these. The
+    others are each of these with a frame that is open: one that was perhaps read, or with a pose
+    that came too late for its robot to count as tracked, and may be a place on its path. Where the
+    other robots were then is not known: no distance between robots follows from such a pose.
+    """
+    setup = log.start.setup
+    first_step_ns = log.steps[0].command.sent_ns if log.steps else stop.sent_ns
+    is_read = (log.received_ns > first_step_ns) & (log.received_ns <= stop.sent_ns)
+    is_open = ~is_read | (is_known & ~is_tracked).any(axis=1)
+    of_read = check_path(setup, path[is_read], is_tracked[is_read], final)
+    clearances = [of_read.clearance]
+    edges = [of_read.edge]
+    aparts = [of_read.apart]
+    for row in np.flatnonzero(is_open):
+        frame = slice(row, row + 1)
+        alone = check_path(setup, path[frame], is_known[frame], final)
+        clearances.append(alone.clearance)
+        edges.append(alone.edge)
+        apart = tracked_separations(path[frame], is_tracked[frame])
+        aparts.append(tuple(apart.tolist()))
+    return {
+        "clearance": np.minimum(of_read.clearance, clearances),
+        "edge": np.minimum(of_read.edge, edges),
+        "apart": np.minimum(of_read.apart, aparts),
+    }

@@ -95,19 +95,27 @@ class _Turns:
 
     def asked(self, lag_s: float, dead_time_s: float) -> Complex:
         """Return the integrals of exp(i (u - h)) over the turns (K,), after a lag and dead time."""
-        # the means of what acts in each step of the grid; the first direction acts before its time
-        sent = np.exp(1j * self.u)
-        sums = np.concatenate([[0], np.cumsum(np.diff(self.when) * sent[:-1])])
-        since_s = self.grid - dead_time_s
-        newest = np.maximum(np.searchsorted(self.when, since_s, side="right") - 1, 0)
-        acting = np.diff(sums[newest] + (since_s - self.when[newest]) * sent[newest])
-        pull = acting * np.exp(-0.5j * (self.heading[:-1] + self.heading[1:]))
-        if lag_s > 0:
+        middle = 0.5 * (self.heading[:-1] + self.heading[1:])
+        pull = np.diff(self._sent_until(self.grid - dead_time_s)) * np.exp(-1j * middle)
+        if lag_s > 0:  # wheels follow the pull, which is even within a step of the grid
             decay = np.exp(-GRID_S / lag_s)
-            pull = lfilter([(1 - decay) / 2, (1 - decay) / 2], [1, -decay], pull)
-        total = np.concatenate([[0], np.cumsum(pull)])
-        of_ends = np.interp(self.end, self.grid, total)
-        return np.asarray(of_ends - np.interp(self.begin, self.grid, total), dtype=np.complex128)
+            share = (1 - decay) / 2
+            pull = lfilter([share, share], [1, -decay], pull)
+        pulled = np.concatenate([[0], np.cumsum(pull)])
+        until_end = np.interp(self.end, self.grid, pulled)
+        until_begin = np.interp(self.begin, self.grid, pulled)
+        return np.asarray(until_end - until_begin, dtype=np.complex128)
+
+    def _sent_until(self, times: Floats) -> Complex:
+        """Return the integrals of exp(i u) over what was sent until some times (G + 1,) [s].
+
+        Each direction counts until the next one, the first one before its time, too.
+        """
+        sent = np.exp(1j * self.u)
+        until_sent = np.concatenate([[0], np.cumsum(np.diff(self.when) * sent[:-1])])
+        newest = np.maximum(np.searchsorted(self.when, times, side="right") - 1, 0)
+        until_times = until_sent[newest] + (times - self.when[newest]) * sent[newest]
+        return np.asarray(until_times, dtype=np.complex128)
 
 
 def _unexplained(robots: Sequence[Sequence[_Turns]], lag_s: float, near_s: float) -> Floats:

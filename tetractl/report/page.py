@@ -87,7 +87,11 @@ def report(
     groups, unread = _batches(paths, progress)
     count = sum(len(group.batch.logs) for group in groups)
     complete = count <= MANY
-    trials, errors, first, unread_trials = _carried(groups, complete)
+    carried = _Carried(complete)
+    for group in groups:
+        carried.add(group, len(groups))
+    trials = carried.trials
+    first = carried.first
     numbers = {trial.path: number for number, trial in enumerate(trials, 1)}
     experiments = dict.fromkeys(group.experiment.name for group in groups)
     of_study = len(paths) == 1 and len(groups) > 1
@@ -97,14 +101,14 @@ def report(
     if first is not None:
         note = "" if complete else LEFT_OUT.format(len(trials), count)
         parts.append(_player(trials, groups[0].unit, note))
-    if errors:
-        parts.append(f"<section><h2>Errors</h2>{errors}</section>")
+    if carried.errors:
+        parts.append(f"<section><h2>Errors</h2>{carried.errors}</section>")
     parts.append(_statistics(compared, numbers))
     if first is not None:
         figures = figures_of_trial(first)
         parts.append(f"<section><h2>Figures of the first trial</h2>{figures}</section>")
         parts.append(_provenance(first))
-    return _page(name, "".join(parts), bool(trials)), [*unread, *unread_trials]
+    return _page(name, "".join(parts), bool(trials)), [*unread, *carried.unread]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,34 +144,36 @@ def player(logs: Sequence[TrialLog]) -> PlayerPage:
 # ---- Reading ----
 
 
-def _carried(
-    groups: Sequence[BatchStatistics], complete: bool
-) -> tuple[list[_CarriedTrial], str, TrialLog | None, list[str]]:
-    """Return the trials that the page carries of some batches, all if `complete`; the figures of
-    the batches' errors over time; the first trial; and what is wrong with logs."""
-    several = len(groups) > 1
-    unread: list[str] = []
-    trials: list[_CarriedTrial] = []
-    errors: list[str] = []
-    first: TrialLog | None = None
-    for group in groups:
+class _Carried:
+    """What the page carries of the logs of its batches, all of them if `complete`: the `trials`,
+    the figures of their `errors` over time, and the `first` trial; `unread` is what is wrong with
+    logs."""
+
+    def __init__(self, complete: bool) -> None:
+        self._complete = complete
+        self.trials: list[_CarriedTrial] = []
+        self.errors = ""
+        self.first: TrialLog | None = None
+        self.unread: list[str] = []
+
+    def add(self, group: BatchStatistics, groups: int) -> None:
+        """Read the logs of a batch, one of `groups`."""
         logs: list[TrialLog] = []
-        for path in group.batch.logs if complete else logs_to_carry(group, len(groups)):
+        for path in group.batch.logs if self._complete else logs_to_carry(group, groups):
             try:
                 log = read_trial(path)
             except LogError as error:
-                unread.append(error.message)
+                self.unread.append(error.message)
                 continue
-            first = first or log
+            self.first = self.first or log
             logs.append(lean(log))
-            name = f"{group.name}, {path.name}" if several else path.name
-            data = trial_data(log, path.name, complete)
-            trials.append(_CarriedTrial(str(path), name, data))
-        which = [group.name] if several else []
-        if not complete:
+            name = f"{group.name}, {path.name}" if groups > 1 else path.name
+            data = trial_data(log, path.name, self._complete)
+            self.trials.append(_CarriedTrial(str(path), name, data))
+        which = [group.name] if groups > 1 else []
+        if not self._complete:
             which.append(f"the {len(logs)} trials on this page")
-        errors.append(errors_over_time(", ".join(which), logs))
-    return trials, "".join(errors), first, unread
+        self.errors += errors_over_time(", ".join(which), logs)
 
 
 def logs_to_carry(group: BatchStatistics, groups: int) -> list[Path]:

@@ -17,7 +17,7 @@ import pickle
 import signal
 import sys
 from contextlib import suppress
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from statistics import mode
 from typing import Any, BinaryIO
@@ -33,7 +33,6 @@ MEMORY_MAX = 320 * 2**20  # memory for decoding, beyond that of the libraries [B
 PATIENCE_S = 20.0
 TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # the last two are BigTIFF
 NO_SIZE = (0, 0)  # of a picture that cannot be read
-FUNCTIONS = ("read", "clock")  # of a film, which cannot be written
 NOT_READ = {
     b"<?xm": ("is XML, and no film", "of TrackMate, export the table of spots, or a GEFF graph"),
     b"PK\3\4": ("is a zip archive, and no film", "unpack it"),
@@ -48,12 +47,12 @@ def main(path: Path, out: BinaryIO) -> None:
     _limit_time()
     try:
         source = _opened(path)
-        shots = source.pictures()
-        first = next(shots, None)
-        if first is None:
+        pictures = source.pictures()
+        first = list(islice(pictures, 1))
+        if not first:
             hint = "convert it to AVI, MP4 or TIFF, or give a folder of pictures"
             raise UsageError(f"{path}: OpenCV cannot read this film", hint)
-        looked = [films.thinned(pixels) for pixels in chain([first.pixels], source.sample())]
+        looked = [films.thinned(pixels) for pixels in chain(first, source.sample())]
         sizes = [size for size, _ in looked[1:] or looked if size != NO_SIZE]  # the first is twice
         size = mode(sizes) if sizes else NO_SIZE  # an odd picture may come first
         if math.prod(size) > films.PIXELS_MAX:
@@ -64,19 +63,19 @@ def main(path: Path, out: BinaryIO) -> None:
     except TetractlError as error:
         pickle.dump((None, error), out)
         return
-    stated = {name: getattr(source, name) for name in source.__slots__ if name not in FUNCTIONS}
-    pickle.dump((stated | {"has_clock": first.seconds is not None}, None), out)
-    for shot in chain([first], shots):
-        shape = NO_SIZE if shot.pixels is None else shot.pixels.shape[:2]
+    begin_s = source.clock_s
+    stated = {name: getattr(source, name) for name in source.__slots__ if name != "read"}
+    pickle.dump((stated, None), out)
+    for pixels in chain(first, pictures):
+        shape = NO_SIZE if pixels is None else pixels.shape[:2]
         size = shape if size == NO_SIZE else size
-        if shot.pixels is None or shape != size or math.prod(shape) > films.PIXELS_MAX:
+        if pixels is None or shape != size or math.prod(shape) > films.PIXELS_MAX:
             grey = None
         else:
-            grey = films.grey_levels(shot.pixels, low, step)
-        passed = None
-        if shot.seconds is not None and first.seconds is not None:
-            passed = shot.seconds - first.seconds
-        pickle.dump((grey, passed), out)
+            grey = films.grey_levels(pixels, low, step)
+        now_s = source.clock_s
+        passed_s = None if begin_s is None or now_s is None else now_s - begin_s
+        pickle.dump((grey, passed_s), out)
         _limit_time()
 
 

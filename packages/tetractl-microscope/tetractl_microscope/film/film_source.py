@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -44,13 +44,6 @@ Raw = np.ndarray | None
 """A picture (height, width) of any type, or (height, width, 3) in colour; None if it is damaged."""
 
 
-class TimedPicture(NamedTuple):
-    """A picture of a film, and the time [s] that its container's clock gives it, if it has one."""
-
-    pixels: Raw
-    seconds: float | None = None
-
-
 @dataclass(slots=True)
 class FilmSource:
     """An open film, and what it states: scale [um/px], rate [Hz], times of its pictures [s] from
@@ -58,7 +51,7 @@ class FilmSource:
     in a series some of which are missing. `remarks` are lines to print.
 
     `read` returns a picture by its index. A film without `count` has 8 bits, and ends where `read`
-    gives None; its `clock` is the time of the picture that was read last [s].
+    gives None; `clock_s` is the time that its container gives the picture read last [s].
     """
 
     read: Callable[[int], Raw]
@@ -68,15 +61,15 @@ class FilmSource:
     times: list[float] | None = None
     places: list[int] | None = None
     remarks: list[str] = field(default_factory=list)
-    clock: Callable[[], float] | None = None
+    clock_s: float | None = None
 
-    def pictures(self) -> Iterator[TimedPicture]:
+    def pictures(self) -> Iterator[Raw]:
         """Yield the pictures in order."""
         for index in itertools.count() if self.count is None else range(self.count):
             picture = self._picture(index)
             if picture is self.count is None:
                 return
-            yield TimedPicture(picture, None if self.clock is None else self.clock())
+            yield picture
 
     def sample(self) -> Iterator[Raw]:
         """Yield SAMPLED pictures that are spread over the film; none of a film of 8 bits."""
@@ -210,12 +203,12 @@ def video_film(path: Path) -> FilmSource:
         was_read, pixels = capture.read()
         if not was_read:
             return None
+        if own_hz is not None:
+            source.clock_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
         return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY) if pixels.ndim == 3 else pixels
 
-    def clock() -> float:
-        return capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-
-    return FilmSource(read, rate_hz=own_hz, clock=None if own_hz is None else clock)
+    source = FilmSource(read, rate_hz=own_hz)
+    return source
 
 
 def nd2_film(path: Path) -> FilmSource:

@@ -114,11 +114,6 @@ class FilmPictures:
         """The mean rate of the pictures that were read so far [Hz]."""
         return self.timing.rate_hz
 
-    @property
-    def times(self) -> list[float] | None:
-        """The times of the pictures that were read so far [s]; None if they are at `rate_hz`."""
-        return None if self.timing.even else self.timing.stated
-
     def seconds(self, number: int) -> float:
         """Return the time of a picture [s]."""
         return self.timing.seconds(number)
@@ -163,7 +158,7 @@ def open_film(path: Path, rate_hz: float | None = None, um_px: float | None = No
         own_timing = PictureTimes(rate if rate_hz is None else own_hz, stated, source)
         if own_timing.even:  # but for rounding
             own_timing = PictureTimes(own_timing.nominal_hz)
-    elif stated_by_film["has_clock"] and own_hz is not None and _possible(own_hz, RATES_HZ):
+    elif stated_by_film["clock_s"] is not None and _possible(own_hz, RATES_HZ):
         own_timing = PictureTimes(own_hz if rate_hz else rate, [], source)
     timing = PictureTimes(rate) if rate_hz or own_timing is None else own_timing
     if stated is None and stated_by_film["places"] is not None:

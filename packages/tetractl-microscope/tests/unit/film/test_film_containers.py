@@ -105,7 +105,7 @@ def test_of_channels_the_first_is_read_and_that_is_said(tmp_path):
 def test_what_has_no_height_and_width_is_no_picture():
     shapes = [(8,), (0, 8), (8, 0), (2, 2, 2, 2), (8, 9), (8, 9, 3)]
     source = FilmSource(lambda index: np.zeros(shapes[index], np.uint8), len(shapes))
-    assert [shot.pixels is None for shot in source.pictures()] == [True] * 4 + [False] * 2
+    assert [pixels is None for pixels in source.pictures()] == [True] * 4 + [False] * 2
 
 
 def test_films_of_any_depth_use_their_own_range():
@@ -150,7 +150,7 @@ def test_nd2_is_read_through_its_library(tmp_path, monkeypatch):
     path = tmp_path / "film.nd2"
     path.write_bytes(bytes(3 * 64))
     film = nd2_film(path)
-    assert [int(shot.pixels[0, 0]) for shot in film.pictures()] == [0, 2, 4]
+    assert [int(pixels[0, 0]) for pixels in film.pictures()] == [0, 2, 4]
     assert film.um_px == 0.65 and film.times == pytest.approx([0, 0.05, 0.1])
     assert film.remarks == ["the first of 2 slices is read", "the first of 2 channels is read"]
     path.write_bytes(bytes(3 * 64 - 1))

@@ -115,7 +115,7 @@ def test_pictures_of_two_kinds_are_not_one_film(names, tmp_path):
     assert names[0] in str(error.value) and names[1] in str(error.value)
     times = "".join(f"{k / 20}\n" for k in range(len(names)))
     (tmp_path / TIMES_FILE).write_text("time_s\n" + times)
-    assert open_film(tmp_path).times is None
+    assert open_film(tmp_path).timing.even
 
 
 @pytest.mark.parametrize(

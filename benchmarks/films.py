@@ -32,7 +32,8 @@ from filmworld.rows import called_sure, f1, idf1, table
 from filmworld.scores import FilmScore, Shown, score_film
 from filmworld.taken_out import RULES, without
 from filmworld.truth import LEVELS, FilmTruth, write_film
-from tetractl_microscope.film.field_file import FieldRecord, read_field
+from tetractl_microscope.cells.field_record import FieldRecord
+from tetractl_microscope.film.field_file import read_field
 from tetractl_microscope.film.follow import follow
 from tetractl_microscope.film.pictures import open_film
 from tetractl_microscope.organisms import named

@@ -38,7 +38,7 @@ def track(folder: Path, um_px: float, setting: Setting) -> Shown:
     followed, cells = fit_cells(followed, field)
     result = Shown.of(followed)
     for cell in cells:
-        said = {"speed": cell.speed, "a": cell.a}
+        said = {"speed": cell.speed_um_s, "a": cell.a_rad_s}
         result.numbers[int(cell.cell)] = {
             name: (float(interval.low), float(interval.high))
             for name, interval in said.items()

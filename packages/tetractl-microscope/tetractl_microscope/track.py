@@ -12,7 +12,7 @@ from tetractl.tools.table.table_files import table_files
 
 if TYPE_CHECKING:
     from tetractl.replay.identification.sent_directions import DirectionReading
-    from tetractl_microscope.film.field_file import FieldRecord
+    from tetractl_microscope.cells.field_record import FieldRecord
     from tetractl_microscope.film.who import CellPath
     from tetractl_microscope.organisms import Organism
 

@@ -11,12 +11,11 @@ from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.poses import Floats
 from tetractl.tools.table.table_files import plain
 from tetractl_microscope.cells.cell import SeenCell
-from tetractl_microscope.film.field_file import FieldRecord
-from tetractl_microscope.film.film_tables import cell_items
+from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.film.fit_cell import RATE_MIN, SHORTEST_S, fit_tracks
 from tetractl_microscope.film.onward import TO_AND_FRO, hardly_any_goes_on, onward_of_track
 from tetractl_microscope.film.picture_times import PictureTimes
-from tetractl_microscope.film.who import UNKNOWN, CellPath
+from tetractl_microscope.film.who import CellPath
 from tetractl_microscope.foreign_tracks import SpotTrack
 from tetractl_microscope.organisms import Organism
 from tetractl_microscope.registries import ORGANISMS
@@ -140,20 +139,11 @@ def _path(track: SpotTrack, times: Floats) -> CellPath:
     sightings = tuple(
         SeenCell(
             identity=number,
+            track=number,
             x=x,
             y=y,
             axis=math.nan,
             heading=math.nan,
-            mean=UNKNOWN,
-            sd=UNKNOWN,
-            probability=1.0,
-            has_blob=True,
-            merged=False,
-            long_um=math.nan,
-            wide_um=math.nan,
-            track=number,
-            measured=None,
-            blob_um=None,
         )
         for _, x, y in track.rows.tolist()
     )
@@ -190,7 +180,7 @@ def track_record(
     if cells.timing.nominal_hz < RATE_MIN:
         note = f"at fewer than {math.ceil(RATE_MIN)} pictures/s, cells have no speed along a helix"
     notes = [note]
-    items = [cell_items(cell, path) for cell, path in zip(summaries, cells.paths, strict=True)]
+    items = [cell.items() for cell in summaries]
     turning: list[str] = []
     for item in items:
         speed = item["speed_um_s"]

@@ -123,7 +123,7 @@ def films(seed: int, number: int) -> dict[str, Any]:
     rng = np.random.default_rng([seed, number])
     put_in = float(rng.uniform(*SLOPES))
     cells = [cell for mt in STRENGTHS_MT for cell in _tracked(mt, put_in, rng)]
-    couplings = [cell.a for cell in cells if cell.a is not None and cell.sure]
+    couplings = [cell.a_rad_s for cell in cells if cell.a_rad_s is not None and cell.sure]
     deviations = [(a.high - a.low) / 2 / stats.norm.ppf(0.975) / REFERENCE_MT for a in couplings]
     slopes = [a.value / REFERENCE_MT for a in couplings]
     return {"put in": put_in, "slopes": slopes, "deviations": deviations}

@@ -7,7 +7,7 @@ from filmworld.truth import FilmTruth
 from support.needs_opencv import cv2
 from support.synthetic_film import FilmScript, SyntheticFilm
 from tetractl_emulator.pictures.dish.picture import PictureLook
-from tetractl_microscope.film.field_file import FieldRecord
+from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.film.follow import follow
 from tetractl_microscope.film.picture_times import PictureTimes
 

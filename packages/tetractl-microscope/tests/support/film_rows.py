@@ -10,9 +10,7 @@ def seen_cell(name, x, y, track, likely=1.0, has_blob=True, merged=False, measur
     pose = (x, y, 0.0, 0.0)
     state = np.zeros(12)
     size = 50.0, 25.0
-    return SeenCell(
-        name, *pose, state, state, likely, has_blob, merged, *size, track, measured, None
-    )
+    return SeenCell(name, track, *pose, state, state, likely, has_blob, merged, *size, measured)
 
 
 def recorded(pictures, times):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tetractl_microscope.film.field_file import FieldRecord
+from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.film.fit_cell import fit_tracks
 from tetractl_microscope.foreign_tracks import SpotTrack
 from tetractl_microscope.organisms import named
@@ -124,9 +124,9 @@ def test_a_of_a_perfect_swimmer_is_within_its_interval(helix_um, hz):
     field = FieldRecord(changes, sent)
     cells = swimming_tracks(SOURCE, [cell], True)
     (summary,) = fit_tracks(cells.paths, named("tetrahymena"), field, cells.timing)
-    assert summary.a.low < a < summary.a.high
-    assert summary.a.value == pytest.approx(a, rel=0.03)
-    assert summary.speed.low < speed < summary.speed.high
+    assert summary.a_rad_s.low < a < summary.a_rad_s.high
+    assert summary.a_rad_s.value == pytest.approx(a, rel=0.03)
+    assert summary.speed_um_s.low < speed < summary.speed_um_s.high
 
 
 TURNING_ABOUT = FieldRecord(np.arange(0.0, 10.0, 2.0), np.array([0.0, 1.5, -1.2, 2.5, 0.4]))
@@ -162,5 +162,5 @@ def test_noise_of_places_makes_no_flow_past_a_swimmer():
     """Regression: speeds of 78 (72 to 83) and 87 (83 to 91) for 100, by flows of up to 23 um/s."""
     cells = swimming_tracks(SOURCE, [wandering(number) for number in (3, 5)], False)
     for summary in fit_tracks(cells.paths, named("euglena"), None, cells.timing):
-        assert summary.speed.value == pytest.approx(100.0, rel=0.03)
-        assert summary.speed.low < 101.0 and summary.speed.high > 99.0
+        assert summary.speed_um_s.value == pytest.approx(100.0, rel=0.03)
+        assert summary.speed_um_s.low < 101.0 and summary.speed_um_s.high > 99.0

@@ -18,7 +18,7 @@ from tetractl.tools.worker import drained
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.cell_watch import CellWatch, Identities
 from tetractl_microscope.cells.cells_health import SeenDish, cell_count, dish_lines, sharpness
-from tetractl_microscope.cells.field_signals import FieldSignals
+from tetractl_microscope.cells.field_record import FieldSignals
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, WALL_UM, Piece
 from tetractl_microscope.cells.identity_watch import SURE
 from tetractl_microscope.cells.kernels.helix_steps import SPEED, WAY, A
@@ -333,4 +333,4 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def _field(self, start: float, end: float) -> Sequence[Piece]:
         """Return the field between two times [s] in the picture's axes, by the directions sent."""
-        return self._sent.pieces(start, end, self.section.rotation)
+        return self._sent.record(self.section.rotation).pieces(start, end)

@@ -1,11 +1,13 @@
 """A cell in one picture, and what is said of it: its name, and where it appeared."""
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from tetractl.core.poses import Floats
+from tetractl_microscope.cells.kernels.helix_steps import STATES
 
 POINT_UM = 1e-6  # length and width that stand for those of a blob without a size
 
@@ -37,6 +39,11 @@ class BodySize(NamedTuple):
         return self.long * self.wide
 
 
+def _unknown() -> Floats:
+    """Return the state of a cell that the filter does not follow."""
+    return np.full(STATES, np.nan)
+
+
 @dataclass(frozen=True, slots=True)
 class SeenCell:
     """One cell in one picture.
@@ -50,24 +57,24 @@ class SeenCell:
     and their standard deviations; None if the cell has no blob of its own. `blob_um` (5,) are
     x, y [um], axis [rad], length and width [um] of the blob, these NaN if the picture's edge cuts
     it off; None if the cell has none. `sure` is whether a whole film leaves no doubt that this is
-    the cell that had the number at first.
+    the cell that had the number at first. The defaults are those of a cell that no filter follows.
     """
 
     identity: int
+    track: int
     x: float
     y: float
     axis: float
     heading: float
-    mean: Floats
-    sd: Floats
-    probability: float
-    has_blob: bool
-    merged: bool
-    long_um: float
-    wide_um: float
-    track: int
-    measured: tuple[float, ...] | None
-    blob_um: Floats | None
+    mean: Floats = field(default_factory=_unknown)
+    sd: Floats = field(default_factory=_unknown)
+    probability: float = 1.0
+    has_blob: bool = True
+    merged: bool = False
+    long_um: float = math.nan
+    wide_um: float = math.nan
+    measured: tuple[float, ...] | None = None
+    blob_um: Floats | None = None
     sure: bool = True
 
     def on_blob(self) -> "SeenCell":

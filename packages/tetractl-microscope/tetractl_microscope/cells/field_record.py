@@ -1,60 +1,60 @@
-"""The directions of the field that were sent, as pieces of constant field for the filter."""
+"""The field over time, of a film or of a dish, as pieces of constant field for the filter."""
 
 import math
 import threading
-from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats
+from tetractl.replay.identification.sent_directions import SentDirections
 from tetractl.tools.worker import WAITING_MAX
 from tetractl_microscope.cells.helix import Piece
 
+NO_FIELD_YET = (-math.inf, 0.0, 0.0)
+"""Time [s], direction and strength of the field before the first direction."""
 
-class FieldSignal(NamedTuple):
-    """The direction [rad] of the field from a time [ns] on; None if it is off."""
 
-    sent_ns: int
-    direction: float | None
+class FieldRecord(SentDirections):
+    """The field over time; there is none before `times[0]`, and the last value has no end."""
+
+    def items(self) -> dict[str, Floats]:
+        """Return x and y of the field from each of its times [s] on, as records have them."""
+        return {"time_s": self.times, "x": self.acts.real, "y": self.acts.imag}
+
+    def pieces(self, start: float, end: float) -> Sequence[Piece]:
+        """Return the field between two times [s] as constant pieces, each with its duration [s], x
+        and y.
+        """
+        first, last = np.searchsorted(self.times, (start, end), side="right")
+        cuts = np.array([start, *self.times[first:last], end])
+        now = self.at(cuts[:-1])
+        pieces = np.column_stack([np.diff(cuts), now.real, now.imag])
+        return [(seconds, x, y) for seconds, x, y in pieces.tolist()]
 
 
 class FieldSignals:
-    """The newest directions, in order of time. One thread may note them, another one ask."""
+    """The newest directions that were sent, in order of time. One thread may note them, another one
+    ask."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._sent: deque[FieldSignal] = deque(maxlen=WAITING_MAX)
+        self._newest: float | None = None
+        self._sent = deque[tuple[float, float, float]](maxlen=WAITING_MAX)
 
     def note(self, direction: float | None, sent_ns: int) -> None:
         """Note a direction sent at a time [ns], None if the field was switched off."""
         with self._lock:
-            if not self._sent or self._sent[-1].direction != direction:
-                self._sent.append(FieldSignal(sent_ns, direction))
+            if not self._sent or self._newest != direction:
+                strength = 0.0 if direction is None else 1.0
+                self._sent.append((sent_ns / SECOND, direction or 0.0, strength))
+                self._newest = direction
 
-    def pieces(self, start: float, end: float, rotation: float) -> Sequence[Piece]:
-        """Return the pieces of constant field between two times [s], in axes that are turned by
-        `rotation` [rad]. Before the first direction there is no field.
-        """
+    def record(self, rotation: float) -> FieldRecord:
+        """Return the field in axes that are turned by `rotation` [rad]."""
         with self._lock:
-            sent = list(self._sent)
-        times = [entry.sent_ns / SECOND for entry in sent]
-        first = bisect_right(times, start)
-        last = bisect_right(times, end)
-        before = sent[first - 1].direction if first else None
-        directions = [before, *(entry.direction for entry in sent[first:last])]
-        durations = np.diff([start, *times[first:last], end]).tolist()
-        return [
-            _piece(duration, direction, rotation)
-            for duration, direction in zip(durations, directions, strict=True)
-        ]
-
-
-def _piece(duration: float, direction: float | None, rotation: float) -> Piece:
-    """Return a time [s] with the field in one direction."""
-    if direction is None:
-        return (duration, 0.0, 0.0)
-    turned = direction - rotation
-    return (duration, math.cos(turned), math.sin(turned))
+            sent = [NO_FIELD_YET, *self._sent]
+        times, directions, strengths = np.array(sent).T
+        return FieldRecord(times, directions - rotation, strengths)

@@ -361,6 +361,7 @@ class CellTracker:
             said.append(
                 SeenCell(
                     identity=cell.identity,
+                    track=cell.number,
                     x=x,
                     y=y,
                     axis=axis,
@@ -372,7 +373,6 @@ class CellTracker:
                     merged=shows_others,
                     long_um=cell.size.long,
                     wide_um=cell.size.wide,
-                    track=cell.number,
                     measured=None if newest is None else newest.measured,
                     blob_um=None if newest is None else newest.whole_place,
                 ).on_blob()

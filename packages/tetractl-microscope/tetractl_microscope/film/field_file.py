@@ -9,7 +9,6 @@ import numpy as np
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.replay.identification.one_recording import Span, clock_remark
-from tetractl.replay.identification.sent_directions import SentDirections
 from tetractl.tools.table.csv_rows import columns_of, read_csv
 from tetractl.tools.table.quantities import (
     RADIANS,
@@ -19,30 +18,13 @@ from tetractl.tools.table.quantities import (
     find_time,
     refuse_degrees,
 )
+from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.cells.helix import Piece
 from tetractl_microscope.handedness import handedness, wrong_sides
 from tetractl_microscope.number_columns import no_column
 
 STRENGTH = "strength"
 STRONGEST = 100.0  # greatest strength of a field, relative to the reference field
-
-
-class FieldRecord(SentDirections):
-    """The field over time; there is none before `times[0]`, and the last value has no end."""
-
-    def items(self) -> dict[str, Floats]:
-        """Return x and y of the field from each of its times [s] on, as records have them."""
-        return {"time_s": self.times, "x": self.acts.real, "y": self.acts.imag}
-
-    def pieces(self, start: float, end: float) -> Sequence[Piece]:
-        """Return the field between two times [s] as constant pieces, each with its duration [s], x
-        and y.
-        """
-        first, last = np.searchsorted(self.times, (start, end), side="right")
-        cuts = np.array([start, *self.times[first:last], end])
-        now = self.at(cuts[:-1])
-        pieces = np.column_stack([np.diff(cuts), now.real, now.imag])
-        return [(seconds, x, y) for seconds, x, y in pieces.tolist()]
 
 
 def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]:

@@ -4,15 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tetractl.replay.identification.fit import SampleInterval
 from tetractl.tools.table.table import Column, Table
 from tetractl.tools.table.table_files import plain
+from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.cells.picture_now import pixels_of
-from tetractl_microscope.film.field_file import FieldRecord
 from tetractl_microscope.film.fit_cell import CellSummary
 from tetractl_microscope.film.follow import Followed
-from tetractl_microscope.film.kinematics import vsl_um_s
-from tetractl_microscope.film.who import CellPath
 
 POSES = {"time": "s", "picture": "", "cell": "", "x": "um", "y": "um", "heading": "rad"}
 POSES |= {"axis": "rad", "sure": "", "found": "", "merged": ""}
@@ -47,7 +44,7 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
         lines.append(f"warning: {who} and cannot be distinguished afterwards")
     if more := len(followed.doubtful[LISTED:]):
         lines.append(f"warning: {more} more meetings ended as uncertain; --json lists all")
-    if any(cell.speed is None for cell in cells):
+    if any(cell.speed_um_s is None for cell in cells):
         lines.append("Cells seen for less than 2 s have no speed.")
     return lines
 
@@ -75,7 +72,7 @@ def as_items(
         "bright": followed.bright,
         "contrast": followed.contrast,
         "noise": followed.noise,
-        "cells": [cell_items(cell, path) for cell, path in zip(cells, followed.paths, strict=True)],
+        "cells": [cell.items() for cell in cells],
         "indistinguishable": followed.doubtful,
         "number_lasts_s": followed.number_lasts_s,
         "track_lasts_s": followed.track_lasts_s,
@@ -83,31 +80,6 @@ def as_items(
         "field": field and field.items(),
     }
     return plain(record)
-
-
-def cell_items(cell: CellSummary, path: CellPath) -> dict:
-    """Return the values of one cell, by the keys of `results.cell_tables.QUANTITIES`."""
-
-    def value(interval: SampleInterval | None) -> dict | None:
-        return interval and {"value": interval.value, "ci95": [interval.low, interval.high]}
-
-    return {
-        "cell": cell.cell,
-        "since_s": cell.since_s,
-        "duration_s": cell.seconds,
-        "pictures": cell.pictures,
-        "speed_um_s": value(cell.speed),
-        "speed_sd_um_s": cell.spread,
-        "vsl_um_s": vsl_um_s(path.times, path.places),
-        "path_um": cell.path_um,
-        "sway_rad": cell.sway_rad,
-        "helix_hz": cell.helix_hz,
-        "helix_um": cell.helix_um,
-        "a_rad_s": value(cell.a),
-        "bias_rad": value(cell.bias),
-        "magnetised": cell.magnetised,
-        "sure": cell.sure,
-    }
 
 
 def pose_tables(followed: Followed) -> tuple[Table, Table]:

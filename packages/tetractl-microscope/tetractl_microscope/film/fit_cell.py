@@ -9,14 +9,15 @@ pictures.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl.replay.identification.fit import NORMAL, SampleInterval, newton_step
+from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, Piece, new_cell
 from tetractl_microscope.cells.kernels.helix_path import likelihoods, smooth
 from tetractl_microscope.cells.kernels.helix_steps import (
@@ -38,9 +39,9 @@ from tetractl_microscope.cells.kernels.helix_steps import (
 )
 from tetractl_microscope.cells.readings import MERGED
 from tetractl_microscope.choice.candidate import RESPONDS
-from tetractl_microscope.film.field_file import FieldRecord, no_field
+from tetractl_microscope.film.field_file import no_field
 from tetractl_microscope.film.follow import Followed
-from tetractl_microscope.film.kinematics import way_um
+from tetractl_microscope.film.kinematics import vsl_um_s, way_um
 from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.who import CellPath
 from tetractl_microscope.organisms import Organism
@@ -82,31 +83,42 @@ MISFIT_MOST = 5.0  # misfit of a part above which a cell says nothing of the fil
 
 @dataclass(frozen=True, slots=True)
 class CellSummary:
-    """The results for one cell.
+    """The results for one cell, by the keys of `results.cell_tables.QUANTITIES`.
 
-    `seconds` is the time from its first to its last picture, with the period of the last one.
-    `speed` [um/s] is the mean over this time of the speed along the helix's axis in the medium,
-    with the interval of this mean; `spread` is the standard deviation of the speed over time.
+    `duration_s` is the time from its first to its last picture, with the period of the last one.
+    `speed_um_s` is the mean over this time of the speed along the helix's axis in the medium, with
+    the interval of this mean; `speed_sd_um_s` is the standard deviation of the speed over time.
     `path_um` is the length of the way along the helix's axis, `sway_rad` the amplitude of the
-    body's swing about it; `helix_hz` and `helix_um` are frequency and radius of the helix. `a` and
-    `bias` are None without a known field; `magnetised` is whether `a` exceeds 0 by RESPONDS
-    standard deviations. `sure` is whether all its pictures surely show the same cell.
+    body's swing about it; `helix_hz` and `helix_um` are frequency and radius of the helix.
+    `a_rad_s` and `bias_rad` are None without a known field; `magnetised` is whether a exceeds 0 by
+    RESPONDS standard deviations. `sure` is whether all its pictures surely show the same cell.
     """
 
     cell: int
     since_s: float
-    seconds: float
+    duration_s: float
     pictures: int
+    speed_um_s: SampleInterval | None
+    speed_sd_um_s: float
+    vsl_um_s: float | None
     path_um: float
-    speed: SampleInterval | None
-    spread: float
     sway_rad: float
     helix_hz: float
     helix_um: float
-    a: SampleInterval | None
-    bias: SampleInterval | None
+    a_rad_s: SampleInterval | None
+    bias_rad: SampleInterval | None
     magnetised: bool | None
     sure: bool
+
+    def items(self) -> dict[str, Any]:
+        """Return the results as records have them: an interval by its value and its ends."""
+        items = asdict(self)
+        for name in ("speed_um_s", "a_rad_s", "bias_rad"):
+            interval = items[name]
+            if interval is not None:
+                ends = [interval["low"], interval["high"]]
+                items[name] = {"value": interval["value"], "ci95": ends}
+        return items
 
 
 def fit_cells(
@@ -128,12 +140,16 @@ def fit_tracks(
     field: FieldRecord | None,
     timing: PictureTimes,
 ) -> tuple[CellSummary, ...]:
-    """Return the results for each cell of the tracks of another program, which show no bodies; no
-    speed and helix if pictures are rarer than RATE_MIN."""
+    """Return the results for each cell of the tracks of another program, which show no bodies; VSL
+    is that of the places given; no speed and helix if pictures are rarer than RATE_MIN."""
     measured: list[_Measured | None] = [None] * len(paths)
     if timing.nominal_hz >= RATE_MIN:
         measured = [_Measured.of_track(path, organism, field) for path in paths]
-    return _fitted(paths, measured, np.ones(3), field, timing)[1]
+    _, cells = _fitted(paths, measured, np.ones(3), field, timing)
+    return tuple(
+        replace(cell, vsl_um_s=vsl_um_s(path.times, path.places))
+        for cell, path in zip(cells, paths, strict=True)
+    )
 
 
 def _fitted(
@@ -467,16 +483,17 @@ def _summary(
     return CellSummary(
         cell=path.identity,
         since_s=float(path.times[0]),
-        seconds=seconds,
+        duration_s=seconds,
         pictures=len(path.sightings),
+        speed_um_s=speed,
+        speed_sd_um_s=spread,
+        vsl_um_s=vsl_um_s(path.times, path.places),
         path_um=way,
-        speed=speed,
-        spread=spread,
         sway_rad=sway,
         helix_hz=hz,
         helix_um=radius,
-        a=a,
-        bias=bias,
+        a_rad_s=a,
+        bias_rad=bias,
         magnetised=magnetised,
         sure=all(cell.sure for cell in path.sightings),
     )

@@ -10,11 +10,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from tetractl.core.poses import Floats, Grey
+from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cells_health import faint_line
+from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.film.disturbances import Disturbances
-from tetractl_microscope.film.field_file import FieldRecord, no_field
+from tetractl_microscope.film.field_file import no_field
 from tetractl_microscope.film.first_pictures import examine_first
 from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.pictures import FilmPictures
@@ -50,7 +51,6 @@ class Followed:
     bright: bool
     contrast: float
     noise: float
-    background: Grey
     doubtful: tuple[tuple[int, ...], ...]
 
     @property
@@ -129,7 +129,6 @@ def follow(
         bright=tracker.finder.bright,
         contrast=contrast or 0.0,
         noise=noise,
-        background=background,
         doubtful=tuple(where.doubtful),
     )
 

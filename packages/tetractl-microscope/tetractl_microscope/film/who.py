@@ -18,7 +18,6 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cell import Born, CellAnswer, SeenCell
-from tetractl_microscope.cells.helix import STATES
 from tetractl_microscope.cells.names import ASSERTED
 from tetractl_microscope.cells.readings import AXIS, POSITION_UM
 from tetractl_microscope.cells.tracking import CellTracker
@@ -30,7 +29,6 @@ FOUND = 0.7  # least share of a path's pictures in which its cell has a blob
 STEADY = 0.6
 ROUNDING_S = 1e-6  # error of a time that was converted
 OF_BLOB = (POSITION_UM, POSITION_UM, 2 * AXIS)  # deviations of a new cell's blob [um, um, rad]
-UNKNOWN = np.full(STATES, np.nan)  # state of a cell before the filter follows it
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,18 +160,11 @@ class Whereabouts:
             axis = blob_axis if is_forwards else blob_axis + np.pi
             cell = SeenCell(
                 identity=born.identity,
+                track=born.track,
                 x=x,
                 y=y,
                 axis=axis,
                 heading=float(np.arctan2(way[1], way[0])),
-                mean=UNKNOWN,
-                sd=UNKNOWN,
-                probability=1.0,
-                has_blob=True,
-                merged=False,
-                long_um=np.nan,
-                wide_um=np.nan,
-                track=born.track,
                 measured=None if math.isnan(long) else (x, y, axis, *OF_BLOB),
                 blob_um=np.array((x, y, axis, long, wide)),
             )

@@ -36,23 +36,7 @@ PLACES_UM = {1: (100.0, 100.0), 2: (900.0, 900.0), 3: (500.0, 200.0)}
 
 def cell(number, x_um, y_um):
     still = np.zeros(STATES)
-    return SeenCell(
-        identity=number,
-        x=x_um,
-        y=y_um,
-        axis=0.0,
-        heading=0.0,
-        mean=still,
-        sd=still,
-        probability=1.0,
-        has_blob=True,
-        merged=False,
-        long_um=50.0,
-        wide_um=25.0,
-        track=number,
-        measured=None,
-        blob_um=None,
-    )
+    return SeenCell(number, number, x_um, y_um, 0.0, 0.0, mean=still, sd=still)
 
 
 class Interrupted(list):

@@ -7,8 +7,9 @@ import pytest
 from support.dish_films import Reel, film, followed, record, who
 from support.film_rows import recorded, seen_cell
 from support.needs_opencv import cv2
+from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.cells.kernels.helix_steps import HEADING
-from tetractl_microscope.film.field_file import FieldRecord, clock_remarks, read_field
+from tetractl_microscope.film.field_file import clock_remarks, read_field
 from tetractl_microscope.film.film_tables import as_items
 from tetractl_microscope.film.fit_cell import _Fit, _Measured, fit_cells
 from tetractl_microscope.film.follow import follow
@@ -31,15 +32,15 @@ def test_a_speeds_and_biases_are_within_their_intervals():
         fitted, cells = fit_cells(followed(synthetic), record(synthetic))
         for path, cell in zip(fitted.paths, cells, strict=True):
             i = who(synthetic, path)
-            if cell.a is None or cell.seconds < 3 or i is None:
+            if cell.a_rad_s is None or cell.duration_s < 3 or i is None:
                 continue
             found_count += 1
             truth = synthetic.cells.a[i], synthetic.cells.speed[i]
-            pairs = zip((cell.a, cell.speed), truth, strict=True)
+            pairs = zip((cell.a_rad_s, cell.speed_um_s), truth, strict=True)
             inside += [interval.low < value < interval.high for interval, value in pairs]
-            assert cell.speed.high - cell.speed.value < 0.05 * truth[1]
+            assert cell.speed_um_s.high - cell.speed_um_s.value < 0.05 * truth[1]
             assert cell.magnetised is bool(truth[0] > 0)
-            assert cell.path_um == pytest.approx(truth[1] * cell.seconds, rel=0.05)
+            assert cell.path_um == pytest.approx(truth[1] * cell.duration_s, rel=0.05)
     assert found_count >= 4
     assert np.mean(inside) >= 0.85
 
@@ -93,7 +94,8 @@ def test_without_a_field_there_is_no_a():
     synthetic = film(seed=34, side=512, cells=3, crossings=False)
     tracked = followed(synthetic, field_known=False)
     tracked, cells = fit_cells(tracked, None)
-    assert cells and all(c.a is None and c.bias is None and c.magnetised is None for c in cells)
+    turning = {(cell.a_rad_s, cell.bias_rad, cell.magnetised) for cell in cells}
+    assert turning == {(None, None, None)}
     assert as_items("reel", tracked, cells)["cells"][0]["a_rad_s"] is None
 
 

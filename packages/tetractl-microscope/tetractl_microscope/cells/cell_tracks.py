@@ -117,25 +117,17 @@ class CellTrack:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Known:
-    """A cell that a track may be: its `name`, the probability `certainty` that it is that cell, and
-    its size.
-    """
-
-    name: int
-    certainty: float
-    size: BodySize
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Member:
-    """A track in a meeting, and the cell that it showed when it joined; the filter's `row` predicts
-    that cell without measurements.
+    """A track in a meeting, and the cell that it showed when it joined: its `name`, the probability
+    `certainty` that it is that cell, and its size; the filter's `row` predicts it without
+    measurements.
     """
 
     track: CellTrack
-    cell: Known
     row: int
+    name: int
+    certainty: float
+    size: BodySize
 
 
 @dataclass(slots=True, eq=False)
@@ -160,7 +152,8 @@ class Meeting:
 
 @dataclass(slots=True, eq=False)
 class WhichIsWhich:
-    """The open question which of K `cells` is on which of K `tracks`, asked at `since_s` [s].
+    """The open question which of the K cells of `members`, that were in a meeting, is on which of
+    their K tracks, asked at `since_s` [s].
 
     `rows[t, n]` (K, K) is the filter's row that follows track t as cell n, `likelihood` (K, K) the
     sum of its log-likelihoods. `prior` (P,) is the log-probability of each assignment in `orders`
@@ -168,8 +161,7 @@ class WhichIsWhich:
     there instead of the cell.
     """
 
-    tracks: tuple[CellTrack, ...]
-    cells: tuple[Known, ...]
+    members: Sequence[Member]
     rows: np.ndarray
     prior: Floats
     not_unknown: Floats
@@ -180,8 +172,13 @@ class WhichIsWhich:
 
     def __post_init__(self) -> None:
         self.likelihood = np.zeros(self.rows.shape)
-        self.orders = orders(len(self.tracks))
-        self._sized = np.zeros(len(self.tracks), int)
+        self.orders = orders(len(self.members))
+        self._sized = np.zeros(len(self.members), int)
+
+    @property
+    def tracks(self) -> list[CellTrack]:
+        """The tracks that are asked about."""
+        return [member.track for member in self.members]
 
     def add(
         self, track: CellTrack, likelihood: Floats, size: Sequence[float] | None, seconds: float
@@ -195,7 +192,7 @@ class WhichIsWhich:
             self.likelihood[t] += TEMPER * np.maximum(likelihood - likelihood.max(), -WORSE)
         if size is not None and self._sized[t] < SIZED:
             self._sized[t] += 1
-            sizes = np.array([cell.size for cell in self.cells])
+            sizes = np.array([member.size for member in self.members])
             squared = np.square(np.log(np.array(size) / sizes) / SIZE_SD)
             log_likelihoods = -(TAIL + 1) / 2 * np.log1p(squared / TAIL).sum(axis=1)
             self.likelihood[t] += log_likelihoods / SIZED

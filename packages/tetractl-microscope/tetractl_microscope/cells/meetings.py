@@ -26,7 +26,6 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl_microscope.cells.cell_tracks import (
     CellTrack,
-    Known,
     Meeting,
     Member,
     log_densities,
@@ -88,8 +87,8 @@ class Meetings:
 
     def _join(self, meeting: Meeting, track: CellTrack) -> None:
         """Add a track to a meeting, and a copy of its cell that is predicted alone from now on."""
-        cell = Known(track.identity, track.certainty, track.size)
-        meeting.members.append(Member(track, cell, self._bank.copied(track.row)))
+        row = self._bank.copied(track.row)
+        meeting.members.append(Member(track, row, track.identity, track.certainty, track.size))
 
     def leave(self, meeting: Meeting, track: CellTrack) -> None:
         """Take a track and its cell out of a meeting, which ends with its last track."""

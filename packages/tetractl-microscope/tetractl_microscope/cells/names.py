@@ -218,7 +218,7 @@ class Names:
         for question in self._questions:
             order, shares = question.best()
             for t, track in enumerate(question.tracks):
-                by_number[track.number] = float(shares[t] * question.cells[order[t]].certainty)
+                by_number[track.number] = float(shares[t] * question.members[order[t]].certainty)
         for meeting in self._meetings.running:
             shares = self._meetings.own_shares(meeting)
             for track, share in zip(meeting.tracks, shares.tolist(), strict=True):
@@ -228,13 +228,12 @@ class Names:
 
     def _ask(self, meeting: Meeting, places: Floats, seconds: float) -> None:
         """Ask which cell is on which track after a meeting, by where the tracks are (K, 3)."""
-        tracks = tuple(meeting.tracks)
-        cells = tuple(member.cell for member in meeting.members)
+        tracks = meeting.tracks
         table = self._meetings.log_densities(meeting, places, np.full(len(tracks), PLACE_SD))
         not_unknown = self._meetings.not_unknown(meeting, table)
         prior = log_of_each(orders(len(tracks)), table)
         rows = self._rows_of_question(meeting, places)
-        question = WhichIsWhich(tracks, cells, rows, prior, not_unknown, seconds)
+        question = WhichIsWhich(meeting.members, rows, prior, not_unknown, seconds)
         self._meetings.end(meeting)
         self._questions.append(question)
         for track in tracks:
@@ -269,7 +268,7 @@ class Names:
         """Give the tracks of an open question names and filter rows by its likeliest answer."""
         order, _ = question.best()
         for t, track in enumerate(question.tracks):
-            track.identity = question.cells[order[t]].name
+            track.identity = question.members[order[t]].name
             track.row = int(question.rows[t, order[t]])
 
     def _end(self, question: WhichIsWhich) -> None:
@@ -278,13 +277,13 @@ class Names:
         probabilities = question.probabilities()
         self._name_by(question)
         for t, track in enumerate(question.tracks):
-            cell = question.cells[order[t]]
+            cell = question.members[order[t]]
             track.question = None
             track.size = cell.size
             certainty = float(shares[t]) * cell.certainty
             if self._splits and certainty < ASSERTED:
                 # the new number's cell is any of those asked about
-                has_cell = question.orders[:, t, None] == np.arange(len(question.cells))
+                has_cell = question.orders[:, t, None] == np.arange(len(question.members))
                 self._bank.mix(track.row, question.rows[t], probabilities @ has_cell)
             self._set_certainty(track, certainty)
         kept_rows = {track.row for track in question.tracks}
@@ -292,7 +291,7 @@ class Names:
             if row not in kept_rows:
                 self._bank.drop(row)
         self._questions.remove(question)
-        names = [cell.name for cell in question.cells]
+        names = [member.name for member in question.members]
         self._tell(question.tracks, float(probabilities.max()), names)
 
     def _doubt(self, track: CellTrack, share: float) -> None:

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 from tetractl_microscope.cells.cell import BodySize
-from tetractl_microscope.cells.cell_tracks import CellTrack, Known, WhichIsWhich
+from tetractl_microscope.cells.cell_tracks import CellTrack, Member, WhichIsWhich
 from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.kernels.helix_steps import C, X, Y
 from tetractl_microscope.cells.names import ASSERTED, Names
@@ -86,12 +86,12 @@ def test_each_meeting_lowers_the_certainty_of_who_is_who():
 
 def test_cells_of_other_sizes_are_distinguished_by_them():
     size = BodySize(50.0, 25.0)
-    tracks = tuple(CellTrack(number, 0, size, last=np.zeros(2)) for number in (1, 2))
+    tracks = [CellTrack(number, 0, size, last=np.zeros(2)) for number in (1, 2)]
     sizes = (60.0, 26.0), (48.0, 29.0)
-    cells = tuple(Known(name, 1.0, size) for name, size in zip((7, 8), sizes, strict=True))
+    members = [Member(tracks[0], 0, 7, 1.0, sizes[0]), Member(tracks[1], 0, 8, 1.0, sizes[1])]
     rows = np.zeros((2, 2), int)
     prior = np.zeros(2)
-    question = WhichIsWhich(tracks, cells, rows, prior, np.ones((2, 2)), since_s=0.0)
+    question = WhichIsWhich(members, rows, prior, np.ones((2, 2)), since_s=0.0)
     assert question.probabilities() == pytest.approx([0.5, 0.5])
     for _ in range(20):
         for track, size in zip(tracks, sizes[::-1], strict=True):

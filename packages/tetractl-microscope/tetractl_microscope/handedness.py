@@ -60,7 +60,8 @@ def watch_turning(
     tracker = tracker_of(rig)
 
     def on_look() -> None:
-        if (newest := rig.loop.frames.newest) is None:
+        newest = rig.loop.frames.newest
+        if newest is None:
             return
         now_s = newest.frame.sampled_ns / SECOND
         for cell in tracker.candidates():

@@ -17,7 +17,7 @@ from tetractl_microscope.apriltag.detect import Detector, Sighting
 from tetractl_microscope.apriltag.floor import CORNER_PX, MISFIT_MM, MM, SQUARE, Floor, Plane
 from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag
 from tetractl_microscope.pictures.picture_camera import Join, PictureCamera
-from tetractl_microscope.pictures.searches import PictureSearch
+from tetractl_microscope.pictures.searches import PictureSearch, stated
 
 # a tag whose size differs by this fraction is a different tag, or at a different height
 ODD_SIZE = 0.2
@@ -90,7 +90,8 @@ class Tracker:
         size = side / (robot.size_mm * MM)
         if abs(size - 1) >= ODD_SIZE:
             return None, size
-        if (stance := plane.stance(sighting.corners, robot.size_mm * MM)) is not None:
+        stance = plane.stance(sighting.corners, robot.size_mm * MM)
+        if stance is not None:
             height, tilt = stance
             measures_height = sighting.side_px >= HEIGHT_PX
             height = height / self._metres if measures_height else None
@@ -133,17 +134,19 @@ def _findings(
     twice = {tag for search in searches for tag, n in Counter(search.result.tags).items() if n > 1}
     others = f"; tags seen: {_listed(shown_tags)}"
     floor = [tag.tag for tag in section.floor]
-    if missing := [tag for tag in floor if tag not in shown_tags]:
+    missing = [tag for tag in floor if tag not in shown_tags]
+    if missing:
         yield True, f"floor {_tags(missing)} not seen{others}"
-    if double := [tag for tag in floor if tag in twice]:
+    double = [tag for tag in floor if tag in twice]
+    if double:
         yield True, f"floor {_tags(double)} seen twice: each number may be used only once"
     plane = tracker.floor.plane or tracker.floor.misfit
     if plane is not None:
         yield from _calibrated(section, plane)
     above_mm = plane.above_mm if plane is not None else math.inf
-    sides_px = [search.result.side_px for search in searches if search.result.side_px is not None]
+    sides_px = stated(search.result.side_px for search in searches)
     for i, robot in enumerate(tracker.robots):
-        sizes = [size for search in searches if (size := search.result.sizes[i]) is not None]
+        sizes = stated(search.result.sizes[i] for search in searches)
         if robot.tag in twice:
             yield True, f"{robot.name}: tag {robot.tag} is seen twice, so the robot is not tracked"
         elif robot.tag not in shown_tags:
@@ -223,8 +226,8 @@ class AprilTagCamera(PictureCamera[Seen]):
         plane = floor.plane or floor.misfit
         for refuses, text in _findings(section, self._tracker, searches):
             (problems if refuses else warnings).append(text)
-        blurs = [search.result.blur for search in searches if search.result.blur is not None]
-        sides = [search.result.side_px for search in searches if search.result.side_px is not None]
+        blurs = stated(search.result.blur for search in searches)
+        sides = stated(search.result.side_px for search in searches)
         if blurs and statistics.median(blurs) > BLURRED:
             warnings.append(
                 f"tags are too small or blurred, the smallest {min(sides):.0f} px wide: focus the "

@@ -12,7 +12,7 @@ from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.cells.identity_watch import SURE
 from tetractl_microscope.cells.robot_cells import RobotCells
-from tetractl_microscope.pictures.searches import PictureSearch
+from tetractl_microscope.pictures.searches import PictureSearch, stated
 
 DARK = 12.0  # median grey level at which a picture is too dark
 SATURATED = 245.0  # too bright
@@ -103,11 +103,12 @@ def dish_lines(
         warnings.append(
             "cells have met, and it is uncertain which is which: let the field turn a few times"
         )
-    contrasts = [c for search in searches if (c := search.result.light.contrast) is not None]
+    contrasts = stated(search.result.light.contrast for search in searches)
     contrast = statistics.median(contrasts) if contrasts else None
-    if not newest.light.lost and (line := faint_line(contrast, newest.light.limit)):
-        warnings.append(line)
-    sharp = [search.result.sharpness for search in searches if search.result.sharpness is not None]
+    faint = faint_line(contrast, newest.light.limit)
+    if faint is not None and not newest.light.lost:
+        warnings.append(faint)
+    sharp = stated(search.result.sharpness for search in searches)
     if sharp and statistics.median(sharp) < BLURRED:
         warnings.append("the rims of cells are blurred: focus, or shorten the exposure")
     if width_px < SMALL_PX:

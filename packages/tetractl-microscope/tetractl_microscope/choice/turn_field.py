@@ -61,7 +61,8 @@ def turn_field(
             raise AbortError("emergency stop by the operator")
         if supervision.cancelled():
             raise KeyboardInterrupt
-        if (failure := rig.actuator.failure) is not None:
+        failure = rig.actuator.failure
+        if failure is not None:
             raise AbortError(failure)
         if rig.silent_ns() > max(rig.limits.stream_lost, 1.0) * SECOND:
             raise AbortError(rig.loop.guard.why_no_frame(rig.silent_ns()))

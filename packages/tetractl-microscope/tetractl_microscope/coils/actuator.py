@@ -117,7 +117,8 @@ class FieldActuator:
         """
         if isinstance(action, Turn):
             raise AbortError("cells cannot turn on the spot")
-        if (failure := self.failure) is not None:
+        failure = self.failure
+        if failure is not None:
             raise AbortError(failure, HINT)
         with self._lock:
             now_ns = self._clock.now()

@@ -42,7 +42,8 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
         if len(names) == 1:
             who = f"cell {names[0]} met others"
         lines.append(f"warning: {who} and cannot be distinguished afterwards")
-    if more := len(followed.doubtful[LISTED:]):
+    more = len(followed.doubtful) - LISTED
+    if more > 0:
         lines.append(f"warning: {more} more meetings ended as uncertain; --json lists all")
     if any(cell.speed_um_s is None for cell in cells):
         lines.append("Cells seen for less than 2 s have no speed.")

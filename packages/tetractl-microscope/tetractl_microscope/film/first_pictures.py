@@ -34,6 +34,7 @@ from tetractl_microscope.film.onward import (
 )
 from tetractl_microscope.film.pictures import ONE_PICTURE, ONE_PICTURE_HINT, FilmPictures
 from tetractl_microscope.organisms import TETRAHYMENA, Organism
+from tetractl_microscope.pictures.searches import stated
 from tetractl_microscope.registries import ORGANISMS
 
 LOOK_S = 1.5  # duration of the pictures that are searched [s]
@@ -87,7 +88,7 @@ def examine_first(
     followed = organism or TETRAHYMENA
     finder = _learned(film)
     ways = _ways(film, copy.copy(finder))
-    motions = [motion for rows in ways if (motion := _motion(rows, um_px)) is not None]
+    motions = stated(_motion(rows, um_px) for rows in ways)
     fitting = sum(motion.fits(followed) for motion in motions)
     like = f"{fitting} of {len(motions)} objects that swim at first have its size and speed"
     remarks = [f"followed as {followed.name}: {like}"]

@@ -32,7 +32,8 @@ def _ends(times: Floats) -> list[int]:
     """
     step = float(np.median(np.diff(times)))
     ends = [0]
-    while (due := times[ends[-1]] + WINDOW_S) < times[-1] + step / 2:
+    while times[ends[-1]] + WINDOW_S < times[-1] + step / 2:
+        due = times[ends[-1]] + WINDOW_S
         nearest = int(np.abs(times - due).argmin())
         ends.append(max(nearest, ends[-1] + 1))
     return ends if len(ends) > 1 else [0, len(times) - 1]

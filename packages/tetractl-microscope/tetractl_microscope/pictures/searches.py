@@ -1,7 +1,7 @@
 """The results for the last pictures that a camera searched, and the stream's statistics; no I/O."""
 
 import statistics
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -11,6 +11,7 @@ from tetractl.lab.frames import SLOW_HZ, rate_hz
 KEPT_SEARCHES = 20  # number of last pictures whose results are kept
 
 S = TypeVar("S")
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,6 +22,11 @@ class PictureSearch(Generic[S]):
     received_ns: int
     search_ns: int
     result: S
+
+
+def stated(values: Iterable[T | None]) -> list[T]:
+    """Return the values that are not None."""
+    return [value for value in values if value is not None]
 
 
 def search_ms(searches: Sequence[PictureSearch[Any]]) -> float:
@@ -63,10 +69,11 @@ def stream_lines(
         warnings.append(
             f"only {rate:.0f} pictures per second come: {SLOW_HZ:.0f} or more are needed"
         )
-    if searches and (missed := searches[-1].number - searches[0].number + 1 - len(searches)):
+    came = searches[-1].number - searches[0].number + 1 if searches else 0
+    if came > len(searches):
         warnings.append(
-            f"{missed} of the last {len(searches) + missed} pictures were not searched: searching "
-            f"one takes {search_ms(searches):.0f} ms"
+            f"{came - len(searches)} of the last {came} pictures were not searched: searching one "
+            f"takes {search_ms(searches):.0f} ms"
         )
     if damaged:
         warnings.append(f"{damaged} pictures were damaged")

@@ -141,9 +141,11 @@ def _step_difference(
 
 def _plan_difference(plan: Plan, step: Step, tolerance: Tolerance) -> Difference | None:
     """Return the first difference of a plan from the logged one, whose path is rounded and has no
-    headings: if bits may differ, another number may be rounded the other way."""
+    headings: if bits may differ, another number may be rounded the other way. An earlier version
+    may have said fewer numbers."""
     logged = step.plan
-    same_path = replace(plan, path=logged.path)
+    numbers = {name: value for name, value in plan.numbers.items() if name in logged.numbers}
+    same_path = replace(plan, path=logged.path, numbers=numbers)
     difference = first_difference(same_path, logged, tolerance)
     if difference is None:
         if tolerance != SAME_BITS:

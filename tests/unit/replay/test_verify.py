@@ -16,7 +16,7 @@ from support.paths import ROOT
 from support.trials import three_robots
 
 from tetractl.core.clock import SECOND
-from tetractl.core.plan import Outcome
+from tetractl.core.plan import Outcome, Plan
 from tetractl.core.poses import Poses
 from tetractl.core.trial import Verdict
 from tetractl.experiment.controller import ALONE
@@ -30,6 +30,7 @@ from tetractl.replay.lab_commands import command_differences
 from tetractl.replay.lab_result import lab_differences
 from tetractl.replay.recompute import first_steps, recompute
 from tetractl.replay.verify import Method, verify
+from tetractl.run.checked_controller import CheckedController
 from tetractl.run.spec_trial import log_path, run_logged
 
 pytestmark = pytest.mark.slow
@@ -101,6 +102,30 @@ def log(tmp_path_factory):
 @pytest.fixture(scope="module")
 def contents(log):
     return scan(log)
+
+
+def test_only_numbers_that_the_log_has_are_compared(log, monkeypatch):
+    """So that logs of versions whose controllers said fewer are verified by later ones."""
+    trial = read_trial(log)
+    first = trial.steps[0]
+    saying = replace(first.plan, numbers={"margin_mm": 2.0})
+    changed = replace(trial, steps=(replace(first, plan=saying), *trial.steps[1:]))
+    assert str(recompute(changed, True).difference) == (
+        "step 0: numbers.margin_mm: logged a value, computed nothing"
+    )
+    decide = CheckedController.plan
+
+    def say(controller, *given):
+        decision = decide(controller, *given)
+        if isinstance(decision, Plan):
+            return replace(decision, numbers={"margin_mm": 1.0})
+        return decision
+
+    monkeypatch.setattr(CheckedController, "plan", say)
+    assert recompute(trial, True).difference is None
+    assert str(recompute(changed, True).difference) == (
+        "step 0: numbers.margin_mm: logged 2.0, computed 1.0"
+    )
 
 
 @pytest.mark.parametrize("sets", SETTINGS.values(), ids=SETTINGS.keys())

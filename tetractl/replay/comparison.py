@@ -17,10 +17,6 @@ from tetractl.log.format.tetractl_pb2 import ControllerStep
 from tetractl.log.read.raw_log import RawLog
 
 
-class TooLongError(Exception):
-    """Computing the decisions of a trial would take longer than the limits allow."""
-
-
 @dataclass(frozen=True, slots=True)
 class Difference:
     """A value that contradicts the log: its control step (None outside of steps), its field, and a

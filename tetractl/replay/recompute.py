@@ -44,7 +44,6 @@ from tetractl.replay.comparison import (
     SAME_BITS,
     Difference,
     Tolerance,
-    TooLongError,
     first_difference,
 )
 from tetractl.run.checked_controller import CheckedController
@@ -278,6 +277,10 @@ def _outcome_of(decision: Outcome | End) -> Outcome:
 
 
 # ---- The searches of a step ----
+
+
+class TooLongError(Exception):
+    """Computing the decisions of a trial would take longer than the limits allow."""
 
 
 class NoSearchError(Exception):

@@ -288,7 +288,17 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
         cost=message.cost,
         target_cost=message.target_cost,
         obstacle_cost=message.obstacle_cost,
-        searches=tuple(map(_decode_search, message.searches)),
+        searches=tuple(
+            Search(
+                length=search.length,
+                signals=_floats(search.signals),
+                cost=search.cost,
+                history=_floats(search.history),
+                evaluations=search.evaluations,
+                stopped=decode_stop_reason(search.stopped),
+            )
+            for search in message.searches
+        ),
         chosen=message.chosen,
         generator=message.generator,
         estimate=_decode_estimate(message.estimate, robots)
@@ -307,17 +317,6 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
         command=command,
         solve_ns=timing.solve_ns if timing else 0,
         deadline_missed=timing.deadline_missed if timing else False,
-    )
-
-
-def _decode_search(message: pb.Search) -> Search:
-    return Search(
-        length=message.length,
-        signals=_floats(message.signals),
-        cost=message.cost,
-        history=_floats(message.history),
-        evaluations=message.evaluations,
-        stopped=decode_stop_reason(message.stopped),
     )
 
 

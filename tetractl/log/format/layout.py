@@ -7,9 +7,8 @@ same for every experiment are in `layout.json` and `layout_error.ts`.
 
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
 from importlib.resources import files
-from typing import Any
+from typing import Any, TypedDict
 
 from tetractl.core.colors import GREY, SLATES, robot_colors
 from tetractl.core.setup import Setup
@@ -31,8 +30,7 @@ CURVES_MAX = 20
 _FILES = files("tetractl.log.format")
 
 
-@dataclass(frozen=True, slots=True)
-class PlotCurve:
+class PlotCurve(TypedDict):
     """A curve of a plot: the path of its values in a message, its label and its colour."""
 
     value: str
@@ -45,16 +43,17 @@ def layout(setup: Setup) -> str:
     parts = json.loads((_FILES / "layout.json").read_text())
     period_ns = str(round(setup.period_s * 1e9))
     error = [
-        PlotCurve(f"{ERROR}.total", "total", WHOLE),  # as `layout_error.ts` publishes it
+        # as `layout_error.ts` publishes it
+        PlotCurve(value=f"{ERROR}.total", label="total", color=WHOLE),
         *_robot_curves(setup, f"{ERROR}.robots"),
     ]
     cost = [
-        PlotCurve(f"{channels.STEP}.cost", "J", WHOLE),
-        PlotCurve(f"{channels.STEP}.target_cost", "without obstacles", LIGHT),
+        PlotCurve(value=f"{channels.STEP}.cost", label="J", color=WHOLE),
+        PlotCurve(value=f"{channels.STEP}.target_cost", label="without obstacles", color=LIGHT),
     ]
     time = [
-        PlotCurve(f"{channels.HOST_TIMING}.solve_ns", "solve time", WHOLE),
-        PlotCurve(period_ns, "control period", GREY),
+        PlotCurve(value=f"{channels.HOST_TIMING}.solve_ns", label="solve time", color=WHOLE),
+        PlotCurve(value=period_ns, label="control period", color=GREY),
     ]
     estimate = _robot_curves(setup, f"{channels.STEP}.estimate.a")
     plots = {
@@ -77,7 +76,7 @@ def _robot_curves(setup: Setup, values: str) -> list[PlotCurve]:
     """Return the curve of each robot, at most CURVES_MAX, from a list with a value per robot."""
     colors = robot_colors(setup.names, setup.colors)
     curves = [
-        PlotCurve(f"{values}[{i}]", name, color)
+        PlotCurve(value=f"{values}[{i}]", label=name, color=color)
         for i, (name, color) in enumerate(zip(setup.names, colors, strict=True))
     ]
     return curves[:CURVES_MAX]
@@ -85,7 +84,7 @@ def _robot_curves(setup: Setup, values: str) -> list[PlotCurve]:
 
 def _plot(parts: dict[str, Any], title: str, curves: Iterable[PlotCurve]) -> dict[str, Any]:
     """Return a panel of curves."""
-    paths = [parts["curve"] | asdict(curve) for curve in curves]
+    paths = [parts["curve"] | curve for curve in curves]
     titles = {"foxglovePanelTitle": title, "lichtblickPanelTitle": title}
     return parts["plot"] | titles | {"paths": paths}
 

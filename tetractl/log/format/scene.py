@@ -309,22 +309,19 @@ def triangulate(outline: Floats) -> NDArray[np.int64]:
     corners = list(range(len(outline)))  # those not cut yet
     triangles = []
     while len(corners) > 3:
-        ears = (place for place in range(len(corners)) if _is_ear(outline, corners, place))
+        before = corners[-1:] + corners[:-1]
+        after = corners[1:] + corners[:1]
+        at_corners = list(zip(before, corners, after, strict=True))
+        ears = (triangle for triangle in at_corners if _is_ear(outline, corners, triangle))
         # rounding may leave no ear among nearly collinear corners: any corner may then be cut
-        place = next(ears, 0)
-        triangles.append(_triangle(corners, place))
-        del corners[place]
+        cut = next(ears, at_corners[0])
+        triangles.append(cut)
+        corners.remove(cut[1])
     return np.array([*triangles, corners], dtype=np.int64)
 
 
-def _triangle(corners: list[int], place: int) -> list[int]:
-    """Return the corner at a place, between the two next to it."""
-    return [corners[place - 1], corners[place], corners[(place + 1) % len(corners)]]
-
-
-def _is_ear(outline: Floats, corners: list[int], place: int) -> bool:
-    triangle = _triangle(corners, place)
-    a, b, c = outline[triangle]
+def _is_ear(outline: Floats, corners: list[int], triangle: tuple[int, int, int]) -> bool:
+    a, b, c = outline[list(triangle)]
     if _turn(a, b, c) <= 0:
         return False
     rest = outline[[corner for corner in corners if corner not in triangle]]

@@ -206,6 +206,8 @@ class Faulty(SequenceSection):
             return None if self.fault == "end" else plan
         if self.fault == "random":
             signals = np.random.random(plan.signals.shape)  # noqa: NPY002
+        elif self.fault == "random number":
+            return replace(plan, numbers={"margin_mm": np.random.random()})  # noqa: NPY002
         elif self.fault == "clock":
             signals = np.full_like(plan.signals, time.perf_counter() % 1)
         elif self.fault == "nan":
@@ -219,6 +221,7 @@ class Faulty(SequenceSection):
         ("end", "plan: a Plan, an Outcome or an End that can be sent and logged"),
         ("random", "random numbers: from the key"),
         ("random", "key: same key, same decisions"),
+        ("random number", "key: same key, same decisions"),
         ("clock", "clock: only timer"),
         ("nan", "plan: a Plan, an Outcome or an End that can be sent and logged"),
     ],

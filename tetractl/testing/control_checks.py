@@ -102,8 +102,13 @@ class Play:
 
     @property
     def numbers(self) -> list[Floats]:
-        """All numbers of the plans."""
-        return [_numbers(plan) for plan in self.plans]
+        """All numbers of the plans, those that the controller says besides at last."""
+        numbers: list[Floats] = []
+        for plan in self.plans:
+            costs = [plan.cost, plan.target_cost, plan.obstacle_cost, plan.generator]
+            said = list(plan.numbers.values())
+            numbers.append(np.concatenate([plan.signals, plan.path.ravel(), costs, said]))
+        return numbers
 
 
 def played(section: ControllerSection, setup: Setup) -> Play:
@@ -239,8 +244,3 @@ def _consistent(search: Search) -> bool:
         and search.evaluations >= 1
         and len(search.signals) == search.length
     )
-
-
-def _numbers(plan: Plan) -> Floats:
-    costs = [plan.cost, plan.target_cost, plan.obstacle_cost, plan.generator]
-    return np.concatenate([plan.signals, plan.path.ravel(), costs])

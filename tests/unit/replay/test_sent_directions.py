@@ -15,7 +15,7 @@ from tetractl.replay.identification.sent_directions import (
     TurnedCourse,
     check_clock_rate,
     check_directions,
-    check_quarter_turn,
+    check_rotation,
     image,
     other_readings,
 )
@@ -185,19 +185,23 @@ REGULAR = sent_every_1_5_s(np.tile([0.0, 1.57, 3.14, -1.57], 4))
 @pytest.mark.parametrize("name", ROBOTS_ANGLES)
 def test_heading_biases_are_no_quarter_turn(name, sent, late_s):
     turned = [course_by(rotated_by(sent, angle), late_s) for angle in ROBOTS_ANGLES[name]]
-    check_quarter_turn("p.csv", "c.csv", turned, sent)
+    check_rotation("p.csv", "c.csv", turned, sent)
 
 
-@pytest.mark.parametrize(
-    ("angle", "says", "remedy"),
-    [
-        (math.pi / 2, "to the left of those of c.csv", "add 1.571 rad to"),
-        (-math.pi / 2, "to the right of those of c.csv", "take 1.571 rad off"),
-    ],
-)
-def test_directions_a_quarter_turn_off_are_refused(angle, says, remedy):
-    """Regression: a heading bias of -1.570 of each robot, without a word."""
-    turned = [course_by(rotated_by(RANDOM, angle + off), 0.1) for off in (0.0, 0.1, -0.1)]
-    with pytest.raises(UsageError, match=f"robots turn to directions 90 degrees {says}") as error:
-        check_quarter_turn("p.csv", "c.csv", turned, RANDOM)
-    assert remedy in error.value.hint
+ROTATED = {
+    "a quarter turn": (RANDOM, math.pi / 2, "90 degrees to the left .* add 1.571 rad to"),
+    "to the right": (RANDOM, -math.pi / 2, "90 degrees to the right .* take 1.571 rad off"),
+    "by more": (RANDOM, 3 * math.pi / 4, "135 degrees to the left"),
+    "half a turn": (RANDOM, math.pi - 0.01, "180 degrees to the left"),
+    "a step of a cycle": (REGULAR, -math.pi / 2, "90 degrees to the right"),
+    "two steps of a cycle": (REGULAR, math.pi - 0.01, "180 degrees to the left"),
+}
+
+
+@pytest.mark.parametrize("name", ROTATED)
+def test_directions_a_quarter_turn_off_or_more_are_refused(name):
+    """Regression: a heading bias of -1.570 of each robot without a word, or an a of 1.8 for 4."""
+    sent, angle, says = ROTATED[name]
+    turned = [course_by(rotated_by(sent, angle + off), 0.1) for off in (0.0, 0.1, -0.1)]
+    with pytest.raises(UsageError, match=f"(?s)robots turn to directions {says}"):
+        check_rotation("p.csv", "c.csv", turned, sent)

@@ -28,7 +28,7 @@ from tetractl.replay.identification.sent_directions import (
     TurnedCourse,
     check_clock_rate,
     check_directions,
-    check_quarter_turn,
+    check_rotation,
     courses_of_headings,
     image,
     other_readings,
@@ -630,7 +630,7 @@ def _check_turning(
         *other_readings(source, directions, _usual_gap(time)),
     ]
     check_directions(str(poses_path), turned, directions, DELAYS_S, readings, least)
-    check_quarter_turn(str(poses_path), source, turned, directions)
+    check_rotation(str(poses_path), source, turned, directions)
 
 
 @dataclass(frozen=True, slots=True)

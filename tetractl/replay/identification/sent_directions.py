@@ -43,6 +43,8 @@ DELAYS_S = np.arange(21) / 10
 """Dead times that are tried [s]: up to the longest that `identify` finds."""
 AT_ONCE_S = np.arange(3) / 10
 """Those of a field to which no dead time is fitted [s]."""
+USUAL_S = np.arange(7) / 10
+"""Dead times that are usual [s]: of longer ones `identify` asks whether they are of one clock."""
 SHIFTS_S = np.arange(-100, 101) / 10
 """Differences of two clocks that are tried [s]."""
 DRIFTS_S = np.arange(-60, 61) / 20
@@ -50,9 +52,13 @@ DRIFTS_S = np.arange(-60, 61) / 20
 ENOUGH_S = 8.0
 """Time for which robots are seen, all together, below which chance explains much of their turning
 [s]."""
-OFF_QUARTER = 0.3
-"""Deviation from a quarter turn, by dead time and by magnets, of robots all of which turn to a
-direction that far off those sent [rad]."""
+EIGHTH = math.pi / 4
+OFF_EIGHTH = 0.3
+"""An eighth of a turn; and the deviation from two to four of them, by dead time and by magnets, of
+robots all of which turn to a direction that far off those sent [rad]."""
+AS_GOOD = 0.05
+"""By how much less of the turning directions that are rotated may explain than those that were sent
+after a longer time than usual: in a regular cycle one step later is a rotation."""
 COURSES_MAX = 20
 """Number of courses, the longest, that are enough to see which directions act."""
 COURSE_S = 120.0
@@ -185,28 +191,33 @@ def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:
     return longest if seen_s >= ENOUGH_S else []
 
 
-def check_quarter_turn(
+def check_rotation(
     poses_file: str, source: str, turned: Sequence[TurnedCourse], sent: SentDirections
 ) -> None:
-    """Raise UsageError if all robots turn to a direction about a quarter turn off those of the file
-    `source`, and not towards these after any delay: no robots are built so."""
+    """Raise UsageError if all robots turn to a direction a quarter turn or more off those of the
+    file `source`, and not towards these after a usual dead time: no robots are built so."""
     longest = _longest(turned)
     if not longest:
         return
-    as_stated, _ = _best_delay(longest, sent, DELAYS_S, towards)
-    share, delay_s = _best_delay(longest, sent, DELAYS_S, rotated)
-    if share < max(EXPLAINED, as_stated + SURELY_MORE):
+    as_stated, _ = _best_delay(longest, sent, USUAL_S, towards)
+    late, _ = _best_delay(longest, sent, DELAYS_S, towards)
+    share, delay_s = _best_delay(longest, sent, USUAL_S, rotated)
+    if share < max(EXPLAINED, as_stated + SURELY_MORE, late - AS_GOOD):
         return
     _, vectors = turning_fit(longest, replace(sent, times=sent.times + delay_s).at)
-    angles = np.angle(vectors)
-    quarter = math.copysign(math.pi / 2, angles[0])
-    if np.abs(angles - quarter).max() > OFF_QUARTER:
+    mean = float(np.angle(np.sign(vectors).mean()))
+    eighths = round(abs(mean) / EIGHTH)
+    off = math.copysign(eighths * EIGHTH, mean)
+    deviations = np.abs(np.angle(vectors * np.exp(-1j * off)))
+    if eighths < 2 or deviations.max() > OFF_EIGHTH:
         return
-    side = "left" if quarter > 0 else "right"
-    remedy = "add {} to" if quarter > 0 else "take {} off"
+    side = "left" if off > 0 else "right"
+    remedy = "add {} to" if off > 0 else "take {} off"
     raise UsageError(
-        f"{poses_file}: robots turn to directions 90 degrees to the {side} of those of {source}",
-        f"do directions or headings count from +y? {remedy.format('1.571 rad')} the directions",
+        f"{poses_file}: robots turn to directions {45 * eighths} degrees to the {side} of those "
+        f"of {source}",
+        "do directions or headings count from another axis than +x? "
+        f"{remedy.format(f'{abs(off):.3f} rad')} the directions",
     )
 
 

@@ -400,6 +400,13 @@ def test_a_robot_without_commands_is_said_with_the_names_of_those_that_have_some
     """Regression: "no command is for a" did not say that commands are for "3"."""
     (track,) = tracks_of(tmp_path, TWO_POSES, sent_to("b", "3"))
     assert any("no command is for a; commands are for 3, b" in text for text in track.remarks)
+    assert f"{tmp_path / 'p.csv'}: no pose is of 3" in track.remarks
+
+
+def test_poses_without_a_name_are_said(tmp_path):
+    """Regression: "no command is for ; commands are for b"."""
+    (track,) = tracks_of(tmp_path, TWO_POSES.replace(",a,", ",,"), sent_to("b"))
+    assert any("no command is for rows without a robot" in text for text in track.remarks)
 
 
 LOST = "time_s,robot,x_mm,y_mm,heading_rad\n" + "".join(

@@ -297,7 +297,7 @@ def _idle_robots(trials: list[_Numbers]) -> set[str]:
 
 def _names(robots: Collection[str]) -> str:
     """Return the names of robots as text."""
-    return ", ".join(printable(robot) for robot in sorted(robots))
+    return ", ".join(printable(robot) or "rows without a robot" for robot in sorted(robots))
 
 
 def _unseen_robots(trials: list[_Numbers]) -> set[str]:
@@ -433,7 +433,10 @@ def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: se
         remarks.append(
             f"{commands_path}: no command is for {_names(unsent)}; commands are for {receivers}"
         )
-    never_seen = (unseen - idle) & set(numbers.robots)
+    in_poses = set(numbers.robots)
+    never_seen = (unseen - idle) & in_poses
+    if "" not in in_poses:
+        never_seen |= set(numbers.twists) - in_poses - {""}
     if never_seen:
         remarks.append(f"{poses_path}: no pose is of {_names(never_seen)}")
     until = float(sent.when[-1]) + _usual_gap(sent.when)

@@ -167,6 +167,10 @@ WRONG_COMMANDS = {
     ),
     "w clockwise": (lambda track: track.twists * (1, -1), "one turns right where it is sent left"),
     "v reversed": (lambda track: track.twists * (-1, 1), "one moves against its heading"),
+    "w without its sign": (
+        lambda track: np.abs(track.twists),
+        "turns to both sides, and w is never below 0 .* has w lost its sign",
+    ),
 }
 
 
@@ -194,6 +198,18 @@ def half_the_poses_missing(track):
 
 def scaled(track, poses, twists):
     return replace(track, poses=track.poses * poses, twists=track.twists * twists)
+
+
+@pytest.mark.long
+def test_speeds_without_their_sign_are_asked_for():
+    """Regression: "the commands explain 0% of the way: are they another robot's?"."""
+    ahead = track_of_one_robot(7)
+    back = scaled(track_of_one_robot(8), (-1, -1, 1), (-1, 1))
+    unsigned = with_twists(back, back.twists * (-1, 1))
+    with pytest.raises(UsageError, match="one drives backwards, too, and v is never below 0"):
+        respond([ahead, unsigned])
+    (response,) = respond([ahead, back])
+    assert response.speed_gain.value == pytest.approx(TRUE["speed_gain"], rel=0.03)
 
 
 RIGHT_COMMANDS = {

@@ -627,10 +627,31 @@ def _check_commands(source: str, name: str, steps: _Steps, likeliest: ResponsePa
         f"{source}: {name} turns right where it is sent left",
         "reverse w; or y and the headings, if the picture is mirrored",
     )
+    one_way = Reading(
+        _share_of_sizes(steps.turned, sent[:, 1]),
+        f"{source}: {name} turns to both sides, and w is never below 0",
+        "has w lost its sign? it is below 0 to the right",
+    )
     turn_units = turning.readings(f"{source}: the turning gain of {name}", TURN_UNITS)
-    turning.check(source, f"turns of {name}", [mirrored, *turn_units])
+    turning.check(source, f"turns of {name}", [mirrored, one_way, *turn_units])
+    ahead = Reading(
+        _share_of_sizes(steps.way, sent[:, 0]),
+        f"{source}: {name} drives backwards, too, and v is never below 0",
+        "is v a speed without its sign? give it below 0 where the robot drives backwards",
+    )
     speed_units = driving.readings(f"{source}: the speed gain of {name}", SPEED_UNITS)
-    driving.check(source, f"way of {name}", [exchanged, *speed_units])
+    driving.check(source, f"way of {name}", [exchanged, ahead, *speed_units])
+
+
+def _share_of_sizes(measured: Floats, sent: Floats) -> float:
+    """Return the share of turns or ways (M,) that those sent (M,) explain but for their signs; 0 if
+    some of these are below 0."""
+    squares = float(np.square(sent).sum())
+    total = float(np.square(measured).sum())
+    if sent.min() < 0 or not squares or not total:
+        return 0.0
+    product = float(np.abs(measured) @ sent)
+    return product**2 / (squares * total)
 
 
 @dataclass(frozen=True, slots=True)

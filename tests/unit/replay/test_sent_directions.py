@@ -9,6 +9,7 @@ import pytest
 
 from tetractl.core.errors import UsageError
 from tetractl.replay.identification.sent_directions import (
+    AT_ONCE_S,
     DELAYS_S,
     GRID_S,
     SentDirections,
@@ -34,6 +35,8 @@ RANDOM = sent_every_1_5_s(np.random.default_rng(3).uniform(-3, 3, 16))
 
 EVEN_AT_FIRST = sent_every_1_5_s(np.tile([0.0, 1.57, 3.0, -1.57, -0.6, 2.2, 0.9, -2.4], 2))
 """A step late, four of eight are those that were sent, rotated by a quarter of a turn."""
+
+REGULAR = sent_every_1_5_s(np.tile([0.0, 1.57, 3.14, -1.57], 4))
 
 
 def course_by(sent: SentDirections, late_s: float = 0.0, drive_s=DRIVE_S) -> TurnedCourse:
@@ -66,6 +69,14 @@ def test_directions_of_another_clock_are_refused_with_the_difference(sent, clock
     stated = replace(sent, times=sent.times + clock_s)
     with pytest.raises(UsageError, match=rf"c\.csv: {says}"):
         check([course_by(sent)], stated)
+
+
+def test_a_clock_within_a_regular_cycle_is_refused():
+    """Regression: a warning that the field is rotated by 2 rad, and an a of -1.4 for 4."""
+    turned = [course_by(REGULAR, late_s=-1.1)]
+    readings = other_readings("c.csv", REGULAR, 1 / 30)
+    with pytest.raises(UsageError, match=r"robots turn 1\.1 s before the times"):
+        check_directions("p.csv", turned, REGULAR, AT_ONCE_S, readings)
 
 
 def test_a_mirror_image_that_no_dead_time_explains_is_refused():
@@ -175,9 +186,6 @@ ROBOTS_ANGLES = {
 
 def rotated_by(sent, angle):
     return replace(sent, angles=sent.angles + angle)
-
-
-REGULAR = sent_every_1_5_s(np.tile([0.0, 1.57, 3.14, -1.57], 4))
 
 
 @pytest.mark.parametrize("late_s", [0.1, 1.4])

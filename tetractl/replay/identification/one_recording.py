@@ -21,6 +21,8 @@ SURELY_MORE = 0.2
 """By how much more another reading of the commands explains if theirs is wrong. In 40 trials of
 the emulated bench the directions that were sent explained .58 or more of the turning, others at
 most .37."""
+REST = 0.25
+"""Or what share of the rest that the commands leave as stated."""
 COVERED = 0.9
 """Share of the robots' way while commands act, below which it is said."""
 WITHIN = 2
@@ -63,7 +65,8 @@ def check_explained(
     """Raise UsageError if another reading explains surely more of `what` moved than the `share`
     that commands explain as stated, or if that is below `least`."""
     best = max(readings, key=lambda reading: reading.share)
-    if best.share >= max(EXPLAINED, share + SURELY_MORE):
+    surely = min(share + SURELY_MORE, 1 - REST * (1 - share))
+    if best.share >= max(EXPLAINED, surely) and best.share > share:
         raise UsageError(best.said, best.hint)
     if share < least:
         raise UsageError(

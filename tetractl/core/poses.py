@@ -48,6 +48,10 @@ class Pose:
     height: float | None = None
     tilt: float | None = None
 
+    def distance_to(self, other: "Pose") -> float:
+        """Return the distance between two positions [length unit]."""
+        return math.hypot(self.x - other.x, self.y - other.y)
+
 
 @dataclass(frozen=True, slots=True)
 class Poses:

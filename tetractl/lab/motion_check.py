@@ -381,6 +381,9 @@ def motion(before: Pose, pose: Pose) -> Floats:
     """Return the motion (3,) between two poses, on an arc: its length, the displacement across the
     heading halfway, and the angle turned. Of more than half a turn, as may be made in a long gap,
     the shorter way round is returned, which is wrong.
+
+    The displacement along the heading halfway is the chord of the arc: sin(h) / h of its length,
+    where h is half the angle turned.
     """
     turned = math.remainder(pose.heading - before.heading, math.tau)
     middle = before.heading + turned / 2
@@ -388,14 +391,9 @@ def motion(before: Pose, pose: Pose) -> Floats:
     dy = pose.y - before.y
     along = dx * math.cos(middle) + dy * math.sin(middle)
     across = dy * math.cos(middle) - dx * math.sin(middle)
-    return np.array([along / chord(turned), across, turned])
-
-
-def chord(turned: float) -> float:
-    """Return the chord of an arc on which a robot turns by an angle, as a share of its length:
-    sin(h) / h, where h is half the angle."""
     half = math.pi * (turned / math.tau)  # in this order, as numpy.sinc did for earlier logs
-    return math.sin(half) / half if half else 1.0
+    chord = math.sin(half) / half if half else 1.0
+    return np.array([along / chord, across, turned])
 
 
 def fault_of(motion: Floats, slack: Floats, has_wheels: bool) -> str:

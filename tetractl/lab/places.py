@@ -107,12 +107,7 @@ def too_close(
     names = list(now)
     for i, name in enumerate(names):
         for neighbour in names[:i]:
-            gap = distance(now[name], now[neighbour])
-            gap_then = distance(then[name], then[neighbour])
+            gap = now[name].distance_to(now[neighbour])
+            gap_then = then[name].distance_to(then[neighbour])
             if gap_then <= gap and gap_then * rules.mm < rules.limits.separation_mm:
                 yield Abort(f"{neighbour} and {name} are too close: {gap * rules.mm:.0f} mm")
-
-
-def distance(first: Pose, second: Pose) -> float:
-    """Return the distance of two poses."""
-    return math.hypot(first.x - second.x, first.y - second.y)

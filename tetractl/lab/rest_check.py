@@ -276,7 +276,7 @@ def _jump_mm(rig: Rig, i: int, window: Sequence[AcceptedFrame]) -> float:
     poses = [timed.pose for timed in timed_poses(window, i) if timed.exposed_ns >= since_ns]
     if not poses:
         return 0.0
-    return math.hypot(poses[-1].x - poses[0].x, poses[-1].y - poses[0].y) * rig.mm
+    return poses[-1].distance_to(poses[0]) * rig.mm
 
 
 def _moving_alike(findings: Sequence[RestFinding]) -> RestFinding | None:

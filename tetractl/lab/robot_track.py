@@ -208,8 +208,7 @@ class RobotTrack:
         fastest_turning = FASTER * self.rules.turning[self.i]
         for earlier in (*self._remembered, TimedPose(self.last_ns, self.last)):
             dt_s = (exposed_ns - earlier.exposed_ns) / SECOND
-            distance = math.hypot(pose.x - earlier.pose.x, pose.y - earlier.pose.y)
-            if distance > fastest * dt_s + jump:
+            if pose.distance_to(earlier.pose) > fastest * dt_s + jump:
                 return True
             angle = abs(math.remainder(pose.heading - earlier.pose.heading, math.tau))
             if angle > fastest_turning * dt_s + JUMP_HEADING:

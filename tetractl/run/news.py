@@ -140,21 +140,6 @@ def learnt(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
             yield f"{name} {turns}"
 
 
-def later(estimate: Estimate, names: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield the name of each robot on which commands surely act later than on the quickest one, and
-    this in words."""
-    delays_s = estimate.own_dead_time
-    stds = estimate.own_dead_time_std
-    if delays_s is None or stds is None:
-        return
-    quickest = int(delays_s.argmin())
-    for i, name in enumerate(names):
-        difference_s = delays_s[i] - delays_s[quickest]
-        if difference_s > max(LATER_S, SURE_STDS * math.hypot(stds[i], stds[quickest])):
-            text = f"commands act on {name} some {difference_s:.2f} s later than on "
-            yield name, f"{text}{names[quickest]}, or more: its radio or its wheels are slow"
-
-
 class ModelNews:
     """Tells what is new about a controller's model, once a trial each (`_once`): that it does not
     fit, which robots stand or receive commands late, and that commands act at another time than
@@ -190,13 +175,24 @@ class ModelNews:
             yield level, text
 
     def _later(self, estimate: Estimate, setup: Setup, now_ns: int) -> Iterator[tuple[str, str]]:
-        """Yield level and text of each robot on which commands have acted later than on another one
-        for LATER_FOR_S."""
-        texts = dict(later(estimate, setup.names))
-        self._later_since_ns = {name: self._later_since_ns.get(name, now_ns) for name in texts}
-        for name, since_ns in self._later_since_ns.items():
-            if now_ns - since_ns >= LATER_FOR_S * SECOND:
-                yield from self._once("warning", texts[name], key=f"later: {name}")
+        """Yield level and text of each robot on which commands have surely acted later than on the
+        quickest one for LATER_FOR_S."""
+        since_before = self._later_since_ns
+        self._later_since_ns = {}
+        delays_s = estimate.own_dead_time
+        stds = estimate.own_dead_time_std
+        if delays_s is None or stds is None:
+            return
+        quickest = int(delays_s.argmin())
+        for i, name in enumerate(setup.names):
+            difference_s = delays_s[i] - delays_s[quickest]
+            least_s = max(LATER_S, SURE_STDS * math.hypot(stds[i], stds[quickest]))
+            if difference_s > least_s:
+                self._later_since_ns[name] = since_before.get(name, now_ns)
+                text = f"commands act on {name} some {difference_s:.2f} s later than on "
+                text += f"{setup.names[quickest]}, or more: its radio or its wheels are slow"
+                if now_ns - self._later_since_ns[name] >= LATER_FOR_S * SECOND:
+                    yield from self._once("warning", text, key=f"later: {name}")
 
     def _fit(
         self, unfit: set[str], estimate: Estimate, setup: Setup, now_ns: int

@@ -11,6 +11,7 @@ from support.virtual_lab import virtual_lab
 from tetractl_emulator.script import parse_script
 
 from tetractl.core.clock import SECOND
+from tetractl.experiment.lab_section import entry
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import calibrated, on_plant
 from tetractl.lab.cobs import Flag
@@ -178,7 +179,7 @@ def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tm
     ).ok()
     text = (tmp_path / "calibration.yaml").read_text()
     lab = calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "calibration.yaml").plant
-    green = lab.actuator.robot("green")
+    green = entry(lab.actuator.robots, "green")
     assert green.swap
     assert green.left.invert is True
     assert green.right.invert is False

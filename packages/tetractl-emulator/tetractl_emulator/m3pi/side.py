@@ -11,7 +11,7 @@ from pydantic import Field
 from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, Name, Positive
-from tetractl.experiment.lab_section import LabSection
+from tetractl.experiment.lab_section import LabSection, entry
 from tetractl.lab.actuators.m3pi.actuator import drivetrains
 from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.actuators.wheel_commands import radii_mm
@@ -178,7 +178,7 @@ def _wheels(
     for true in trues:
         names = ("left", "right", "swap", "radius_mm")
         wheels = {name: value for name, value in true if name in names and value is not None}
-        parts.append(section.robot(true.name).model_copy(update=wheels))
+        parts.append(entry(section.robots, true.name).model_copy(update=wheels))
     radii = radii_mm(stage.setup, [part.radius_mm for part in parts])
     lags = np.array([true.lag for true in trues])
     return EmulatedRobots(robots, drivetrains(parts), radii, lags, stage.timeline.now_ns)

@@ -7,6 +7,7 @@ from support.device_replies import reply_line
 from tetractl.core.clock import VirtualClock
 from tetractl.lab.actuators.twist.line_ports import TwistLink
 from tetractl.lab.actuators.twist.lines import decode_command
+from tetractl.lab.actuators.twist.section import TwistSection
 from tetractl.lab.actuators.wheel_commands import Reply, Status, polled
 
 HONEST_MV = 4800
@@ -43,8 +44,10 @@ def linked(port_of, answers, clock=None):
         ports[name] = RobotsPort(heard, answers[name])
         return ports[name]
 
-    numbers = range(len(port_of))
-    link = TwistLink("T", numbers, port_of, 57600, clock or VirtualClock(), make)
+    names = [f"robot {i}" for i in range(len(port_of))]
+    robots = [{"name": name, "port": port} for name, port in zip(names, port_of, strict=True)]
+    fields = {"type": "twist", "port": "air", "robots": robots}
+    link = TwistLink(TwistSection.model_validate(fields), names, clock or VirtualClock(), make)
     link.open()
     return link, ports
 

@@ -8,6 +8,7 @@ from tetractl.core.clock import Clock
 from tetractl.core.poses import Floats
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
+from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.m3pi.broadcast import Broadcaster
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, WheelSection
 from tetractl.lab.actuators.wheel_commands import WheeledActuator
@@ -25,7 +26,7 @@ class M3piActuator(WheeledActuator):
     def __init__(
         self, section: M3piSection, setup: Setup, clock: Clock, ports: Ports | None = None
     ) -> None:
-        self.robots = [section.robot(name) for name in setup.names]
+        self.robots = [entry(section.robots, name) for name in setup.names]
         self.link = Link(section, clock, ports)
         self._radio = Broadcaster(self.link, clock, [section.index(name) for name in setup.names])
         self.drivetrains = drivetrains(self.robots)

@@ -7,7 +7,13 @@ from pydantic import Field
 
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
-from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches, unknown_radii
+from tetractl.experiment.lab_section import (
+    ActuatorSection,
+    RobotPart,
+    entry,
+    mismatches,
+    unknown_radii,
+)
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.lab.actuators.wheeled_section import Found
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
@@ -88,18 +94,14 @@ class M3piSection(XbeeSection, ActuatorSection):
             "wheel counts": f"at most {max(robot.limit for robot in self.robots)} of 127",
         }
 
-    def robot(self, name: str) -> M3piRobot:
-        """Return the entry of the robot with this name."""
-        return next(robot for robot in self.robots if robot.name == name)
-
     def index(self, name: str) -> int:
         """Return the number in broadcasts of the robot with this name."""
-        robot = self.robot(name)
+        robot = entry(self.robots, name)
         return self.robots.index(robot) if robot.index is None else robot.index
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
         """Return the wheel count for a 127th of full speed, and a robot's largest one."""
-        return 1.0, min(limit, self.robot(name).limit)
+        return 1.0, min(limit, entry(self.robots, name).limit)
 
     def measured(self, calibrated: Found) -> dict[str, Any]:
         """Return a robot's r and wheels."""

@@ -22,7 +22,7 @@ class TwistActuator(WheeledActuator):
         self, section: TwistSection, setup: Setup, clock: Clock, ports: Ports | None = None
     ) -> None:
         self.section = section
-        self.link = TwistLink.of(section, setup.names, clock, ports)
+        self.link = TwistLink(section, setup.names, clock, ports)
         robots = [entry(section.robots, name) for name in setup.names]
         self._gain = np.array([[r.left_gain for r in robots], [r.right_gain for r in robots]])
         super().__init__(

@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
-from typing import Self
 
 from tetractl.core.clock import Clock, wait_for
 from tetractl.core.errors import WireError
@@ -29,52 +28,32 @@ PENDING_MAX = 1000  # most bytes kept of a line that has not ended
 
 
 class TwistLink(PortGroup):
-    """Connections to robots with the numbers `indices`, no two the same, each at a port of its own
-    or not, `port_of` each. Times are ns on `clock`. After a failure, which raises AbortError,
-    nothing can be sent any more. `ports` makes a port, `open_port` by default.
+    """Connections to the robots of a section with these names, at one port or several. Times are ns
+    on `clock`. After a failure, which raises AbortError, nothing can be sent any more. `ports`
+    makes a port, `open_port` by default.
     """
 
     def __init__(
         self,
-        kind: Kind,
-        indices: Sequence[int],
-        port_of: Sequence[str],
-        baud: int,
+        section: TwistSection,
+        names: Sequence[str],
         clock: Clock,
         ports: Ports | None = None,
     ) -> None:
         self._clock = clock
-        self._kind: Kind = kind
-        self._indices = tuple(indices)
+        self._kind: Kind = "T" if section.sends == "twist" else "W"
+        self._indices = tuple(section.index(name) for name in names)
         self._indices_at: dict[str, set[int]] = {}
         """The robots at each port, in the order of the ports."""
-        for index, name in zip(indices, port_of, strict=True):
-            self._indices_at.setdefault(name, set()).add(index)
+        for index, name in zip(self._indices, names, strict=True):
+            self._indices_at.setdefault(section.port_of(name), set()).add(index)
         self._replies: deque[Reply] = deque(maxlen=WAITING_MAX)
         self._rest: dict[str, bytes] = {}
         self._sequence = clock.now() % 256  # a first number that no one can foretell
         make = ports or open_port
         super().__init__(
-            make(port, baud, "the radio", clock, self._taker(port), PORT_LOST_HINT)
+            make(port, section.baud, "the radio", clock, self._taker(port), PORT_LOST_HINT)
             for port in self._indices_at
-        )
-
-    @classmethod
-    def of(
-        cls,
-        section: TwistSection,
-        names: Sequence[str],
-        clock: Clock,
-        ports: Ports | None = None,
-    ) -> Self:
-        """Return the connections to the robots of these names."""
-        return cls(
-            "T" if section.sends == "twist" else "W",
-            [section.index(name) for name in names],
-            [section.port_of(name) for name in names],
-            section.baud,
-            clock,
-            ports,
         )
 
     def drive(self, pairs: Sequence[tuple[int, int]]) -> int:
@@ -132,6 +111,6 @@ class TwistLink(PortGroup):
 def stop_all(section: TwistSection, setup: Setup, clock: Clock, alone: bool) -> str:
     """Latch the emergency stop of every robot that the ports reach by ten lines within 200 ms;
     return a summary. AbortError and PortHeldError as of `stop_all_at`."""
-    link = TwistLink.of(section, setup.names, clock)
+    link = TwistLink(section, setup.names, clock)
     sent = stop_all_at(link.ports, partial(link.stop, emergency=True), clock, alone)
     return f"{sent}; switch the robots off and on to drive them again"

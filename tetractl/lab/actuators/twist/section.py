@@ -10,6 +10,7 @@ from tetractl.experiment.base import NonNegative, Positive
 from tetractl.experiment.lab_section import (
     ActuatorSection,
     RobotPart,
+    entry,
     mismatches,
     too_fast,
     unknown_radii,
@@ -111,13 +112,12 @@ class TwistSection(ActuatorSection):
 
     def index(self, name: str) -> int:
         """Return the number in lines of the robot with this name."""
-        place = next(i for i, robot in enumerate(self.robots) if robot.name == name)
-        stated = self.robots[place].index
-        return place if stated is None else stated
+        robot = entry(self.robots, name)
+        return self.robots.index(robot) if robot.index is None else robot.index
 
     def port_of(self, name: str) -> str:
         """Return the port of the robot with this name."""
-        return next(robot.port for robot in self.robots if robot.name == name) or self.port
+        return entry(self.robots, name).port or self.port
 
     def ports(self) -> list[str]:
         """Return the ports of all robots, each once."""

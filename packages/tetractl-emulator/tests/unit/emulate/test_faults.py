@@ -23,6 +23,7 @@ from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBo
 from tetractl_emulator.process import PROCESS_FAULTS
 
 from tetractl.core.clock import SECOND
+from tetractl.experiment.lab_section import entry
 from tetractl.experiment.yaml.document import parse_document
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
 from tetractl.lab.cobs import Flag
@@ -248,7 +249,7 @@ def test_robots_are_put_back_and_restarted(tmp_path):
     reports = []
     lab = emulated(tmp_path, replace_after=0.1, tell=lambda event, facts: reports.append(event))
     with lab:
-        robot = lab.actuator.robot("green")
+        robot = entry(lab.actuator.robots, "green")
         robot.hear(encode_command(BroadcastCommand(1, Flag.RUN, RUN)))
         turn_until(lab, lambda: robot.x > 510)
         robot.hear(encode_command(BroadcastCommand(2, Flag.EMERGENCY_STOP)))

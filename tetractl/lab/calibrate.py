@@ -160,7 +160,7 @@ class _Bench:
         self._scale, self.limit = section.outputs(self.name, limit)
         self._home: Pose | None = None
         """The robot's first place."""
-        self._late_s = 0.0
+        self._frames_late_s = 0.0
         """By how much frames may be later than GAP_S [s]."""
         rules_of_fast_robots = replace(
             rig.loop.guard.rules,
@@ -309,18 +309,20 @@ class _Bench:
         for _ in range(ATTEMPTS):
             first = self.rig.loop.frames.count
             began_ns = self._hold(counts)
-            end_ns = began_ns + round((seconds + 2 * self._late_s) * SECOND)
-            wait_for(self.rig.clock, self._strayed, (end_ns - self.rig.clock.now()) / SECOND)
+            end_ns = began_ns + round((seconds + 2 * self._frames_late_s) * SECOND)
+            remaining_s = (end_ns - self.rig.clock.now()) / SECOND
+            wait_for(self.rig.clock, self._abort_if_astray, remaining_s)
             self._raise_abort()
             frames, _ = self.rig.loop.frames.since(first)
-            self._late_s = max(self._late_s, _late_s(frames))
+            self._frames_late_s = max(self._frames_late_s, _excess_delay_s(frames))
             poses = [pose for pose in timed_poses(frames, 0) if pose.exposed_ns >= began_ns]
             times_ns = [began_ns, *(pose.exposed_ns for pose in poses), end_ns]
-            if max(np.diff(times_ns)) <= (GAP_S + self._late_s) * SECOND:  # none are missing
+            gap_max_ns = (GAP_S + self._frames_late_s) * SECOND
+            if max(np.diff(times_ns)) <= gap_max_ns:  # none are missing
                 return _steady(poses, began_ns + round(SETTLED_S * SECOND), self.rig.mm)
             # drive back, so that the robot stays near its place
             self._hold(-counts)
-            wait_for(self.rig.clock, self._strayed, seconds)
+            wait_for(self.rig.clock, self._abort_if_astray, seconds)
         raise AbortError(
             f"{self.name}: too many camera frames are missing; check the camera and the network"
         )
@@ -335,16 +337,16 @@ class _Bench:
         self._hold(np.zeros(2, dtype=np.int64))
         self.rig.clock.sleep_until(self.rig.clock.now() + round(STAND_S * SECOND))
 
-    def _strayed(self) -> bool:
+    def _abort_if_astray(self) -> bool:
         """Abort the calibration if the robot is too far from its first place; return whether it
-        has been aborted.
+        has been aborted, for this or another reason.
         """
         guard = self.rig.loop.guard
         newest = self.rig.loop.frames.newest
         pose = None if newest is None else newest.poses[0]
         if pose is not None:
             self._home = self._home or pose
-            away_mm = math.hypot(pose.x - self._home.x, pose.y - self._home.y) * self.rig.mm
+            away_mm = pose.distance_to(self._home) * self.rig.mm
             if away_mm > AWAY_MAX_MM:
                 guard.abort(f"the robot is {away_mm:.0f} mm from its first position")
         return bool(guard.reason)
@@ -355,7 +357,7 @@ class _Bench:
             raise AbortError(f"{self.name}: {self.rig.loop.guard.reason}")
 
 
-def _late_s(frames: Sequence[AcceptedFrame]) -> float:
+def _excess_delay_s(frames: Sequence[AcceptedFrame]) -> float:
     """Return by how much [s] it takes longer than GAP_S until a frame that follows another by
     GAP_PERIODS is here."""
     if len(frames) < 3:

@@ -235,7 +235,7 @@ class DriftCheck(GuardCheck):
             self.blocks += 1
         self._began_ns = now_ns
         self._starts = ends
-        fault = self._fault() if self.blocks % 2 == 0 else None
+        fault = self._fit_and_judge() if self.blocks % 2 == 0 else None
         return () if fault is None else (fault,)
 
     # ---- what is known ----
@@ -375,13 +375,14 @@ class DriftCheck(GuardCheck):
         self._carried[robots, :2] = ((residual - x[:, :, At.residual]) * spread)[:, :2]
         self._sums[robots] += x.swapaxes(1, 2) @ x
 
-    def _fault(self) -> Abort | None:
-        """Fit the constants again; return what is wrong, None for nothing."""
+    def _fit_and_judge(self) -> Abort | None:
+        """Fit the constants again, and add a moment to the grid if it is time; return what is
+        wrong, None for nothing."""
         sums = self._sums
         self._spread = np.linalg.inv(sums[:, At.constants, At.constants] + np.diag(PRIOR**-2.0))
         self._fit = np.einsum("npq,nq->np", self._spread, sums[:, At.constants, At.residual])
         self.worst = 0.0
-        change = self._worst_change()
+        change = self._find_worst_change()
         if self.blocks - max(self._grid) >= SPACING:
             self._grid[self.blocks] = sums.copy()
             if len(self._grid) > MOMENTS_MAX:  # old moments are kept less densely
@@ -391,7 +392,7 @@ class DriftCheck(GuardCheck):
 
     # ---- changes ----
 
-    def _worst_change(self) -> Abort | None:
+    def _find_worst_change(self) -> Abort | None:
         """Return the motion since a moment of the grid that gains most, of one robot or of the
         whole picture; set `worst` to its gain. None while no moment is old enough."""
         youngest = self.blocks - LEAST_BLOCKS

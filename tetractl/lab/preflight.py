@@ -1,4 +1,18 @@
-"""The preflight check: are robots tracked, on their starts and answering, and frames recent?"""
+"""The preflight: finds what keeps robots from starting, without moving one.
+
+`inspect` looks at the next FRAMES_CHECKED frames, and asks:
+
+    frames    do they come? is the median of their ages on arrival, from the exposure, at most
+              `latency` [s]? (warned of: fewer a second than RATE_SHARE of the camera's rate)
+    robots    is each tracked, and at most `start_mm` [mm] and `start_heading` [rad] from its start?
+              does it answer, and what does it report?
+    arena     if robots can stand: do they, and does nothing else stand in it?
+    devices   what do camera and actuator report themselves?
+
+`look_over` does it once, and of one device alone if the other cannot be opened. `wait_until_ready`
+looks every 0.2 s at the newest frame alone while robots are placed, and inspects once all stand on
+their starts.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,7 +27,10 @@ from tetractl.lab.frames import AcceptedFrame, as_shown, rate_hz
 from tetractl.lab.rest_check import drifting_robots, moving_robots
 from tetractl.lab.rig import Rig
 
-FRAMES_CHECKED = 60  # number of camera frames that are checked
+FRAMES_CHECKED = 60
+"""Number of camera frames that are checked, those of a second at most."""
+RATE_SHARE = 0.8
+"""Least share of the camera's rate at which frames come without a warning."""
 NOT_POLLED = RobotStatus(None)
 
 
@@ -127,9 +144,9 @@ def _inspect_opened(rig: Rig, failures: Mapping[str, AbortError]) -> Preflight:
 def inspect(rig: Rig) -> Preflight:
     """Check some camera frames, both devices and the robots' answers, without moving a robot."""
     statuses = rig.actuator.poll(1.0)
-    outdated = rig.loop.guard.dropped
-    watched = _watch(rig)
-    outdated = rig.loop.guard.dropped - outdated
+    dropped_before = rig.loop.guard.dropped
+    watched = _next_frames(rig)
+    outdated = rig.loop.guard.dropped - dropped_before
     camera = rig.camera.check()
     actuator = rig.actuator.check()
     newest = rig.loop.frames.newest
@@ -143,8 +160,12 @@ def inspect(rig: Rig) -> Preflight:
         [frame.number for frame in watched], [frame.received_ns for frame in watched]
     )
     own_hz = rig.setup.sight.rate_hz
-    slow = comes_hz is not None and comes_hz < 0.8 * own_hz
-    warnings = [f"{comes_hz:.0f} frames a second come instead of {own_hz:.0f}"] if slow else []
+    slow = comes_hz is not None and comes_hz < RATE_SHARE * own_hz
+    warnings = [*camera.warnings, *actuator.warnings]
+    if slow:
+        warnings.append(f"{comes_hz:.0f} frames a second come instead of {own_hz:.0f}")
+    if outdated:
+        warnings.append(dropped(outdated))
     if latency_ms is not None and latency_ms[0] > 1000 * rig.limits.latency:
         problems.append(f"frames are {latency_ms[0]:.0f} ms old on arrival")
     if newest is not None and rig.actuator.halts:  # a dish always shows other cells
@@ -157,12 +178,7 @@ def inspect(rig: Rig) -> Preflight:
         latency_ms,
         comes_hz,
         tuple(problems),
-        (
-            *camera.warnings,
-            *actuator.warnings,
-            *warnings,
-            *([dropped(outdated)] if outdated else []),
-        ),
+        tuple(warnings),
         {**camera.facts, **actuator.facts} | ({EMULATED_DEVICES: emulated} if emulated else {}),
         (*camera.questions, *actuator.questions),
     )
@@ -205,8 +221,9 @@ def _strangers(rig: Rig, frame: CameraFrame) -> list[str]:
     return [f"something else stands in the arena at {p.x:.0f}, {p.y:.0f} {unit}" for p in inside]
 
 
-def _watch(rig: Rig) -> list[CameraFrame]:
-    """Return the next `FRAMES_CHECKED` frames, or fewer if the camera falls silent."""
+def _next_frames(rig: Rig) -> list[CameraFrame]:
+    """Return the next `FRAMES_CHECKED` frames, fewer if they take a second or the camera falls
+    silent."""
     clock = rig.clock
     frames = rig.loop.frames
     first = rig.loop.frames.count

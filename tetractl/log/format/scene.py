@@ -4,13 +4,11 @@ Positions are converted from the spec's unit to metres. Non-finite values are no
 viewers drop a whole message for one NaN.
 """
 
-from collections.abc import Callable, Sequence
-from functools import lru_cache
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
-from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -22,7 +20,6 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
-from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
@@ -43,8 +40,6 @@ _UPRIGHT = Quaternion(w=1.0)  # must be set: the default is a zero quaternion
 _SQUARE = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
 _ANGLES = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
 _RING = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
-_PAIR = np.dtype([("tags", "V3"), ("one", "<f8"), ("tag", "V1"), ("two", "<f8")])
-"""A serialised message of two doubles."""
 
 
 def frame_of(name: str) -> str:
@@ -91,63 +86,45 @@ class Scene:
         if setup.wheel_radius:
             body = 2 * setup.wheel_radius
         self._body = body * self._metres
-        # What the messages of each robot have in common: the frames of its transforms; the entity
-        # of its plan without its time; that entity's line before and after the points.
-        self._frame_ids: list[bytes] = []
-        self._plans: list[bytes] = []
-        self._before_points: list[bytes] = []
-        self._after_points: list[bytes] = []
-        point = _point(self._metres, self._metres).SerializeToString()
-        for name, color in zip(setup.names, self._colors, strict=True):
-            ids = FrameTransform(parent_frame_id=WORLD, child_frame_id=frame_of(name))
-            self._frame_ids.append(ids.SerializeToString())
-            timed_entity = self._entity(f"plan/{name}", 0).SerializeToString()
-            self._plans.append(timed_entity.removeprefix(_time(0)))
-            line = self._line(np.ones((1, 2)), color).SerializeToString()
-            before, _, after = line.partition(point)
-            self._before_points.append(before)
-            self._after_points.append(after)
 
-    def transforms(self, parts: Sequence[Frames], start_ns: int) -> list[bytes]:
-        """Serialise the poses in each part of camera frames as FrameTransforms; the trial began at
+    def transforms(self, parts: Sequence[Frames], start_ns: int) -> list[FrameTransforms]:
+        """Return the transforms of the poses in each part of camera frames; the trial began at
         `start_ns` [Unix ns].
 
         Transforms are ordered by robot; a robot has none for a frame in which it is not tracked.
         """
         frames = Frames.joined(parts)
         has_pose = frames.valid & np.isfinite(frames.poses).all(axis=2)
-        times = [_time(unix_ns) for unix_ns in (frames.sampled_ns + start_ns).tolist()]
+        times = [stamp(unix_ns) for unix_ns in (frames.sampled_ns + start_ns).tolist()]
         robots, rows = np.nonzero(has_pose.T)
         x, y, heading = frames.poses[rows, robots].T
         half_turn = heading / 2
         numbers = (x * self._metres, y * self._metres, np.sin(half_turn), np.cos(half_turn))
-        poses = _filled(_pose, self._rounded(np.transpose(numbers)))
+        poses = self._rounded(np.transpose(numbers)).tolist()
         part_of_row = [index for index, part in enumerate(parts) for _ in part.numbers]
-        transforms: list[list[bytes]] = [[] for _ in parts]
-        field = FrameTransforms.TRANSFORMS_FIELD_NUMBER
-        for robot, row, pose in zip(robots.tolist(), rows.tolist(), poses, strict=True):
-            transform = times[row] + self._frame_ids[robot] + pose
-            transforms[part_of_row[row]].append(_nested(field, transform))
-        return [b"".join(of_part) for of_part in transforms]
+        names = [frame_of(name) for name in self._setup.names]
+        transforms = [FrameTransforms() for _ in parts]
+        of_poses = zip(robots.tolist(), rows.tolist(), poses, strict=True)
+        for robot, row, (x_m, y_m, sine, cosine) in of_poses:
+            transforms[part_of_row[row]].transforms.add(
+                timestamp=times[row],
+                parent_frame_id=WORLD,
+                child_frame_id=names[robot],
+                translation=Vector3(x=x_m, y=y_m),
+                rotation=Quaternion(z=sine, w=cosine),
+            )
+        return transforms
 
-    def plan(self, path: Floats, unix_ns: int) -> bytes:
-        """Serialise a line along each robot's predicted path (length + 1, N, 3), shown until the
-        next plan, as SceneUpdate.
+    def plan(self, path: Floats, unix_ns: int) -> SceneUpdate:
+        """Return a line along each robot's predicted path (length + 1, N, 3), shown until the next
+        plan.
         """
-        time = _time(unix_ns)
-        has_point = (np.isfinite(path[..., 0]) & np.isfinite(path[..., 1])).T
-        xy = path[..., :2].swapaxes(0, 1)[has_point]
-        points = _filled(_point, self._rounded(xy * self._metres))
-        entities: list[bytes] = []
-        begin = 0
-        counts = has_point.sum(axis=1).tolist()
-        of_robots = zip(self._plans, self._before_points, self._after_points, counts, strict=True)
-        for plan, before, after, count in of_robots:
-            line = b"".join((before, *points[begin : begin + count], after))
-            entity = time + plan + _nested(SceneEntity.LINES_FIELD_NUMBER, line)
-            entities.append(_nested(SceneUpdate.ENTITIES_FIELD_NUMBER, entity))
-            begin += count
-        return b"".join(entities)
+        entities: list[SceneEntity] = []
+        places_m = self._rounded(path[..., :2] * self._metres).swapaxes(0, 1)
+        for name, color, xy_m in zip(self._setup.names, self._colors, places_m, strict=True):
+            line = self._line(xy_m, color)
+            entities.append(self._entity(f"plan/{name}", unix_ns, lines=[line]))
+        return SceneUpdate(entities=entities)
 
     def static(self, unix_ns: int) -> SceneUpdate:
         """Return the static scene: arena, obstacles, targets, a body in each robot's frame."""
@@ -158,7 +135,7 @@ class Scene:
             (arena.right, arena.top),
             (arena.left, arena.top),
         ]
-        border = self._line(np.array(corners), _color(GREY), LinePrimitive.LINE_LOOP)
+        border = self._line(np.array(corners) * self._metres, _color(GREY), LinePrimitive.LINE_LOOP)
         entities = [self._entity("arena", unix_ns, lines=[border])]
         for i, obstacle in enumerate(self._setup.obstacles):
             # an upright prism over its outline, as high as a robot
@@ -187,7 +164,7 @@ class Scene:
         outlines += [half / 2 * _SQUARE + point for point in way_points]
         if self._setup.hold is not None:
             outlines.append(self._setup.hold.radius * _RING + target)
-        lines = [self._line(xy, color, LinePrimitive.LINE_LOOP) for xy in outlines]
+        lines = [self._line(xy * self._metres, color, LinePrimitive.LINE_LOOP) for xy in outlines]
         return self._entity(f"target/{name}", unix_ns, lines=lines)
 
     def _robot(self, name: str, color: Color, unix_ns: int) -> SceneEntity:
@@ -216,9 +193,9 @@ class Scene:
     def _line(
         self, xy: Floats, color: Color, kind: LinePrimitive.Type.ValueType = _STRIP
     ) -> LinePrimitive:
-        """Return a line, 2 pixels wide, through xy (M, 2)."""
-        finite_m = xy[np.isfinite(xy).all(axis=1)] * self._metres
-        points = [Point3(x=x, y=y) for x, y in finite_m.tolist()]
+        """Return a line, 2 pixels wide, through the places xy (M, 2) [m] that are finite."""
+        finite = xy[np.isfinite(xy).all(axis=1)]
+        points = [Point3(x=x, y=y) for x, y in finite.tolist()]
         return LinePrimitive(
             type=kind,
             pose=Pose(orientation=_UPRIGHT),
@@ -227,56 +204,6 @@ class Scene:
             points=points,
             color=color,
         )
-
-
-def _pose(x: float, y: float, z: float, w: float) -> FrameTransform:
-    return FrameTransform(translation=Vector3(x=x, y=y), rotation=Quaternion(z=z, w=w))
-
-
-def _point(x: float, y: float) -> LinePrimitive:
-    return LinePrimitive(points=[Point3(x=x, y=y)])
-
-
-def _filled(make: Callable[..., Message], rows: Floats) -> list[bytes]:
-    """Serialise `make` of each row (M, C), whose doubles are in messages of two.
-
-    One message is serialised, and its doubles are replaced, unless one is zero, which protobuf
-    leaves out.
-    """
-    if not rows.all():
-        return [make(*row).SerializeToString() for row in rows.tolist()]
-    template = _template(make, rows.shape[1])
-    pairs = np.repeat(template, len(rows), axis=0)
-    pairs["one"] = rows[:, ::2]
-    pairs["two"] = rows[:, 1::2]
-    data = pairs.tobytes()
-    size = template.nbytes
-    return [data[start : start + size] for start in range(0, len(data), size)]
-
-
-@lru_cache
-def _template(make: Callable[..., Message], count: int) -> NDArray[np.void]:
-    message = make(*np.ones(count))
-    return np.frombuffer(message.SerializeToString(), _PAIR)[np.newaxis]
-
-
-def _time(unix_ns: int) -> bytes:
-    """Serialise the time stamp of a transform or an entity."""
-    return _nested(FrameTransform.TIMESTAMP_FIELD_NUMBER, stamp(unix_ns).SerializeToString())
-
-
-def _nested(field: int, data: bytes) -> bytes:
-    """Serialise a field, of number 1 to 15, whose message was serialised to `data`."""
-    return _head(field, len(data)) + data
-
-
-@lru_cache
-def _head(field: int, size: int) -> bytes:
-    head = bytes([field << 3 | 2])
-    while size > 127:
-        head += bytes([size & 127 | 128])
-        size >>= 7
-    return head + bytes([size])
 
 
 def _color(text: str) -> Color:

@@ -148,7 +148,7 @@ class Encoder:
             self._add(channels.FRAMES, encoded, last_received_ns, last_sampled_ns)
             first_received_ns = int(thinned.received_ns[0])
             first_sampled_ns = int(thinned.sampled_ns[0])
-            self._add_bytes(channels.TRANSFORMS, transform, first_received_ns, first_sampled_ns)
+            self._add(channels.TRANSFORMS, transform, first_received_ns, first_sampled_ns)
 
     def on_command(self, command: Command) -> None:
         """Add a command sent outside the control steps."""
@@ -169,7 +169,7 @@ class Encoder:
             self._next_plan_ns = sent_ns + PLAN_SHOWN_NS
             path = codec.drawn(step.plan.path)
             plan = self._scene.plan(path, self._start.start_unix_ns + sent_ns)
-            self._add_bytes(channels.SCENE_PLAN, plan, sent_ns, sampled_ns)
+            self._add(channels.SCENE_PLAN, plan, sent_ns, sampled_ns)
         timing = StepTiming(k=step.k, solve_ns=step.solve_ns, deadline_missed=step.deadline_missed)
         self._add(channels.HOST_TIMING, timing, sent_ns)
         for text in undelivered_texts(self._start.setup.names, step):

@@ -97,8 +97,8 @@ UNIX_NS = st.integers(0, 2**62) | st.sampled_from([0, 1, 2**21, EPOCH_NS, EPOCH_
 @pytest.mark.long
 @settings(deadline=None)
 @given(data=st.data(), robots=st.integers(1, 3), count=st.integers(0, 12))
-def test_the_bytes_are_those_of_protobufs_own_encoder(data, robots, count):
-    """For any poses and times: zeros that protobuf leaves out, varints of every length, NaN."""
+def test_what_is_tracked_and_finite_is_drawn_of_any_poses_at_any_times(data, robots, count):
+    """Zeros, NaN, numbers near the greatest and the least."""
     setup = experiment(robots).setup
     scene = Scene(setup, exact=True)
     colors = {e.id: e.lines[0].color for e in scene.static(0).entities if e.lines}
@@ -135,5 +135,7 @@ def test_the_bytes_are_those_of_protobufs_own_encoder(data, robots, count):
         plans.entities.add(timestamp=stamp(unix_ns), lines=[line], **entity)
     exposed_ns = times[:, None].repeat(robots, axis=1)
     frames = Frames(times, times, times, poses, valid, None, exposed_ns)
-    assert scene.transforms([frames], 0) == [transforms.SerializeToString()]
-    assert scene.plan(poses, unix_ns) == plans.SerializeToString()
+    (drawn,) = scene.transforms([frames], 0)
+    assert drawn.SerializeToString() == transforms.SerializeToString()
+    drawn_plans = scene.plan(poses, unix_ns)
+    assert drawn_plans.SerializeToString() == plans.SerializeToString()

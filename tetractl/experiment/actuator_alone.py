@@ -10,10 +10,10 @@ from pydantic import TypeAdapter, ValidationError
 
 from tetractl.core.registries import ACTUATORS
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import with_tuples
+from tetractl.experiment.base import STRICT, with_tuples
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.lab_section import ActuatorSection, RobotPart
-from tetractl.experiment.registry_fields import STRICT, KindSection
+from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.yaml.document import Document
 
 STAND_IN = {"start": (0.5, 0.5), "target": (0.5, 0.5), "a": 1.0, "speed": 1.0}

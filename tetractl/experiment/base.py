@@ -4,8 +4,14 @@ from collections.abc import Callable
 from copy import copy
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
-from pydantic_core import PydanticCustomError, PydanticUndefined
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import PydanticCustomError
+
+from tetractl.experiment.yaml.document import Document
+from tetractl.experiment.yaml.problems import InvalidSpecError
+
+STRICT = {"strict": True}
+"""Validation context in which values of another type are refused, as when a spec is read."""
 
 
 class Model(BaseModel):
@@ -20,6 +26,21 @@ class Model(BaseModel):
     )
 
 
+Section = TypeVar("Section", bound=BaseModel)
+
+
+def validated(model: type[Section], document: Document) -> Section:
+    """Return a document's data as a given type; InvalidSpecError with the problems of the document
+    so far and with all its wrong values, if there are any."""
+    try:
+        return model.model_validate(with_tuples(document.data), strict=True, context=STRICT)
+    except ValidationError as error:
+        from tetractl.experiment.explain_errors import explain  # no valid spec needs it
+
+        problems = explain(error, document, model)
+        raise InvalidSpecError([*document.all_problems, *problems]) from None
+
+
 def with_tuples(value: Any) -> Any:
     """Return a file's data with tuples for lists, as strict validation of a `Model` requires."""
     if isinstance(value, dict):
@@ -27,21 +48,13 @@ def with_tuples(value: Any) -> Any:
     return tuple(map(with_tuples, value)) if isinstance(value, list) else value
 
 
-Section = TypeVar("Section", bound=Model)
-
-
 def defaults(**values: Any) -> Callable[[type[Section]], type[Section]]:
-    """Decorate a section that inherits fields: they get other defaults, given by name. A function
-    computes the default from the values of the fields before its own."""
+    """Decorate a section that inherits fields: they get other defaults, given by name."""
 
     def decorate(section: type[Section]) -> type[Section]:
         for name, value in values.items():
             field = section.model_fields[name] = copy(section.model_fields[name])
-            if callable(value):
-                field.default = PydanticUndefined
-                field.default_factory = value
-            else:
-                field.default = value
+            field.default = value
         section.model_rebuild(force=True)
         return section
 

@@ -5,13 +5,11 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import reduce
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
-from tetractl.experiment.base import with_tuples
-from tetractl.experiment.registry_fields import STRICT
 from tetractl.experiment.schema import (
     alternatives,
     child,
@@ -22,7 +20,7 @@ from tetractl.experiment.schema import (
 )
 from tetractl.experiment.yaml.core_yaml import with_space
 from tetractl.experiment.yaml.document import Document
-from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, did_you_mean
+from tetractl.experiment.yaml.problems import Loc, SpecProblem, did_you_mean
 from tetractl.tools.retired import INSTEAD, KEY
 
 Schema = dict[str, Any]
@@ -60,8 +58,6 @@ LISTED = {"number": "numbers", "integer": "whole numbers", "string": "texts"}
 ERRORS_MAX = 1000
 """Largest number of pydantic's errors that are explained."""
 
-Section = TypeVar("Section", bound=BaseModel)
-
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
@@ -85,21 +81,12 @@ class Mistake:
         return self.details.get("ctx", {})
 
 
-def validated(model: type[Section], document: Document) -> Section:
-    """Return a document's data as a given type; InvalidSpecError with the problems of the document
-    so far and with all its wrong values, if there are any."""
-    try:
-        return model.model_validate(with_tuples(document.data), strict=True, context=STRICT)
-    except ValidationError as error:
-        problems = explain(error, document, schema_of(model))
-        raise InvalidSpecError([*document.all_problems, *problems]) from None
-
-
-def explain(error: ValidationError, document: Document, schema: Schema) -> Iterator[SpecProblem]:
-    """Yield pydantic's errors as problems, except errors already in the document.
-
-    `schema` is the JSON schema of the file.
-    """
+def explain(
+    error: ValidationError, document: Document, model: type[BaseModel]
+) -> Iterator[SpecProblem]:
+    """Yield pydantic's errors in a document, whose type is `model`, as problems, except errors
+    already in the document."""
+    schema = schema_of(model)
     for details in error.errors(include_url=False, include_input=False)[:ERRORS_MAX]:
         loc = data_loc(details, document.data)
         mistake = Mistake(

@@ -6,8 +6,7 @@ from typing import Any
 from pydantic import Field
 
 from tetractl.core.errors import printable
-from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
-from tetractl.experiment.explain_errors import validated
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive, validated
 from tetractl.experiment.yaml.document import Document, Place, read_document
 from tetractl.experiment.yaml.problems import Loc
 

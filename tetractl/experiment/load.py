@@ -23,9 +23,9 @@ from typing import Any
 
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.registries import CONTROLLERS
+from tetractl.experiment.base import validated
 from tetractl.experiment.consistency import errors_of
 from tetractl.experiment.experiment import DEFAULT_CONTROLLER, Experiment
-from tetractl.experiment.explain_errors import validated
 from tetractl.experiment.identified import merge, read_identified
 from tetractl.experiment.loaded_spec import Attached, LoadedSpec, attach
 from tetractl.experiment.policy_weights import read_weights

@@ -16,10 +16,9 @@ from tetractl.core.clock import Clock
 from tetractl.core.errors import SpecError, UsageError, printable
 from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.registries import PLANTS
-from tetractl.experiment.base import Model
+from tetractl.experiment.base import Model, validated
 from tetractl.experiment.consistency import section_errors
 from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.explain_errors import validated
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.loaded_spec import LoadedSpec, attach
 from tetractl.experiment.packages import not_installed

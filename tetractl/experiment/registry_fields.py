@@ -13,9 +13,6 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 from tetractl.core.registry import Registry
 from tetractl.experiment.packages import not_installed
 
-STRICT = {"strict": True}
-"""Validation context in which values of another type are refused, as when a spec is read."""
-
 
 def read(section: type[BaseModel], value: Any, info: core_schema.ValidationInfo) -> Any:
     """Return the section that a mapping describes, in the context of what holds it."""

@@ -25,9 +25,8 @@ from pydantic import Discriminator, Field, Tag
 
 from tetractl.core.errors import printable
 from tetractl.core.registries import SWEEPS
-from tetractl.experiment.base import Model, Name
+from tetractl.experiment.base import Model, Name, validated
 from tetractl.experiment.experiment import Trials
-from tetractl.experiment.explain_errors import validated
 from tetractl.experiment.load import as_text, is_study, load_document, without_lines
 from tetractl.experiment.loaded_spec import LoadedSpec, arm_hash
 from tetractl.experiment.registry_fields import KindSection

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.clock import MILLISECOND, SECOND
+from tetractl.core.clock import MILLISECOND
 from tetractl.core.errors import UsageError, demand, whole_number
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.protocols import Observer
@@ -420,15 +420,13 @@ def to_arrays(trial: Trial) -> TrialArrays:
     return TrialArrays(
         unit=setup.unit,
         robots=np.array(setup.names),
-        time_s=(trial.mocap_ns - trial.began_ns) / SECOND,
+        time_s=trial.frames_s,
         frame=trial.frames,
         poses=trial.mocap,
         valid=trial.valid,
         truth=unknown if trial.truth is None else trial.truth,
         distance=setup.distances(trial.mocap[..., :2]),
-        step_time_s=np.array(
-            [trial.elapsed_s(step.command.sent_ns) for step in steps], dtype=float
-        ),
+        step_time_s=trial.steps_s,
         direction=np.array([step.plan.direction for step in steps], dtype=float),
         cost=np.array([step.plan.cost for step in steps], dtype=float),
         length=np.array([len(step.plan.signals) for step in steps], dtype=np.int64),

@@ -53,7 +53,7 @@ tetractl/serve/live.py | if entry.log_ns > self._time_ns: | if entry.log_ns < se
 tetractl/study/sweep.py | self._between(self.low, self.high + 1, share) | self._between(self.low, self.high, share) | tests/unit/study
 tetractl/testing/device_checks.py | 0 <= age_ns <= SECOND | 0 <= age_ns | tests/unit/test_testing.py
 tetractl/tools/table/csv_rows.py | if separator == BLANKS: | if separator != BLANKS: | tests/unit/tools
-tetractl/view/figures/errors.py | np.searchsorted(_since(log), time_s, side="right") - 1 | np.searchsorted(_since(log), time_s, side="left") - 1 | tests/unit/view/figures
+tetractl/view/figures/errors.py | np.searchsorted(log.frames_s, time_s, side="right") - 1 | np.searchsorted(log.frames_s, time_s, side="left") - 1 | tests/unit/view/figures
 packages/tetractl-emulator/tetractl_emulator/pictures/field.py | if reply and not self.acting.of("mute"): | if reply: | packages/tetractl-microscope/tests/unit/coils
 packages/tetractl-microscope/tetractl_microscope/apriltag/floor.py | (shift.ravel() - self.shift.ravel()) | (shift.ravel() + self.shift.ravel()) | packages/tetractl-microscope/tests/unit/apriltag
 packages/tetractl-microscope/tetractl_microscope/cells/match.py | blob_um2 > LARGE * cell.size.area_um2 | blob_um2 < LARGE * cell.size.area_um2 | packages/tetractl-microscope/tests/unit/cells

@@ -57,11 +57,6 @@ def first_seen(trail: Floats, starts: Floats) -> Floats:
     return positions[first, np.arange(len(starts))]
 
 
-def tracked(mocap: Floats, valid: NDArray[np.bool_]) -> Floats:
-    """Return positions (M, N, 2) of poses (M, N, 3), NaN if a robot was not tracked."""
-    return np.where(valid[..., None], mocap[..., :2], np.nan)
-
-
 def end_ns(log: TrialLog) -> int:
     """Return when a recorded trial ends [ns]: with its stop, after which the simulated robots of
     its last frames stand. In a lab it ends with the last frame that shows the poses of its result,
@@ -100,7 +95,7 @@ class Recording:
         self.totals = np.array(
             [log.start.setup.distances(step.observation.poses.xy).sum() for step in log.steps]
         )
-        self._trail = tracked(log.mocap, log.valid)
+        self._trail = log.positions
         self._poses = _held(log.mocap, log.valid, log.start.setup.starts.array())
 
     def at(self, time_ns: int) -> Moment:

@@ -18,8 +18,8 @@ from tetractl.core.errors import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import SHOWN_HZ
 from tetractl.replay.dish_pictures import PICTURES_MAX, DishPictures
-from tetractl.replay.player import end_ns, first_seen, tracked
-from tetractl.results.outcome_meanings import MEANINGS
+from tetractl.replay.player import end_ns, first_seen
+from tetractl.results.built_in_statistics import MEANINGS
 from tetractl.view.plan_words import doing, search_end
 
 COARSER = 3
@@ -89,7 +89,7 @@ def _robots(log: TrialLog) -> list[dict[str, Any]]:
     """Return each robot's name, colour, start, target, and way-points."""
     setup = log.start.setup
     colors = robot_colors(setup.names, setup.colors)
-    starts = first_seen(tracked(log.mocap, log.valid), setup.starts.xy).tolist()
+    starts = first_seen(log.positions, setup.starts.xy).tolist()
     legs = setup.legs.swapaxes(0, 1).tolist()
     return [
         {
@@ -107,12 +107,10 @@ def _frames(log: TrialLog, until_ns: int, decimals: int) -> dict[str, Any]:
     """Return times and measured poses of the frames shown."""
     frames = _thinned(log, until_ns)
     valid = log.valid[frames]
-    poses = log.mocap[frames]
-    xy = np.where(valid[..., None], poses[..., :2], np.nan)
-    heading = np.where(valid, poses[..., 2], np.nan)
+    heading = np.where(valid, log.mocap[frames, :, 2], np.nan)
     return {
-        "t": rounded([log.elapsed_s(int(time_ns)) for time_ns in log.mocap_ns[frames]]),
-        "xy": rounded(xy, decimals),
+        "t": rounded(log.frames_s[frames]),
+        "xy": rounded(log.positions[frames], decimals),
         "heading": rounded(heading),
     }
 
@@ -122,7 +120,7 @@ def _steps(log: TrialLog) -> dict[str, Any]:
     steps = log.steps
     plans = [step.plan for step in steps]
     return {
-        "t": rounded([log.elapsed_s(step.command.sent_ns) for step in steps]),
+        "t": rounded(log.steps_s),
         "u": [plan.direction for plan in plans],
         "doing": [doing(plan) for plan in plans],
         "cost": significant([np.nan if plan.pauses else plan.cost for plan in plans]),

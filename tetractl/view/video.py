@@ -30,7 +30,7 @@ from tetractl.core.errors import LogError, UsageError, unit_of
 from tetractl.core.setup import Bounds
 from tetractl.core.trial import Step
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.player import Moment, Recording, tracked
+from tetractl.replay.player import Moment, Recording
 from tetractl.tools.children import Child
 from tetractl.view import style
 from tetractl.view.figures.trajectory import DishGround, draw_scene
@@ -222,7 +222,7 @@ class _Scene:
 
     def __init__(self, axes: Axes, log: TrialLog, colors: list[str]) -> None:
         setup = log.start.setup
-        draw_scene(axes, [setup], colors, [tracked(log.mocap, log.valid)])
+        draw_scene(axes, [setup], colors, [log.positions])
         visible = BODY_LEAST * setup.arena.longer_side
         self._half_length = max(setup.wheel_radius or 0.0, visible)
         self._plans: list[Line2D] = []

@@ -110,7 +110,7 @@ def spinning(log: TrialLog) -> float:
     reversals up to REVERSAL [s]."""
     directions = [step.plan.direction for step in log.steps]
     angle = np.array([np.nan if u is None else u for u in directions], dtype=float)
-    time_s = np.array([log.elapsed_s(step.command.sent_ns) for step in log.steps])
+    time_s = log.steps_s
     turned = wrap(np.diff(angle))  # NaN where robots stand
     total_s = 0.0
     for begin, end in _runs(np.isfinite(turned)):

@@ -5,9 +5,12 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import islice, pairwise
 
+import numpy as np
+
 from tetractl.core.clock import SECOND, seconds
 from tetractl.core.commands import Command
 from tetractl.core.plan import Outcome
+from tetractl.core.poses import Floats
 from tetractl.core.shown import Shown
 from tetractl.core.trial import EMULATED_DEVICES, EMULATED_PLANT, PlantInfo, Result, TrialRecords
 from tetractl.experiment.experiment import Experiment
@@ -112,6 +115,22 @@ class TrialLog(TrialRecords, Shown):
         return seconds(time_ns - self.began_ns)
 
     @property
+    def frames_s(self) -> Floats:
+        """The times (M,) of the camera frames since the first direction [s]."""
+        return (self.mocap_ns - self.began_ns) / SECOND
+
+    @property
+    def steps_s(self) -> Floats:
+        """The times (K,) of the control steps' commands since the first direction [s]."""
+        sent = np.array([step.command.sent_ns for step in self.steps], dtype=np.int64)
+        return (sent - self.began_ns) / SECOND
+
+    @property
+    def positions(self) -> Floats:
+        """The measured positions (M, N, 2), NaN where a robot was not tracked."""
+        return np.where(self.valid[..., None], self.mocap[..., :2], np.nan)
+
+    @property
     def events(self) -> tuple[Event, ...]:
         """The operator messages, with the times shown to users, in order of time."""
         events = [
@@ -208,8 +227,7 @@ def _gaps(what: str, numbers: Sequence[int], times: Sequence[float]) -> list[Gap
 
 def frame_gaps(log: TrialLog) -> list[Gap]:
     """Return the gaps in the numbers of a log's camera frames."""
-    times = (log.mocap_ns - log.began_ns) / SECOND
-    return _gaps("camera frame", log.frames.tolist(), times.tolist())
+    return _gaps("camera frame", log.frames.tolist(), log.frames_s.tolist())
 
 
 def step_gaps(log: TrialLog) -> list[Gap]:
@@ -217,7 +235,7 @@ def step_gaps(log: TrialLog) -> list[Gap]:
     end.
     """
     ks = [-1, *(step.k for step in log.steps)]
-    sent = [0.0, *(log.elapsed_s(step.command.sent_ns) for step in log.steps)]
+    sent = [0.0, *log.steps_s.tolist()]
     if log.result and log.result.steps > ks[-1] + 1:
         ks.append(log.result.steps)
         sent.append(log.result.duration_s)

@@ -8,12 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from tetractl.core.clock import SECOND
-from tetractl.core.errors import LogError, UsageError, unit_of
+from tetractl.core.errors import UsageError, unit_of
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.player import tracked
 from tetractl.tools.table.table import lengths, plural
 from tetractl.view import style
 from tetractl.view.figures.curves import (
@@ -25,7 +23,13 @@ from tetractl.view.figures.curves import (
     name_curves,
     robot_curves,
 )
-from tetractl.view.figures.trials import by_folder, check_alike, final_poses, unfinished
+from tetractl.view.figures.trials import (
+    by_folder,
+    check_alike,
+    final_poses,
+    need_frames,
+    unfinished,
+)
 
 HEADROOM = 1.04
 """Height of a panel over its greatest value."""
@@ -44,11 +48,12 @@ def errors_at(log: TrialLog, time_s: Floats) -> Floats:
     Each distance is the last measured up to its time or, from the end of the trial on, the error in
     the result, if the log has a result.
     """
-    gaps = log.start.setup.distances(tracked(log.mocap, log.valid))
+    need_frames(log)
+    gaps = log.start.setup.distances(log.positions)
     row = np.arange(len(gaps))[:, None]
     rows = np.where(np.isfinite(gaps), row, 0)
     held = np.take_along_axis(gaps, np.maximum.accumulate(rows, axis=0), axis=0)
-    newest = np.searchsorted(_since(log), time_s, side="right") - 1
+    newest = np.searchsorted(log.frames_s, time_s, side="right") - 1
     errors = held[np.maximum(newest, 0)]
     if log.result is not None:  # the robots stand still after the trial
         ended = time_s >= end_s(log)
@@ -89,10 +94,11 @@ def errors_figure(logs: Sequence[TrialLog]) -> Figure:
 
 def _of_trial(log: TrialLog) -> Figure:
     """Draw the total error, and below it the distance of each robot to its target, over time."""
-    time_s = _since(log)
+    need_frames(log)
+    time_s = log.frames_s
     setup = log.start.setup
     unit = unit_of(setup.unit)
-    gaps = setup.distances(tracked(log.mocap, log.valid))
+    gaps = setup.distances(log.positions)
     ends = setup.distances(final_poses(log)[:, :2])
     # only the names show the last values, which are the result's
     gaps = np.vstack([gaps, ends])
@@ -203,19 +209,11 @@ def _panels(
     return figure, places.reshape(-1, 2)
 
 
-def _since(log: TrialLog) -> Floats:
-    """Return the times of the camera frames since the first command [s]; LogError if there are
-    none."""
-    if not len(log.mocap_ns):
-        raise LogError(f"{log.log}: contains no camera frames to plot")
-    return (log.mocap_ns - log.began_ns) / SECOND
-
-
 def _mark_steps(axes: Axes, log: TrialLog) -> None:
     """Mark the times of the control steps at the axes' lower edge, and which of them missed the
     deadline.
     """
-    sent_s = np.array([log.elapsed_s(step.command.sent_ns) for step in log.steps])
+    sent_s = log.steps_s
     late = np.array([step.deadline_missed for step in log.steps], dtype=bool)
     rug = axes.get_xaxis_transform()
     axes.vlines(sent_s, 0, 0.025, color=style.GREY, lw=0.6, transform=rug, label="control steps")

@@ -74,7 +74,7 @@ def over_time_figure(logs: Sequence[TrialLog]) -> Figure:
     """
     log = one_trial(logs)
     need_steps(log)
-    time_s = np.array([log.elapsed_s(step.command.sent_ns) for step in log.steps])
+    time_s = log.steps_s
     estimated = np.array([step.plan.estimate is not None for step in log.steps])
     quantities = _quantities(log) if estimated.any() else []
     row_in = ROW_IN

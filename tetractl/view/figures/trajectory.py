@@ -30,7 +30,7 @@ from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Bounds, Setup
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.dish_pictures import DishPictures
-from tetractl.replay.player import first_seen, tracked
+from tetractl.replay.player import first_seen
 from tetractl.tools.table.table import lengths
 from tetractl.view import style
 from tetractl.view.figures.trials import (
@@ -105,7 +105,7 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     setups = [log.start.setup for log in logs]
     setup = setups[0]
     colors = robot_colors(setup.names, setup.colors)
-    trails = [tracked(log.mocap, log.valid) for log in logs]
+    trails = [log.positions for log in logs]
     ends = np.array([final_poses(log)[:, :2] for log in logs])  # (T, N, 2)
     alone = len(logs) == 1
 
@@ -247,7 +247,7 @@ def _draw_one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None
     (M, N, 2) if it is given, and the errors at the end.
     """
     setup = log.start.setup
-    trail = tracked(log.mocap, log.valid)
+    trail = log.positions
     ends = final_poses(log)[:, :2]
     last_ns = log.stop.sent_ns if log.stop else int(log.mocap_ns.max(initial=0))
     DishGround(axes, log).show(last_ns)
@@ -297,7 +297,7 @@ def _visible_truth(log: TrialLog) -> Floats | None:
     if log.truth is None or not len(log.truth):
         return None
     truth = log.truth[..., :2]
-    gaps = np.linalg.norm(truth - tracked(log.mocap, log.valid), axis=-1)
+    gaps = np.linalg.norm(truth - log.positions, axis=-1)
     differs = np.nanmax(gaps, initial=0.0) > TRUTH_SEEN * log.start.setup.arena.longer_side
     return truth if differs else None
 

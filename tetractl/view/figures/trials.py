@@ -70,6 +70,12 @@ def need_steps(log: TrialLog) -> None:
         raise LogError(f"{log.log}: contains no control steps to plot")
 
 
+def need_frames(log: TrialLog) -> None:
+    """Raise LogError for a log without camera frames."""
+    if not len(log.mocap_ns):
+        raise LogError(f"{log.log}: contains no camera frames to plot")
+
+
 def unfinished(log: TrialLog) -> str:
     """Return the outcome and reason of a trial that was not completed, "" for a complete one."""
     if log.result is None:

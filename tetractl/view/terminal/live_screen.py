@@ -24,7 +24,7 @@ from tetractl.core.protocols import Observer
 from tetractl.core.trial import Note, Result, Start, Step
 from tetractl.log.read.trial_log import Event
 from tetractl.model.path_check import PathCheck
-from tetractl.replay.player import Moment, tracked
+from tetractl.replay.player import Moment
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 from tetractl.view.terminal.dashboard import Dashboard, Footer
@@ -59,9 +59,9 @@ class TrialSoFar:
         for sample in samples:
             observation = sample.observation
             poses = observation.poses.array()
-            positions = tracked(poses[None], observation.valid[None])
-            self._trail.append(positions[0])
-            self._path.add(positions[..., 0], positions[..., 1])
+            positions = np.where(observation.valid[:, None], poses[:, :2], np.nan)
+            self._trail.append(positions)
+            self._path.add(positions[None, :, 0], positions[None, :, 1])
             self._poses = np.where(observation.valid[:, None], poses, self._poses)
             self._now_ns = observation.sampled_ns
 

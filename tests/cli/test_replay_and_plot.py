@@ -15,6 +15,8 @@ from support.running import first_of
 from support.terminal import PATIENCE_S, Terminal
 from support.trials import three_robots, write_torn, write_trial
 
+from tetractl.cli.plot import plot
+from tetractl.core.registries import FIGURES
 from tetractl.log.read.reader import read_trial
 from tetractl.view.plan_words import search_end
 
@@ -177,6 +179,11 @@ def test_plot_names_its_file_after_the_log_here(folder, tmp_path, kind):
     done = run("plot", folder / "whole.mcap", "--kind", kind, cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (0, f"whole-{kind}.png\n", "")
     assert [path.name for path in tmp_path.iterdir()] == [f"whole-{kind}.png"]
+
+
+def test_the_help_explains_each_figure():
+    text = plot.__doc__ or ""
+    assert [kind for kind in FIGURES.builtin if f"\n    {kind}: " not in text] == []
 
 
 @pytest.mark.long

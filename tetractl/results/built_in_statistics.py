@@ -4,10 +4,19 @@ targets, and solve times.
 
 Distances are those of the robots' centres, on the true paths of a simulation and the measured ones
 in a lab; percentiles of solve times are over all steps of all trials.
+
+To add one, write it here, with a line in STATISTICS of `core/registries.py`, in its place in the
+tables, and one in docs/reference/statistics.md: tables, JSON, CSV and the report then have it. Most
+are a line, from a number in each trial's `Result` of `core/trial.py`:
+
+    WORST = number("worst", "error of the worst robot", lambda result: max(result.robot_errors))
+
+`number`, `count` and `share` are in `statistic`; here are `total` of what there should be none of,
+`least` distance, and `mean_of_each` column. What results lack is read from the log, as `discs` is.
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -30,11 +39,21 @@ from tetractl.results.flagged import (
     turn_columns,
     turns_of,
 )
-from tetractl.results.outcome_meanings import MEANINGS
 from tetractl.results.statistic import Figure, Statistic, mean_figure, share_figure
 from tetractl.tools.table.table import NONE, digits, lengths, listing
 
 # ---- How trials ended ----
+
+MEANINGS: Mapping[Outcome, str] = {
+    Outcome.ARRIVED: "every robot is within the arrival tolerance of its target",
+    Outcome.SEQUENCE_COMPLETED: "every signal was sent",
+    Outcome.NO_BETTER_PLAN: "stopped where driving on would gain too little",
+    Outcome.STEPS_MAX: "the largest number of control steps was reached",
+    Outcome.TIME_LIMIT: "the trial's time was over",
+    Outcome.INTERRUPTED: "Ctrl-C, `tetractl lab stop` or another signal ended the trial",
+    Outcome.ABORTED: "a fault or an error ended the trial",
+}
+"""What outcomes mean, for readers of tables and reports."""
 
 
 def _outcomes(trials: Sequence[ResultSummary]) -> list[Figure]:
@@ -114,6 +133,8 @@ def least(key: str, label: str, distances_in: Distances) -> Statistic:
 CLEARANCE = least("clearance", "centre nearest to an obstacle", lambda verdict: verdict.clearance)
 EDGE = least("edge", "centre nearest to the arena's edge", lambda verdict: verdict.edge)
 APART = least("apart", "centres nearest to one another", lambda verdict: verdict.apart)
+LENGTHS = ("clearance", "edge", "apart")
+"""The columns of a trial that are lengths: in CSV their names end in the unit."""
 
 # ---- What must not happen ----
 

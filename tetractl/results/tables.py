@@ -15,11 +15,11 @@ from pathlib import Path
 
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin
+from tetractl.results.built_in_statistics import MEANINGS
 from tetractl.results.describe import BatchComparison, BatchStatistics, Contrast, ScaledError
 from tetractl.results.estimate import Distribution, Interval, known_distribution
 from tetractl.results.flagged import flagged, unsafe
 from tetractl.results.mean_difference import MeanDifference
-from tetractl.results.outcome_meanings import MEANINGS
 from tetractl.results.statistic import Figure
 from tetractl.tools.table.table import NONE, Column, Table, digits, fixed, lengths, listing, p_value
 from tetractl.tools.table.terminal_table import LISTED_MAX

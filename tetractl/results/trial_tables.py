@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.core.clock import MILLISECOND, SECOND
+from tetractl.core.clock import MILLISECOND
 from tetractl.core.errors import printable
 from tetractl.core.motion_estimate import INNOVATIONS
-from tetractl.core.poses import Floats, Integers
+from tetractl.core.poses import Floats
 from tetractl.log.format.channels import HOST_TIMING, STEP
 from tetractl.log.format.codec import (
     ESTIMATE_FIELDS,
@@ -34,12 +34,11 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import decode_errors, refuse_brief, result_of, trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
+from tetractl.results.built_in_statistics import LENGTHS
 from tetractl.results.open_batch import Batch
 from tetractl.results.statistic import trial_items
 from tetractl.tools.table.table import Column, Table
 
-_DISTANCES = ("clearance", "edge", "apart")
-"""The lengths among the values of a trial, next to its errors."""
 _WORDS = ("robot", "level", "text", "stopped", "outcome", "origin", "reason")
 
 
@@ -59,7 +58,7 @@ def _trial_row(trial: ResultSummary) -> dict[str, Any]:
     items = trial_items(trial)
     total_error = items.pop("total_error")
     robot_errors = items.pop("robot_errors")
-    row = {f"{key}_{unit}" if key in _DISTANCES else key: item for key, item in items.items()}
+    row = {f"{key}_{unit}" if key in LENGTHS else key: item for key, item in items.items()}
     row[f"total_error_{unit}"] = total_error
     for robot, error in zip(trial.experiment.robots, robot_errors, strict=True):
         row[f"error_{robot.name}_{unit}"] = error
@@ -143,7 +142,7 @@ def poses(log: TrialLog) -> Table:
     frames = len(log.frames)
     robots = len(setup.names)
     columns: dict[str, Any] = {
-        "time_s": np.repeat(_seconds(log, log.mocap_ns), robots),
+        "time_s": np.repeat(log.frames_s, robots),
         "frame": np.repeat(log.frames, robots),
         "robot": np.tile(setup.names, frames),
     }
@@ -163,9 +162,10 @@ def estimates(log: TrialLog, contents: RawLog) -> Table:
     setup = log.start.setup
     robots = len(setup.names)
     steps = [step for step in contents.messages(STEP) if step.HasField("estimate")]
+    sent_s = [log.elapsed_s(step.command.sent_ns) for step in steps]
     columns: dict[str, Any] = {
         "k": np.repeat([step.k for step in steps], robots),
-        "time_s": np.repeat(_seconds(log, [step.command.sent_ns for step in steps]), robots),
+        "time_s": np.repeat(sent_s, robots),
         "robot": np.tile(setup.names, len(steps)),
     }
     units = {"a": "rad_s", "speed": f"{setup.unit}_s", "heading_bias": "rad", "dead_time": "s"}
@@ -230,11 +230,6 @@ def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage 
                 rows = table(log, contents)
             tables[name] = rows.with_first(log=str(path), trial=log.start.trial)
     return tables, log.damage
-
-
-def _seconds(log: TrialLog, times: Sequence[int] | Integers) -> Floats:
-    """Return the times since the first direction [s] at times of the trial's clock [ns]."""
-    return (np.array(times, dtype=np.int64) - log.began_ns) / SECOND
 
 
 def _table(name: str, columns: Mapping[str, Any]) -> Table:

@@ -5,8 +5,8 @@ from support.batches import batch
 
 from tetractl.core.plan import Outcome
 from tetractl.results import built_in_statistics
+from tetractl.results.built_in_statistics import MEANINGS
 from tetractl.results.estimate import distributions, proportion_interval
-from tetractl.results.outcome_meanings import MEANINGS
 from tetractl.results.statistic import count, mean_figure, share, share_figure
 
 VALUES = np.array([1.0, 1.0, 1.0, 100.0])  # one of four is above 10 times the median

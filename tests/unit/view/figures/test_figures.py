@@ -1,6 +1,7 @@
 """The figures of trials: what they show of a log, and that no text hides another."""
 
 from dataclasses import replace
+from inspect import cleandoc
 from itertools import combinations
 
 import matplotlib
@@ -18,7 +19,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.registries import FIGURES
 from tetractl.core.trial import PlantInfo
-from tetractl.view import style
+from tetractl.view import figures, style
 from tetractl.view.figures.draw import draw
 from tetractl.view.figures.errors import errors_at
 from tetractl.view.figures.trajectory import trajectory_figure
@@ -268,6 +269,21 @@ def test_names_stand_beside_their_panel_in_the_order_of_the_last_values(log):
     names = [text.get_text().split()[0] for text in of_robots.get_legend().get_texts()]
     falling = np.argsort(log.result.robot_errors)[::-1]
     assert names == [log.start.setup.names[robot] for robot in falling]
+
+
+def test_the_figure_by_which_the_folder_explains_itself_can_be_drawn(log, monkeypatch, tmp_path):
+    text = figures.__doc__.partition("This is a whole figure:\n")[2].partition("\n`TrialLog`")[0]
+    (tmp_path / "apart.py").write_text(cleandoc(text))
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(FIGURES.builtin, "apart", "apart:apart_figure")
+    figure = draw("apart", [log])
+    (axes,) = figure.axes
+    (second,) = lines(axes, gid="robot-1")
+    gaps = np.hypot(*(log.mocap[:, 1, :2] - log.mocap[:, 0, :2]).T)
+    seen = log.valid[:, 1]
+    assert np.asarray(second.get_ydata())[seen] == pytest.approx(gaps[seen])
+    assert not np.isfinite(np.asarray(second.get_ydata())[~seen]).any()
+    assert overlapping(figure) == []
 
 
 def refusals():

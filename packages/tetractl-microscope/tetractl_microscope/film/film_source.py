@@ -17,6 +17,7 @@ import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Grey
+from tetractl.tools.table.quantities import SECONDS, factor
 from tetractl_microscope.film.picture_times import increasing, mean_rate_hz
 
 PIXELS_MAX = 4096 * 4096  # largest picture that is read [px]
@@ -27,14 +28,9 @@ SPREAD = 200  # span of the grey levels of a film that is stretched
 SHARE = 0.1  # percentage of the darkest and of the brightest pixels that stretching may cut off
 JPEG = b"\xff\xd8\xff"  # first bytes; a bare sequence of JPEG pictures states no rate
 AXES = {"C": "channels", "Z": "slices", "P": "positions", "R": "positions"}
-MICRONS = ("um", "µm", "μm", "\\u00b5m", "micron", "microns")
-LENGTHS_UM = {"nm": 1e-3, "mm": 1e3, "cm": 1e4, "m": 1e6} | dict.fromkeys(MICRONS, 1.0)
+LENGTHS_UM = {"nm": 1e-3, "um": 1.0, "\\u00b5m": 1.0, "mm": 1e3, "cm": 1e4, "m": 1e6}
 TIMES_S = {
-    **dict.fromkeys(("ns", "nsec", "nanosecond", "nanoseconds"), 1e-9),
-    **dict.fromkeys(("us", "µs", "μs", "usec", "microsecond", "microseconds"), 1e-6),
-    **dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3),
-    **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
-    **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
+    **SECONDS,
     **dict.fromkeys(("h", "hr", "hour", "hours"), 3600.0),
     **dict.fromkeys(("d", "day", "days"), 86400.0),
 }
@@ -120,29 +116,24 @@ class FilmSource:
         """
         if value is None:
             return None
-        factor = TIMES_S.get(_unit_key(unit))
-        if factor is None:
+        second = factor(str(unit), TIMES_S)
+        if second is None:
             said = f"warning: its unit of time {str(unit)[:20]!r} is unknown, and not used"
             if said not in self.remarks:
                 self.remarks.append(said)
             return None
-        return _number(value, factor)
+        return _number(value, second)
 
 
 def micrometres(value: Any, unit: Any) -> float | None:
     """Return the value of a tag in um; None if it is missing, or its unit unknown."""
-    return _number(value, LENGTHS_UM.get(_unit_key(unit)))
+    return _number(value, factor(str(unit), LENGTHS_UM))
 
 
-def _unit_key(unit: Any) -> str:
-    """Return a tag's unit as the tables of units spell it."""
-    return str(unit).strip().lower()
-
-
-def _number(value: Any, factor: float | None) -> float | None:
-    """Return the value of a tag times the factor of its unit; None if it is no number."""
+def _number(value: Any, size: float | None) -> float | None:
+    """Return the value of a tag times the size of its unit; None if it is no number."""
     try:
-        return None if factor is None else float(value) * factor
+        return None if size is None else float(value) * size
     except (TypeError, ValueError):
         return None
 

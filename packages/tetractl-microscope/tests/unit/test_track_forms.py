@@ -80,18 +80,18 @@ def test_each_axis_of_a_graph_has_its_own_scale_whether_or_not_it_has_a_type(
     assert np.allclose(poses(graph(tmp_path / "tracks.geff", axes, values)), POSES)
 
 
-def test_a_graph_without_the_names_of_axes_is_named_with_those_that_it_has(tmp_path):
-    axes = {"a": {}, "b": {}, "c": {}}
-    path = graph(tmp_path / "tracks.geff", axes, {"a": K, "b": Y, "c": X})
-    with pytest.raises(UsageError, match="no axis has a type, and their names are a, b, c"):
-        poses(path, UM, HZ)
-
-
-def test_a_graph_without_an_axis_of_time_is_told_so(tmp_path):
+@pytest.mark.parametrize(
+    ("axes", "says"),
+    [
+        ({"a": {}, "b": {}, "c": {}}, "no axis has a type, and their names are a, b, c"),
+        ({"y": SPACE, "x": SPACE}, "no axis has the type time, and their names are y, x"),
+    ],
+)
+def test_a_graph_that_lacks_an_axis_is_told_which_it_has(axes, says, tmp_path):
     """Regression: "no axis has a type", though two have."""
-    path = graph(tmp_path / "tracks.geff", {"y": SPACE, "x": SPACE}, {"y": Y, "x": X})
-    with pytest.raises(UsageError, match="no axis has the type time, and their names are y, x"):
-        poses(path, UM, HZ)
+    values = dict(zip(axes, (Y, X, K), strict=False))
+    with pytest.raises(UsageError, match=says):
+        poses(graph(tmp_path / "tracks.geff", axes, values), UM, HZ)
 
 
 @pytest.mark.parametrize(

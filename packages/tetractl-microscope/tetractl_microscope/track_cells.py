@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from tetractl.tools.table.table_files import plain
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.film.fit_cell import RATE_MIN, SHORTEST_S, fit_tracks
-from tetractl_microscope.film.onward import TO_AND_FRO, hardly_any_goes_on, onward_of_track
+from tetractl_microscope.film.onward import TO_AND_FRO, hardly_any_goes_on, track_goes_on
 from tetractl_microscope.film.picture_times import PictureTimes
 from tetractl_microscope.film.who import CellPath
 from tetractl_microscope.foreign_tracks import SpotTrack
@@ -82,17 +83,17 @@ def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool)
             f"film at {math.ceil(RATE_MIN)} pictures/s or more; if times are in ms, name their "
             "column time_ms",
         )
-    onwards = [onward_of_track(track.rows[:, 0], track.rows[:, 1:]) for track in long_tracks]
-    if hardly_any_goes_on(onwards):
+    going_on = [track_goes_on(track.rows[:, 0], track.rows[:, 1:]) for track in long_tracks]
+    if hardly_any_goes_on(going_on):
         raise TetractlError(f"{source}: {TO_AND_FRO}", "give the tracks of cells that swim")
     to_and_fro = [
         f"{track.number:.0f}"
-        for track, way in zip(long_tracks, onwards, strict=True)
-        if not way.goes_on
+        for track, goes_on in zip(long_tracks, going_on, strict=True)
+        if not goes_on
     ]
     if to_and_fro:
         remarks.append(f"warning: to and fro, as beads do, go, so left out: {_cells(to_and_fro)}")
-    swimming = [track for track, way in zip(long_tracks, onwards, strict=True) if way.goes_on]
+    swimming = compress(long_tracks, going_on)
     paths = tuple(_path(track, times) for track in swimming)
     timing = PictureTimes(1 / period_s, times.tolist())
     return CellTracks(paths, timing, tuple(remarks))

@@ -31,14 +31,13 @@ def track(number, when, x, y, noise_um=0.0):
     return SpotTrack(float(number), np.column_stack([when, x + noise[0], y + noise[1]]))
 
 
-def turning(number, rate_rad_s, speed=300.0, noise_um=0.0, hz=HZ, helix_um=0.0):
-    """A cell that turns at a constant rate, on a helix of 2.5 turns a second."""
-    when = times(hz=hz)
+def turning(number, rate_rad_s, speed=300.0, noise_um=0.0, hz=HZ, seconds=10.0):
+    """A cell that turns at a constant rate."""
+    when = times(seconds, hz)
     heading = number + rate_rad_s * when
     step = speed / hz
-    aside = helix_um * np.cos(math.tau * 2.5 * when)
-    x = np.cumsum(step * np.cos(heading)) - aside * np.sin(heading)
-    y = np.cumsum(step * np.sin(heading)) + aside * np.cos(heading)
+    x = np.cumsum(step * np.cos(heading))
+    y = np.cumsum(step * np.sin(heading))
     return track(number, when, x, y, noise_um)
 
 
@@ -57,6 +56,42 @@ def test_particles_that_diffuse_do_not_swim(step_um):
     with pytest.raises(TetractlError, match="goes to and fro, as beads do: nothing swims") as error:
         swimming_tracks(SOURCE, beads, True)
     assert error.value.exit == 1
+
+
+@pytest.mark.parametrize(
+    ("turns", "hz", "noise_um"),
+    [(2.2, 1.0, 1.0), (2.2, 2.0, 1.0), (4.0, 2.0, 5.0), (6.0, 1.0, 5.0)],
+)
+def test_swimmers_that_turn_between_rare_pictures_are_no_beads(turns, hz, noise_um):
+    """Regression: "what moves goes to and fro, as beads do: nothing swims"."""
+    cells = [turning(k, turns, 100.0, noise_um, hz, seconds=50.0 / hz) for k in range(6)]
+    assert len(swimming_tracks(SOURCE, cells, False).paths) == 6
+
+
+RARE = times(25.0, 2.0)
+
+
+def steps_of(random):
+    """Steps of a bead, of which a program links none over 4 um."""
+    steps = random.normal(0.0, 5.0, (40 * len(RARE), 2))
+    return steps[np.linalg.norm(steps, axis=1) < 4.0][: len(RARE)]
+
+
+@pytest.mark.parametrize(
+    "places",
+    [
+        lambda random: np.cumsum(random.normal(0.0, 2.0, (len(RARE), 2)), axis=0),
+        lambda random: np.cumsum(steps_of(random), axis=0),
+        lambda random: random.normal(0.0, 0.3, (len(RARE), 2)),
+        lambda random: np.round(random.normal(0.0, 1.0, (len(RARE), 2))),
+        lambda random: np.zeros((len(RARE), 2)) + random.integers(0, 2, (len(RARE), 1)),
+    ],
+    ids=["bead", "bead linked nearby", "noise of a place", "noise in pixels", "one of two places"],
+)
+def test_beads_in_rare_pictures_do_not_swim(places):
+    beads = [track(k, RARE, *places(np.random.default_rng(k)).T) for k in range(20)]
+    with pytest.raises(TetractlError, match="nothing swims"):
+        swimming_tracks(SOURCE, beads, False)
 
 
 def test_beads_among_swimmers_are_left_out_and_named():

@@ -238,7 +238,7 @@ def _to_and_fro_lines(
     together = Onward(sum(single.alike for single in objects), sum(o.most for o in objects))
     if len(objects) < WAYS_MIN or together.goes_on:
         return
-    if not hardly_any_goes_on(objects):
+    if not hardly_any_goes_on([single.goes_on for single in objects]):
         yield SOME_TO_AND_FRO
         return
     if named is None:

@@ -3,6 +3,9 @@
 Over a time t, the mean square way of a swimmer grows with t^2, and that of a bead with t. Of
 displacements a and b over successive times of equal length, |a + b|^2 = |a|^2 + |b|^2 + 2 a.b: the
 way doubles (a.b = |a||b|) of what swims straight, and a.b is 0 in the mean of what diffuses.
+
+Where pictures are rare a swimmer may turn by any angle from one to the next. It is known by its
+steps, which are as long as one another: those of a bead vary by half of their mean.
 """
 
 from collections.abc import Sequence
@@ -25,6 +28,13 @@ LONGEST_S = 1.0
 """Longest time of a displacement of a track that is tried [s]: swimmers turn, places scatter."""
 PAIRS_MIN = 10
 """Fewest independent pairs of displacements of which a cosine is known."""
+EVEN = 0.2
+"""Standard deviation of the lengths of steps from picture to picture, as a share of their mean,
+below which they are as long as one another. Of simulated tracks of 40 steps, 2,000 of each kind:
+beads .28 or more, beads whose long steps a program does not link .23 or more; swimmers that turn by
+2.2 rad/s, filmed at 1 Hz, .09 or less, and .13 to .31 if their speed varies by a fifth."""
+STEPS_MIN = 40
+"""Fewest steps of which that is said."""
 TO_AND_FRO = "what moves goes to and fro, as beads do: nothing swims"
 
 
@@ -51,15 +61,19 @@ def onward(places: Floats, apart: int) -> Onward:
     return Onward(product, float(lengths))
 
 
-def hardly_any_goes_on(objects: Sequence[Onward]) -> bool:
+def hardly_any_goes_on(going_on: Sequence[bool]) -> bool:
     """Return whether so few objects go on that these may do so by chance."""
-    return sum(single.goes_on for single in objects) < FEW * len(objects)
+    return sum(going_on) < FEW * len(going_on)
 
 
-def onward_of_track(times: Floats, places: Floats) -> Onward:
-    """Return how a track goes on, over that time in which its displacements are most alike."""
+def track_goes_on(times: Floats, places: Floats) -> bool:
+    """Return whether a track goes on as it went over that time in which its displacements are most
+    alike, or by steps as long as one another."""
+    lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    if len(lengths) >= STEPS_MIN and lengths.std() < EVEN * lengths.mean():
+        return True
     step_s = float(np.median(np.diff(times)))
     steps_longest = round(LONGEST_S / step_s)
     longest = max(1, min(steps_longest, len(times) // PAIRS_MIN))
     tried = [onward(places, apart) for apart in range(1, longest + 1)]
-    return max(tried, key=lambda single: single.alike / max(single.most, 1e-300))
+    return any(single.goes_on for single in tried)

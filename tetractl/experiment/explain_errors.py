@@ -274,7 +274,7 @@ def _quotes(kind: str, value: Any) -> str:
             float(value)
         except ValueError:
             return ""
-        return "; take the quotes away"
+        return "" if "_" in value else "; take the quotes away"
     return ""
 
 

@@ -159,7 +159,10 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     numbers = list[float]()
     for row in chain([first] if first else [], rows):
         if not math.isnan(columns["track"].optional(path, row)):  # else a spot of no track
-            numbers += [column.number(path, row) for column in columns.values()]
+            for what, column in columns.items():
+                is_place = what in ("x", "y")  # a cell need not be found in each picture
+                number = column.optional(path, row) if is_place else column.number(path, row)
+                numbers.append(number)
     if not numbers:
         raise UsageError(f"{path}: has no spot of a track")
     table = np.reshape(numbers, (-1, len(columns)))
@@ -177,8 +180,12 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
             _note_other_times(path, values["time"], when / rate_hz, rate_hz, remarks)
     um_across = factor(units["x"], MICROMETRES)
     um_up = factor(units["y"], MICROMETRES)
+    spots = np.column_stack([values["track"], when, values["x"], values["y"]])
+    spots = spots[np.isfinite(spots).all(axis=1)]
+    if not len(spots):
+        raise UsageError(f"{path}: has no spot of a track")
     return SpotTable(
-        np.column_stack([values["track"], when, values["x"], values["y"]]),
+        spots,
         across=AxisStep(um_across, um_across is None),
         time=time,
         tall=um_up / um_across if um_across and um_up else 1.0,

@@ -403,6 +403,14 @@ def test_a_robot_without_commands_is_said_with_the_names_of_those_that_have_some
     assert f"{tmp_path / 'p.csv'}: no pose is of 3" in track.remarks
 
 
+def test_names_that_look_alike_are_alike(tmp_path):
+    """Regression: "no command is for Gr\u00fcn; commands are for Gr\u00fcn"."""
+    composed = TWO_POSES.replace(",a,", ",Gr\u00fcn,")
+    (track,) = tracks_of(tmp_path, composed, sent_to("Gru\u0308n", "\uff42"))
+    assert set(track.names) == {"Gr\u00fcn", "b"}
+    assert not any("no command" in text for text in track.remarks)
+
+
 def test_poses_without_a_name_are_said(tmp_path):
     """Regression: "no command is for ; commands are for b"."""
     (track,) = tracks_of(tmp_path, TWO_POSES.replace(",a,", ",,"), sent_to("b"))

@@ -102,6 +102,24 @@ def test_other_columns_are_refused_and_leave_no_file(tmp_path, folder):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    ("text", "columns"),
+    [
+        ("Take 7\nof June\ntime_s,x_mm\n0,1\n", ["time_s", "x_mm"]),
+        ("x_mm\n1\n2\n", ["x_mm"]),
+        ("time_s x_mm\n0,1 1,5\n0,2 1,6\n", ["time_s", "x_mm"]),
+        ("x_mm;\n1,5;\n", ["x_mm"]),
+        ("# Take 7\ntime_s,x_mm\n0,1\n", ["time_s", "x_mm"]),
+        ("word\nred\nblue\n", ["word"]),
+    ],
+)
+def test_titles_above_a_header_are_left_out(tmp_path, text, columns):
+    """Regression: "has 2 entries, the header has 1", of files of Imaris and of MOSAIC."""
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    assert list(next(read_csv(path)).cells) == columns
+
+
 def test_a_narrow_terminal_drops_columns_and_never_breaks_a_number_or_a_unit():
     names = ("mean", "std", "median", "longest")
     columns = (

@@ -79,6 +79,11 @@ INSTEAD = {
     ("heading_rad", "theta"): "name theta heading_rad, or heading_deg",
     ("heading_rad", "yaw"): "name yaw heading_rad, or heading_deg",
     ("heading_rad", "qz"): "heading_rad is 2 atan2(qz, qw)",
+    ("x_mm", "x_px"): "multiply x_px and y_px by the size of a pixel, and name them x_mm and y_mm",
+    ("v_mm_s", "vx"): "name vx v_mm_s, or v_m_s",
+    ("v_mm_s", "v_km_h"): "divide v_km_h by 3.6, and name it v_m_s",
+    ("w_rad_s", "omega"): "name omega w_rad_s, or w_deg_s",
+    ("w_rad_s", "w_rpm"): "multiply w_rpm by 6, and name it w_deg_s",
 }
 """What to do if a table lacks a column, and has another instead."""
 AGAIN = 0.1

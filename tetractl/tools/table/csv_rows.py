@@ -2,12 +2,14 @@
 
 The encoding is UTF-8, UTF-16 with a byte order mark, or Windows' Latin-1. Entries are separated by
 commas, semicolons, tabs or blanks; a decimal comma is read where commas do not separate. Spaces
-around entries, lines of comments (#) above the header and a line such as `sep=;` are left out.
+around entries, lines of comments (#) and titles above the header and a line such as `sep=;` are
+left out. Characters are those of Unicode's form NFKC, so that names that look alike are.
 """
 
 import codecs
 import csv
 import re
+import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -23,6 +25,8 @@ CSV_LINE = 1 << 16
 """Largest size of a CSV file to read, its largest number of rows, and their largest length."""
 CHUNK = 1 << 20
 """Number of bytes that are decoded at a time, to find the encoding."""
+TITLES_MAX = 10
+"""Most lines of titles above a header."""
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 SEPARATORS = (",", ";", "\t", "|")  # between the entries of a line
 ARCHIVES = {b"\x1f\x8b": "gzip", b"PK": "zip, or a spreadsheet", b"(\xb5": "zstd", b"BZ": "bzip2"}
@@ -112,7 +116,7 @@ def _lines(path: Path, stream: TextIO) -> Iterator[tuple[int, str]]:
         if "\0" in line:
             raise UsageError(f"{path}, line {number}: is not a CSV file: has a null character")
         if line.strip():
-            yield number, line
+            yield number, unicodedata.normalize("NFKC", line)
 
 
 def _rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
@@ -130,8 +134,8 @@ def _rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
             break
     else:
         return
+    top, below = _below_titles(top, lines)
     text = top[1].rstrip().lstrip(" ")  # a tab before it ends a name that is empty
-    below = list(islice(lines, 1))
     separator = stated or _separator(text, below[0][1] if below else "")
     header = csv_entries(text, separator)
     if comments and any(map(is_number, header)):
@@ -147,6 +151,30 @@ def _rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
             )
         if any(entries):
             yield CsvRow(number, _cells(path, number, header, entries))
+
+
+def _below_titles(
+    top: tuple[int, str], lines: Iterator[tuple[int, str]]
+) -> tuple[tuple[int, str], list[tuple[int, str]]]:
+    """Return the line of the header and those taken from `lines` below it: lines of one entry, as
+    Imaris writes above a header, are titles if several names follow."""
+    if len(_most_entries(top[1])) > 1:
+        return top, list(islice(lines, 1))
+    below: list[tuple[int, str]] = []
+    for line in islice(lines, TITLES_MAX):
+        entries = _most_entries(line[1])
+        if len(entries) > 1 and not any(map(is_number, entries)):
+            return line, list(islice(lines, 1))
+        below.append(line)
+        if len(entries) > 1:
+            break
+    return top, below
+
+
+def _most_entries(line: str) -> list[str]:
+    """Return the entries of a line by the separator that makes most."""
+    text = line.rstrip().lstrip(" ")
+    return max((csv_entries(text, separator) for separator in SEPARATORS), key=len)
 
 
 def _separator(header: str, row: str) -> str:

@@ -66,7 +66,8 @@ _BRACKETS = re.compile(r"(.*?)_*[\[(](.*)[\])]")
 _UNKNOWN = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 """Entries that state no number."""
 NOT_MEASURED = "where nothing was measured, leave the entry empty"
-"""Hint for a word among numbers."""
+PLAIN = "write numbers as 1234.5, without units, colons or separators of thousands"
+"""Hints for a word among numbers, and for what has digits."""
 _TRUTH = {"true": True, "1": True, "yes": True, "": True, "false": False, "0": False, "no": False}
 NUMBER_MAX = 1e9
 """Largest number but a time, of which only differences matter."""
@@ -104,7 +105,9 @@ class NumberColumn:
             value = math.inf
         if not abs(value) <= self.largest:
             wrong = f"{text[:60]!r} is not a number of at most {self.largest:g}"
-            hint = DECIMAL_COMMA if has_decimal_comma(text) else NOT_MEASURED
+            hint = PLAIN if text[:1].isdigit() else NOT_MEASURED
+            if has_decimal_comma(text):
+                hint = DECIMAL_COMMA
             raise UsageError(f"{path}, line {row.line}: {printable(self.key)}: {wrong}", hint)
         return value * self.factor
 

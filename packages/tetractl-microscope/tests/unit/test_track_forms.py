@@ -160,6 +160,11 @@ def test_spots_of_trackmate(um, s, factor, written, tmp_path):
         ("Index,Track n°,Slice n°,X,Y,Distance,Velocity", (K, NUMBER, K + 1, X, Y, K, K)),
         ("Position X,Position Y,Position Z,Time,TrackID,ID", (X, Y, K, K + 1, NUMBER, K)),
         ("Position X,Position Y,Time,TrackID,ID", (X, Y, K + 1, 1e9 + NUMBER, K)),
+        (
+            "\n Position \n ============ \nPosition X,Position Y,Time,TrackID,",
+            (X, Y, K + 1, 1e9 + NUMBER),
+        ),
+        ("%% Trajectories\nTrajectory,Frame,x,y", (NUMBER, K, X, Y)),
         ("TRACK_ID,POSITION_X,POSITION_Y,FRAME", (NUMBER, X, Y, K)),
         ("ID,t,x,y,z,parent,root,state,generation,dummy", (NUMBER, K, X, Y, *[K] * 6)),
         ("y,x,mass,size,ecc,frame,particle", (Y, X, K, K, K, K, NUMBER)),
@@ -177,6 +182,14 @@ def test_tables_of_other_programs_are_read_by_their_own_columns(header, columns,
     has_time = "[sec]" in header or "[ms]" in header
     read = poses(path, None if has_length else UM, None if has_time else HZ)
     assert np.allclose(read, POSES)
+
+
+def test_a_cell_need_not_be_found_in_the_first_picture(tmp_path):
+    """Regression: "x: states no number", and the hint to leave the entry empty."""
+    is_found = K > 0
+    places = [np.where(is_found, column, np.nan) for column in (X, Y)]
+    path = placed(tmp_path / "a.csv", "particle,frame,x,y", NUMBER, K, *places)
+    assert np.allclose(poses(path, UM, HZ), [row for row in POSES if row[0] > 0])
 
 
 def test_a_track_at_two_places_at_once_is_refused_and_a_row_twice_is_not(tmp_path):

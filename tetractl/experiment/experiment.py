@@ -123,7 +123,7 @@ def rate(a: float | PerStrength, strength: float | None) -> float:
     return a.alpha * (strength or 0.0) if isinstance(a, PerStrength) else a
 
 
-def unit_of(rates: tuple[float | PerStrength, ...]) -> str:
+def strength_unit(rates: tuple[float | PerStrength, ...]) -> str:
     """Return the unit of the strength for turning rates, mT if none depends on it.
 
     Raises the error of a spec that mixes units.
@@ -343,7 +343,7 @@ class Experiment(Model):
                 "replace is allowed only with 'robots: {choose: N}' and without obstacles",
             )
         rates = tuple(robot.a for robot in self.robots)
-        unit = unit_of(rates)
+        unit = strength_unit(rates)
         if self.strength is None and any(isinstance(a, PerStrength) for a in rates):
             raise inconsistent("strength", f"is missing; a of robots is per {unit}: add it")
         return self
@@ -391,7 +391,7 @@ class Experiment(Model):
             a=np.array([rate(robot.a, self.strength) for robot in self.robots], dtype=np.float64),
             speed=np.array([robot.speed for robot in self.robots], dtype=np.float64),
             strength=self.strength,
-            strength_unit=unit_of(tuple(robot.a for robot in self.robots)),
+            strength_unit=strength_unit(tuple(robot.a for robot in self.robots)),
             arena=self.arena.bounds,
             obstacles=tuple(obstacle.shape() for obstacle in self.obstacles),
             period_s=control.period,

@@ -58,14 +58,10 @@ class Drive:
     track: Track
 
 
-def random_directions(seed, count=50):
-    return np.random.default_rng(seed).uniform(-2, 2, count)
-
-
-def drive(seed, *sets, period_s=PERIOD_S, directions=None):
-    """Drive simulated robots in these directions [rad], by default in 50 random ones."""
+def drive(seed, *sets, period_s=PERIOD_S, directions=None, count=50):
+    """Drive simulated robots in these directions [rad], by default in `count` random ones."""
     if directions is None:
-        directions = random_directions(seed)
+        directions = np.random.default_rng(seed).uniform(-2, 2, count)
     experiment = load_spec(EXPERIMENT, sets).experiment
     setup = experiment.setup
     clock = VirtualClock()
@@ -111,7 +107,8 @@ def width(interval):
 
 @pytest.mark.long
 def test_without_noise_everything_is_found_exactly():
-    driven = drive(1, "plant.dead_time=0.083", "plant.a_error=0.25", "plant.speed_error=0.2")
+    errors = ("plant.a_error=0.25", "plant.speed_error=0.2")
+    driven = drive(1, "plant.dead_time=0.083", *errors, count=25)
     identification = identify([driven.track], A_RAD_S)
     speeds = [robot.speed.value for robot in identification.robots]
     biases = [robot.heading_bias.value for robot in identification.robots]
@@ -125,7 +122,7 @@ def test_without_noise_everything_is_found_exactly():
 @pytest.mark.parametrize("late_s", [0.1, pytest.param(0.3, marks=pytest.mark.release)])
 def test_robots_that_turn_before_they_are_sent_a_direction_have_another_clock(late_s):
     """Regression: a dead time of 0.000 (0.000 to 0.000) s, and "the model fits" of 0.1 s."""
-    track = drive(1, "plant.dead_time=0.05").track
+    track = drive(1, "plant.dead_time=0.05", count=25).track
     identification = identify([replace(track, sent=track.sent + late_s)], A_RAD_S, None)
     assert identification.dead_time.value == pytest.approx(0.05 - late_s, abs=2e-3)
     assert rates_of(identification) == pytest.approx(A_RAD_S, rel=0.01)
@@ -253,7 +250,7 @@ def test_what_a_doubt_may_spoil_has_no_interval(flag, says):
 def test_a_lag_is_asked_for_of_robots_on_wheels(lag_s):
     """Regression: only a heading that did not fit asked for it, and of lags of .04 to .06 s with
     little noise of the camera none did."""
-    driven = drive(2, *(LAGGING_WHEELS if lag_s else ()), *NOISE, NO_WATCHDOG)
+    driven = drive(2, *(LAGGING_WHEELS if lag_s else ()), *NOISY, count=25)
     assert identify([driven.track], A_RAD_S).doubt is None  # as of cells
     on_wheels = replace(driven.track, on_wheels=True)
     doubt = Doubt.LAG_UNSTATED if lag_s else None
@@ -347,7 +344,7 @@ def test_a_lost_command_that_stops_a_robot_by_its_watchdog_is_no_noise():
 def test_the_lag_of_wheels_is_not_taken_for_a_dead_time():
     """Regression: logs of the bench gave a dead time 0.03 s too long, and a 6 % too low."""
     radio = "plant.disturbances=[{type: radio, delay: 0.01, jitter: 0.0, loss: 0.0}]"
-    driven = drive(2, *LAGGING_WHEELS, radio, *NOISY)
+    driven = drive(2, *LAGGING_WHEELS, radio, *NOISY, count=25)
     identification = identify([replace(driven.track, lag=LAG_S)], A_RAD_S)
     assert identification.dead_time.value == pytest.approx(0.01, abs=0.005)
     assert rates_of(identification) == pytest.approx(A_RAD_S, rel=0.04)
@@ -363,11 +360,12 @@ def test_lost_commands_are_counted():
 
 @pytest.mark.long
 def test_pooled_tracks_tell_more_than_one(monkeypatch):
-    tracks = [drive(seed, *NOISY, "plant.dead_time=0.1").track for seed in (1, 2)]
+    sets = (*NOISY, "plant.dead_time=0.1")
+    tracks = [drive(seed, *sets, count=25).track for seed in (1, 2)]
     monkeypatch.setattr(fit, "wider_of_blocks", lambda _: 0.0)  # blocks differ at random
     of_one = identify(tracks[:1], A_RAD_S)
     of_both = identify(tracks, A_RAD_S)
-    assert of_both.commands == 2 * 50
+    assert of_both.commands == 2 * 25
     for one, both in zip(of_one.robots, of_both.robots, strict=True):
         assert both.intervals == pytest.approx(2 * one.intervals, rel=0.02)
         assert width(both.a) < 0.8 * width(one.a)
@@ -404,7 +402,7 @@ def test_a_track_that_shows_no_motion_is_refused(case):
 
 
 def test_tracks_of_other_robots_are_refused():
-    track = drive(6, directions=random_directions(6, 3)).track
+    track = drive(6, count=3).track
     renamed = replace(track, names=("a", "b", "c"))
     with pytest.raises(UsageError, match="robots or length unit differ"):
         identify([track, renamed], A_RAD_S)
@@ -462,7 +460,7 @@ def test_only_the_speed_of_a_robot_that_slips_wanders(sets):
 @pytest.mark.long
 def test_a_dead_time_beyond_the_first_search_is_found():
     """Regression: 0.36 s for 0.5 s, and an interval of a without the true one."""
-    driven = drive(1, "plant.dead_time=0.5", "plant.a_error=0.25")
+    driven = drive(1, "plant.dead_time=0.5", "plant.a_error=0.25", count=25)
     identification = identify([driven.track], A_RAD_S, None)
     assert identification.dead_time.value == pytest.approx(0.5, abs=1e-3)
     assert rates_of(identification) == pytest.approx(driven.plant.a, rel=5e-3)
@@ -484,7 +482,7 @@ def test_directions_that_turn_smoothly_take_more_rounds():
 def test_robots_with_lagging_wheels_are_followed_from_where_they_stand():
     """Regression: how fast they turned amid their start was guessed, which cost the fit of one log
     in ten its dead time."""
-    track = drive(2, *LAGGING_WHEELS, directions=random_directions(2, 5)).track
+    track = drive(2, *LAGGING_WHEELS, count=5).track
     without_lag = TrackFrames.of(track)
     assert not without_lag.placed[0].any()
     lagging = TrackFrames.of(replace(track, lag=LAG_S))
@@ -522,7 +520,7 @@ STEADY = {
 def test_the_speed_of_a_robot_that_does_not_slip_does_not_wander(name):
     """Regression: by noise of 2 mm at .12 m/s, intervals in which a robot seemed to stand were
     left out, and the model did not fit two right robots of three."""
-    track = drive(5, *STEADY[name], directions=random_directions(5, 150)).track
+    track = drive(5, *STEADY[name], count=150).track
     noise_mm = 2.0 if "position: 2" in str(STEADY[name]) else POSITION_NOISE_MM
     wander = speed_wander([TrackFrames.of(track)])
     most = np.maximum(WANDERS, 2 * np.sqrt(2) * noise_mm / 150.0)

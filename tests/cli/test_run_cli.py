@@ -36,8 +36,6 @@ ELSEWHERE = (  # a faster test runs them, or their like
     "magnetospirillum_hold",  # holds: test_tour.py
     "microjet_hold",
     "tetrahymena_hold",
-    "three_m3pi_bench",  # 20 trials of each: README's first example
-    "three_m3pi_paper_bench",
     "three_m3pi_lab",  # in the emulated lab: its plays
     "tetrahymena_lab",
     "tetrahymena_dish",

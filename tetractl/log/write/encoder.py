@@ -114,10 +114,12 @@ class Encoder:
         self._waiting += samples
         if self._real_time:
             self.flush_frames()
+        begin_ns = self._start.start_unix_ns
         for sample in samples:
-            observation = sample.observation
+            received_ns = begin_ns + sample.observation.received_ns
+            sampled_ns = begin_ns + sample.observation.sampled_ns
             for topic, data in sample.messages:
-                self._add_bytes(topic, data, observation.received_ns, observation.sampled_ns)
+                self._sink.add(Entry(topic, received_ns, sampled_ns, data))
         self._end_chunk(samples[-1].observation.received_ns)
 
     def flush_frames(self) -> None:
@@ -226,13 +228,11 @@ class Encoder:
     def _add(
         self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
     ) -> None:
-        sampled_ns = log_ns if publish_ns is None else publish_ns
-        self._add_bytes(topic, message.SerializeToString(), log_ns, sampled_ns)
-
-    def _add_bytes(self, topic: str, data: bytes, log_ns: int, publish_ns: int) -> None:
         """Add a message with times of the trial [ns]."""
         begin_ns = self._start.start_unix_ns
-        self._sink.add(Entry(topic, begin_ns + log_ns, begin_ns + publish_ns, data))
+        sampled_ns = log_ns if publish_ns is None else publish_ns
+        data = message.SerializeToString()
+        self._sink.add(Entry(topic, begin_ns + log_ns, begin_ns + sampled_ns, data))
 
 
 # ---- messages that follow from other records ----

@@ -64,6 +64,8 @@ class PolishSettings(NamedTuple):
     """Least clearance of a path that is pushed out of an obstacle [length unit]."""
     patience: int
     """Number of iterations in which the merit must fall to PROGRESS of itself."""
+    iterations_max: int
+    """Number of iterations after which it ends; for at least as many there is room in `merits`."""
 
 
 POLISH_STATE = np.dtype(
@@ -137,16 +139,14 @@ def polish(problem, room, u, settings, budget, merits, state, pause):
     """Improve u (L,) in place, from the `POLISH_STATE` on; return whether it was interrupted.
 
     Ends when the merit is at most the tolerance, when no step helps, when the merit has not fallen
-    to PROGRESS of itself over `patience` iterations, after as many iterations as there is room for
-    in `merits`, or before `budget` evaluations are exceeded. An iteration tries one step;
+    to PROGRESS of itself over `patience` iterations, after `iterations_max` iterations, or before
+    `budget` evaluations are exceeded. An iteration tries one step;
     merits[z] is the merit after z of them. A Jacobian counts as one evaluation for each of its
     rows. It is interrupted before the next step if `pause` iterations are done.
     """
     if state.evaluations == 0:
-        state.iterations = 0
         state.evaluations = 1
         state.damping = DAMPING_FIRST
-    iterations_max = merits.size - 1
     step_evaluations_max = room.residual.size + 1  # of one step that is taken
     floor = max(settings.tolerance, FLOOR_LEAST)
     trace(u, problem, room.path)
@@ -155,7 +155,7 @@ def polish(problem, room, u, settings, budget, merits, state, pause):
     merits[z] = merit
     while (
         merit > settings.tolerance
-        and z < iterations_max
+        and z < settings.iterations_max
         and state.evaluations + step_evaluations_max <= budget
     ):
         if z >= pause:
@@ -164,7 +164,11 @@ def polish(problem, room, u, settings, budget, merits, state, pause):
         state.evaluations += residuals
         mean_square = _square_jacobian(room, residuals)
         lower = merit
-        while z < iterations_max and state.damping < DAMPING_MOST and state.evaluations < budget:
+        while (
+            z < settings.iterations_max
+            and state.damping < DAMPING_MOST
+            and state.evaluations < budget
+        ):
             z += 1
             state.iterations = z
             merits[z] = merit

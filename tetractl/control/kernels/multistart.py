@@ -1,11 +1,15 @@
 """A search of `tetractl.control.optimizers.multistart`: random sequences, the best polished.
 
-A search has *starts*, sequences that it polishes one after the other: at first the warm start, if
-there is one; and then *rounds*, in each of which many random sequences are scattered, and the best
-of them become the next starts. `search` goes on with a search as far as it is allowed to, and says
-how it ended:
+A search has *starts*, sequences that it polishes one after the other, in these stages:
 
-    PAUSED      not yet: the iterations that were allowed are done
+    WARM     the warm start, if there is one, is evaluated as it is, and becomes the first start
+    POLISH   a start is polished, and evaluated
+    SCATTER  no start is left: many random sequences are scattered, which is a *round*, and the best
+             of them become the next starts
+
+`search` goes on with a search as far as it is allowed to, and says whether it has ended:
+
+    UNDER_WAY   not yet: the iterations that were allowed are done
     GOOD        a start costs at most the tolerance
     SPENT       the budget allows no further evaluation
     OVER        all starts of the last round are polished
@@ -18,8 +22,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tetractl.control.kernels.levenberg import POLISH_STATE, Integers, judge, polish
-from tetractl.control.kernels.rollout import costs
+from tetractl.control.kernels.levenberg import (
+    POLISH_STATE,
+    Integers,
+    PolishSettings,
+    Room,
+    judge,
+    polish,
+)
+from tetractl.control.kernels.motion import FlatProblem
+from tetractl.control.kernels.rollout import Rollouts, costs
 from tetractl.control.kernels.update import drawn
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
@@ -29,14 +41,18 @@ from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlin
 
 BETWEEN_LOOKS = 130_000
 """Robot steps between two checks of the deadline: they take less than 1 ms."""
-WARM = 0.5
+NEAR_WARM = 0.5
 """Largest distance of a scattered sequence from the warm start [rad]."""
 S11 = np.uint64(11)
 """Shift that leaves the 53 bits of a random number that a float64 holds."""
 UNLIMITED = 2**62
 """A number of evaluations, or of iterations, that no search reaches."""
 
-PAUSED = 0
+WARM = 0
+POLISH = 1
+SCATTER = 2
+
+UNDER_WAY = 0
 GOOD = 1
 SPENT = 2
 OVER = 3
@@ -46,6 +62,7 @@ _wrap = inlined(polynomials.wrap)
 
 SEARCH_STATE = np.dtype(
     [
+        ("stage", np.int64),  # WARM, POLISH or SCATTER, which is to begin or under way
         ("rounds_begun", np.int64),  # that were scattered
         ("starts", np.int64),  # of the present round
         ("starts_done", np.int64),  # those of them that are polished
@@ -55,6 +72,23 @@ SEARCH_STATE = np.dtype(
     ]
 )
 """How far a search has come."""
+
+
+class SearchTask(NamedTuple):
+    """What is searched, in which arrays, and how far."""
+
+    problem: FlatProblem
+    rollouts: Rollouts
+    room: Room
+    settings: PolishSettings
+    key: np.uint64
+    """Of the random numbers."""
+    warm: Floats
+    """(L,) the warm start, or empty."""
+    rounds: int
+    """Number of rounds."""
+    budget: int
+    """Largest number of evaluations."""
 
 
 class Rounds(NamedTuple):
@@ -83,16 +117,27 @@ class Rounds(NamedTuple):
     state: Any
     """The `SEARCH_STATE`."""
 
-    def begin(self, starts: Floats) -> None:
-        """Begin a search with the sequences (S, L), of which there are at most K."""
+    def begin(self, stage: int, starts: Floats) -> None:
+        """Begin a search at a stage, with the sequences (S, L), of which there are at most K."""
         self.starts[: len(starts)] = starts
         self.polish.evaluations = 0
+        self.state.stage = stage
         self.state.rounds_begun = 0
         self.state.starts = len(starts)
         self.state.starts_done = 0
         self.state.evaluations = 0
         self.state.history_entries = 0
         self.state.best_cost = math.inf
+
+    def evaluations_if_finished(self) -> int:
+        """Return how many evaluations the search will have taken if it is finished now."""
+        if self.state.stage == WARM:
+            return 1
+        if self.polish.evaluations > 0:
+            return int(self.state.evaluations + self.polish.evaluations) + 1
+        if self.state.evaluations > 0:
+            return int(self.state.evaluations)
+        return self.scattered_costs.size + 2
 
 
 @lru_cache(maxsize=64)
@@ -116,105 +161,91 @@ def rounds_for(
 
 
 @compiled(**ENTRY_FAST)
-def search(
-    problem, rollouts, room, key, warm, rounds_max, settings, budget, iterations, cut_short, rounds
-):
-    """Go on with a search, within `budget` evaluations in all; return how it ended.
+def search(task, rounds, iterations):
+    """Go on with a search for about so many iterations; return whether it has ended.
 
-    `warm` (L,) is the first start if there is a warm start, else empty; its own J comes first, as
-    it is. `rounds_max` rounds are scattered. The search is paused after about so many `iterations`,
-    and at the latest one polish later; or, to be `cut_short`, it ends the start under way as it is.
+    It stops between two iterations of a polish, or where a start is done.
     """
     state = rounds.state
-    u = rounds.signals
-    particles = rounds.scattered_costs.size
     iterations_left = iterations
     while iterations_left > 0:
-        if state.starts_done == state.starts:
-            if state.rounds_begun == rounds_max:
-                return OVER
-            if state.evaluations > 0 and state.evaluations + particles > budget:
+        if state.stage == SCATTER:
+            end = _scatter(task, rounds)
+            if end != UNDER_WAY:
+                return end
+            iterations_left -= rounds.scattered_costs.size // task.room.residual.size
+        if rounds.polish.evaluations == 0:
+            _take_start(rounds)
+        if state.stage == POLISH:
+            if state.evaluations + 2 > task.budget:
                 return SPENT
-            draws_key = drawn(key, state.rounds_begun)
-            if not _scatter(problem, rollouts, draws_key, warm, rounds):
-                return NOT_FINITE
-            iterations_left -= particles // room.residual.size
-        is_begun = rounds.polish.evaluations > 0
-        only_evaluates = warm.size > 0 and state.evaluations == 0
-        if not is_begun:
-            if not only_evaluates and state.evaluations + 2 > budget:
-                return SPENT
-            rounds.polish.iterations = 0
-            for j in range(u.size):
-                u[j] = rounds.starts[state.starts_done, j]
-        if only_evaluates:
-            iterations_left -= 1
-        else:
             done = rounds.polish.iterations
-            pause = done if cut_short else done + max(1, iterations_left)  # not before it begins
-            polish_budget = budget - state.evaluations - 1
             is_paused = polish(
-                problem, room, u, settings, polish_budget, rounds.merits, rounds.polish, pause
+                task.problem,
+                task.room,
+                rounds.signals,
+                task.settings,
+                task.budget - state.evaluations - 1,
+                rounds.merits,
+                rounds.polish,
+                done + max(1, iterations_left),
             )
-            iterations_left -= rounds.polish.iterations - done + 1
-            if is_paused and not cut_short:
-                return PAUSED
-        cost = judge(problem, room, u)
-        if not math.isfinite(cost):
-            return NOT_FINITE
-        state.evaluations += rounds.polish.evaluations + 1
-        rounds.polish.evaluations = 0
-        if not only_evaluates:
-            state.starts_done += 1
-            _note_merits(rounds, cost)
-        _keep(rounds, u, cost)
-        if cost <= settings.tolerance and not only_evaluates:
-            return GOOD
-        if cut_short:
-            return PAUSED
-    return PAUSED
+            if is_paused:
+                return UNDER_WAY
+            iterations_left -= rounds.polish.iterations - done
+        end = _end_start(task, rounds)
+        iterations_left -= 1
+        if end != UNDER_WAY:
+            return end
+    return UNDER_WAY
+
+
+def finish(task: SearchTask, rounds: Rounds) -> int:
+    """End the start under way as it is, or the first one; return whether the search has ended."""
+    settings = task.settings._replace(iterations_max=0)
+    return search(task._replace(settings=settings), rounds, 1)
 
 
 @compiled(**INLINE_FAST)
-def _note_merits(rounds, cost):
-    """Add the merits of a polish to the history, between the best cost so far and its own, if it
-    has found a better one."""
-    best_cost = rounds.state.best_cost
-    if cost < best_cost:
-        for z in range(rounds.polish.iterations):
-            _note(rounds, min(max(rounds.merits[z], cost), best_cost))
+def _scatter(task, rounds):
+    """Scatter the sequences of the next round, of which the best become the starts; return whether
+    the search has ended instead."""
+    state = rounds.state
+    signals = rounds.scattered
+    length, particles = signals.shape
+    if state.rounds_begun == task.rounds:
+        return OVER
+    if state.evaluations > 0 and state.evaluations + particles > task.budget:
+        return SPENT
+    _draw_sequences(task, drawn(task.key, state.rounds_begun), rounds)
+    if not costs(task.problem, task.rollouts, signals, rounds.scattered_costs):
+        return NOT_FINITE
+    count = _sort(rounds.scattered_costs, rounds.order)
+    for k in range(count):
+        for j in range(length):
+            rounds.starts[k, j] = signals[j, rounds.order[k]]
+    state.stage = POLISH
+    state.rounds_begun += 1
+    state.starts = count
+    state.starts_done = 0
+    state.evaluations += particles
+    _keep(rounds, rounds.starts[0], rounds.scattered_costs[rounds.order[0]])
+    return UNDER_WAY
 
 
 @compiled(**INLINE_FAST)
-def _note(rounds, cost):
-    """Add an entry to the history."""
-    rounds.history[rounds.state.history_entries] = cost
-    rounds.state.history_entries += 1
-
-
-@compiled(**INLINE_FAST)
-def _keep(rounds, u, cost):
-    """Keep the sequence u (L,) if it costs least, and add the least cost to the history."""
-    if cost < rounds.state.best_cost:
-        rounds.state.best_cost = cost
-        for j in range(u.size):
-            rounds.best[j] = u[j]
-    _note(rounds, rounds.state.best_cost)
-
-
-@compiled(**INLINE_FAST)
-def _scatter(problem, rollouts, key, warm, rounds):
-    """Scatter a round's sequences, of which the best become the starts; return whether all their J
-    are finite.
+def _draw_sequences(task, key, rounds):
+    """Fill `scattered` with random sequences.
 
     Each sequence is linear between knots, directions drawn uniformly within UPPER of the bearing of
-    the targets. With a warm start (L,), every second sequence is the warm start plus such a curve
-    within WARM of 0.
+    the targets. With a warm start, every second sequence is the warm start plus such a curve within
+    NEAR_WARM of 0.
     """
     draws = rounds.draws
     signals = rounds.scattered
+    warm = task.warm
     knots, particles = draws.shape
-    bearing = _bearing(problem)
+    bearing = _bearing(task.problem)
     for k in range(knots):
         for n in range(particles):
             draw = drawn(key, k * particles + n) >> S11
@@ -230,20 +261,65 @@ def _scatter(problem, rollouts, key, warm, rounds):
         for n in range(particles):
             curve = draws[below, n] * (1 - share) + draws[above, n] * share
             near_warm = warmed & ~n  # for even n: vector code needs a number
-            u = middle + WARM * curve if near_warm else bearing + UPPER * curve
+            u = middle + NEAR_WARM * curve if near_warm else bearing + UPPER * curve
             signals[j, n] = _wrap(u)
-    if not costs(problem, rollouts, signals, rounds.scattered_costs):
-        return False
-    count = _sort(rounds.scattered_costs, rounds.order)
-    for k in range(count):
-        for j in range(length):
-            rounds.starts[k, j] = signals[j, rounds.order[k]]
-    rounds.state.rounds_begun += 1
-    rounds.state.starts = count
-    rounds.state.starts_done = 0
-    rounds.state.evaluations += particles
-    _keep(rounds, rounds.starts[0], rounds.scattered_costs[rounds.order[0]])
-    return True
+
+
+@compiled(**INLINE_FAST)
+def _take_start(rounds):
+    """Begin with the next start."""
+    rounds.polish.iterations = 0
+    u = rounds.signals
+    for j in range(u.size):
+        u[j] = rounds.starts[rounds.state.starts_done, j]
+
+
+@compiled(**INLINE_FAST)
+def _end_start(task, rounds):
+    """Evaluate what became of a start, and keep it if it is the best; return whether the search has
+    ended with it."""
+    state = rounds.state
+    cost = judge(task.problem, task.room, rounds.signals)
+    if not math.isfinite(cost):
+        return NOT_FINITE
+    state.evaluations += rounds.polish.evaluations + 1
+    rounds.polish.evaluations = 0
+    _note_merits(rounds, cost)
+    _keep(rounds, rounds.signals, cost)
+    if state.stage == WARM:
+        state.stage = POLISH
+        return UNDER_WAY
+    state.starts_done += 1
+    if state.starts_done == state.starts:
+        state.stage = SCATTER
+    return GOOD if cost <= task.settings.tolerance else UNDER_WAY
+
+
+@compiled(**INLINE_FAST)
+def _note_merits(rounds, cost):
+    """Add the merits of a polish to the history, between the best cost so far and its own, if it
+    has found a better one."""
+    best_cost = rounds.state.best_cost
+    if cost < best_cost:
+        for z in range(rounds.polish.iterations):
+            _note(rounds, min(max(rounds.merits[z], cost), best_cost))
+
+
+@compiled(**INLINE_FAST)
+def _keep(rounds, u, cost):
+    """Keep the sequence u (L,) if it costs least, and add the least cost to the history."""
+    if cost < rounds.state.best_cost:
+        rounds.state.best_cost = cost
+        for j in range(u.size):
+            rounds.best[j] = u[j]
+    _note(rounds, rounds.state.best_cost)
+
+
+@compiled(**INLINE_FAST)
+def _note(rounds, cost):
+    """Add an entry to the history."""
+    rounds.history[rounds.state.history_entries] = cost
+    rounds.state.history_entries += 1
 
 
 @compiled(**INLINE_FAST)

@@ -9,8 +9,6 @@ made by random starts and selection: each round draws many smooth sequences, eva
 vectorised rollout and polishes only the best.
 """
 
-from collections.abc import Callable
-from functools import partial
 from threading import get_ident
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -24,7 +22,7 @@ from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
 
 if TYPE_CHECKING:
-    from tetractl.control.kernels.multistart import Rounds
+    from tetractl.control.kernels.multistart import Rounds, SearchTask
 
 
 class Multistart(OptimizerSection):
@@ -94,42 +92,42 @@ class Multistart(OptimizerSection):
 
         growth = self.growth(problem)
         longest_step = float(problem.speed.max()) * problem.period
-        rounds_max = self._rounds(problem, length) if warm is None else 1
+        iterations_max = round(self.steps * growth)
         rounds = multistart.rounds_for(  # arrays that the next search of this thread uses again
             thread=get_ident(),
             count=min(self.polished, self.particles),
             particles=self.particles,
             knots=min(round(self.knots * growth), length),
             length=length,
-            steps_max=round(self.steps * growth),
+            steps_max=iterations_max,
             rounds=self.rounds,
         )
-        rounds.begin(np.empty((0, length)) if warm is None else warm[None])
         settings = levenberg.PolishSettings(
             tolerance=self.tolerance,
             slack=self.slack * longest_step,
             patience=round(self.patience * growth),
+            iterations_max=iterations_max,
         )
-        room = levenberg.room_for(problem, length)
-        go_on = partial(
-            multistart.search,
-            motion.flatten(problem),
-            rollout.rollouts_of(get_ident(), problem.a.size, self.particles),
-            room,
-            np.uint64(key),
-            np.empty(0) if warm is None else warm,
-            rounds_max,
-            settings,
-            multistart.UNLIMITED if limits.evaluations is None else limits.evaluations,
+        task = multistart.SearchTask(
+            problem=motion.flatten(problem),
+            rollouts=rollout.rollouts_of(get_ident(), problem.a.size, self.particles),
+            room=levenberg.room_for(problem, length),
+            settings=settings,
+            key=np.uint64(key),
+            warm=np.empty(0) if warm is None else warm,
+            rounds=self._rounds(problem, length) if warm is None else 1,
+            budget=multistart.UNLIMITED if limits.evaluations is None else limits.evaluations,
         )
-        if not limits.timed:
-            stopped = _reason(go_on(multistart.UNLIMITED, False, rounds))
+        if warm is None:
+            rounds.begin(multistart.SCATTER, np.empty((0, length)))
         else:
-            # what a search spends that is cut short before it begins
-            least = self.particles + 2 if warm is None else 1
-            robot_steps = len(room.residual) * length * problem.a.size
+            rounds.begin(multistart.WARM, warm[None])
+        if limits.timed:
+            robot_steps = len(task.room.residual) * length * problem.a.size
             iterations = max(1, multistart.BETWEEN_LOOKS // robot_steps)
-            stopped = _stopped_in_time(go_on, rounds, iterations, least, limits)
+            stopped = _stopped_in_time(task, rounds, iterations, limits)
+        else:
+            stopped = _reason(multistart.search(task, rounds, multistart.UNLIMITED))
         return Search(
             length=length,
             signals=rounds.best.copy(),
@@ -148,34 +146,25 @@ class Multistart(OptimizerSection):
 
 
 def _stopped_in_time(
-    go_on: Callable[[int, bool, "Rounds"], int],
-    rounds: "Rounds",
-    iterations: int,
-    evaluations: int,
-    limits: Limits,
+    task: "SearchTask", rounds: "Rounds", iterations: int, limits: Limits
 ) -> StopReason:
-    """Search by `go_on` until the search ends or time does, with a look at the clock after every
-    `iterations`; return why it ended. Before it begins, it has spent so many `evaluations`.
+    """Search until the search ends or time does, with a look at the clock after every `iterations`;
+    return why it ended.
 
     At the deadline the polish under way ends as it is, or the first one before it improves its
     start: the reason is the deadline, even if the result is good enough.
     """
     from tetractl.control.kernels import multistart
 
-    is_polishing = True
+    # what the search spends if it ends now, so that a rerun of it can end at the same look
+    evaluations = rounds.evaluations_if_finished()
     while not limits.expired(evaluations):
-        end = go_on(iterations, False, rounds)
-        if end != multistart.PAUSED:
+        end = multistart.search(task, rounds, iterations)
+        if end != multistart.UNDER_WAY:
             return _reason(end)
-        # what the search would have spent if it ended now, so that a rerun of it can end at the
-        # same look
-        evaluations = int(rounds.state.evaluations)
-        under_way = int(rounds.polish.evaluations)
-        is_polishing = under_way > 0
-        if is_polishing:
-            evaluations += under_way + 1  # its sequence is evaluated once more
-    if is_polishing:
-        _reason(go_on(multistart.UNLIMITED, True, rounds))
+        evaluations = rounds.evaluations_if_finished()
+    if evaluations > rounds.state.evaluations:
+        _reason(multistart.finish(task, rounds))
     return StopReason.DEADLINE
 
 

@@ -42,11 +42,18 @@ class Polished(NamedTuple):
 
 def compiled(problem, start, iterations, budget=2**62):
     rounds = kernel.rounds_for.__wrapped__(0, 1, 1, 1, len(start), iterations, 0)
-    rounds.begin(start[None])
-    rooms = rollouts_of(0, len(problem.a), 1), room_for(problem, len(start))
-    settings = PolishSettings(TOLERANCE, SLACK, PATIENCE)
-    limits = settings, max(budget, 1) + 1, kernel.UNLIMITED, False
-    kernel.search(flatten(problem), *rooms, np.uint64(0), np.empty(0), 0, *limits, rounds)
+    rounds.begin(kernel.POLISH, start[None])
+    task = kernel.SearchTask(
+        problem=flatten(problem),
+        rollouts=rollouts_of(0, len(problem.a), 1),
+        room=room_for(problem, len(start)),
+        settings=PolishSettings(TOLERANCE, SLACK, PATIENCE, iterations),
+        key=np.uint64(0),
+        warm=np.empty(0),
+        rounds=0,
+        budget=max(budget, 1) + 1,
+    )
+    kernel.search(task, rounds, kernel.UNLIMITED)
     merits = rounds.merits[: rounds.polish.iterations + 1].copy()
     return Polished(rounds.signals, merits, rounds.state.evaluations - 1)
 

@@ -13,7 +13,7 @@ from tetractl.control.cost import evaluate
 from tetractl.control.kernels import multistart as kernel
 from tetractl.control.kernels.levenberg import PolishSettings, room_for
 from tetractl.control.kernels.motion import flatten
-from tetractl.control.kernels.multistart import UNLIMITED, WARM
+from tetractl.control.kernels.multistart import NEAR_WARM, POLISH, SCATTER, UNLIMITED, SearchTask
 from tetractl.control.kernels.rollout import rollouts_of
 from tetractl.control.rng import mix, uniform
 from tetractl.core.poses import wrap
@@ -34,7 +34,6 @@ def searched(
     budget=UNLIMITED,
     look=UNLIMITED,
     *,
-    cut_short=False,
     warm=NONE,
     rounds=0,
     best=4,
@@ -44,18 +43,23 @@ def searched(
 ):
     """Return how a search ended, and what became of its starts (S, L) and rounds."""
     count, length = starts.shape
-    rooms = rollouts_of(0, len(problem.a), particles), room_for(problem, length)
-    sizes = max(count, best), particles, knots, length, STEPS, rounds
-    found = kernel.rounds_for.__wrapped__(0, *sizes)
-    found.begin(starts)
-    settings = PolishSettings(tolerance, SLACK, PATIENCE)
-    limits = settings, budget, look, cut_short
-    how = kernel.PAUSED
-    while how == kernel.PAUSED:
-        random = np.uint64(key), warm, rounds
-        how = kernel.search(flatten(problem), *rooms, *random, *limits, found)
-        if cut_short:
-            break
+    found = kernel.rounds_for.__wrapped__(
+        0, max(count, best), particles, knots, length, STEPS, rounds
+    )
+    found.begin(POLISH if count else SCATTER, starts)
+    task = SearchTask(
+        problem=flatten(problem),
+        rollouts=rollouts_of(0, len(problem.a), particles),
+        room=room_for(problem, length),
+        settings=PolishSettings(tolerance, SLACK, PATIENCE, STEPS),
+        key=np.uint64(key),
+        warm=warm,
+        rounds=rounds,
+        budget=budget,
+    )
+    how = kernel.UNDER_WAY
+    while how == kernel.UNDER_WAY:
+        how = kernel.search(task, found, look)
     return how, found
 
 
@@ -114,7 +118,7 @@ def test_a_round_is_scattered_as_the_readable_curves_are(seed, length, knots, wa
     curve = interpolate(draws, length)
     expected = bearing(problem) + math.pi * curve
     if warmed:
-        expected[:, ::2] = warm[:, None] + WARM * curve[:, ::2]
+        expected[:, ::2] = warm[:, None] + NEAR_WARM * curve[:, ::2]
     assert np.abs(wrap(result.scattered - expected)).max() < 1e-9
     assert np.abs(result.scattered).max() <= math.pi + 1e-9
     assert result.scattered_costs == pytest.approx(

@@ -75,11 +75,18 @@ def test_the_polish_ends(odd, place):
         numbers[0] = odd
         problem = replace(problem, **{place: numbers})
     rounds = multistart.rounds_for.__wrapped__(0, 1, 1, 1, len(start), 50, 0)
-    rounds.begin(start[None])
-    rooms = rollouts_of(0, len(problem.a), 1), room_for(problem, len(start))
-    no_draws = np.uint64(0), np.empty(0), 0
-    limits = PolishSettings(1e-3, 0.5, 6), 10_000, multistart.UNLIMITED, False
-    assert ends(lambda: multistart.search(flatten(problem), *rooms, *no_draws, *limits, rounds))
+    rounds.begin(multistart.POLISH, start[None])
+    task = multistart.SearchTask(
+        problem=flatten(problem),
+        rollouts=rollouts_of(0, len(problem.a), 1),
+        room=room_for(problem, len(start)),
+        settings=PolishSettings(1e-3, 0.5, 6, 50),
+        key=np.uint64(0),
+        warm=np.empty(0),
+        rounds=0,
+        budget=10_000,
+    )
+    assert ends(lambda: multistart.search(task, rounds, multistart.UNLIMITED))
 
 
 def test_a_robot_that_may_head_anywhere_is_no_more_uncertain_than_that():

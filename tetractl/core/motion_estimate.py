@@ -39,8 +39,6 @@ class Estimate:
     a robot stands although it is sent a direction: it is stuck, or a cell rests, or backs off and
     turns. `own_dead_time` (N,) [s] is the dead time of each robot, which no log has. None if they
     are not estimated.
-
-    `OF_ALL_ROBOTS` of `control.kernels.filter_state` lists what is not of each robot.
     """
 
     a: Floats

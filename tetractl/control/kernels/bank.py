@@ -300,7 +300,6 @@ def forecast(bank, model, commands, frame_s, sent_s, room):
     with the misfit.
     """
     filters, robots = bank.shared_score.shape
-    numbers = room.numbers
     density = np.empty(filters)
     z = np.empty(bank.state.shape[3])
     mean_s = 0.0
@@ -310,11 +309,11 @@ def forecast(bank, model, commands, frame_s, sent_s, room):
         slot = likeliest(bank.ln_weight[b, i], bank.ln_weight.shape[2])
         for k in range(z.size):
             z[k] = bank.state[b, i, slot, k]
-        growth = _misfit(bank, b, i, numbers)
-        _describe(bank, model, b, i, slot, z, growth, numbers)
+        growth = _misfit(bank, b, i, room)
+        _describe(bank, model, b, i, slot, z, growth, room)
         dead_time_s, dead_time_std_s = _dead_time(bank, i, density)
-        numbers.own_dead_time[i] = dead_time_s
-        numbers.own_dead_time_std[i] = dead_time_std_s
+        room.own_dead_time[i] = dead_time_s
+        room.own_dead_time_std[i] = dead_time_std_s
         std_s = growth * dead_time_std_s
         mean_s += dead_time_s
         variance += std_s * std_s
@@ -332,12 +331,12 @@ def forecast(bank, model, commands, frame_s, sent_s, room):
         room.heading[i] = z[HEADING]
     mean_s /= robots
     for i in range(robots):
-        variance += (numbers.own_dead_time[i] - mean_s) ** 2
+        variance += (room.own_dead_time[i] - mean_s) ** 2
     return mean_s, math.sqrt(variance / robots)
 
 
 @compiled(**INLINE_FAST)
-def _misfit(bank, b, i, numbers):
+def _misfit(bank, b, i, room):
     """Fill how far the sums of the innovations are from what the model allows; return the factor by
     which standard deviations grow: the root of the largest mean square, and not below 1."""
     blocks = max(bank.blocks[b, i], LEAST_BLOCKS)
@@ -345,28 +344,28 @@ def _misfit(bank, b, i, numbers):
     growth2 = 1.0
     for k in range(3):
         growth2 = max(growth2, bank.square_sum[b, i, k] / blocks)
-        numbers.misfit[i, k] = bank.square_sum[b, i, k] / limit
+        room.misfit[i, k] = bank.square_sum[b, i, k] / limit
     return math.sqrt(growth2)
 
 
 @compiled(**INLINE_FAST)
-def _describe(bank, model, b, i, slot, z, growth, numbers):
+def _describe(bank, model, b, i, slot, z, growth, room):
     """Fill what a hypothesis says of robot i's motion. The state has logarithms of a and v: their
     deviations are relative."""
     cov = bank.cov[b, i, slot]
     a, speed, side, saturation = parameters_of(model, i, z)
-    numbers.a[i] = a
-    numbers.a_std[i] = growth * a * math.sqrt(max(cov[LN_A, LN_A], 0.0))
-    numbers.speed[i] = speed
-    numbers.speed_std[i] = growth * speed * math.sqrt(max(cov[LN_SPEED, LN_SPEED], 0.0))
-    numbers.heading_bias[i] = z[TURN_BIAS] + z[MARKER_BIAS]
+    room.a[i] = a
+    room.a_std[i] = growth * a * math.sqrt(max(cov[LN_A, LN_A], 0.0))
+    room.speed[i] = speed
+    room.speed_std[i] = growth * speed * math.sqrt(max(cov[LN_SPEED, LN_SPEED], 0.0))
+    room.heading_bias[i] = z[TURN_BIAS] + z[MARKER_BIAS]
     variance = cov[TURN_BIAS, TURN_BIAS] + cov[MARKER_BIAS, MARKER_BIAS]
     variance += 2 * cov[TURN_BIAS, MARKER_BIAS]
-    numbers.heading_bias_std[i] = growth * math.sqrt(max(variance, 0.0))
-    numbers.side[i] = side
-    numbers.side_std[i] = growth * math.sqrt(max(cov[SIDE, SIDE], 0.0))
-    numbers.saturation[i] = saturation
-    numbers.stands[i] = _probability_of_stuck(bank.ln_weight[b, i], slot)
+    room.heading_bias_std[i] = growth * math.sqrt(max(variance, 0.0))
+    room.side[i] = side
+    room.side_std[i] = growth * math.sqrt(max(cov[SIDE, SIDE], 0.0))
+    room.saturation[i] = saturation
+    room.stands[i] = _probability_of_stuck(bank.ln_weight[b, i], slot)
 
 
 @compiled(**INLINE_FAST)

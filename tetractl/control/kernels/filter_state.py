@@ -29,9 +29,7 @@ slots before the last, or it is stuck, the last slot.
 """
 
 import math
-from collections import namedtuple
 from collections.abc import Sequence
-from dataclasses import fields
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -379,21 +377,11 @@ class NextFilters(NamedTuple):
         return chosen
 
 
-OF_ALL_ROBOTS = "dead_time", "dead_time_std"
-"""The numbers of an `Estimate` that are not of each robot."""
-RobotNumbers = namedtuple(
-    "RobotNumbers",
-    [quantity.name for quantity in fields(Estimate) if quantity.name not in OF_ALL_ROBOTS],
-)
-"""The numbers of an `Estimate` that are of each robot, in arrays: a kernel can fill the fields of a
-named tuple, but not those of a dataclass."""
-
-
 class Forecast(NamedTuple):
     """What the likeliest hypothesis of each of N robots says, filled by `kernels.bank.forecast`.
 
     Poses and `directions` are those of the moment when the next command acts on each robot, if it
-    does nothing else before than what it was sent.
+    does nothing else before than what it was sent. What has no description is as in `Estimate`.
     """
 
     x: Floats
@@ -405,21 +393,31 @@ class Forecast(NamedTuple):
     """(N,) difference of the directions that robots turn to from those sent [rad]."""
     flow: Floats
     """(N, 2) [length unit/s]."""
-    numbers: Any
-    """The `RobotNumbers`."""
-    dead_time_s: float = 0.0
+    a: Floats
+    a_std: Floats
+    speed: Floats
+    speed_std: Floats
+    heading_bias: Floats
+    heading_bias_std: Floats
+    misfit: Floats
+    side: Floats
+    side_std: Floats
+    saturation: Floats
+    stands: Floats
+    own_dead_time: Floats
+    own_dead_time_std: Floats
+    dead_time_s: float
     """The mean of the robots' dead times [s]."""
-    dead_time_std_s: float = 0.0
+    dead_time_std_s: float
     """The standard deviation of the dead time of any robot [s]."""
 
     @classmethod
     def room_for(cls, robots: int) -> Self:
         """Return room for what is said of some robots: what is not filled stays NaN."""
-        x, y, heading, directions, turn_bias = np.full((5, robots), np.nan)
-        numbers = RobotNumbers._make(np.full((len(RobotNumbers._fields), robots), np.nan))
-        numbers = numbers._replace(misfit=np.full((robots, len(INNOVATIONS)), np.nan))
-        flow = np.full((robots, 2), np.nan)
-        return cls(x, y, heading, directions, turn_bias, flow, numbers)
+        arrays: dict[str, Any] = {name: np.full(robots, np.nan) for name in cls._fields}
+        arrays["flow"] = np.full((robots, 2), np.nan)
+        arrays["misfit"] = np.full((robots, len(INNOVATIONS)), np.nan)
+        return cls(**arrays)._replace(dead_time_s=0.0, dead_time_std_s=0.0)
 
     @property
     def poses(self) -> Poses:
@@ -430,9 +428,21 @@ class Forecast(NamedTuple):
     def estimate(self) -> Estimate:
         """What is known of the robots' motion."""
         return Estimate(
-            **self.numbers._asdict(),
+            a=self.a,
+            a_std=self.a_std,
+            speed=self.speed,
+            speed_std=self.speed_std,
+            heading_bias=self.heading_bias,
+            heading_bias_std=self.heading_bias_std,
             dead_time=self.dead_time_s,
             dead_time_std=self.dead_time_std_s,
+            misfit=self.misfit,
+            side=self.side,
+            side_std=self.side_std,
+            saturation=self.saturation,
+            stands=self.stands,
+            own_dead_time=self.own_dead_time,
+            own_dead_time_std=self.own_dead_time_std,
         )
 
 

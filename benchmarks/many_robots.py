@@ -60,7 +60,7 @@ def first_plans(trials: int) -> None:
             for seed in range(trials):
                 problem = many(robots, seed)
                 begin = time.thread_time()
-                searcher = Searcher(optimizer, problem, seed)
+                searcher = Searcher(optimizer, problem, seed, Limits())
                 searcher.spread(least_length(problem), 400, good)
                 seconds.append(time.thread_time() - begin)
                 best = min(searcher.found, key=lambda way: (not good(way), way.length))

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from tetractl.control.rng import mix
-from tetractl.core.plan import Limits, Problem, Search, never
+from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats, wrap
 from tetractl.core.protocols import Optimizer
 
@@ -59,7 +59,7 @@ def resampled(signals: Floats, length: int) -> Floats:
 class Searcher:
     """Runs the searches of one control step, and collects their results in `found`.
 
-    Once `expired(0)` is true, only the first search is done.
+    Once the limits' time has passed, only the first search is done.
     """
 
     def __init__(
@@ -67,12 +67,12 @@ class Searcher:
         optimizer: Optimizer,
         problem: Problem,
         step_key: int,
-        expired: Callable[[int], bool] = never,
+        limits: Limits,
     ) -> None:
         self._optimizer = optimizer
         self.problem = problem
         self._key = step_key
-        self._expired = expired
+        self._limits = limits
         self.found: list[Search] = []
 
     def search(self, length: int, start: Floats | None = None) -> Search | None:
@@ -87,10 +87,9 @@ class Searcher:
         self, problem: Problem, length: int, start: Floats | None, key: int
     ) -> Search | None:
         """Search sequences of one length for a problem, unless the limits do not allow it."""
-        if self.found and self._expired(0):
+        if self.found and self._limits.expired(0):
             return None
-        limits = Limits(None, self._expired)
-        search = self._optimizer.search(problem, length, start, key, limits)
+        search = self._optimizer.search(problem, length, start, key, self._limits)
         self.found.append(search)
         return search
 

@@ -61,7 +61,7 @@ and L the number of signals of a plan.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -119,10 +119,13 @@ class Leg:
     `began_s` is the time of the trial [s] and `began_ns` that of the clock [ns] at its beginning.
     `outcome` is how the leg before ended. `present` tells which of all robots are not lost;
     `targets` (N, 2) are those of these N robots, `parted` if they are too near to each other,
-    `discs` their bodies, and `margins` what plans keep clear by.
+    `discs` their bodies, and `margins` what plans keep clear by. A leg that `holds` is the hold;
+    the trial ends with the leg that `is_last`: the hold, or without one the leg to the targets.
     """
 
     index: int
+    holds: bool
+    is_last: bool
     began_s: float
     began_ns: int
     outcome: Outcome
@@ -207,22 +210,20 @@ class Mpc:
 
     `plan` is called once a control step. Between two steps it keeps the `leg`, the `progress` of
     the trial, and what the `estimator` and the `time` have counted. `key` seeds all random numbers;
-    `timer()`, the time [ns], is read for deadlines alone.
+    the timer of the `host` is read for deadlines alone.
     """
 
     def __init__(self, section: RecommendedMpc, setup: Setup, key: int, host: Host) -> None:
         self.section = section
         self.setup = setup
         self.key = key
-        self.timer = host.timer
+        self.host = host
         self.optimizer = host.wrap(section.optimizer)
-        self.circler = host.wrap(CircleSearch())
         self.estimator = StateEstimator(
             section.problem(setup), section.period, section.known(setup), setup.loss
         )
         self.stands = section.collision.stop_before_collision
         self.time = TrialTime(section.time_limit, section.period)
-        self.legs = setup.legs
         self.leg = self._leg(0, 0.0, 0, Outcome.ARRIVED, setup.starts)
         self.progress = TrialProgress()
 
@@ -262,7 +263,7 @@ class Mpc:
         if not isinstance(decision, Outcome) or decision not in END_OF_LEG:
             return False
         gave_up = decision is Outcome.NO_BETTER_PLAN and self.progress.state is State.STUCK
-        return not gave_up and not self._in_last_leg
+        return not gave_up and not self.leg.is_last
 
     def _begin(self, leg: Leg) -> None:
         """Begin a leg, in which plans are made afresh."""
@@ -276,7 +277,9 @@ class Mpc:
         obstacles."""
         present = self.estimator.present
         collision = self.section.collision
-        stated = self.legs[min(index, len(self.legs) - 1), present]  # a hold is at the targets
+        legs = self.setup.legs
+        last = len(legs) if self.setup.hold else len(legs) - 1
+        stated = legs[min(index, len(legs) - 1), present]  # a hold is at the targets
         least = kept_apart(collision, self.setup.speed[present], self.section.period)
         targets = parted(stated, least)
         walls = self.setup.arena if collision.walls else None
@@ -285,6 +288,8 @@ class Mpc:
             shapes += [Shape(place, collision.radius) for place in poses.xy[~present, None]]
         return Leg(
             index=index,
+            holds=index == len(legs),
+            is_last=index == last,
             began_s=began_s,
             began_ns=began_ns,
             outcome=outcome,
@@ -294,17 +299,6 @@ class Mpc:
             margins=Margins(collision, shapes, walls, targets),
         )
 
-    @property
-    def _holds(self) -> bool:
-        """Whether this leg is the hold."""
-        return self.leg.index == len(self.legs)
-
-    @property
-    def _in_last_leg(self) -> bool:
-        """Whether the trial ends with this leg: the hold, or without one the leg to the targets."""
-        last = len(self.legs) if self.setup.hold else len(self.legs) - 1
-        return self.leg.index == last
-
     # a step
 
     def _decide(self, motion: Problem, observation: Observation) -> Decision:
@@ -313,7 +307,7 @@ class Mpc:
         outcome = self._outcome(step, observation)
         if outcome is not None:
             return outcome
-        if self._holds and not self.setup.on_wheels:
+        if self.leg.holds and not self.setup.on_wheels:
             return self._circle(step)
         if step.warm is None:
             return self._at_rest(step)
@@ -356,7 +350,7 @@ class Mpc:
 
     def _outcome(self, step: ControlStep, observation: Observation) -> Outcome | None:
         """Return how the leg ends whatever robots could do, None if it goes on."""
-        if self._holds:
+        if self.leg.holds:
             assert self.setup.hold is not None
             if observation.sampled_ns - self.leg.began_ns >= self.setup.hold.seconds * SECOND:
                 return self.leg.outcome
@@ -373,8 +367,8 @@ class Mpc:
         assert self.setup.hold is not None
         problem = replace(step.problem, within=self.setup.hold.radius)
         length = max(2, math.ceil(CircleSearch.ahead_s / problem.period))
-        limits = Limits(None, self._expired())
-        search = self.circler.search(problem, length, step.warm, self._step_key, limits)
+        circler = self.host.wrap(CircleSearch())
+        search = circler.search(problem, length, step.warm, self._step_key, self._limits())
         foreseen = compiled_foresee(problem, search.signals)
         return replace(make_plan([search], 0, self._step_key, foreseen), state=State.HOLDING)
 
@@ -420,7 +414,7 @@ class Mpc:
     @property
     def _rests_at_the_end(self) -> bool:
         """Whether robots that stop now are to rest, before the next step ends the leg."""
-        return self._holds or (self.stands and self._in_last_leg)
+        return self.leg.holds or (self.stands and self.leg.is_last)
 
     def _stop(
         self, step: ControlStep, warm: Floats, bound: float, searches: Sequence[Search] = ()
@@ -436,7 +430,7 @@ class Mpc:
         at a way-point, end the leg at once.
         """
         # at a way-point the next leg begins with a new plan: a later moment is not worth waiting
-        within_s = self.section.period if self._in_last_leg else 0.0
+        within_s = self.section.period if self.leg.is_last else 0.0
         if least_error(step.problem, within_s) > bound:
             return None  # no moment can be good enough: so it is in most steps, and costs no time
         delay_ns, error = self._best_stop(step.problem, within_s)
@@ -533,8 +527,7 @@ class Mpc:
         signals_over = len(last.signals) - len(warm)
         planned = last.path[signals_over:]  # poses before each signal left, and at the end
         problem = ahead(step.problem, planned)
-        limits = Limits(None, self._expired())
-        search = self.optimizer.search(problem, AHEAD, warm[:AHEAD], self._step_key, limits)
+        search = self.optimizer.search(problem, AHEAD, warm[:AHEAD], self._step_key, self._limits())
         foreseen = compiled_foresee(problem, search.signals)
         strays = self._strays(Poses.of(planned[AHEAD]), foreseen.target)
         if self.stands and (strays or self._collides_soon(step.problem, search.signals)):
@@ -579,7 +572,7 @@ class Mpc:
         """Stand on in a hold while all robots are within its radius; to drive nearer could lead
         them out of it, and counts for nothing."""
         gaps = step.problem.poses.distances(step.problem.targets)
-        if self._holds and self.setup.hold and (gaps <= self.setup.hold.radius).all():
+        if self.leg.holds and self.setup.hold and (gaps <= self.setup.hold.radius).all():
             return self._standing(step.problem, State.RESTING)
         return None
 
@@ -599,7 +592,7 @@ class Mpc:
         error = float(step.problem.poses.distances(step.problem.targets).sum())
         if error > least and step.allows(length):
             return None
-        if self._holds:
+        if self.leg.holds:
             return self._standing(step.problem, State.RESTING)
         return Outcome.NO_BETTER_PLAN
 
@@ -668,14 +661,13 @@ class Mpc:
 
     def _searcher(self, step: ControlStep) -> Searcher:
         """Return what runs the searches of a step, whose time counts from now."""
-        return Searcher(self.optimizer, step.problem, self._step_key, self._expired())
+        return Searcher(self.optimizer, step.problem, self._step_key, self._limits())
 
-    def _expired(self) -> Callable[[int], bool]:
-        """Return a function that says whether the deadline of the step's searches, which begin now,
-        has passed, whatever number of evaluations it is given."""
+    def _limits(self) -> Limits:
+        """Return the limits of the step's searches, whose time begins now: until the deadline."""
         seconds = self.section.deadline if self.progress.moving else SEARCH_S
-        end_ns = self.timer() + round(seconds * SECOND)
-        return lambda _: self.timer() >= end_ns
+        end_ns = self.host.timer() + round(seconds * SECOND)
+        return Limits(expired=lambda _: self.host.timer() >= end_ns)
 
     def _plans(self, problem: Problem, searches: Sequence[Search]) -> list[Plan]:
         """Return the plans that searches found, in their order."""

@@ -38,7 +38,7 @@ PIXELS = ("", "px", "pixel", "pixels")
 
 
 def _is_count(unit: str) -> bool:
-    return unit == ""
+    return unit in ("", "frame", "frames")
 
 
 def _is_time(unit: str) -> bool:

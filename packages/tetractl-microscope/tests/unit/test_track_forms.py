@@ -157,6 +157,7 @@ def test_spots_of_trackmate(um, s, factor, written, tmp_path):
         ("Nr,TID,PID,x [um],y [um],t [sec]", (K, NUMBER, K, UM * X, UM * Y, K / HZ)),
         ("Nr,TID,PID,x [mm],y [mm],t [ms]", (K, NUMBER, K, X / 500, Y / 500, 1000 * K / HZ)),
         ("Nr,TID,PID,x [pixel],y [pixel],t [sec]", (K, NUMBER, K, X, Y, K / HZ)),
+        ("Nr,TID,PID,x [pixel],y [pixel],t [frame]", (K, NUMBER, K, X, Y, K)),
         ("Index,Track n°,Slice n°,X,Y,Distance,Velocity", (K, NUMBER, K + 1, X, Y, K, K)),
         ("Position X,Position Y,Position Z,Time,TrackID,ID", (X, Y, K, K + 1, NUMBER, K)),
         ("Position X,Position Y,Time,TrackID,ID", (X, Y, K + 1, 1e9 + NUMBER, K)),

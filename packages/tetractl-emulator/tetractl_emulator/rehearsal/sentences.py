@@ -289,7 +289,8 @@ def _latched_robots_stay(truth: Truth) -> Iterator[Violation]:
 
 def _none_runs_again(truth: Truth) -> Iterator[Violation]:
     """A robot that stands since it has heard the end does not run again. Only a command that a
-    later one has overtaken could drive it; what does is not checked.
+    later one has overtaken could drive it; what does is not checked. Robots whose commands have no
+    number cannot know that one was overtaken: it may drive them as long as any is on its way.
 
     A robot that does not run counts as one that has heard the end, unless its watchdog stops it. A
     radio that delays all alike delays the end, too.
@@ -298,6 +299,8 @@ def _none_runs_again(truth: Truth) -> Iterator[Violation]:
     drove the robots.
     """
     heard_s = truth.ended_s + TRANSIT_S + truth.delay_s("late_radio", "reboots")
+    if not any("sequence" in command for command in truth.commands):
+        heard_s += truth.delay_s("overtaken_packets")
     is_after = (truth.times_s > heard_s)[:, None]
     runs = truth.has_status(RUNNING)
     stands = is_after & ~runs & ~truth.has_status(SILENT)

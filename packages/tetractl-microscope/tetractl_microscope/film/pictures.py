@@ -114,6 +114,11 @@ class FilmPictures:
         """The mean rate of the pictures that were read so far [Hz]."""
         return self.timing.rate_hz
 
+    @property
+    def times(self) -> list[float] | None:
+        """The times of the pictures that were read so far [s]; None if they are at `rate_hz`."""
+        return None if self.timing.even else self.timing.stated
+
     def seconds(self, number: int) -> float:
         """Return the time of a picture [s]."""
         return self.timing.seconds(number)

@@ -421,6 +421,17 @@ def test_a_radio_that_delays_all_alike_lets_old_commands_drive_after_the_end(fau
     assert ("not at rest" in broken([*GOOD, *DRIVEN_AGAIN], fault=fault)) == wrong
 
 
+OVERTAKEN = {"kind": "packets overtaken", "fault": "overtaken_packets", "by": 0.6, "at": 1.0}
+
+
+@pytest.mark.parametrize("numbered", [False, True])
+def test_a_command_without_a_number_may_drive_after_one_that_has_overtaken_it(numbered):
+    """Regression: robots that take lines `v w` were said to be driven again by an old one."""
+    number = {"sequence": 7} if numbered else {}
+    good = [event | number if event["event"] == "command" else event for event in GOOD]
+    assert ("not at rest" in broken([*good, *DRIVEN_AGAIN], fault=OVERTAKEN)) == numbered
+
+
 @pytest.mark.parametrize(("turn", "wrong"), [(-1.2, False), (0.05, True)])
 def test_a_pose_may_be_of_just_before_a_robot_is_turned(turn, wrong):
     """Regression: a cube was carried off its mat 3 ms before an exposure, and turned by 1.2 rad."""

@@ -99,7 +99,8 @@ def _rates(heading: Floats, u: Floats, parameters: Floats, seconds: float) -> Fl
         return turning(c, s, cu, su, robot, seconds)[0]
 
     rates = np.vectorize(rate)
-    return rates(np.cos(heading), np.sin(heading), np.cos(u), np.sin(u), *parameters.T)
+    toward = np.cos(u), np.sin(u)
+    return rates(np.cos(heading), np.sin(heading), *toward, *parameters.T)
 
 
 def evaluate(problem: Problem, signals: Floats) -> Costs:

@@ -58,7 +58,8 @@ class Discs:
         """Return the least clearance (...) of robots at x, y (..., N): the least of all distances
         of a disc to an obstacle, negative inside, and of all distances of two centres minus the
         separation."""
-        to_obstacles = gaps(self._obstacles, x.ravel(), y.ravel()).min(axis=0, initial=np.inf)
+        to_each = gaps(self._obstacles, x.ravel(), y.ravel())
+        to_obstacles = to_each.min(axis=0, initial=np.inf)
         nearest = to_obstacles.reshape(x.shape).min(axis=-1)
         i, k = np.triu_indices(x.shape[-1], 1)  # the pairs of robots
         between = np.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])

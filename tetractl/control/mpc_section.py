@@ -303,8 +303,9 @@ class RecommendedMpc(SearchFields):
 
         super().warm_up(setup)
         problem = self.problem(setup)
-        path = compiled_drive(problem, np.zeros(len(problem.a)), np.zeros(1))
-        compiled_branches(problem, path, np.zeros(1), np.zeros(1), 0.0)
+        none = np.zeros(1)
+        path = compiled_drive(problem, np.zeros(len(problem.a)), none)
+        compiled_branches(problem, path, none, none, 0.0)
         if self.collision.walls:  # else no tree is searched, and its library is slow to load
             next(ways(problem, setup.arena, 0, 0), None)
         Discs(self.collision.radius, setup.obstacles, setup.arena).enters(path)

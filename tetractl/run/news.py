@@ -229,7 +229,8 @@ def speeds_at_rest(frames: Sequence[Observation]) -> Floats:
     first = places[:half]
     second = places[half:]
     way = np.hypot(*(second.mean(axis=0) - first.mean(axis=0)).T)
-    variance = first.var(axis=0, ddof=1) / len(first) + second.var(axis=0, ddof=1) / len(second)
+    variance = first.var(axis=0, ddof=1) / len(first)
+    variance += second.var(axis=0, ddof=1) / len(second)
     is_sure = way > REST_SURE_STDS * np.sqrt(variance.sum(axis=1))
     seconds = times_s[half:].mean() - times_s[:half].mean()
     return np.where(is_sure, way / seconds, 0.0)

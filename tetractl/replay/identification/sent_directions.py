@@ -205,7 +205,8 @@ def check_rotation(
     if share < max(EXPLAINED, as_stated + SURELY_MORE, late - AS_GOOD):
         return
     _, vectors = turning_fit(longest, replace(sent, times=sent.times + delay_s).at)
-    mean = float(np.angle(np.sign(vectors).mean()))
+    mean_vector = np.sign(vectors).mean()
+    mean = float(np.angle(mean_vector))
     eighths = round(abs(mean) / EIGHTH)
     off = math.copysign(eighths * EIGHTH, mean)
     deviations = np.abs(np.angle(vectors * np.exp(-1j * off)))

@@ -51,8 +51,8 @@ def lag_may_turn(tracks: Sequence[Track], dead_time_s: float) -> bool:
     without = _unexplained(robots, 0.0, dead_time_s)
     with_lag = _unexplained(robots, LAG_S, dead_time_s - LAG_S)
     of_blocks = np.add.reduceat(with_lag - without, np.arange(0, len(without), BLOCK))
-    deviation = float(of_blocks.std()) * np.sqrt(len(of_blocks))
-    return float(of_blocks.sum()) < SURE * deviation
+    deviation = of_blocks.std() * np.sqrt(len(of_blocks))
+    return bool(of_blocks.sum() < SURE * deviation)
 
 
 @dataclass(frozen=True, slots=True)

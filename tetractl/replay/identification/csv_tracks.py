@@ -1,5 +1,9 @@
 """Tracks from CSV files, of `tetractl export` or of other programs: poses in one file, the
 directions or speeds that robots were sent in another.
+
+Rows are read one by one into the `_Numbers` of their trial, which are put together to a
+`CsvRecording` of all robots; here files are refused that cannot be read or put together. Whether a
+recording can be what it says is judged by `csv_checks`.
 """
 
 import math
@@ -10,29 +14,12 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tetractl.core.errors import UsageError, printable
-from tetractl.core.poses import Bools, Floats, turn_problem, wrap
-from tetractl.replay.identification.measured_poses import jumps_of, measured
-from tetractl.replay.identification.motion_angle import PoseSteps, check_angle
-from tetractl.replay.identification.one_recording import (
-    Span,
-    clock_remark,
-    refuse_pause,
-    refuse_sparse,
-)
-from tetractl.replay.identification.sent_directions import (
-    DELAYS_S,
-    FOLLOWED,
-    SentDirections,
-    TurnedCourse,
-    check_clock_rate,
-    check_directions,
-    check_rotation,
-    courses_of_headings,
-    image,
-    other_readings,
-)
+from tetractl.core.poses import Bools, Floats
+from tetractl.replay.identification.csv_checks import CsvCommands, CsvRecording, judge, names_of
+from tetractl.replay.identification.measured_poses import measured
 from tetractl.replay.identification.tracks import Track
 from tetractl.tools.table.csv_rows import CsvRow
 from tetractl.tools.table.motive import table_rows
@@ -88,26 +75,20 @@ INSTEAD = {
 """What to do if a table lacks a column, and has another instead."""
 AGAIN = 0.1
 """Share of the time so far, from its begin, within which a time that falls starts again."""
-ALONG = 0.5
-"""Share of their ways that an angle to the headings explains at least."""
-NO_MEASUREMENT = 0.01
-"""Share of a robot's poses that are no measurement, above which it is said."""
-WAY_STEP_S = 0.5
-"""Duration of the steps by which the robots' way is measured [s]: noise adds little to it."""
-POSES_MIN = 20
-"""Least number of poses by which the angle between motion and heading is evaluated."""
-JUMP = 10.0
-"""Median ways between two poses, above which a way is no motion but a wrong place; chosen."""
-COPIES = 0.9
-COPIES_MIN = 5
-TURNED = 0.01
-ALIKE = 1e-3
-"""Share of the headings, and their least number, that have TURNED [rad] since the pose before and
-are now the direction that acts within ALIKE [rad], as none is that is measured: copies of it."""
 COLUMNS_SAID = 8
 """Largest number of columns that a message names."""
 BOTH_FILES = "name both files, such as poses.csv steps.csv of `tetractl export`"
 """A hint."""
+
+POSE_ROW = np.dtype([("time", float), ("robot", float), ("pose", float, 3)])
+"""A row of a table of poses: `robot` is a number, and `pose` is x, y and heading."""
+DIRECTION_ROW = np.dtype(
+    [("time", float), ("direction", float), ("observed", float), ("line", float)]
+)
+"""A row of a table of directions: `observed` is when the poses were that a direction is for, and
+`line` where it is in the file."""
+TWIST_ROW = np.dtype([("time", float), ("speed", float), ("turning_rate", float)])
+"""A row of a table of speeds."""
 
 Trial = tuple[str, str]
 Series = tuple[str, str]
@@ -116,24 +97,28 @@ Series = tuple[str, str]
 
 @dataclass(slots=True)
 class _Numbers:
-    """The numbers of a trial in CSV files: time, robot, x, y and heading of each pose; time,
-    direction, time of observation and line of each of the `commands` of a robot, and the column of
-    directions; the time constant of the wheels [s], 0 if none is stated; time, speed and turning
-    rate of each of the `twists` of a robot. A robot "" stands for all. NaN is an unknown number.
-    `first` and `newest` are the times [s] of what is in the files, by its column and robot. The
-    paths are of the files.
+    """The numbers of a trial in CSV files, one after the other: of the POSE_ROWs of all `robots`,
+    which are numbered, and of the DIRECTION_ROWs or TWIST_ROWs of each robot.
+
+    `direction_column` is that of directions, and `lag_s` the time constant of the wheels [s], 0 if
+    none is stated. A robot "" stands for all. NaN is an unknown number. `first` and `newest` are
+    the times [s] of what is in the files, by its column and robot. The paths are of the files.
     """
 
     robots: dict[str, int] = field(default_factory=dict)
     poses: "array[float]" = field(default_factory=lambda: array("d"))
     poses_path: Path | None = None
-    commands: "dict[str, array[float]]" = field(default_factory=dict)
-    direction: NumberColumn | None = None
+    directions: "dict[str, array[float]]" = field(default_factory=dict)
+    direction_column: NumberColumn | None = None
     lag_s: float = 0.0
     twists: "dict[str, array[float]]" = field(default_factory=dict)
     commands_path: Path | None = None
     first: dict[Series, float] = field(default_factory=dict)
     newest: dict[Series, float] = field(default_factory=dict)
+
+    def pose_rows(self) -> NDArray[np.void]:
+        """Return the POSE_ROWs (R,)."""
+        return _rows(self.poses, POSE_ROW)
 
     def take_time(self, path: Path, row: CsvRow, column: NumberColumn, series: Series) -> float:
         """Return the time of a row, which is not earlier than the row before it of its series;
@@ -150,6 +135,11 @@ class _Numbers:
             raise earlier(path, row, "; two recordings? number them in a column trial instead")
         self.newest[series] = time
         return time
+
+
+def _rows(numbers: "array[float]", row: np.dtype[np.void]) -> NDArray[np.void]:
+    """Return rows of which the numbers stand one after the other."""
+    return np.array(numbers).view(row)
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,9 +184,9 @@ def _add_direction(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
     observed = columns.number(row, "observed")
     robot = row.cells.get("robot", "")
     time = trial.take_time(columns.path, row, columns.time, ("directions", robot))
-    of_robot = trial.commands.setdefault(robot, array("d"))
+    of_robot = trial.directions.setdefault(robot, array("d"))
     of_robot.extend((time, direction, observed, row.line))
-    trial.direction = columns.by_name["direction"]
+    trial.direction_column = columns.by_name["direction"]
     lag = columns.by_name.get("lag")
     if lag is not None:
         trial.lag_s = lag.number(columns.path, row)
@@ -282,7 +272,7 @@ def _idle_robots(trials: list[_Numbers]) -> set[str]:
     sent_to = {robot for numbers in trials for robot in numbers.twists}
     if "" in sent_to or not sent_to or not in_poses:
         return set()
-    receivers = _names(sent_to)
+    receivers = names_of(sent_to)
     if in_poses == {""}:
         if len(sent_to) == 1:
             return set()
@@ -293,25 +283,20 @@ def _idle_robots(trials: list[_Numbers]) -> set[str]:
     idle = in_poses - sent_to
     if idle == in_poses:
         raise UsageError(
-            f"{paths.commands_path}: no command is for {_names(in_poses)}; commands are for "
+            f"{paths.commands_path}: no command is for {names_of(in_poses)}; commands are for "
             f"{receivers}",
             "name robots alike in both files",
         )
     return idle
 
 
-def _names(robots: Collection[str]) -> str:
-    """Return the names of robots as text."""
-    return ", ".join(printable(robot) or "rows without a robot" for robot in sorted(robots))
-
-
 def _unseen_robots(trials: list[_Numbers]) -> set[str]:
     """Return the robots of which no trial has a pose."""
     with_pose = set[str]()
     for numbers in trials:
-        rows = np.array(numbers.poses).reshape(-1, 5)
-        whole_rows = rows[np.isfinite(rows).all(axis=1)]
-        numbers_with_pose = set(whole_rows[:, 1].tolist())
+        rows = numbers.pose_rows()
+        is_whole = np.isfinite(rows["pose"]).all(axis=1)
+        numbers_with_pose = set(rows["robot"][is_whole].tolist())
         with_pose.update(
             robot for robot, number in numbers.robots.items() if number in numbers_with_pose
         )
@@ -400,6 +385,33 @@ def _position_columns(
 
 def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: set[str]) -> Track:
     """Return the track of a trial without some robots, its times counted from its first pose."""
+    recording = _recording(numbers, unit, idle, unseen)
+    remarks = judge(recording)
+    log, _ = name
+    return Track(
+        source=log or str(recording.poses_path),
+        origin=ORIGIN,
+        unit=unit,
+        names=recording.names,
+        time=recording.time,
+        poses=np.where(recording.measured[..., None], recording.poses, 0.0),
+        valid=recording.measured,
+        sent=recording.commands.when,
+        u=recording.commands.u,
+        until=recording.commands.until,
+        frame_age=recording.commands.frame_age,
+        lag=numbers.lag_s,
+        on_wheels=True,
+        all_commands=numbers.lag_s == 0,
+        rates_unstated=numbers.lag_s > 0 and not log,
+        twists=recording.commands.twists,
+        remarks=remarks,
+    )
+
+
+def _recording(numbers: _Numbers, unit: str, idle: set[str], unseen: set[str]) -> CsvRecording:
+    """Return what the numbers of a trial say of all robots but some; UsageError if a part is
+    missing, or parts contradict each other."""
     poses_path = numbers.poses_path
     commands_path = numbers.commands_path
     if poses_path is None or commands_path is None:
@@ -407,281 +419,119 @@ def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: se
             f"{poses_path or commands_path}: both poses and commands are needed for each trial",
             BOTH_FILES,
         )
-    rows = np.array(numbers.poses).reshape(-1, 5)
+    rows = numbers.pose_rows()
     _refuse_two_places(poses_path, rows, list(numbers.robots))
-    begin = float(rows[:, 0].min())
-    rows[:, 0] -= begin
+    begin = float(rows["time"].min())
+    rows["time"] -= begin
     robots = {robot: k for robot, k in numbers.robots.items() if robot not in idle | unseen}
-    rows = rows[np.isin(rows[:, 1], list(robots.values()))]
+    rows = rows[np.isin(rows["robot"], list(robots.values()))]
     if not robots:
         raise UsageError(f"{poses_path}: has no robot that is seen")
     names = tuple(robot or ONE_ROBOT for robot in robots)
-    time, poses, valid = _frames(poses_path, rows, len(names))
-    sent = (
-        _twists(numbers, list(robots), unit, begin)
-        if numbers.twists
-        else _directions(numbers, begin)
-    )
-    if not len(sent.when):
+    time, poses = _frames(poses_path, rows, len(names))
+    if numbers.twists:
+        commands = _twists(numbers, list(robots), unit, begin)
+    else:
+        commands = _directions(numbers, commands_path, begin)
+    if not len(commands.when):
         raise UsageError(f"{commands_path}: states no direction or speed")
-    _check_degrees(poses_path, poses, valid)
-    _refuse_copies(poses_path, names, time, poses, sent)
-    seen_at = [rows[rows[:, 1] == number, 0] for number in robots.values()]
-    refuse_sparse(str(poses_path), min(seen_at, key=_usual_gap))
-    refuse_pause(str(poses_path), begin + time)
-    valid, remarks = _measured(poses_path, names, begin + time, poses, valid)
-    if not numbers.twists:
-        _check_angles(poses_path, names, time, poses, valid)
-    unsent = idle & set(numbers.robots)
-    if unsent:
-        receivers = _names(numbers.twists)
-        remarks.append(
-            f"{commands_path}: no command is for {_names(unsent)}; commands are for {receivers}"
-        )
+    known = np.logical_not(np.isnan(poses.sum(axis=2)))
     in_poses = set(numbers.robots)
     never_seen = (unseen - idle) & in_poses
     if "" not in in_poses:
         never_seen |= set(numbers.twists) - in_poses - {""}
-    if never_seen:
-        remarks.append(f"{poses_path}: no pose is of {_names(never_seen)}")
-    until = float(sent.when[-1]) + _usual_gap(sent.when)
-    poses_span = Span(str(poses_path), begin, begin + float(time[-1]))
-    commands_span = Span(str(commands_path), begin + float(sent.when[0]), begin + until)
-    of_way = _share_of_way(time, poses, float(sent.when[0]), until)
-    remark = clock_remark(poses_span, begin + sent.when, commands_span, of_way)
-    if remark is not None:
-        remarks.append(remark)
-    if not numbers.twists:
-        directions = SentDirections(begin + sent.when, sent.u)
-        least = FOLLOWED if remark is None else 0.0
-        measured_poses = np.where(valid[..., None], poses, np.nan)
-        _check_turning(poses_path, commands_path, begin + time, measured_poses, directions, least)
-    return Track(
-        source=name[0] or str(poses_path),
-        origin=ORIGIN,
-        unit=unit,
+    return CsvRecording(
+        poses_path=poses_path,
+        commands_path=commands_path,
         names=names,
+        begin=begin,
         time=time,
-        poses=np.where(valid[..., None], poses, 0.0),
-        valid=valid,
-        sent=sent.when,
-        u=sent.u,
-        until=until,
-        frame_age=sent.frame_age,
-        lag=numbers.lag_s,
-        on_wheels=True,
-        all_commands=numbers.lag_s == 0,
-        rates_unstated=numbers.lag_s > 0 and not name[0],
-        twists=sent.twists,
-        remarks=tuple(remarks),
+        poses=poses,
+        known=known,
+        measured=_measurements(begin + time, poses, known),
+        row_times=[rows["time"][rows["robot"] == number] for number in robots.values()],
+        commands=commands,
+        receivers=set(numbers.twists),
+        not_sent_to=idle & in_poses,
+        never_seen=never_seen,
     )
 
 
-def _refuse_two_places(path: Path, rows: Floats, names: list[str]) -> None:
-    """Raise UsageError if a robot is at two places at one time: its rows are of several robots.
-
-    Rows (R, 5) are time, robot, x, y and heading; a row that is written twice does no harm.
-    """
-    ordered = rows[np.lexsort((rows[:, 0], rows[:, 1]))]
+def _refuse_two_places(path: Path, rows: NDArray[np.void], names: list[str]) -> None:
+    """Raise UsageError if a robot is at two places at one time: its POSE_ROWs (R,) are of several
+    robots. A row that is written twice does no harm."""
+    ordered = rows[np.lexsort((rows["time"], rows["robot"]))]
     before = ordered[:-1]
     after = ordered[1:]
-    at_once = (before[:, :2] == after[:, :2]).all(axis=1)
-    apart = np.abs(before[:, 2:4] - after[:, 2:4]).max(axis=1) > 0
+    at_once = (before["time"] == after["time"]) & (before["robot"] == after["robot"])
+    apart = np.abs(before["pose"] - after["pose"])[:, :2].max(axis=1) > 0
     twice = np.flatnonzero(at_once & apart)
     if len(twice):
-        time, robot = after[twice[0], :2]
-        name = printable(names[int(robot)] or ONE_ROBOT)
+        second = after[twice[0]]
+        name = names[int(second["robot"])]
         hint = "are these poses of several robots, or times that are rounded?"
-        if not names[int(robot)]:
+        if not name:
             hint = "several robots? name them in a column robot"
-        raise UsageError(f"{path}: {name} is at two places at {time:.15g} s", hint)
+        raise UsageError(
+            f"{path}: {printable(name or ONE_ROBOT)} is at two places at {second['time']:.15g} s",
+            hint,
+        )
 
 
-def _usual_gap(times: Floats) -> float:
-    """Return the median time between increasing times, 0 for a single one."""
-    if len(times) < 2:
-        return 0.0
-    gaps = np.diff(times)
-    return float(np.median(gaps))
-
-
-def _frames(path: Path, rows: Floats, count: int) -> tuple[Floats, Floats, Bools]:
-    """Return times (M,), poses (M, N, 3) and which of these are known (M, N), of rows (R, 5) of
-    time, robot, x, y and heading."""
-    _, robots = np.unique(rows[:, 1], return_inverse=True)
-    time, frames = np.unique(rows[:, 0], return_inverse=True)
+def _frames(path: Path, rows: NDArray[np.void], count: int) -> tuple[Floats, Floats]:
+    """Return times (M,) and poses (M, N, 3) of POSE_ROWs (R,), NaN where none is stated."""
+    _, robots = np.unique(rows["robot"], return_inverse=True)
+    time, frames = np.unique(rows["time"], return_inverse=True)
     if len(time) * count > POSES_MAX:
         what = f"{count} robots at {len(time)} times"
         raise UsageError(f"{path}: has {what}; at most {POSES_MAX} poses are read of a trial")
     poses = np.full((len(time), count, 3), np.nan)
-    poses[frames, robots] = rows[:, 2:]
-    return time, poses, np.logical_not(np.isnan(poses[..., 0] + poses[..., 1] + poses[..., 2]))
+    poses[frames, robots] = rows["pose"]
+    return time, poses
 
 
-def _share_of_way(time: Floats, poses: Floats, begin_s: float, end_s: float) -> float:
-    """Return the share of their way that robots drive from `begin_s` to `end_s` [s], in steps of
-    WAY_STEP_S: robots that stand before their first command and after their last need none."""
-    _, rows = np.unique(time // WAY_STEP_S, return_index=True)  # the first pose in each step
-    moved = np.diff(poses[rows, :, :2], axis=0)
-    way = np.nansum(np.hypot(moved[..., 0], moved[..., 1]), axis=1)
-    acts = (time[rows[1:]] > begin_s) & (time[rows[:-1]] < end_s)
-    if not way.any():
-        return 1.0
-    return float(way[acts].sum() / way.sum())
+def _measurements(times: Floats, poses: Floats, known: Bools) -> Bools:
+    """Return which of the known poses (M, N, 3) at times (M,) [s] are measurements (M, N)."""
+    is_measured = np.zeros_like(known)
+    for robot in range(known.shape[1]):
+        rows = np.flatnonzero(known[:, robot])
+        is_measured[rows, robot] = measured(times[rows], poses[rows, robot])
+    return is_measured
 
 
-def _check_degrees(path: Path, poses: Floats, valid: Bools) -> None:
-    """Raise UsageError for headings in degrees: beyond a turn, and at one angle to the motion,
-    there and back, only as degrees. Those of `tetractl export` count whole turns in rad.
-    """
-    beyond = float(np.abs(poses[valid][:, 2]).max(initial=0.0))
-    problem = turn_problem(beyond)
-    if problem is None:
-        return
-    in_rad = 0.0
-    in_degrees = 0.0
-    ways = 0.0
-    for robot in range(poses.shape[1]):
-        x, y, heading = poses[valid[:, robot], robot].T
-        way = np.diff(x + 1j * y)
-        way *= np.abs(way) <= JUMP * np.median(np.abs(way))
-        squares = way**2
-        ways += float(np.abs(squares).sum())
-        as_rad = heading[:-1]
-        as_degrees = np.radians(as_rad)
-        in_rad += abs((squares * np.exp(-2j * as_rad)).sum())
-        in_degrees += abs((squares * np.exp(-2j * as_degrees)).sum())
-    if in_degrees > max(in_rad, ALONG * ways):
-        said, hint = problem
-        raise UsageError(
-            f"{path}: a heading of {beyond:g} {said}", f"{hint}, or name the column heading_deg"
-        )
-
-
-def _refuse_copies(
-    path: Path, names: tuple[str, ...], time: Floats, poses: Floats, sent: "_Sent"
-) -> None:
-    """Raise UsageError if the headings in poses (M, N, 3) are the directions that were sent, at
-    their times or a command before or after."""
-    newest = np.searchsorted(sent.when, time, side="right") - 1
-    near = np.clip(newest[:, None] + np.array([-1, 0, 1]), 0, len(sent.when) - 1)
-    for robot, name in enumerate(names):
-        headings = poses[:, robot, 2]
-        off = np.abs(wrap(headings[:, None] - sent.u[near])).min(axis=1)
-        turned = np.abs(wrap(np.diff(headings))) > TURNED
-        is_copy = off[1:][turned] < ALIKE
-        if len(is_copy) >= COPIES_MIN and is_copy.mean() > COPIES:
+def _directions(numbers: _Numbers, path: Path, begin: float) -> CsvCommands:
+    """Return the directions in order, their times counted from `begin`; UsageError if robots are
+    sent different ones, or they are in degrees."""
+    rows = np.zeros(0, DIRECTION_ROW)
+    for robot, of_robot in numbers.directions.items():
+        before = rows
+        rows = _rows(of_robot, DIRECTION_ROW)
+        if len(before) and not np.array_equal(before["direction"], rows["direction"]):
             raise UsageError(
-                f"{path}: the headings of {printable(name)} are the directions that were sent",
-                "give the headings that were measured",
-            )
-
-
-def _measured(
-    path: Path, names: tuple[str, ...], time: Floats, poses: Floats, valid: Bools
-) -> tuple[Bools, list[str]]:
-    """Return which poses (M, N, 3) are measurements (M, N), and what to say of robots of which a
-    share above NO_MEASUREMENT is none, or that jump."""
-    is_measured = np.zeros_like(valid)
-    said: list[str] = []
-    jumped: list[str] = []
-    for robot, name in enumerate(names):
-        rows = np.flatnonzero(valid[:, robot])
-        measured_rows = rows[measured(time[rows], poses[rows, robot])]
-        is_measured[measured_rows, robot] = True
-        share = 1 - len(measured_rows) / max(len(rows), 1)
-        if share > NO_MEASUREMENT:
-            said.append(f"{share:.1%} of {printable(name)}")
-        jumps = jumps_of(time[measured_rows], poses[measured_rows, robot])
-        if len(jumps):
-            jumped.append(f"{printable(name)} at {time[measured_rows[jumps[0]]]:.2f} s")
-    remarks: list[str] = []
-    if said:
-        text = f"{path}: poses that repeat the one before, or jump away and back, are left out"
-        remarks.append(f"{text}: {', '.join(said)}")
-    if jumped:
-        text = f"{path}: poses jump and stay there: {', '.join(jumped)}"
-        remarks.append(f"{text}: is it another robot from then on, or was it carried?")
-    return is_measured, remarks
-
-
-def _check_angles(
-    path: Path, names: tuple[str, ...], time: Floats, poses: Floats, valid: Bools
-) -> None:
-    """Raise UsageError if robots that follow directions do not move along their headings."""
-    for robot, name in enumerate(names):
-        rows = np.flatnonzero(valid[:, robot])
-        if len(rows) >= POSES_MIN:
-            steps = PoseSteps.of(time[rows], poses[rows, robot])
-            check_angle(str(path), printable(name), steps, steps.duration_s)
-
-
-def _check_turning(
-    poses_path: Path,
-    commands_path: Path,
-    time: Floats,
-    poses: Floats,
-    directions: SentDirections,
-    least: float,
-) -> None:
-    """Raise UsageError if robots turn by other directions than those that they were sent, or these
-    explain less than a share `least` of their turning."""
-    turned: list[TurnedCourse] = []
-    for headings in poses[..., 2].T:
-        measured = np.isfinite(headings)
-        turned += courses_of_headings(time[measured], headings[measured])
-    source = str(commands_path)
-    if least:
-        check_clock_rate(source, turned, directions)
-    readings = [
-        image(str(poses_path), source, directions),
-        *other_readings(source, directions, _usual_gap(time)),
-    ]
-    check_directions(str(poses_path), turned, directions, DELAYS_S, readings, least)
-    check_rotation(str(poses_path), source, turned, directions)
-
-
-@dataclass(frozen=True, slots=True)
-class _Sent:
-    """What was sent at times `when` (C,) [s], as `u`, `twists` and `frame_age` of a track."""
-
-    when: Floats
-    u: Floats
-    twists: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
-    frame_age: float | None = None
-
-
-def _directions(numbers: _Numbers, begin: float) -> _Sent:
-    """Return the directions in order, their times counted from `begin`."""
-    commands = np.zeros((0, 4))
-    for robot, of_robot in numbers.commands.items():
-        before = commands
-        commands = np.array(of_robot).reshape(-1, 4)
-        if len(before) and not np.array_equal(before[:, 1], commands[:, 1]):
-            raise UsageError(
-                f"{numbers.commands_path}: {printable(robot)} is sent other directions than others",
+                f"{path}: {printable(robot)} is sent other directions than others",
                 "all robots are sent one direction: identify each by tables of its own",
             )
-    ages = (commands[:, 0] - commands[:, 2])[1:]
+    if numbers.direction_column is not None:
+        lines = rows["line"].astype(int).tolist()
+        refuse_degrees(path, numbers.direction_column, lines, rows["direction"])
+    ages = (rows["time"] - rows["observed"])[1:]
     ages = ages[np.isfinite(ages)]
-    when, u, _, lines = commands.T  # a table whose times fall is refused
-    if numbers.direction is not None and numbers.commands_path is not None:
-        rows = lines.astype(int).tolist()
-        refuse_degrees(numbers.commands_path, numbers.direction, rows, u)
-    age = max(0.0, float(np.median(ages))) if ages.size else None
-    return _Sent(when - begin, u, frame_age=age)
+    frame_age = max(0.0, float(np.median(ages))) if ages.size else None
+    return CsvCommands(rows["time"] - begin, rows["direction"].copy(), frame_age=frame_age)
 
 
-def _twists(numbers: _Numbers, robots: list[str], unit: str, begin: float) -> _Sent:
+def _twists(numbers: _Numbers, robots: list[str], unit: str, begin: float) -> CsvCommands:
     """Return the speeds and turning rates in order, their times counted from `begin`, with speeds
     in the unit of the poses."""
-    of_robot = {robot: np.array(rows).reshape(-1, 3) for robot, rows in numbers.twists.items()}
-    for_all = of_robot.get("", np.zeros((0, 3)))
+    of_robot = {robot: _rows(of_one, TWIST_ROW) for robot, of_one in numbers.twists.items()}
+    for_all = of_robot.get("", np.zeros(0, TWIST_ROW))
     if robots == [""] and len(of_robot) == 1:
         (for_all,) = of_robot.values()
-    when = np.unique(np.concatenate([rows[:, 0] for rows in of_robot.values()]))
+    when = np.unique(np.concatenate([rows["time"] for rows in of_robot.values()]))
     twists = np.full((len(when), len(robots), 2), np.nan)
     for i, robot in enumerate(robots):
         rows = of_robot.get(robot, for_all)
-        twists[np.searchsorted(when, rows[:, 0]), i] = rows[:, 1:] / (METRES[unit], 1.0)
-    return _Sent(when - begin, np.full(len(when), np.nan), twists)
+        at = np.searchsorted(when, rows["time"])
+        twists[at, i, 0] = rows["speed"] / METRES[unit]
+        twists[at, i, 1] = rows["turning_rate"]
+    return CsvCommands(when - begin, np.full(len(when), np.nan), twists)

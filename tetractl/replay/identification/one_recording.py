@@ -15,38 +15,19 @@ import numpy as np
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 
-EXPLAINED = 0.4
-"""Least share of the motion that commands explain if they are what they state."""
-SURELY_MORE = 0.2
-"""By how much more another reading of the commands explains if theirs is wrong. In 40 trials of
-the emulated bench the directions that were sent explained .58 or more of the turning, others at
-most .37."""
-REST = 0.25
-"""Or what share of the rest that the commands leave as stated."""
-COVERED = 0.9
-"""Share of the robots' way while commands act, below which it is said."""
-WITHIN = 2
-"""Number of commands in the time seen, below which it is said: the direction hardly changes."""
-RARE = 20
-LONG = 100
-"""Number of commands in the time seen, below which it is said if all last LONG times as long."""
-APART_MAX_S = 0.5
-"""Most time between two poses of robots on wheels that are of use [s]."""
-PAUSE_MAX_S = 86_400.0
-"""Longest time without a pose in a recording [s]: a day."""
-SMALLER = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-"""Units in which times may be counted [s]."""
-COUNTED_MOST = 10
-"""Most pictures between two poses of a table that counts pictures."""
-PICTURE_MS = 2
-"""Least milliseconds between two poses."""
-DRIFT_LEAST_S = 0.1
-DRIFT_COSTS = 0.1
-"""By how much robots follow later in the last third of a recording than in the first if a clock is
-fast or slow [s]; and by how much less of the motion commands explain in each with the other's."""
-
-
 # ---- What commands explain ----
+
+EXPLAINED = 0.4
+"""Least share of the motion that commands explain if they are what they state. In 40 trials of the
+emulated bench the directions that were sent explained .58 or more of the turning, others at most
+.37."""
+SURELY_MORE = 0.2
+"""How much more of the motion another reading explains if the stated one is wrong: in those trials
+.58 and .37 are .21 apart."""
+REST_LEFT = 0.25
+"""Where commands as stated explain too much for that: the share of what they leave unexplained that
+another reading leaves at most. In a regular cycle, directions of a clock that was off explained .80
+of the turning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +46,11 @@ def check_explained(
     """Raise UsageError if another reading explains surely more of `what` moved than the `share`
     that commands explain as stated, or if that is below `least`."""
     best = max(readings, key=lambda reading: reading.share)
-    surely = min(share + SURELY_MORE, 1 - REST * (1 - share))
-    if best.share >= max(EXPLAINED, surely) and best.share > share:
+    explains_enough = best.share >= EXPLAINED
+    explains_more = best.share >= share + SURELY_MORE
+    leaves_little = best.share >= 1 - REST_LEFT * (1 - share)
+    is_better = best.share > share
+    if is_better and explains_enough and (explains_more or leaves_little):
         raise UsageError(best.said, best.hint)
     if share < least:
         raise UsageError(
@@ -75,7 +59,7 @@ def check_explained(
         )
 
 
-# ---- Clocks ----
+# ---- Times of poses and commands ----
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,41 +74,83 @@ class Span:
         return f"{self.source}, {self.begin:.12g} to {self.end:.12g} s"
 
 
-def clock_remark(poses: Span, sent: Floats, commands: Span, of_way: float) -> str | None:
-    """Return what to say of commands that act while robots drive a share `of_way` of their way, or
-    most of which act at other times; `sent` (C,) are their times [s], in order. UsageError if none
-    acts in the time of the poses.
-    """
-    covered = min(poses.end, commands.end) - max(poses.begin, commands.begin)
-    if covered <= 0:
+def _shared_s(poses: Span, commands: Span) -> float:
+    """Return for how long both are [s], not above 0 if never."""
+    return min(poses.end, commands.end) - max(poses.begin, commands.begin)
+
+
+def refuse_times_apart(poses: Span, sent: Floats, commands: Span) -> None:
+    """Raise UsageError if no command acts in the time of the poses; `sent` (C,) are the times of
+    the commands [s], in order."""
+    if _shared_s(poses, commands) <= 0:
         last = Span(commands.source, commands.begin, float(sent[-1]))
         raise UsageError(
             f"{last}: no time is among those of {poses}",
             "both files need times of one clock",
         )
-    length = poses.end - poses.begin
-    within = int(np.count_nonzero((sent >= poses.begin) & (sent < poses.end)))
+
+
+COVERED = 0.9
+"""Share of the robots' way while commands act, below which it is said; chosen."""
+DIRECTIONS_MIN = 2
+"""Number of commands in the time seen, below which it is said if there are more: the direction
+hardly changes."""
+COMMANDS_USUAL = 20
+TIMES_AS_LONG = 100
+"""It is said of fewer than COMMANDS_USUAL commands in the time seen, too, if all commands last more
+than TIMES_AS_LONG the time seen; chosen, below the factor of 1000 between two units of time, as of
+times in milliseconds that are said to be seconds."""
+
+
+def clock_remark(poses: Span, sent: Floats, commands: Span, of_way: float) -> str | None:
+    """Return what to say of commands that act while robots drive a share `of_way` of their way, or
+    most of which act at other times; `sent` (C,) are their times [s], in order."""
+    seen_s = poses.end - poses.begin
     if of_way < COVERED:
-        return f"{commands.source} covers {covered:.3g} s of the {length:.3g} s of {poses.source}"
-    are_rare = within < RARE and float(np.ptp(sent)) > LONG * length
-    if within < WITHIN < len(sent) or are_rare:
+        shared_s = _shared_s(poses, commands)
+        return f"{commands.source} covers {shared_s:.3g} s of the {seen_s:.3g} s of {poses.source}"
+    count = len(sent)
+    within = int(np.count_nonzero((sent >= poses.begin) & (sent < poses.end)))
+    hardly_any_within = within < DIRECTIONS_MIN < count
+    last_much_longer = float(np.ptp(sent)) > TIMES_AS_LONG * seen_s
+    if hardly_any_within or (within < COMMANDS_USUAL and last_much_longer):
         are = "is" if within == 1 else "are"
         return (
-            f"only {within} of the {len(sent)} times of {commands.source} {are} among the "
-            f"{length:.3g} s of {poses.source}: are they in s, as they say?"
+            f"only {within} of the {count} times of {commands.source} {are} among the "
+            f"{seen_s:.3g} s of {poses.source}: are they in s, as they say?"
         )
     return None
 
 
+# ---- Times between poses ----
+
+PAUSE_MAX_S = 86_400.0
+"""Longest time without a pose in a recording [s]: a day."""
+
+
 def refuse_pause(source: str, times: Floats) -> None:
     """Raise UsageError if the times (M,) of poses in order [s] are those of two clocks, or days."""
+    if len(times) < 2:
+        return
     pauses = np.diff(times)
-    row = int(pauses.argmax()) if len(pauses) else 0
-    if len(pauses) and pauses[row] > PAUSE_MAX_S:
+    longest = int(pauses.argmax())
+    if pauses[longest] > PAUSE_MAX_S:
         raise UsageError(
-            f"{source}: between {times[row]:.12g} and {times[row + 1]:.12g} s there is no pose",
+            f"{source}: between {times[longest]:.12g} and {times[longest + 1]:.12g} s there is no "
+            "pose",
             "two recordings? number them in a column trial",
         )
+
+
+APART_MAX_S = 0.5
+"""Most time between two poses of robots on wheels that are of use [s]; chosen."""
+COUNTED_MOST = 10
+"""Most pictures from one pose to the next in a table that may count pictures; chosen."""
+SMALLER = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Units in which times may be counted [s], the largest first."""
+PICTURE_MIN = 2
+"""Least number of such units between two poses if times may be in them: of milliseconds, 500
+pictures a second; chosen."""
 
 
 def refuse_sparse(source: str, times: Floats) -> None:
@@ -139,9 +165,19 @@ def refuse_sparse(source: str, times: Floats) -> None:
     if is_whole and apart_s <= COUNTED_MOST:
         hint += "; if its times count pictures, divide them by the pictures per second"
     units = [unit for unit, seconds in SMALLER.items() if apart_s * seconds <= APART_MAX_S]
-    if units and apart_s >= PICTURE_MS:
+    if units and apart_s >= PICTURE_MIN:
         hint += f"; if its times are in {units[0]}, name the column time_{units[0]}"
     raise UsageError(f"{source}: the poses of a robot are {apart_s:.3g} s apart", hint)
+
+
+# ---- Rates of two clocks ----
+
+DRIFT_MIN_S = 0.1
+"""By how much earlier or later robots follow in the last third of a recording than in the first if
+a clock is fast or slow [s]; chosen."""
+DRIFT_COSTS = 0.1
+"""By how much less of the motion commands explain in each of these thirds then, with the delay of
+the other; chosen."""
 
 
 def refuse_drift(source: str, shares: Floats, delays_s: Floats, apart_s: float) -> None:
@@ -151,11 +187,15 @@ def refuse_drift(source: str, shares: Floats, delays_s: Floats, apart_s: float) 
     each of some delays (D,) [s]; from the first to the last it is `apart_s` [s].
     """
     first, middle, last = shares.argmax(axis=1).tolist()
-    least = min(shares[0, first] - shares[0, last], shares[2, last] - shares[2, first])
-    is_explained = shares.max(axis=1).min() >= EXPLAINED
     later_s = float(delays_s[last] - delays_s[first])
-    is_between = min(first, last) <= middle <= max(first, last)
-    if abs(later_s) < DRIFT_LEAST_S or least < DRIFT_COSTS or not (is_explained and is_between):
+    of_first, _, of_last = shares
+    drifts = abs(later_s) >= DRIFT_MIN_S
+    drifts_steadily = min(first, last) <= middle <= max(first, last)
+    each_is_explained = shares.max(axis=1).min() >= EXPLAINED
+    first_needs_its_own = of_first[first] - of_first[last] >= DRIFT_COSTS
+    last_needs_its_own = of_last[last] - of_last[first] >= DRIFT_COSTS
+    delays_differ = first_needs_its_own and last_needs_its_own
+    if not (drifts and drifts_steadily and each_is_explained and delays_differ):
         return
     rate = 1 - later_s / apart_s
     sooner = "sooner" if rate > 1 else "later"

@@ -8,7 +8,7 @@ import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.replay.identification.one_recording import Span, clock_remark
+from tetractl.replay.identification.one_recording import Span, clock_remark, refuse_times_apart
 from tetractl.tools.table.csv_rows import columns_of, read_csv
 from tetractl.tools.table.quantities import (
     RADIANS,
@@ -48,6 +48,7 @@ def clock_remarks(
     shown_span = Span(film, begin, end)
     sent = Span(source, float(field.times[0]), math.inf)
     covered = (end - max(begin, sent.begin)) / max(end - begin, 1e-9)  # cells swim all the time
+    refuse_times_apart(shown_span, field.times, sent)
     remark = clock_remark(shown_span, field.times, sent, covered)
     return () if remark is None else (f"warning: {remark}",)
 

@@ -160,6 +160,10 @@ class Result:
     often each robot was lost. `solve_ns` is the wall time that the controller needed for each
     control step, and `deadline_misses` the number of steps that took longer than the control
     period; both differ from run to run on the same seed.
+
+    A new number of a result is a field here, computed in `of` from what its callers pass
+    (`run/control_loop.py`; `replay/lab_result.py`, which checks it); a field of the message in
+    `log/format/tetractl.proto`, written and read, or left empty by older logs, in `run_records.py`.
     """
 
     outcome: Outcome

@@ -221,6 +221,11 @@ DEFAULT_CONTROLLER = "mpc"
 _CONTROLLER = KindSection(CONTROLLERS, ControllerSection, default=DEFAULT_CONTROLLER)
 
 
+CHANGES_NO_TRIAL = frozenset({"trials", "description", "error_bound"})
+"""Fields of an experiment that change no trial: batches that differ in them may be put together,
+and compared."""
+
+
 class Experiment(Model):
     """One experiment, as read from a YAML spec."""
 

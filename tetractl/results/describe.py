@@ -16,7 +16,7 @@ import numpy as np
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.shown import Shown
-from tetractl.experiment.experiment import Experiment, Scale
+from tetractl.experiment.experiment import CHANGES_NO_TRIAL, Experiment, Scale
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results import mean_difference
 from tetractl.results.estimate import CONFIDENCE, Distribution, Interval, distributions
@@ -32,8 +32,8 @@ from tetractl.results.statistic import Figure, statistics
 ENOUGH = 8
 """Least number of pairs or, without pairs, of trials on each side, for a verdict."""
 NO_PAIRS: Floats = np.zeros(0)
-_NOT_THE_WORLD = {"controller", "name", "description", "trials", "reference", "scale", "lab"}
-"""Sections of a spec that do not change the disturbances of a trial."""
+_NOT_THE_WORLD = CHANGES_NO_TRIAL | {"controller", "name", "reference", "scale", "lab"}
+"""Fields of a spec that do not change the disturbances of a trial."""
 
 
 # ---- One batch ----
@@ -389,7 +389,7 @@ def pair_up(first: BatchStatistics, second: BatchStatistics) -> tuple[Floats, st
 
 def _world(group: BatchStatistics) -> dict[str, object]:
     """Return all of a batch's spec but the controller and what does not change a trial."""
-    return group.experiment.model_dump(mode="json", exclude=_NOT_THE_WORLD)
+    return group.experiment.model_dump(mode="json", exclude=set(_NOT_THE_WORLD))
 
 
 def _errors_by_trial(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:

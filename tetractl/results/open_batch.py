@@ -10,7 +10,7 @@ from typing import Any
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.shown import Shown
-from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.experiment import CHANGES_NO_TRIAL, Experiment
 from tetractl.log.read.find import find_logs, is_set_aside, without_others
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
@@ -191,10 +191,6 @@ def sources(paths: Sequence[str]) -> list[Source]:
     return [Source(str(path), source.logs) for path, source in zip(listed, batches, strict=True)]
 
 
-_BOOKKEEPING = {"trials", "description", "error_bound"}
-"""Fields of a spec that do not change a trial."""
-
-
 def experiment_of(batch: Batch) -> Experiment:
     """Return the experiment that all trials and attempts share.
 
@@ -257,11 +253,10 @@ def differences(ours: Experiment, theirs: Experiment) -> list[str]:
     experiments differ; only the field's path if its value is a section, or a list that differs in
     length.
 
-    Fields that do not change a trial are left out: the description, the number and seed of the
-    trials, and the error bound; also the robots, if both trials chose them by the same rule, and
-    directions that are given: each trial has its own.
+    Fields that change no trial are left out; also the robots, if both trials chose them by the same
+    rule, and directions that are given: each trial has its own.
     """
-    left_out: dict[str, Any] = dict.fromkeys(_BOOKKEEPING, True)
+    left_out: dict[str, Any] = dict.fromkeys(CHANGES_NO_TRIAL, True)
     if ours.chosen is not None and ours.asked == theirs.asked:
         left_out["robots"] = True
         left_out["chosen"] = True

@@ -40,14 +40,13 @@ class Discs:
     def __init__(self, radius: float, shapes: Sequence[Shape], walls: Bounds | None) -> None:
         self._radius = radius
         self._obstacles = Obstacles.of(shapes, 0.0, walls)
-        self._bare = arrays_of(self._obstacles)
         # a disc touches an obstacle where its centre is in the obstacle grown by the radius
         self._grown = arrays_of(Obstacles.of(shapes, radius, walls))
 
     def enters(self, path: Floats) -> bool:
         """Return whether a disc touches an obstacle or another disc on the way along path
         (M, N, 3), or goes deeper if it touches one at the beginning."""
-        return clearance.enters(self._bare, self._grown, self._radius, path)
+        return clearance.enters(self._grown, self._radius, path)
 
     def enters_if_held(self, problem: Problem, directions: Floats, seconds: float) -> bool:
         """Return whether a disc touches something within `seconds`, in which robots follow their

@@ -17,7 +17,7 @@ and with the greatest off of any robot, a plan is to keep (`Margins.applied`)
 Where robots or targets are nearer than that already, no plan could keep it. Less is kept there:
 
     fit(m, g)           = m if it is less than the gap g, else REDUCED max(g, 0)
-    margin of obstacle  = max(fit(m, g), min(m, fit(r, g_target)))
+    margin of obstacle  = max(fit(m, g), fit(r, g_target))      fit(r, ...) <= r <= m
     separation          = min(s, max(REDUCED d, min(2 r, d)))
 
     g_target  gap between the obstacle and the target nearest to it [length unit], negative inside
@@ -90,8 +90,8 @@ class Margins:
         x = targets[:, 0].copy()
         y = targets[:, 1].copy()
         self._targets_apart = least_apart(x, y)
-        self._target_gaps = gaps(self._obstacles, x, y).min(axis=1, initial=np.inf)  # (O,)
-        self._least_margins = fit(collision.radius, self._target_gaps)  # (O,) kept in any case
+        self._gaps_to_targets = gaps(self._obstacles, x, y).min(axis=1, initial=np.inf)  # (O,)
+        self._margins_of_bodies = fit(collision.radius, self._gaps_to_targets)  # (O,)
 
     def applied(
         self, problem: Problem, heard_s: float, dead_time_s: float, estimate: Estimate | None
@@ -113,14 +113,13 @@ class Margins:
         )
 
     def grown(self, poses: Poses, margin: float) -> Obstacles:
-        """Return the obstacles grown by the margin, or by what fits between them and robots."""
+        """Return the obstacles grown by the margin, a radius or more, or by what fits between them
+        and robots, and in any case by what fits of a radius between them and targets."""
         x = np.array(poses.x)  # a copy: an observation's are read-only, which is another type
         y = np.array(poses.y)
-        robot_gaps = gaps(self._obstacles, x, y)
-        nearest = np.minimum(self._target_gaps, robot_gaps.min(axis=1, initial=np.inf))
-        at_least = np.minimum(margin, self._least_margins)
-        fits = np.maximum(fit(margin, nearest), at_least)
-        return self._obstacles.grown(fits)
+        gaps_to_robots = gaps(self._obstacles, x, y).min(axis=1, initial=np.inf)
+        margins = fit(margin, np.minimum(self._gaps_to_targets, gaps_to_robots))
+        return self._obstacles.grown(np.maximum(margins, self._margins_of_bodies))
 
     def separation(self, poses: Poses, wanted: float) -> float:
         """Return the wanted separation, or what fits between robots and between targets; 0 if it

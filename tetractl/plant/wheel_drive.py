@@ -44,19 +44,18 @@ class WheelDrive(WheeledRobots):
         assert wheels is not None, "the plant has no wheels"
         assert setup.wheel_radius is not None, "the wheels need a radius"
         random = generator(seed, RandomStream.BODIES)
+        host = SimHost(wheels, setup, random)
+        radii = setup.wheel_radius * (1 + wheels.radius_error * random.uniform(-1, 1, a.size))
+        super().__init__(starts, radii, wheels.lag, REST * float(setup.speed.max(initial=0.0)))
         self.roll = roll
-        self.host = SimHost(wheels, setup, random)
+        self.host = host
+        self.gains = host.gains * np.array([setup.wheel_radius / radii, np.ones(a.size)])
         self.rest_s = wheels.lag * -np.log(REST) + 1 / section.truth_rate
         """Time until the wheels of a stopped robot stand [s]."""
-        radii = setup.wheel_radius * (1 + wheels.radius_error * random.uniform(-1, 1, a.size))
-        self.gains = self.host.gains * np.array([setup.wheel_radius / radii, np.ones(a.size)])
-        super().__init__(starts, radii, wheels.lag, REST * float(setup.speed.max(initial=0.0)))
         self._setup = setup
         self._walk_rad = section.heading_noise / np.sqrt(section.truth_rate)
         """Standard deviation of the headings' random walk from sample to sample."""
         self._walking = generator(seed, RandomStream.HEADINGS)
-        self._moving = self.body[MOVING]  # which `roll` reads
-        self._able = np.ones(a.size, dtype=np.bool_)  # to drive or to turn
         self.vary(a, speed)
 
     @property
@@ -67,7 +66,7 @@ class WheelDrive(WheeledRobots):
     @property
     def moving(self) -> Floats:
         """1 for robots that move, 0 for robots that stand, (N,)."""
-        return np.copy(self._moving)
+        return self.body[MOVING].copy()
 
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true turning rates a and speeds from now on, (N,) each."""
@@ -75,7 +74,7 @@ class WheelDrive(WheeledRobots):
         speed_factors = np.divide(speed, spec.speed, out=np.ones(speed.size), where=spec.speed > 0)
         self.scale(a / spec.a, speed_factors)
         self._able = (a > 0) | (speed > 0)
-        self._moving[:] = self.commanded * self._able
+        self._note_moving()
 
     def advance(self, since_ns: int, times_ns: Times, samples: Bools) -> Floats:
         """Move the robots; return x, y, heading (M, 3, N) at the times (M,) [ns]."""
@@ -88,4 +87,9 @@ class WheelDrive(WheeledRobots):
         """Apply a command to the wheels of the robots that received it."""
         assert command.wheels is not None, "the command must have wheel speeds"
         np.copyto(self.targets, command.wheels, where=command.reached)
-        self._moving[:] = self.targets.any(axis=0) & self._able
+        self._note_moving()
+
+    def _note_moving(self) -> None:
+        """Note in the robots' `body`, where `roll` reads it, which robots move: a robot moves while
+        it is commanded to and able to drive or to turn."""
+        self.body[MOVING] = self.commanded * self._able

@@ -88,15 +88,14 @@ def least_apart(x, y):
 
 
 @compiled(**ENTRY)
-def enters(bare, grown, radius, path):
+def enters(grown, radius, path):
     """Return whether a body of this radius touches an obstacle or another body on the way along
     path, or goes deeper if it touches one at the beginning.
 
-    Obstacles are given `bare`, and `grown` by the radius: a body touches one where its centre is in
-    the grown one.
+    Obstacles are `grown` by the radius: a body touches one where its centre is in the grown one.
     """
     for i in range(path.shape[1]):
-        if _meets_another(i, radius, path) or _enters_obstacle(i, bare, grown, path):
+        if _meets_another(i, radius, path) or _enters_obstacle(i, grown, path):
             return True
     return False
 
@@ -115,20 +114,25 @@ def _meets_another(i, radius, path):
 
 
 @compiled(**INLINE_EXACT)
-def _enters_obstacle(i, bare, grown, path):
-    """Return whether body i touches an obstacle on its way: whether it did not at the first moment,
-    or is nearer to the nearest one at a later moment."""
-    crossed = False
-    deeper = False
-    x = path[0, i, 0]
-    y = path[0, i, 1]
-    first = _least_distance(bare, x, y)
-    begins_clear = _least_distance(grown, x, y) > 0
+def _enters_obstacle(i, grown, path):
+    """Return whether the centre of body i enters a grown obstacle on its way: one that begins clear
+    of all by touching one, one that begins in one by going deeper."""
+    if not _touches_obstacle(i, grown, path):
+        return False
+    first = _least_distance(grown, path[0, i, 0], path[0, i, 1])
+    begins_clear = first > 0
+    if begins_clear:
+        return True
     for m in range(1, path.shape[0]):
-        x_after = path[m, i, 0]
-        y_after = path[m, i, 1]
-        crossed |= crosses(grown, x, y, x_after, y_after)
-        deeper |= _least_distance(bare, x_after, y_after) < first
-        x = x_after
-        y = y_after
-    return crossed and (deeper or begins_clear)
+        if _least_distance(grown, path[m, i, 0], path[m, i, 1]) < first:
+            return True
+    return False
+
+
+@compiled(**INLINE_EXACT)
+def _touches_obstacle(i, grown, path):
+    """Return whether the centre of body i is in a grown obstacle anywhere on its way."""
+    for m in range(1, path.shape[0]):
+        if crosses(grown, path[m - 1, i, 0], path[m - 1, i, 1], path[m, i, 0], path[m, i, 1]):
+            return True
+    return False

@@ -21,7 +21,6 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
 from tetractl.core.poses import Floats
 from tetractl.results.estimate import Interval, distributions, proportion_interval
@@ -90,6 +89,8 @@ def _deviation(values: Floats) -> float:
 
 def deviation_of(values: Floats) -> OurNumber:
     """Return the standard deviation of values (n,), with the chi-square interval of normal ones."""
+    from scipy import stats  # slow to import
+
     n = len(values)
     std = _deviation(values)
     low, high = (std * np.sqrt((n - 1) / stats.chi2.ppf(_ENDS[::-1], n - 1))).tolist()
@@ -152,6 +153,8 @@ def same_mean(mean: float, std: float, n: int) -> Asked:
     """The mean is to be that of n published values: Welch's t finds no difference (p > 0.05)."""
 
     def decide(values: Floats, ours: OurNumber) -> Fate:
+        from scipy import stats
+
         own_std = _deviation(values)
         test = stats.ttest_ind_from_stats(
             ours.value, own_std, ours.n, mean, std, n, equal_var=False
@@ -166,6 +169,8 @@ def same_deviation(std: float, n: int) -> Asked:
     (p > 0.05)."""
 
     def decide(values: Floats, ours: OurNumber) -> Fate:
+        from scipy import stats
+
         low, high = stats.f.ppf(_ENDS, ours.n - 1, n - 1)
         return _agreement(low <= (ours.value / std) ** 2 <= high)
 

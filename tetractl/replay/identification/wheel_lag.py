@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from tetractl.core.poses import Floats
 from tetractl.replay.identification.motion_angle import Complex, robust_gains
@@ -98,6 +97,8 @@ class _Turns:
         middle = 0.5 * (self.heading[:-1] + self.heading[1:])
         pull = np.diff(self._sent_until(self.grid - dead_time_s)) * np.exp(-1j * middle)
         if lag_s > 0:  # wheels follow the pull, which is even within a step of the grid
+            from scipy.signal import lfilter  # slow to import, and only needed here
+
             decay = np.exp(-GRID_S / lag_s)
             share = (1 - decay) / 2
             pull = lfilter([share, share], [1, -decay], pull)

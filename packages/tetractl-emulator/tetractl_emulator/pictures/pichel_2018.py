@@ -13,7 +13,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from scipy import stats
 from tetractl_microscope.film.field_file import read_field
 from tetractl_microscope.film.fit_cell import CellSummary, fit_cells
 from tetractl_microscope.film.follow import follow
@@ -103,6 +102,8 @@ def fitted(slopes: Floats, deviations: Floats) -> tuple[float, float, float]:
     It is the line through the origin of a on B, each track weighted by its own variance and the
     variance among cells. Tracks over OUTLIER deviations away are left out.
     """
+    from scipy import stats  # slow to import
+
     middle = float(np.median(slopes))
     deviation = float(np.median(np.abs(slopes - middle)))
     among = deviation / stats.norm.ppf(0.75)
@@ -120,6 +121,8 @@ def fitted(slopes: Floats, deviations: Floats) -> tuple[float, float, float]:
 def films(seed: int, number: int) -> dict[str, Any]:
     """Return the slope put into a set of films, one per strength, and a / B of each track with its
     standard deviation [rad/(mT s)]."""
+    from scipy import stats  # slow to import
+
     rng = np.random.default_rng([seed, number])
     put_in = float(rng.uniform(*SLOPES))
     cells = [cell for mt in STRENGTHS_MT for cell in _tracked(mt, put_in, rng)]

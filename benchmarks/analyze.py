@@ -17,7 +17,7 @@ import argparse
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import spearmanr
+import scipy
 from solverbench.problems import EXPERIMENTS, run
 from solverbench.problems import experiment as load_experiment
 from solverbench.report import progress
@@ -121,7 +121,7 @@ def main() -> None:
         means = (f"{trials.error:.1f}", f"{errors.mean():.1f}")
         cells = (instance.name, spec.setup.unit, *means, between)
         print(f"| {' | '.join(cells)} |", flush=True)
-    rank = float(spearmanr(predicted, measured).statistic)
+    rank = float(scipy.stats.spearmanr(predicted, measured).statistic)
     print(
         "\nrank correlation of predicted error and mean of trials, over "
         f"{len(measured)} instances: {rank:.2f}; per instance {options.trials} trials and "

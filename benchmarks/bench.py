@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from scipy import stats
+import scipy
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 sys.path.extend(map(str, Path(__file__).parents[1].glob("packages/*/tests")))
@@ -39,7 +39,7 @@ def main() -> None:
         mean = f"{total.mean():.1f} +- {total.std(ddof=1):.1f}"
         print(f"| {name} | {complete} of {len(total)} | {mean} |")
         errors.append(total)
-    ks = stats.ks_2samp(*errors)
+    ks = scipy.stats.ks_2samp(*errors)
     print(f"\nKolmogorov-Smirnov: D = {ks.statistic:.2f}, p = {ks.pvalue:.2f}.")
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from tetractl.core.poses import Floats
 from tetractl.results.estimate import Interval, distributions
@@ -53,7 +53,7 @@ ERRORS = (
         Errors(
             f"lognormal, sigma {sigma:g}",
             lambda rng, shape, sigma=sigma: rng.lognormal(0, sigma, shape),
-            float(stats.lognorm(sigma).mean()),
+            float(scipy.stats.lognorm(sigma).mean()),
         )
         for sigma in (0.5, 1)
     ),
@@ -86,7 +86,7 @@ def _one_mean(errors: Errors, n: int, sets: int) -> str:
     """Return the cells of one row: coverage of a mean."""
     rows = errors.draw(np.random.default_rng([n, 1]), (sets, n))
     ours = [distribution.ci95 for distribution in distributions(rows)]
-    half = stats.t.ppf(0.975, n - 1) * rows.std(axis=1, ddof=1) / np.sqrt(n)
+    half = scipy.stats.t.ppf(0.975, n - 1) * rows.std(axis=1, ddof=1) / np.sqrt(n)
     middle = rows.mean(axis=1)
     student = [Interval(m - h, m + h) for m, h in zip(middle, half, strict=True)]
     methods = ours, student, _bca(rows[:BCA_SETS])
@@ -97,9 +97,9 @@ def _bca(rows: Floats) -> list[Interval]:
     """Return BCa bootstrap intervals, each with a seed of its own."""
     bca_intervals = []
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", stats.DegenerateDataWarning)
+        warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)
         for seed, row in enumerate(rows):
-            ends = stats.bootstrap(
+            ends = scipy.stats.bootstrap(
                 [row], np.mean, n_resamples=RESAMPLES, method="BCa", rng=np.random.default_rng(seed)
             ).confidence_interval
             low = float(ends.low)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.stats import beta
+import scipy
 
 from .scores import FilmScore
 
@@ -32,8 +32,8 @@ def root(squares: str, count: str) -> Callable[[Sequence[FilmScore]], float]:
 
 def share(hits: int, count: int) -> str:
     """A share with its interval after Clopper and Pearson."""
-    low = beta.ppf(0.025, hits, count - hits + 1) if hits else 0.0
-    high = beta.ppf(0.975, hits + 1, count - hits) if hits < count else 1.0
+    low = scipy.stats.beta.ppf(0.025, hits, count - hits + 1) if hits else 0.0
+    high = scipy.stats.beta.ppf(0.975, hits + 1, count - hits) if hits < count else 1.0
     return f"{hits} of {count} = {hits / max(count, 1):.2f} [{low:.2f}, {high:.2f}]"
 
 

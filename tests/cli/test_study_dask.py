@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from contextlib import ExitStack, contextmanager, suppress
+from importlib.util import find_spec
 
 import pytest
 from support.cli import process
@@ -13,9 +14,10 @@ from support.studies import SMALL, STUDY, Running, logs, results, tetractl, writ
 
 from tetractl.log.read.reader import content_digest
 
-pytestmark = pytest.mark.system
-
-pytest.importorskip("distributed")
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(find_spec("distributed") is None, reason="distributed is not installed"),
+]
 
 
 @contextmanager

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
 from support.oracle import split_mix
 
 from tetractl.control.rng import bits, mix, normal, uniform, uniform_pair
@@ -43,12 +43,12 @@ def test_numbers_are_uniform_and_independent():
         assert numbers.min() >= 0
         assert numbers.max() < 1
         counts = np.histogram(numbers, 64, (0, 1))[0]
-        assert stats.chisquare(counts).pvalue > 1e-4
+        assert scipy.stats.chisquare(counts).pvalue > 1e-4
     successors = (of_key_1[1:], of_key_1[:-1])
     pairs = ((of_key_1, of_key_2), (high, low), successors, (low[1:], high[:-1]))
     for first, second in pairs:
         table = np.histogram2d(first, second, 16, ((0, 1), (0, 1)))[0]
-        assert stats.chisquare(table.ravel()).pvalue > 1e-4
+        assert scipy.stats.chisquare(table.ravel()).pvalue > 1e-4
 
 
 def test_derived_keys_start_streams_of_their_own():
@@ -58,5 +58,5 @@ def test_derived_keys_start_streams_of_their_own():
 
 def test_normal_numbers_are_normal():
     numbers = normal(1, 0, 100_000)
-    assert stats.kstest(numbers, "norm").pvalue > 1e-4
+    assert scipy.stats.kstest(numbers, "norm").pvalue > 1e-4
     assert abs(np.corrcoef(numbers[1:], numbers[:-1])[0, 1]) < 0.02

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 from support.paths import ROOT
 from support.plants import PAIR, PERIOD, sim
 from support.trials import experiment
@@ -44,7 +44,7 @@ def deliveries(simulated, count):
 def rate_agrees(happened, share):
     """Whether it happened as often as by chance, with this share for each."""
     count = int(np.count_nonzero(happened))
-    return stats.binomtest(count, np.size(happened), share).pvalue > 1e-4
+    return scipy.stats.binomtest(count, np.size(happened), share).pvalue > 1e-4
 
 
 def driven(simulated, seconds, direction=0.0):
@@ -83,7 +83,7 @@ def test_planning_takes_time_before_a_command_and_before_the_stop():
     for k in range(200):
         simulated.clock.sleep_until(k * PERIOD)
         taken.append(simulated.send(Steer(0.0)).sent_ns - k * PERIOD)
-    assert stats.kstest(np.array(taken) / SECOND, "uniform", (0.01, 0.02)).pvalue > 1e-4
+    assert scipy.stats.kstest(np.array(taken) / SECOND, "uniform", (0.01, 0.02)).pvalue > 1e-4
     now = simulated.clock.now()
     assert 0.01 <= (simulated.stop().sent_ns - now) / SECOND <= 0.03
 
@@ -115,7 +115,7 @@ def test_robots_are_put_down_near_their_starts():
         poses = plant(section, seed=seed).poses
         off.append([poses.x - START_X, poses.y - [800, 900], 100 * poses.heading])
     off = np.array(off)  # (trials, 3, robots), each uniform from -10 to 10
-    assert stats.kstest(off.ravel(), "uniform", (-10, 20)).pvalue > 1e-4
+    assert scipy.stats.kstest(off.ravel(), "uniform", (-10, 20)).pvalue > 1e-4
     x_of_robots = off[:, 0].T
     assert abs(np.corrcoef(x_of_robots)[0, 1]) < 0.2
 
@@ -126,7 +126,7 @@ def test_each_robot_drifts_always_to_its_own_side():
     for seed in range(100):
         path = driven(plant({"type": "heading-drift", "rate": 0.2}, seed=seed), 1)
         rates.append(path[-1].truth.heading / (len(path) - 1) * 120)
-    assert stats.kstest(np.array(rates).ravel(), "uniform", (-0.2, 0.4)).pvalue > 1e-4
+    assert scipy.stats.kstest(np.array(rates).ravel(), "uniform", (-0.2, 0.4)).pvalue > 1e-4
 
 
 UPWARDS = {"type": "flow", "speed": 10, "direction": math.pi / 2}

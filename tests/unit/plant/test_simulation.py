@@ -3,7 +3,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 from scipy.integrate import solve_ivp
 from support.plants import DIRECTIONS, PERIOD, driven, sim, truths
 from support.trials import experiment
@@ -122,7 +122,7 @@ def test_commands_are_lost_as_often_as_stated_and_one_robot_at_a_time():
     commands = [simulated.send(Steer(0.0)) for _ in range(2000)]
     delivered = np.array([command.delivered for command in commands])
     losses = np.count_nonzero(~delivered)
-    assert stats.binomtest(losses, delivered.size, 0.3).pvalue > 1e-4
+    assert scipy.stats.binomtest(losses, delivered.size, 0.3).pvalue > 1e-4
     assert abs(np.corrcoef(delivered[:, 0], delivered[:, 1])[0, 1]) < 0.08
     assert simulated.stop().delivered == (True, True, True)
 
@@ -134,7 +134,7 @@ def test_measurement_noise_is_normal_of_the_stated_size_and_moves_nobody():
     assert len(error) > 1000
     for column, size in ((0, 3.0), (1, 3.0), (2, 0.05)):
         values = error[..., column].ravel() / size
-        assert stats.kstest(values, "norm").pvalue > 1e-4
+        assert scipy.stats.kstest(values, "norm").pvalue > 1e-4
         assert abs(np.corrcoef(values[1:], values[:-1])[0, 1]) < 0.08
     clean = truths(steered(plant(), DIRECTIONS * 4))
     assert truths(samples).tobytes() == clean.tobytes()
@@ -145,7 +145,7 @@ def test_heading_noise_is_a_random_walk_of_the_stated_size():
     samples = steered(plant(robots, heading_noise=0.3), [0.0] * 50)  # 10 s
     headings = truths(samples)[..., 2]
     steps = np.diff(headings[1:], axis=0) / (0.3 / math.sqrt(120))
-    assert stats.kstest(steps.ravel(), "norm").pvalue > 1e-4
+    assert scipy.stats.kstest(steps.ravel(), "norm").pvalue > 1e-4
     assert headings[-1].std() == pytest.approx(0.3 * math.sqrt(10), rel=0.35)
 
 
@@ -158,7 +158,7 @@ def test_errors_of_a_and_speed_are_uniform_within_their_bound(field, nominal):
         ratios.append(true / [getattr(robot, nominal) for robot in experiment().robots])
     errors = np.array(ratios) - 1
     assert np.abs(errors).max() <= 0.2
-    assert stats.kstest(errors.ravel(), "uniform", args=(-0.2, 0.4)).pvalue > 1e-4
+    assert scipy.stats.kstest(errors.ravel(), "uniform", args=(-0.2, 0.4)).pvalue > 1e-4
     assert abs(np.corrcoef(errors[:, 0], errors[:, 1])[0, 1]) < 0.2
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 from support.batches import DISTURBED, batch, experiment, group
 
 from tetractl.core.errors import UsageError
@@ -50,7 +50,7 @@ def test_every_two_groups_are_compared_by_pairs():
     assert all(contrast.alike and contrast.pairs == TRIALS for contrast in contrasts)
     b_less_c = contrasts[2]
     differences = (ERRORS + 30).sum(axis=1) - (ERRORS[::-1] * 3).sum(axis=1)
-    signed_rank = stats.wilcoxon(differences, method="exact")
+    signed_rank = scipy.stats.wilcoxon(differences, method="exact")
     assert b_less_c.tests == "paired t, signed rank"
     assert b_less_c.rank_p == pytest.approx(signed_rank.pvalue)
     assert b_less_c.difference.value == pytest.approx(differences.mean())
@@ -83,7 +83,7 @@ def test_trials_of_the_same_world_are_paired_whatever_their_order():
     paired = contrast_of(group(tenth_less[::-1]), group(plain[3:]))
     assert paired.pairs == TRIALS - 3
     totals = TOTALS[3:]
-    paired_t = stats.ttest_rel(0.9 * totals, totals)
+    paired_t = scipy.stats.ttest_rel(0.9 * totals, totals)
     assert paired.difference.value == pytest.approx(-0.1 * totals.mean())
     assert paired.difference.p_value == pytest.approx(paired_t.pvalue)
     # by pairs the difference is significant, by the two intervals alone it is not

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
 from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result, trial
 
 from tetractl.core.errors import UsageError
@@ -92,7 +92,7 @@ def test_the_published_result_is_compared_by_welch():
     mean = TOTALS.mean()
     std = TOTALS.std(ddof=1)
     published = (REFERENCE["mean"], REFERENCE["std"], REFERENCE["n"])
-    test = stats.ttest_ind_from_stats(mean, std, TRIALS, *published, equal_var=False)
+    test = scipy.stats.ttest_ind_from_stats(mean, std, TRIALS, *published, equal_var=False)
     comparison = batch_items(described)["reference"]
     assert comparison["difference"] == pytest.approx(mean - REFERENCE["mean"])
     assert comparison["p_value"] == pytest.approx(test.pvalue)

@@ -5,9 +5,9 @@ import statistics
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
 
 from tetractl.results.estimate import distributions, proportion_interval, published_distribution
 
@@ -85,15 +85,15 @@ def test_halls_transformation_takes_the_skewness_out_of_t():
     n = len(SKEWED)
     distribution = distribution_of(SKEWED)
     t = (distribution.mean - distribution.ci95.high) * math.sqrt(n) / distribution.std
-    g = stats.skew(SKEWED, bias=False) / math.sqrt(n)
+    g = scipy.stats.skew(SKEWED, bias=False) / math.sqrt(n)
     f = t + g * t**2 / 3 + g**2 * t**3 / 27 + g / 6
-    assert f == pytest.approx(stats.t.ppf(0.025, n - 1))
+    assert f == pytest.approx(scipy.stats.t.ppf(0.025, n - 1))
 
 
 def test_values_that_may_be_negative_get_students_t():
     values = SKEWED - 20
-    standard_error = stats.sem(values)
-    low, high = stats.t.interval(0.95, len(values) - 1, values.mean(), standard_error)
+    standard_error = scipy.stats.sem(values)
+    low, high = scipy.stats.t.interval(0.95, len(values) - 1, values.mean(), standard_error)
     interval = distribution_of(values).ci95
     assert interval.method == "t"
     assert interval.low == pytest.approx(low)
@@ -127,7 +127,7 @@ def test_a_published_result_has_a_positive_interval_too():
     mean = 10.0
     std = 12.0
     interval = published_distribution(n, mean, std).ci95
-    half = stats.t.ppf(0.975, n - 1) * std / math.sqrt(n) / mean  # of the logarithm
+    half = scipy.stats.t.ppf(0.975, n - 1) * std / math.sqrt(n) / mean  # of the logarithm
     assert interval.low == pytest.approx(mean * math.exp(-half))
     assert interval.high == pytest.approx(mean * math.exp(half))
 

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
 
 from tetractl.results.estimate import distributions
 from tetractl.results.mean_difference import (
@@ -43,7 +43,7 @@ def test_welch_from_figures_agrees_with_scipy_on_the_values(ours, theirs):
     a = distribution_of(ours)
     b = distribution_of(theirs)
     difference = welch(a.n, a.mean, a.std, b.n, b.mean, b.std)
-    assert_agrees(difference, stats.ttest_ind(ours, theirs, equal_var=False))
+    assert_agrees(difference, scipy.stats.ttest_ind(ours, theirs, equal_var=False))
 
 
 @given(st.lists(st.tuples(lengths, lengths), min_size=2, max_size=20))
@@ -55,7 +55,7 @@ def test_pairs_agree_with_scipy(pairs):
     if np.ptp(differences) > rounding:
         difference = paired_t(differences)
         assert difference.value == pytest.approx(differences.mean(), abs=1e-9)
-        assert_agrees(difference, stats.ttest_rel(ours, theirs))
+        assert_agrees(difference, scipy.stats.ttest_rel(ours, theirs))
 
 
 @pytest.mark.parametrize(
@@ -101,23 +101,23 @@ def test_what_n_detects_is_what_the_noncentral_t_says_within_a_percent(sizes, te
     degrees = sum(sizes) - len(sizes)
     effective_n = sizes[0] if len(sizes) == 1 else math.prod(sizes) / sum(sizes)
     noncentrality = effect * math.sqrt(effective_n)
-    bound = stats.t.ppf(1 - 0.025 / tests, degrees)
-    assert stats.nct.sf(bound, degrees, noncentrality) == pytest.approx(0.8, abs=0.015)
+    bound = scipy.stats.t.ppf(1 - 0.025 / tests, degrees)
+    assert scipy.stats.nct.sf(bound, degrees, noncentrality) == pytest.approx(0.8, abs=0.015)
 
 
 def test_ranks_of_few_values_without_ties_are_exact():
     rng = np.random.default_rng(1)
     ours = rng.normal(0, 1, 20)
     theirs = rng.normal(0.5, 1, 9)
-    assert rank_sum(ours, theirs) == stats.mannwhitneyu(ours, theirs, method="exact").pvalue
-    assert signed_rank(ours) == stats.wilcoxon(ours, method="exact").pvalue
+    assert rank_sum(ours, theirs) == scipy.stats.mannwhitneyu(ours, theirs, method="exact").pvalue
+    assert signed_rank(ours) == scipy.stats.wilcoxon(ours, method="exact").pvalue
 
 
 def test_the_ranks_of_many_values_are_asymptotic():
     rng = np.random.default_rng(1)
     ours = rng.normal(0, 1, 20)
     many = rng.normal(0.3, 1, EXACT)
-    test = stats.mannwhitneyu(ours, many, method="asymptotic", use_continuity=False)
+    test = scipy.stats.mannwhitneyu(ours, many, method="asymptotic", use_continuity=False)
     assert rank_sum(ours, many) == test.pvalue
 
 

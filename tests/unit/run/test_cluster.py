@@ -1,5 +1,7 @@
 """How trials are handed out to a cluster, with a scheduler made for the test."""
 
+from importlib.util import find_spec
+
 import pytest
 from support.studies import Watcher
 
@@ -8,7 +10,15 @@ from tetractl.run.cluster import Cluster
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import Finished, Task
 
-distributed = pytest.importorskip("distributed")
+pytestmark = pytest.mark.skipif(
+    find_spec("distributed") is None, reason="distributed is not installed"
+)
+
+
+def killed():
+    from distributed import KilledWorker  # slow to import
+
+    return KilledWorker("task", None, 3)
 
 
 class Client:
@@ -28,7 +38,7 @@ class Client:
     def submit(self, work, tasks, pure):
         self.chunks.append([task.trial for task in tasks])
         lost = any(task.trial in self.deadly for task in tasks)
-        return Future(distributed.KilledWorker("task", None, 3) if lost else None, tasks)
+        return Future(killed() if lost else None, tasks)
 
     def cancel(self, futures):
         pass

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from scipy import stats
+import scipy
 from scipy.optimize import least_squares
 from support.bench_agreement import bench_spec, bench_trial, lab_spec, lab_trial
 from support.virtual_lab import virtual_lab
@@ -40,13 +40,13 @@ def test_total_errors_agree_in_distribution(paths):
     assert all(result.outcome.complete for result in (*labs, *sims))
     lab_errors = np.array([result.total_error for result in labs])
     sim_errors = np.array([result.total_error for result in sims])
-    assert stats.ks_2samp(lab_errors, sim_errors).pvalue > LOSSES
+    assert scipy.stats.ks_2samp(lab_errors, sim_errors).pvalue > LOSSES
 
     def difference_of_means(a, b):
         return a.mean() - b.mean()
 
     logarithms = (np.log(lab_errors), np.log(sim_errors))
-    assert stats.permutation_test(logarithms, difference_of_means, rng=1).pvalue > LOSSES
+    assert scipy.stats.permutation_test(logarithms, difference_of_means, rng=1).pvalue > LOSSES
 
 
 PREDICTED_FRAMES = 24  # 0.2 s

@@ -49,9 +49,6 @@ def identify(
 
     Example: tetractl identify tables/poses.csv tables/steps.csv
     """
-    from tetractl.replay.identification.csv_tracks import csv_tracks
-    from tetractl.replay.identification.identify import identify as identify_robots
-
     ui.refuse_existing(out)
     tables = [path for path in logs if path.suffix.lower() == ".csv"]
     if tables and len(tables) < len(logs):
@@ -61,22 +58,50 @@ def identify(
             "cannot be combined"
         )
     if tables:
-        tracks = csv_tracks(tables)
-        for track in tracks:
-            ui.tell(*(f"warning: {remark}" for remark in track.remarks))
-        wheels = tracks[0].twists.size > 0
-        expected_a = None
-        dead_time_s = None
-        damaged = False
+        return _identify_tables(tables, out, as_json)
+    return _identify_logs(find_logs(logs), wheels, out, as_json)
+
+
+def _identify_tables(tables: list[Path], out: Path | None, as_json: bool) -> int:
+    """Identify robots by CSV files, which say themselves whether they are of speeds."""
+    from tetractl.replay.identification.csv_tracks import csv_tracks
+    from tetractl.replay.identification.identify import identify as identify_robots
+
+    tracks = csv_tracks(tables)
+    for track in tracks:
+        ui.tell(*(f"warning: {remark}" for remark in track.remarks))
+    are_speeds = tracks[0].twists.size > 0
+    if are_speeds:
+        _refuse_file_of_response(out)
+        _show_response(tracks, as_json)
     else:
-        tracks, first, damaged = _read_logs(find_logs(logs), wheels)
+        _show_robots(identify_robots(tracks, a=None, dead_time=None), out, as_json)
+    return Exit.DONE
+
+
+def _identify_logs(paths: Sequence[Path], wheels: bool, out: Path | None, as_json: bool) -> int:
+    """Identify robots by logs, of which the first states what was known of them."""
+    from tetractl.replay.identification.identify import identify as identify_robots
+
+    if wheels:
+        _refuse_file_of_response(out)
+    tracks, first, damaged = _read_logs(paths, wheels)
+    if wheels:
+        _show_response(tracks, as_json)
+    else:
         expected_a = first.start.setup.a
         dead_time_s = first.experiment.controller.dead_time
-    if wheels:
-        _show_response(tracks, out, as_json)
-    else:
         _show_robots(identify_robots(tracks, expected_a, dead_time_s), out, as_json)
     return Exit.FAILED if damaged else Exit.DONE
+
+
+def _refuse_file_of_response(out: Path | None) -> None:
+    """Raise UsageError if a file is named for how robots follow speeds and turning rates."""
+    if out is not None:
+        raise UsageError(
+            "--out: a spec has no place for what wheels make of their commands",
+            hint="put the lag that is printed into the spec, as lab.lag",
+        )
 
 
 def _read_logs(paths: Sequence[Path], wheels: bool) -> "tuple[list[Track], TrialLog, bool]":
@@ -105,16 +130,11 @@ def _read_logs(paths: Sequence[Path], wheels: bool) -> "tuple[list[Track], Trial
     return tracks, first, damaged
 
 
-def _show_response(tracks: "list[Track]", out: Path | None, as_json: bool) -> None:
-    """Print how robots follow speeds and turning rates; UsageError if a file is named for it."""
+def _show_response(tracks: "list[Track]", as_json: bool) -> None:
+    """Print how robots follow speeds and turning rates."""
     from tetractl.replay.identification.response import respond, response_table
     from tetractl.replay.identification.tracks import require_same
 
-    if out is not None:
-        raise UsageError(
-            "--out: a spec has no place for what wheels make of their commands",
-            hint="put the lag that is printed into the spec, as lab.lag",
-        )
     require_same(tracks)
     responses = respond(tracks)
     commands = sum(len(track.sent) for track in tracks)

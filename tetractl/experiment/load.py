@@ -3,8 +3,10 @@
 The way of a value from a file to the experiment:
 
     read_document          the file's data, with the place of each value (`yaml.document`)
-    with_settings          values of `--set` and other options take their places
-    merge                  values of the file of `tetractl identify`, if the spec names one
+    with_settings          values of `--set` and other options take their places: they may name the
+                           files below
+    _with_identified       values of the file of `tetractl identify`, if the spec names one, take
+                           the places of its own, but not those of settings
     read_weights           layers of the file of a policy's weights, if the spec names one
     validated_experiment   sections, or pydantic's errors in plain words (`explain`); then the rules
                            between sections (`consistency`)
@@ -26,7 +28,7 @@ from tetractl.core.registries import CONTROLLERS
 from tetractl.experiment.base import validated
 from tetractl.experiment.consistency import errors_of
 from tetractl.experiment.experiment import DEFAULT_CONTROLLER, Experiment
-from tetractl.experiment.identified import merge, read_identified
+from tetractl.experiment.identified import Identified, merge, read_identified
 from tetractl.experiment.loaded_spec import Attached, LoadedSpec, attach
 from tetractl.experiment.policy_weights import read_weights
 from tetractl.experiment.yaml.document import (
@@ -66,16 +68,13 @@ def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> L
         path = folder / identified_file
         identified, text = read_identified(path)
         estimates = _estimates(settled)
-        merged = with_settings(document, ())
-        merge(merged, identified, str(path), estimates)
-        settled = with_settings(merged, settings)
-        del settled.data["identified"]  # its values are now in the spec
+        settled = _with_identified(document, identified, path, estimates, settings)
         attached = attach(attached, path, text)
     weights_file = _named_file(settled, WEIGHTS)
     if weights_file is not None:
         path = folder / weights_file
         layers, text = read_weights(path)
-        del settled.data["controller"]["weights"]  # its layers are now in the spec
+        settled.take_out(WEIGHTS)  # its layers take its place
         settled.put(("controller", "layers"), layers, Place(str(path)))
         attached = attach(attached, path, text)
     experiment = validated_experiment(settled, written=False)
@@ -163,6 +162,22 @@ def _named_file(document: Document, loc: Loc) -> str | None:
     for key in loc:
         name = name.get(key) if isinstance(name, dict) else None
     return name if isinstance(name, str) else None
+
+
+def _with_identified(
+    document: Document,
+    identified: Identified,
+    path: Path,
+    estimates: bool,
+    settings: Sequence[SpecSetting],
+) -> Document:
+    """Return a copy of a document with the values of the file that it names in place of its own
+    and, in place of both, the settings."""
+    changed = with_settings(document, ())
+    merge(changed, identified, str(path), estimates)
+    settled = with_settings(changed, settings)
+    settled.take_out(IDENTIFIED)  # its values are now in the spec
+    return settled
 
 
 def _refuse_named_files(document: Document) -> None:

@@ -115,6 +115,10 @@ class Document:
             del self.places[inner]
         self.places[loc] = place
 
+    def take_out(self, loc: Loc) -> None:
+        """Take out the value at a location, which is known; its place stays known, for problems."""
+        del self.holder(loc)[loc[-1]]
+
 
 def file_of_spec(folder: Path | None, key: str, name: str) -> Path:
     """Return the path of the file that a key of a spec names, relative to the spec's `folder`;

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import pandas
 import pytest
 from support.cli import tetractl
 
@@ -12,6 +11,8 @@ pytestmark = pytest.mark.slow
 
 
 def test_tables_hold_what_the_logs_hold(folder):
+    import pandas  # slow to import
+
     done = tetractl(folder, "export", "logs", "-o", "csv")
     names = ("trials", "steps", "poses", "estimates", "events")
     assert done.returncode == 0, done.stderr
@@ -34,6 +35,8 @@ def test_tables_hold_what_the_logs_hold(folder):
 
 
 def test_a_log_that_cannot_be_read_is_named_and_the_rest_written(folder, tmp_path):
+    import pandas  # slow to import
+
     (tmp_path / "a.mcap").write_bytes((folder / "logs" / "trial-000.mcap").read_bytes())
     (tmp_path / "b.mcap").write_bytes(b"nothing")
     done = tetractl(tmp_path, "export", "a.mcap", "b.mcap", "-o", "out")

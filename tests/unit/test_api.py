@@ -8,7 +8,6 @@ import traceback
 from pathlib import Path
 
 import numpy as np
-import pandas
 import pytest
 import yaml
 from support.paths import ROOT
@@ -87,6 +86,8 @@ def test_a_notebook(tmp_path, batch):
 
 
 def test_arrays_and_tables_hold_the_trial(batch):
+    import pandas  # slow to import
+
     folder, finished = batch
     trial = tetractl.read_log(folder / "trial-000.mcap")
     arrays = tetractl.to_arrays(trial)

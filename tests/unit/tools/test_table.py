@@ -7,7 +7,6 @@ import math
 import re
 
 import numpy as np
-import pandas
 import pytest
 from rich.console import Console
 from support.paths import ROOT
@@ -54,6 +53,8 @@ def test_a_reader_sees_formats_units_and_what_is_not_known():
 
 
 def test_a_data_file_has_the_values_and_the_unit_in_the_name():
+    import pandas  # slow to import
+
     assert csv_rows(TABLE) == [
         ["robot", "speed_mm_s", "moved", "note"],
         ["green", "180.25", "true", "a | b"],
@@ -83,6 +84,8 @@ def test_numbers_have_all_their_digits_and_unknown_ones_no_cell():
 
 
 def test_a_file_grows_by_the_rows_of_one_table_after_another(tmp_path):
+    import pandas  # slow to import
+
     path = tmp_path / "speeds.csv"
     with table_files({"speeds": path}) as add:
         add("speeds", TABLE, "a.mcap")

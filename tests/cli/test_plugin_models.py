@@ -25,7 +25,7 @@ from tetractl.control.cost import evaluate, predict
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.kernels.levenberg import PolishSettings, room_for
 from tetractl.control.kernels.motion import flatten
-from tetractl.control.kernels.multistart import UNLIMITED, rounds_for, search
+from tetractl.control.kernels.multistart import POLISH, UNLIMITED, SearchTask, rounds_for, search
 from tetractl.control.kernels.rollout import rollouts_of
 from tetractl.core.plan import Limits
 from tetractl.experiment.load import load_spec
@@ -37,10 +37,12 @@ reference = evaluate(problem, signals)
 compiled = compiled_costs(problem, 200)(np.ascontiguousarray(signals.T))
 start = np.zeros(24)
 found = rounds_for(0, 1, 1, 1, 24, 5, 0)
-found.begin(start[None])
+found.begin(POLISH, start[None])
 rooms = rollouts_of(0, 1, 1), room_for(problem, 24)
-limits = PolishSettings(1e-3, 0.5, 6), UNLIMITED, UNLIMITED, False
-search(flatten(problem), *rooms, np.uint64(0), np.empty(0), 0, *limits, found)
+settings = PolishSettings(1e-3, 0.5, 6, 5)
+key, warm, rounds = np.uint64(0), np.empty(0), 0
+task = SearchTask(flatten(problem), *rooms, settings, key, warm, rounds, UNLIMITED)
+search(task, found, UNLIMITED)
 z = int(found.polish.iterations)
 best = spec.controller.optimizer.search(problem, 24, None, 1, Limits())
 x, y = predict(problem, best.signals)[..., :2].T

@@ -2,8 +2,8 @@
 
 A `PseudoPort` is a pseudo-terminal that programs open by a chosen name, such as /tmp/radio. A
 `SerialDevice` hears what they write to it once the bytes have passed the line, ten bits a byte, and
-its answers take as long; of a wrong baud rate it hears nothing. `PluggedDevices` are plugged in and
-unplugged together.
+its answers take as long; of a wrong baud rate it hears nothing. On a network, each datagram is
+whole or lost. `PluggedDevices` are plugged in and unplugged together.
 """
 
 import errno
@@ -21,6 +21,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError, WireError
 from tetractl.lab.actuators.xbee.hardware import BAUDS
 from tetractl.lab.cobs import Splitter
+from tetractl.lab.udp_port import SCHEME
 from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Loop, Timeline
 
@@ -119,9 +120,16 @@ class SerialDevice(ABC):
         if self.port.baud() not in (self.line.speed, None):
             self.garbled += 1
             return
-        passed = self.line.disturbed(data)
+        passed = self._passed(data)
         heard_ns = self.line.to_device.send(len(data))
-        self._timeline.at(heard_ns, lambda: None if self.is_down else self.hear(passed))
+        if passed:
+            self._timeline.at(heard_ns, lambda: None if self.is_down else self.hear(passed))
+
+    def _passed(self, data: bytes) -> bytes:
+        """Return bytes as they are passed on: a network drops a datagram that was changed."""
+        passed = self.line.disturbed(data)
+        is_dropped = passed != data and self.port.name.startswith(SCHEME)
+        return b"" if is_dropped else passed
 
     @property
     def is_down(self) -> bool:
@@ -144,8 +152,9 @@ class SerialDevice(ABC):
     def _answer(self, data: bytes) -> None:
         come_ns = self.line.to_port.send(len(data))
         if not self.is_down and self.line.speed == self.line.baud:
-            passed = self.line.disturbed(data)
-            self._timeline.at(come_ns, lambda: self.port.write(passed))
+            passed = self._passed(data)
+            if passed:
+                self._timeline.at(come_ns, lambda: self.port.write(passed))
 
 
 class PluggedDevices:

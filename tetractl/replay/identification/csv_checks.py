@@ -51,7 +51,7 @@ ALIKE = 1e-3
 COPIES = 0.9
 """Share of the headings compared, above which they are copies; chosen."""
 COPIES_MIN = 5
-"""Least number of headings compared by which this is judged; chosen."""
+"""Least number of headings compared by which this is checked; chosen."""
 
 # the angle between motion and heading
 POSES_MIN = 20

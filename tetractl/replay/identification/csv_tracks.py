@@ -3,7 +3,7 @@ directions or speeds that robots were sent in another.
 
 Rows are read one by one into the `_Numbers` of their trial, which are put together to a
 `CsvRecording` of all robots; here files are refused that cannot be read or put together. Whether a
-recording can be what it says is judged by `csv_checks`.
+recording can be what it says is checked by `csv_checks`.
 """
 
 import math

@@ -2,9 +2,7 @@
 honoured by planner, compiled kernels, polish, plant, checks, log and pictures."""
 
 import json
-import os
 import re
-from unittest import mock
 
 import pytest
 from support.packages import install, python
@@ -89,12 +87,9 @@ def installed(tmp_path_factory):
     )
     (tmp_path / "s.yaml").write_text(SPEC, encoding="utf-8")
     sites = [site, ROOT, ROOT / "tests"]
-    cache = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "COLUMNS": "80"}
 
     def run(*words):
-        with mock.patch.dict(os.environ):
-            os.environ.pop("NUMBA_CACHE_DIR", None)
-            return python(tmp_path, sites, *words, **cache)
+        return python(tmp_path, sites, *words, COLUMNS="80")
 
     return tmp_path, run
 

@@ -62,8 +62,8 @@ def load_to_run(
     from tetractl.experiment.yaml.document import read_document
 
     document = read_document(spec)
-    given = [value for value in values if value.value is not None]
-    loaded = load_document(document, [*settings_on(document, sets, plant), *given])
+    options = [value for value in values if value.value is not None]
+    loaded = load_document(document, [*settings_on(document, sets, plant), *options])
     ui.warn(loaded, strict)
     return on_plant(loaded, plant)
 

@@ -39,6 +39,10 @@ class Estimate:
     a robot stands although it is sent a direction: it is stuck, or a cell rests, or backs off and
     turns. `own_dead_time` (N,) [s] is the dead time of each robot, which no log has. None if they
     are not estimated.
+
+    A new number of the filters is a field here and of `Forecast` (`control/kernels/filter_state`),
+    which `kernels/bank` and its oracle compute; logs keep it as a field of the message in
+    `log/format/tetractl.proto`, written and read in `codec.py`.
     """
 
     a: Floats

@@ -48,9 +48,9 @@ class Pose:
     height: float | None = None
     tilt: float | None = None
 
-    def distance_to(self, other: "Pose") -> float:
+    def distance_to(self, place: "Pose") -> float:
         """Return the distance between two positions [length unit]."""
-        return math.hypot(self.x - other.x, self.y - other.y)
+        return math.hypot(self.x - place.x, self.y - place.y)
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,12 +32,6 @@ class DueTimes:
             self.times_ns[rows].copy(), self.frames[rows].copy(), self.samples[rows].copy()
         )
 
-    def end_at(self, end_ns: int) -> None:
-        """Let the last time be `end_ns`, at which nothing is exposed or sampled."""
-        self.times_ns[-1] = end_ns
-        self.frames[-1] = False
-        self.samples[-1] = False
-
 
 class Timetable:
     """The times of frames and of samples: each k / rate [ns] with k = 0, 1, 2, ...
@@ -71,7 +65,9 @@ class Timetable:
         if ends_there or not with_end:
             return self._block.part(begin, end)
         due = self._block.part(begin, end + 1)  # a row more is there, and quicker than one appended
-        due.end_at(until_ns)
+        due.times_ns[-1] = until_ns
+        due.frames[-1] = False
+        due.samples[-1] = False
         return due
 
     def _lay_out(self, end_ns: int) -> None:

@@ -89,8 +89,8 @@ class CsvRecording:
     """A trial in CSV files: N robots with `names`, their poses at M times, and C commands.
 
     `time` (M,) and the times of commands count from `begin` [s], the first time of the poses'
-    table. `poses` (M, N, 3) are x, y and heading; which of them are stated is `known` (M, N), and
-    which of these are measurements `measured` (M, N). `row_times` are the times of the rows of each
+    table. `poses` (M, N, 3) are x, y and heading; `is_stated` (M, N) tells which of them are, and
+    `measured` (M, N) which are measurements. `row_times` are the times of the rows of each
     robot [s], also of those that state no pose. `receivers` are the robots that commands name,
     `not_sent_to` those of the poses' table that get none where others do, and `never_seen` those
     without any pose.
@@ -102,7 +102,7 @@ class CsvRecording:
     begin: float
     time: Floats
     poses: Floats
-    known: Bools
+    is_stated: Bools
     measured: Bools
     row_times: list[Floats]
     commands: CsvCommands
@@ -152,7 +152,7 @@ def _refuse_headings_in_degrees(recording: CsvRecording) -> None:
     """Refuse headings in degrees: beyond a turn, and at one angle to the motion, there and back,
     only as degrees. Those of `tetractl export` count whole turns in rad.
     """
-    beyond = float(np.abs(recording.poses[recording.known][:, 2]).max(initial=0.0))
+    beyond = float(np.abs(recording.poses[recording.is_stated][:, 2]).max(initial=0.0))
     problem = turn_problem(beyond)
     if problem is None:
         return
@@ -160,7 +160,7 @@ def _refuse_headings_in_degrees(recording: CsvRecording) -> None:
     along_degrees = 0.0
     ways = 0.0
     for robot in range(len(recording.names)):
-        x, y, heading = recording.poses[recording.known[:, robot], robot].T
+        x, y, heading = recording.poses[recording.is_stated[:, robot], robot].T
         way = np.diff(x + 1j * y)
         way *= np.abs(way) <= JUMP * np.median(np.abs(way))
         squares = way**2
@@ -253,10 +253,10 @@ def _refuse_other_turning(recording: CsvRecording) -> None:
 def _poses_left_out(recording: CsvRecording) -> str | None:
     """Return of which robots a share above NO_MEASUREMENT of the poses is no measurement."""
     said: list[str] = []
-    counts_known = recording.known.sum(axis=0).tolist()
+    counts_stated = recording.is_stated.sum(axis=0).tolist()
     counts_measured = recording.measured.sum(axis=0).tolist()
-    for name, known, measured in zip(recording.names, counts_known, counts_measured, strict=True):
-        share = 1 - measured / max(known, 1)
+    for name, stated, measured in zip(recording.names, counts_stated, counts_measured, strict=True):
+        share = 1 - measured / max(stated, 1)
         if share > NO_MEASUREMENT:
             said.append(f"{share:.1%} of {printable(name)}")
     if not said:

@@ -435,7 +435,7 @@ def _recording(numbers: _Numbers, unit: str, idle: set[str], unseen: set[str]) -
         commands = _directions(numbers, commands_path, begin)
     if not len(commands.when):
         raise UsageError(f"{commands_path}: states no direction or speed")
-    known = np.logical_not(np.isnan(poses.sum(axis=2)))
+    is_stated = np.logical_not(np.isnan(poses.sum(axis=2)))
     in_poses = set(numbers.robots)
     never_seen = (unseen - idle) & in_poses
     if "" not in in_poses:
@@ -447,8 +447,8 @@ def _recording(numbers: _Numbers, unit: str, idle: set[str], unseen: set[str]) -
         begin=begin,
         time=time,
         poses=poses,
-        known=known,
-        measured=_measurements(begin + time, poses, known),
+        is_stated=is_stated,
+        measured=_measurements(begin + time, poses, is_stated),
         row_times=[rows["time"][rows["robot"] == number] for number in robots.values()],
         commands=commands,
         receivers=set(numbers.twists),
@@ -490,11 +490,11 @@ def _frames(path: Path, rows: NDArray[np.void], count: int) -> tuple[Floats, Flo
     return time, poses
 
 
-def _measurements(times: Floats, poses: Floats, known: Bools) -> Bools:
-    """Return which of the known poses (M, N, 3) at times (M,) [s] are measurements (M, N)."""
-    is_measured = np.zeros_like(known)
-    for robot in range(known.shape[1]):
-        rows = np.flatnonzero(known[:, robot])
+def _measurements(times: Floats, poses: Floats, is_stated: Bools) -> Bools:
+    """Return which of the stated poses (M, N, 3) at times (M,) [s] are measurements (M, N)."""
+    is_measured = np.zeros_like(is_stated)
+    for robot in range(is_stated.shape[1]):
+        rows = np.flatnonzero(is_stated[:, robot])
         is_measured[rows, robot] = measured(times[rows], poses[rows, robot])
     return is_measured
 
@@ -531,7 +531,7 @@ def _twists(numbers: _Numbers, robots: list[str], unit: str, begin: float) -> Cs
     twists = np.full((len(when), len(robots), 2), np.nan)
     for i, robot in enumerate(robots):
         rows = of_robot.get(robot, for_all)
-        at = np.searchsorted(when, rows["time"])
-        twists[at, i, 0] = rows["speed"] / METRES[unit]
-        twists[at, i, 1] = rows["turning_rate"]
+        row_of = np.searchsorted(when, rows["time"])
+        twists[row_of, i, 0] = rows["speed"] / METRES[unit]
+        twists[row_of, i, 1] = rows["turning_rate"]
     return CsvCommands(when - begin, np.full(len(when), np.nan), twists)

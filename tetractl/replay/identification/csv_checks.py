@@ -2,9 +2,10 @@
 said of them.
 
 `judge` first goes through REFUSALS, in their order: each raises UsageError if files cannot be used,
-and a mistake that would be taken for another stands before that other. Then it collects REMARKS,
-each of which returns what to say of files that can be used, None if there is nothing to say. Both
-lists stand at the end, and all that is in them takes one `CsvRecording`.
+and a mistake that would be taken for another stands before that other. Last it asks what turned the
+robots, which depends on what is to be said of the clock. Then it collects REMARKS, each of which
+returns what to say of files that can be used, None if there is nothing to say. Both lists stand at
+the end, and all that is in them takes one `CsvRecording`.
 """
 
 from collections.abc import Callable, Collection
@@ -223,9 +224,9 @@ def _refuse_two_clocks(recording: CsvRecording) -> None:
     refuse_times_apart(recording.poses_span, recording.stated_when, recording.commands_span)
 
 
-def _refuse_other_turning(recording: CsvRecording) -> None:
+def _refuse_other_turning(recording: CsvRecording, clock: str | None) -> None:
     """Refuse robots that turn by other directions than those that they were sent; and directions
-    that explain little of their turning, unless a remark on the clock says why."""
+    that explain little of their turning, unless what is said of the `clock` says why."""
     if not recording.commands.are_directions:
         return
     turned: list[TurnedCourse] = []
@@ -236,7 +237,7 @@ def _refuse_other_turning(recording: CsvRecording) -> None:
     poses_source = str(recording.poses_path)
     source = str(recording.commands_path)
     least_explained = 0.0
-    if _clock(recording) is None:
+    if clock is None:
         least_explained = FOLLOWED
         check_clock_rate(source, turned, directions)
     readings = [
@@ -334,14 +335,12 @@ REFUSALS: tuple[Callable[[CsvRecording], None], ...] = (
     _refuse_long_pauses,
     _refuse_motion_beside_headings,
     _refuse_two_clocks,
-    _refuse_other_turning,
 )
 REMARKS: tuple[Callable[[CsvRecording], str | None], ...] = (
     _poses_left_out,
     _jumps,
     _robots_without_commands,
     _robots_without_poses,
-    _clock,
 )
 
 
@@ -349,5 +348,7 @@ def judge(recording: CsvRecording) -> tuple[str, ...]:
     """Return what is to be said of a recording; UsageError if it cannot be used."""
     for refuse in REFUSALS:
         refuse(recording)
-    remarks = [remark_on(recording) for remark_on in REMARKS]
+    clock = _clock(recording)
+    _refuse_other_turning(recording, clock)
+    remarks = [*(remark_on(recording) for remark_on in REMARKS), clock]
     return tuple(remark for remark in remarks if remark is not None)

@@ -48,7 +48,7 @@ tetractl/report/page.py | max(CARRIED_MIN, CARRIED // groups) | min(CARRIED_MIN,
 packages/tetractl-papers/tetractl_papers/claim.py | values = values - subtracted | values = values + subtracted | packages/tetractl-papers/tests
 tetractl/results/mean_difference.py | values.mean - values.ci95.low, values.ci95.high - values.mean | values.mean - values.ci95.low, values.mean - values.ci95.low | tests/unit/results tests/unit/study
 tetractl/run/plausibility.py | return least > max(robots * self.tolerance | return least > min(robots * self.tolerance | tests/unit/run/test_plausibility.py
-tetractl/run/news.py | way > REST_SURE_STDS * np.sqrt(variance.sum(axis=1)) | way > np.sqrt(variance.sum(axis=1)) | tests/unit/run
+tetractl/run/motion_at_rest.py | distances > DISTANCE_STDS * np.sqrt(variance.sum(axis=1)) | distances > np.sqrt(variance.sum(axis=1)) | tests/unit/run
 tetractl/serve/live.py | if entry.log_ns > self._time_ns: | if entry.log_ns < self._time_ns: | tests/unit/serve
 tetractl/study/sweep.py | self._between(self.low, self.high + 1, share) | self._between(self.low, self.high, share) | tests/unit/study
 tetractl/testing/device_checks.py | 0 <= age_ns <= SECOND | 0 <= age_ns | tests/unit/test_testing.py

@@ -117,7 +117,7 @@ def _result(log: "Overview") -> dict[str, str]:
 def _estimate(log: "Overview") -> dict[str, str]:
     """Return the last estimate, one line per robot, each value with its standard deviation."""
     from tetractl.core.motion_estimate import OF_PLACES, OF_TURNING
-    from tetractl.run.news import turning
+    from tetractl.run.model_changes import describe_turning
 
     estimate = log.estimate
     if estimate is None:
@@ -134,7 +134,7 @@ def _estimate(log: "Overview") -> dict[str, str]:
         ]
         if bias is not None and bias_std is not None:
             parts.append(f"heading bias {_deviating(bias[robot], bias_std[robot])} rad")
-        turns = turning(estimate, robot)
+        turns = describe_turning(estimate, robot)
         if turns:
             parts.append(turns)
         lines[name] = ", ".join(parts)

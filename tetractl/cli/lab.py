@@ -45,7 +45,7 @@ def check(
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
     from tetractl.lab.preflight import look_over
-    from tetractl.run.news import LATENCY, stated_model
+    from tetractl.run.model_changes import LATENCY, stated_model
     from tetractl.view.terminal.findings import preflight_items, print_findings
 
     experiment = _experiment_on(spec, sets, plant)

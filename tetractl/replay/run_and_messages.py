@@ -44,7 +44,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import Encoder, end_text, tracking_texts, undelivered_texts
 from tetractl.replay.comparison import Difference, first_difference, log_differences
 from tetractl.replay.run_again import Recorder
-from tetractl.run.news import ModelNews, stated_model
+from tetractl.run.model_changes import ModelMonitor, stated_model
 from tetractl.run.task import code_of
 
 
@@ -136,13 +136,13 @@ def _of_steps(log: TrialLog) -> Iterator[Note]:
     on a model that does not fit."""
     setup = log.start.setup
     is_same_code = log.facts.get(CODE) == code_of(log.experiment)
-    news = ModelNews(stated_model(log.experiment))
+    news = ModelMonitor(stated_model(log.experiment))
     for step in log.steps:
         t_ns = step.command.sent_ns
         for text in undelivered_texts(setup.names, step):
             yield _note(t_ns, "warning", text)
         if is_same_code and step.plan.estimate is not None:
-            for level, text in news.of(step.plan.estimate, setup, t_ns):
+            for level, text in news.notices(step.plan.estimate, setup, t_ns):
                 yield _note(t_ns, level, text)
 
 

@@ -78,7 +78,8 @@ from tetractl.core.protocols import Controller, Observer, Plant
 from tetractl.core.tour import TourMeasure
 from tetractl.core.trial import Note, Result, Start, Step, Verdict
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.news import ModelNews, RestNews, StatedModel
+from tetractl.run.model_changes import ModelMonitor, StatedModel
+from tetractl.run.motion_at_rest import RestMonitor
 from tetractl.tools.plugin_fault import FaultyPluginError, plugin_fault
 
 AT_ONCE = "stopped at once by a second interruption"
@@ -257,8 +258,8 @@ class Trial:
         self._pacing = StepPacing(clock, setup.period_s)
         self._frames = FrameIntake(plant)
         self._measure = TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
-        self._model = ModelNews(stated)
-        self._rests = RestNews(setup)
+        self._model = ModelMonitor(stated)
+        self._rests = RestMonitor(setup)
         self._counts = StepCounts()
         self._motion = RobotMotion.NOT_BEGUN
         self._dead = 0  # number of robots that do not move while others drive
@@ -312,7 +313,7 @@ class Trial:
             before = observation
             observation = self._plant.observe()
             between = self._frames.take_between(before, observation)
-            for text in self._rests.of(decision, [*between, observation]):
+            for text in self._rests.warnings(decision, [*between, observation]):
                 self._report(observation.sampled_ns, text, "warning")
             decision, solve_ns = self._plan(observation, command, between)
         raise AssertionError("unreachable: the loop ends by returning")
@@ -346,7 +347,7 @@ class Trial:
         for observer in self._observers:
             observer.on_step(step)
         if plan.estimate is not None:
-            news = self._model.of(plan.estimate, self._start.setup, command.sent_ns)
+            news = self._model.notices(plan.estimate, self._start.setup, command.sent_ns)
             for level, text in news:  # where the controller's model does not fit, or fits again
                 self._report(command.sent_ns, text, level)
         return command

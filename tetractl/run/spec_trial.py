@@ -32,7 +32,7 @@ from tetractl.log.write.writer import LogWriter
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.control_loop import Trial, abandon
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.news import stated_model
+from tetractl.run.model_changes import stated_model
 from tetractl.tools.plugin_fault import plugins_blamed
 from tetractl.tools.worker import Relay, Worker
 

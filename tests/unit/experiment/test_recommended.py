@@ -9,7 +9,7 @@ from support.paths import SPECS as FILES
 
 from tetractl.cli.specs import template
 from tetractl.experiment.load import load_spec, parse_spec
-from tetractl.run.news import stated_model
+from tetractl.run.model_changes import stated_model
 
 EXPERIMENTS = ROOT / "experiments"
 

@@ -9,12 +9,12 @@ from support.trials import experiment
 
 from tetractl.core.motion_estimate import Estimate
 from tetractl.experiment.load import load_spec
-from tetractl.run.news import (
-    FITS_S,
+from tetractl.run.model_changes import (
+    FITS_AGAIN_AFTER_S,
     HOST_DELAY,
-    LATER_FOR_S,
+    LATE_ROBOT_FOR_S,
     NOISE_UNSTATED,
-    ModelNews,
+    ModelMonitor,
     StatedModel,
     stated_model,
 )
@@ -31,9 +31,11 @@ STRAYS = replace(FITS, misfit=np.array([[2.0, 2.0, 0.0], *np.zeros((ROBOTS - 1, 
 
 def said(*estimates):
     """Return what is said of (time [s], estimate)."""
-    news = ModelNews()
+    monitor = ModelMonitor()
     return [
-        text for s, estimate in estimates for _, text in news.of(estimate, SETUP, round(1e9 * s))
+        text
+        for s, estimate in estimates
+        for _, text in monitor.notices(estimate, SETUP, round(1e9 * s))
     ]
 
 
@@ -41,14 +43,14 @@ def test_a_misfit_is_said_once_until_the_model_fits_again():
     warned = f"the model does not fit: heading of {NAME}"
     assert said((0, FITS), (1, UNFIT), (2, UNFIT), (3, FITS), (4, UNFIT)) == [warned]
     fits = "the model fits again: with the same values"
-    then = 1 + FITS_S
+    then = 1 + FITS_AGAIN_AFTER_S
     estimates = (1, UNFIT), (then - 0.1, FITS), (then, FITS), (then + 1, FITS), (then + 2, UNFIT)
     assert said(*estimates) == [warned, fits, warned]
 
 
 def test_a_place_that_strays_is_no_misfit_and_is_said_once_a_trial():
     """Regression: "the model does not fit" stood in 20 of 20 logs of cells whose a was right."""
-    again = 1 + 2 * FITS_S
+    again = 1 + 2 * FITS_AGAIN_AFTER_S
     assert said((1, STRAYS), (2, STRAYS), (3, FITS), (again, STRAYS)) == [
         f"along-track motion of {NAME} is not as predicted, which says nothing of a",
         f"cross-track motion of {NAME} is not as predicted, which says nothing of a",
@@ -56,9 +58,9 @@ def test_a_place_that_strays_is_no_misfit_and_is_said_once_a_trial():
 
 
 def test_without_the_cameras_noise_a_heading_that_does_not_fit_asks_for_it_alone():
-    news = ModelNews(StatedModel(0.03, lacks_noise=True))
+    monitor = ModelMonitor(StatedModel(0.03, lacks_noise=True))
     estimates = [UNFIT, UNFIT, FITS, UNFIT]
-    news_of_each = [[*news.of(estimate, SETUP, 1)] for estimate in estimates]
+    news_of_each = [[*monitor.notices(estimate, SETUP, 1)] for estimate in estimates]
     assert news_of_each == [[("warning", NOISE_UNSTATED)], [], [], []]
 
 
@@ -73,7 +75,7 @@ def test_what_was_learnt_is_said_with_numbers():
         f"{NAME} turns at 2 rad/s at most": {"saturation": np.where(first, 0.5, 1.0)},
     }
     for text, changed in cases.items():
-        texts = said((1, UNFIT), (1 + FITS_S, replace(FITS, **changed)))[1:]
+        texts = said((1, UNFIT), (1 + FITS_AGAIN_AFTER_S, replace(FITS, **changed)))[1:]
         assert texts == [f"the model fits again: {text}"]
 
 
@@ -83,9 +85,9 @@ def test_what_was_learnt_is_said_with_numbers():
 )
 def test_a_latency_that_is_wrong_is_named(dead_time, std, told):
     """Regression: a latency 50 ms wrong was only a model that does not fit."""
-    news = ModelNews(StatedModel(0.03, ("controller.dead_time", "lab.camera.latency")))
+    monitor = ModelMonitor(StatedModel(0.03, ("controller.dead_time", "lab.camera.latency")))
     estimate = replace(UNFIT, dead_time=dead_time, dead_time_std=std)
-    texts = [text for s in (1, 2) for _, text in news.of(estimate, SETUP, round(1e9 * s))]
+    texts = [text for s in (1, 2) for _, text in monitor.notices(estimate, SETUP, round(1e9 * s))]
     question = "not 0.030 s: is controller.dead_time or lab.camera.latency wrong?"
     assert texts[1:] == ([f"commands act {told} after they are sent, {question}"] if told else [])
 
@@ -110,12 +112,12 @@ def test_a_robot_that_stands_is_named_once():
     assert texts == [f"{NAME} stands although it is sent a direction"]
 
 
-def with_dead_times(*dead_times_s):
-    """What fits, of robots with dead times of their own [s]."""
+def with_dead_times(*dead_times_s, std_s=0.002):
+    """Make an estimate that fits, of robots with dead times of their own [s]."""
     return replace(
         FITS,
         own_dead_time=np.array(dead_times_s),
-        own_dead_time_std=np.full(ROBOTS, 0.002),
+        own_dead_time_std=np.full(ROBOTS, std_s),
     )
 
 
@@ -125,12 +127,31 @@ ALIKE = with_dead_times(0.11, 0.11, 0.11)
 
 def test_a_robot_on_which_commands_act_later_is_said_once_after_two_seconds():
     """Regression: 0.15 s were not said, and 0.4 s as a robot that stands."""
-    late_s = 2 + LATER_FOR_S
+    late_s = 2 + LATE_ROBOT_FOR_S
     told = said((2, LATE), (late_s - 0.1, LATE), (late_s, LATE), (late_s + 1, ALIKE), (9, LATE))
     assert told == [
         f"commands act on {SETUP.names[1]} some 0.15 s later than on {NAME}, or more: its radio or "
         "its wheels are slow"
     ]
+
+
+@pytest.mark.parametrize(
+    "estimate",
+    [
+        FITS,  # dead times are not estimated
+        ALIKE,
+        with_dead_times(0.11, 0.155, 0.11),  # a difference below the minimum
+        with_dead_times(0.11, 0.26, 0.11, std_s=0.04),  # not significant
+    ],
+)
+def test_robots_that_are_not_surely_late_are_not_reported(estimate):
+    assert said((0, estimate), (1, estimate), (9, estimate)) == []
+
+
+def test_a_robot_that_is_late_for_a_moment_is_not_reported():
+    """While the filter starts its bank of hypotheses again, the dead times differ."""
+    short_s = LATE_ROBOT_FOR_S - 0.1
+    assert said((0, LATE), (short_s, LATE), (short_s, ALIKE), (short_s + 0.1, LATE)) == []
 
 
 def test_robots_that_stand_are_named_in_the_order_of_the_spec():

@@ -8,7 +8,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop
 from tetractl.core.plan import Plan, State
 from tetractl.core.poses import Observation, Poses
-from tetractl.run.news import LOOK_S, RestNews, speeds_at_rest
+from tetractl.run.motion_at_rest import WINDOW_S, RestMonitor, speeds_at_rest
 
 SETUP = experiment().setup
 GREEN = SETUP.names[0]
@@ -41,23 +41,25 @@ def plan(instead):
 
 @pytest.mark.parametrize(("speed_mm_s", "told"), [(30.0, 1), (5.0, 0), (0.0, 0)])
 def test_a_robot_that_moves_in_rests_is_said_once(speed_mm_s, told):
-    news = RestNews(SETUP)
+    monitor = RestMonitor(SETUP)
     stop = plan(Stop())
-    texts = [text for seed in range(4) for text in news.of(stop, frames(speed_mm_s, seed=seed))]
+    texts = [
+        text for seed in range(4) for text in monitor.warnings(stop, frames(speed_mm_s, seed=seed))
+    ]
     assert len(texts) == told
     assert all(f"{GREEN} moves by " in text and "while it should stand" in text for text in texts)
 
 
 def test_a_robot_that_missed_the_stop_and_was_stopped_by_its_watchdog_is_not_said():
-    """It moved until the last LOOK_S of the rest."""
-    news = RestNews(SETUP)
-    moving = frames(200.0, seconds=0.55 - LOOK_S)
+    """It moved until the last WINDOW_S of the rest."""
+    monitor = RestMonitor(SETUP)
+    moving = frames(200.0, seconds=0.55 - WINDOW_S)
     standing = frames(0.0, seconds=0.55)[len(moving) :]
-    assert news.of(plan(Stop()), [*moving, *standing]) == []
+    assert monitor.warnings(plan(Stop()), [*moving, *standing]) == []
 
 
 def test_few_frames_or_a_lost_robot_say_nothing():
-    few = frames(100.0, rate_hz=round(5 / LOOK_S))
+    few = frames(100.0, rate_hz=round(5 / WINDOW_S))
     assert not speeds_at_rest(few).any()
     assert not speeds_at_rest(few[-1:]).any()
 

@@ -20,7 +20,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 EMULATOR = "packages/tetractl-emulator"
-PARTS = ("tetractl", f"{EMULATOR}/tetractl_emulator", f"{EMULATOR}/firmware")
+PARTS = ("tetractl", f"{EMULATOR}/tetractl_emulator", "firmware")
 
 
 def play(folder, args):

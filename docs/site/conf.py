@@ -11,7 +11,7 @@ include_patterns = [
     "experiments/**/README.md",
     "packages/*/README.md",
     "packages/*/docs/**.md",
-    "packages/*/firmware/README.md",
+    "firmware/README.md",
 ]
 exclude_patterns = [".venv*", "logs", "build", "dist"]
 myst_heading_anchors = 3  # headings are linked to as GitHub names them

@@ -6,6 +6,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 MICROSCOPE = ROOT / "packages" / "tetractl-microscope"
 EMULATOR = ROOT / "packages" / "tetractl-emulator"
+FIRMWARE = ROOT / "firmware"
 SCRIPTS = EMULATOR / "tetractl_emulator/examples/faults"
 EXAMPLES = MICROSCOPE / "tetractl_microscope/examples"
 SPECS = sorted((ROOT / "experiments").glob("*.yaml"))
@@ -17,6 +18,7 @@ SOURCE_FOLDERS = (
     "docs",
     "examples",
     "experiments",
+    "firmware",
     "packages",
     "tests",
     "tetractl",

@@ -1,6 +1,7 @@
 """The firmware's cores, compiled for this computer: emulated devices run the real devices' code.
 
-`<name>_core.c` and `framing.c` of `firmware/` are compiled once into the user's cache folder, by
+Each core is `<name>_core.c` with `framing.c`. The sources lie in the repository's `firmware/`, and
+a wheel of this package contains a copy. They are compiled once, into the user's cache folder, by
 the compiler in $CC or, without $CC, by the first that is found of cc, gcc and clang.
 """
 
@@ -58,9 +59,9 @@ def compiler() -> str | None:
 
 
 def source_folder() -> Path:
-    """Return the folder of the C sources: in the source tree, or in the package."""
+    """Return the folder of the C sources: in an installed package, or in the source tree."""
     module = Path(__file__).resolve()
-    for folder in (module.parents[1] / "firmware", module.parent / "cores"):
+    for folder in (module.parent / "cores", module.parents[3] / "firmware"):
         if (folder / "framing.c").is_file():
             return folder
     raise TetractlError("the firmware's C sources are missing from this installation")

@@ -7,12 +7,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from unittest import mock
 
-from support.paths import EMULATOR
+from support.paths import FIRMWARE
 from tetractl_emulator.twist import side
 
 from tetractl.lab.actuators.wheel_commands import Status
 
-FOLDER = EMULATOR / "firmware" / "micropython"
+FOLDER = FIRMWARE / "micropython"
 BRIDGE = Path(__file__).with_suffix(".mjs")
 MODULES = Path(os.environ.get("NODE_PATH", "")) / "@micropython"
 MISSING = shutil.which("node") is None or not MODULES.is_dir()

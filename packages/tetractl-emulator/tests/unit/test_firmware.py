@@ -7,7 +7,7 @@ import subprocess
 
 import pytest
 from support.device_replies import packed_reply
-from support.paths import EMULATOR
+from support.paths import FIRMWARE
 from tetractl_emulator import firmware
 from tetractl_emulator.firmware import CoreEvent, RobotCore
 
@@ -26,7 +26,6 @@ from tetractl.lab.cobs import Flag, encode, frame_with_crc
 pytestmark = pytest.mark.slow
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
-FOLDER = EMULATOR / "firmware"
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +169,7 @@ def test_a_source_that_does_not_compile_is_one_clear_line(tmp_path, monkeypatch)
 )
 def test_the_firmwares_own_tests_pass(tmp_path, target, passed, count):
     command = ["make", "--no-print-directory", f"BUILD={tmp_path}", target]
-    done = subprocess.run(command, cwd=FOLDER, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=FIRMWARE, capture_output=True, text=True)
     if target != "test" and "cannot find -l" in done.stderr:
         pytest.skip("the compiler has no sanitizer libraries")
     assert done.returncode == 0, done.stdout + done.stderr

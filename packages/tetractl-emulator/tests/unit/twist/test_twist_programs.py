@@ -9,7 +9,7 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
-from support.paths import EMULATOR
+from support.paths import FIRMWARE
 from tetractl_emulator import firmware
 from tetractl_emulator.firmware import CoreEvent, TwistCore
 
@@ -19,15 +19,14 @@ from tetractl.lab.cobs import Flag, crc16
 
 pytestmark = pytest.mark.slow
 
-FOLDER = EMULATOR / "firmware"
-VECTORS = FOLDER / "tests" / "twist_vectors.txt"
+VECTORS = FIRMWARE / "tests" / "twist_vectors.txt"
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 
 
 @contextmanager
 def programs(**modules):
     """The folder of MicroPython programs on the path, with modules that only a robot has."""
-    folder = str(FOLDER / "micropython")
+    folder = str(FIRMWARE / "micropython")
     names = ["twist", "run_vectors", "main", *modules]
     before = {name: sys.modules.pop(name, None) for name in names}
     sys.modules.update(modules)
@@ -56,7 +55,7 @@ def everywhere(tmp_path_factory):
     """What `make everywhere` prints."""
     build = tmp_path_factory.mktemp("firmware")
     command = ["make", "-s", "everywhere", f"BUILD={build}"]
-    compiled = subprocess.run(command, cwd=FOLDER, capture_output=True, text=True)
+    compiled = subprocess.run(command, cwd=FIRMWARE, capture_output=True, text=True)
     assert compiled.returncode == 0, compiled.stdout + compiled.stderr
     return compiled.stdout
 

@@ -113,7 +113,8 @@ def run_trial(
     """Simulate one trial and return it; its log is kept only if a `folder` is given.
 
     `trial` counts from 0; the log of trial 0 is trial-000.mcap. The spec's seed and `trial`
-    determine every random draw. `observers` watch the trial. Raises UsageError for a spec whose
+    determine every random draw. `observers` watch the trial. If code must be compiled first, a line
+    on stderr says so. Raises UsageError for a spec whose
     plant is the lab and for a log that exists already, KeyboardInterrupt after Ctrl-C has ended the
     trial.
     """
@@ -125,7 +126,7 @@ def run_trial(
     trial = whole_number(trial, "a trial")
     if folder is not None:
         demand(folder, str | Path, "a folder is a path")
-    _check(spec, logging.getLogger("tetractl").info)
+    _check(spec, _announcer(True))
     with TemporaryDirectory() as temporary, _interruptible() as interrupt:
         place = Path(temporary if folder is None else folder)
         path = spec_trial.log_path(place, trial)
@@ -164,7 +165,7 @@ def stepped(spec: Spec) -> LoadedSpec:
             "the spec's plant is the lab, which no script drives", "use `tetractl run`"
         )
     opened = directed_spec(loaded)
-    _check(opened, logging.getLogger("tetractl").info)
+    _check(opened, _announcer(True))
     return opened
 
 
@@ -276,7 +277,8 @@ def _check(spec: LoadedSpec, announce: Callable[[str], None]) -> None:
 
 
 def _announcer(progress: bool) -> Callable[[str], None]:
-    """Return what tells of compiling: prints to stderr with `progress`, otherwise to the log."""
+    """Return the function that announces compiling: it prints to stderr if `progress` is True, and
+    otherwise logs the message at level INFO."""
     if progress:
         return partial(print, file=sys.stderr, flush=True)
     return logging.getLogger("tetractl").info

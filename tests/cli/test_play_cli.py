@@ -64,7 +64,7 @@ def test_a_script_steers_and_the_controller_does_the_same_trial(folder):
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
-        ((), "play reads keys, and this is no terminal with UTF-8: give --script FILE"),
+        ((), "play reads keys, and this is no terminal with UTF-8"),
         (("--script", "none.txt"), "none.txt: there is no such file"),
         (("--script", "keys.txt", "-o", "."), ".: exists already"),
         (("--script", "keys.txt", "--set", "hold={radius: 90, time: 5}"), "nor a hold"),
@@ -189,3 +189,23 @@ def test_errors_below_a_hundredth_of_a_millimetre_are_no_digits():
     result = replace(log.result, total_error=0.000519)
     assert _error(result, log.experiment) == f"< 0.01 mm in {result.duration_s:.0f} s"
     assert _error(replace(result, total_error=6.9), log.experiment).startswith("6.90 mm in")
+
+
+CELL = {"JPY_PARENT_PID": "1", "TERM": "xterm-color", "FORCE_COLOR": "1", "CLICOLOR_FORCE": "1"}
+"""What a command in a cell of a notebook finds in its environment."""
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "says"),
+    [
+        (["play", "spec.yaml"], 2, "play reads keys, and this is no terminal"),
+        (["run", "spec.yaml", "-o", "out"], 0, "look at one with: tetractl replay out"),
+        (["run", "spec.yaml", "--plant", "lab"], 2, "error: "),
+    ],
+)
+def test_a_cell_of_a_notebook_is_no_terminal(words, code, says, folder):
+    """`!tetractl run` wrote 315 kB of codes into the cell, and `!tetractl play` waited for ever."""
+    with Terminal([TETRACTL, *words], folder, **CELL) as terminal:
+        terminal.expect(says)
+        assert terminal.finish() == code
+    assert "\x1b" not in terminal.raw

@@ -137,6 +137,6 @@ class Terminal:
 
 
 def _environment() -> dict[str, str]:
-    hidden = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE")
+    hidden = ("NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE", "JPY_PARENT_PID")
     inherited = {name: value for name, value in os.environ.items() if name not in hidden}
     return inherited | {"TERM": "xterm-256color", "PYTHONUTF8": "1"}

@@ -231,6 +231,16 @@ def test_a_batch_says_that_code_is_compiled(tmp_path, monkeypatch, capsys, progr
     assert capsys.readouterr().err == ("compiling for pso-mpc\n" if progress else "")
 
 
+def test_a_single_trial_says_that_code_is_compiled(monkeypatch, capsys):
+    """Regression: the first trial in a notebook was silent for half a minute."""
+    monkeypatch.setattr(
+        "tetractl.control.build.warm_up", lambda experiment, announce: announce("compiling")
+    )
+    tetractl.run_trial(tetractl.parse_spec(SPEC))
+    tetractl.open_trial(tetractl.parse_spec(SPEC))
+    assert capsys.readouterr().err == "compiling\n" * 2
+
+
 def test_every_name_is_there_and_no_other():
     for name in tetractl.__all__:
         assert getattr(tetractl, name) is not None, name

@@ -19,6 +19,7 @@ from tetractl.lab.port_holder import stop_beside
 from tetractl.lab.serial_port import PortHeldError
 from tetractl.run.interrupt import interrupted_once
 from tetractl.tools.files import save_whole
+from tetractl.tools.terminal import has_keys
 from tetractl.view.terminal.keys import NO_KEY, STOP_HINT, StopKey
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ def check(
         return Exit.FAILED
     if yes:
         return Exit.DONE
-    if preflight.questions and not ui.has_keys():
+    if preflight.questions and not has_keys():
         ui.tell("questions not answered: add --yes if there is no terminal")
         return Exit.FAILED
     agreed = all(typer.confirm(question, err=True) for question in preflight.questions)

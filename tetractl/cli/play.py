@@ -21,6 +21,7 @@ from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, UsageError
 from tetractl.tools.table.table import lengths
 from tetractl.tools.table.terminal_table import open_console
+from tetractl.tools.terminal import has_keys
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -99,8 +100,11 @@ def play(
     in_lab = experiment.plant.real_time
     timed_keys = None if script is None else read_script(script)
     console = open_console(stderr=True)
-    if timed_keys is None and not (ui.has_keys() and shows_pictures(console)):
-        raise UsageError("play reads keys, and this is no terminal with UTF-8: give --script FILE")
+    if timed_keys is None and not (has_keys() and shows_pictures(console)):
+        raise UsageError(
+            "play reads keys, and this is no terminal with UTF-8",
+            "without one, as in a cell of a notebook, give --script FILE",
+        )
     if in_lab and (timed_keys is not None or speed is not None):
         raise UsageError("--script and --speed are for virtual time: in the lab a person steers")
     if timed_keys is not None and speed is not None:

@@ -9,6 +9,7 @@ from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.log.read.find import find_logs
 from tetractl.tools.table.terminal_table import open_console
+from tetractl.tools.terminal import has_keys
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -50,7 +51,7 @@ def replay(
         raise UsageError(f"--rate must be above 0, not {rate:g}")
     paths = find_logs(logs)
     console = open_console()
-    on_screen = ui.has_keys() and shows_pictures(console)
+    on_screen = has_keys() and shows_pictures(console)
     if paused and not on_screen:
         raise UsageError("--paused needs a terminal, where a key continues")
     if loop and not on_screen and len(paths) > 1:

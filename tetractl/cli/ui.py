@@ -14,6 +14,7 @@ from tetractl.core.errors import UsageError, printable
 from tetractl.tools.table.table import Table
 from tetractl.tools.table.table_files import json_text
 from tetractl.tools.table.terminal_table import open_console, print_tables
+from tetractl.tools.terminal import has_keys, is_terminal
 
 if TYPE_CHECKING:
     from tetractl.core.protocols import LabSupervision
@@ -98,7 +99,7 @@ def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
 
 def announce_compiling(quiet: bool, text: str) -> None:
     """Print on stderr that code is being compiled; with `quiet`, only if stderr is a terminal."""
-    if not quiet or sys.stderr.isatty():
+    if not quiet or is_terminal(sys.stderr):
         tell(text)
 
 
@@ -154,11 +155,6 @@ def rig_of(experiment: "Experiment", supervision: "LabSupervision | None" = None
     lab = rig_section(experiment)
     seed = SeedSequence(experiment.trials.seed)
     return lab.rig(experiment.setup, lab.clock(), seed, supervision, chosen=experiment.open)
-
-
-def has_keys() -> bool:
-    """Return whether a person can press keys: whether stdin is a terminal."""
-    return sys.stdin is not None and sys.stdin.isatty()
 
 
 def require_yes_or_terminal(yes: bool) -> None:

@@ -29,7 +29,7 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
         now_s = time.monotonic()
         if said_s and now_s - said_s[-1] < AGAIN_S:
             return
-        duration = "10 to 40 s, cached for later runs"
+        duration = "about a minute, longer if the computer is busy; cached for later runs"
         if said_s:
             duration = f"{now_s - began_s:.0f} s so far"
         announce(f"compiling for {compiled_for(experiment)}: {duration} ...")

@@ -16,6 +16,7 @@ from tetractl.core.errors import AbortError, Exit, UsageError
 from tetractl.run.interrupt import interrupted_once
 from tetractl.tools.files import save_whole
 from tetractl.tools.table.table import plural
+from tetractl.tools.terminal import is_terminal
 
 SPECS = "it is the spec's: mend that, and rehearse it then"
 
@@ -100,7 +101,7 @@ def rehearse(
             for done, row in enumerate(called(play, waiting, jobs, ui.tell), start=1):
                 store.add(row["day"], row)
                 show(done, len(waiting))
-                if not sys.stderr.isatty():
+                if not is_terminal(sys.stderr):
                     left_s = (time.monotonic() - began_s) / done * (len(waiting) - done)
                     remaining = f"{left_s / 60:.0f} min" if left_s >= 90 else f"{left_s:.0f} s"
                     more = f", about {remaining} more" if done < len(waiting) else ""

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from tetractl.core.errors import printable
 from tetractl.tools.table.table import NONE, Table
+from tetractl.tools.terminal import is_terminal
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -39,12 +40,17 @@ _MINUS = re.compile(r"(?<![\w.])-(?=\d)|(?<= )-(?= )")
 
 
 def open_console(stderr: bool = False, quiet: bool = False) -> "Console":
-    """Return rich's console of stdout or stderr. Into a file or a pipe it sends no code of a
-    terminal, whatever FORCE_COLOR and TTY_COMPATIBLE say: they are set in notebooks and CI."""
+    """Return rich's console of stdout or stderr.
+
+    Unless the stream is a terminal, the console sends no code of a terminal, whatever FORCE_COLOR
+    and TTY_COMPATIBLE say: they are set in notebooks and CI.
+    """
     from rich.console import Console
 
     stream = sys.stderr if stderr else sys.stdout
-    return Console(stderr=stderr, quiet=quiet, force_terminal=None if stream.isatty() else False)
+    return Console(
+        stderr=stderr, quiet=quiet, force_terminal=None if is_terminal(stream) else False
+    )
 
 
 def print_tables(tables: Sequence[Table], console: "Console | None" = None) -> None:

@@ -14,6 +14,7 @@ from types import FrameType
 from typing import Self
 
 from tetractl.run.interrupt import STOP_SIGNALS
+from tetractl.tools.terminal import has_keys
 
 _SEQUENCES = {
     "right": ("[C", "OC"),
@@ -173,7 +174,7 @@ class StopKey:
         unattended: bool = False,
         steer: Callable[[str], None] | None = None,
     ) -> None:
-        self.listening = sys.stdin is not None and sys.stdin.isatty()
+        self.listening = has_keys()
         self._stop = stop
         self._enter = enter
         self._unattended = unattended

@@ -1,0 +1,34 @@
+"""Decides whether a standard stream is a terminal at which a person reads and presses keys.
+
+Every part of the program that shows pictures, sends a terminal's codes, or waits for a key asks
+here.
+"""
+
+import os
+import sys
+from collections.abc import Mapping
+from typing import IO
+
+
+def is_terminal(stream: IO[str] | None) -> bool:
+    """Return whether a stream is a terminal with a person at it.
+
+    A command in a cell of a notebook, such as `!tetractl run`, has a pseudo-terminal, but no key
+    reaches it, and its output goes into the notebook's file: that is no terminal.
+    """
+    return stream is not None and stream.isatty() and not _is_in_a_cell(os.environ)
+
+
+def has_keys() -> bool:
+    """Return whether a person can press keys: whether stdin is a terminal."""
+    return is_terminal(sys.stdin)
+
+
+def _is_in_a_cell(environment: Mapping[str, str]) -> bool:
+    """Return whether a process was started by a Jupyter kernel.
+
+    Jupyter sets JPY_PARENT_PID when it starts a kernel. Kernels that other programs start (such as
+    VS Code) are known by the settings that every IPython kernel gives its child processes.
+    """
+    of_ipykernel = {"TERM": "xterm-color", "CLICOLOR_FORCE": "1", "GIT_PAGER": "cat"}
+    return "JPY_PARENT_PID" in environment or of_ipykernel.items() <= environment.items()

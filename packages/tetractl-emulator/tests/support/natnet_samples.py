@@ -7,7 +7,7 @@ from tetractl_emulator.optitrack.natnet_server import pack_modeldef, packed_body
 
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.payloads import layout_of
-from tetractl.lab.cameras.optitrack.wire import datagram, packed, packed_name
+from tetractl.lab.cameras.optitrack.wire import pack_datagram, pack_fields, pack_name
 
 NUMBERS = "2.6 2.7 2.9 2.10 2.11 3.0 3.1 4.0 4.1 4.2 4.3"
 VERSIONS = [natnet.Version.of(text) for text in NUMBERS.split(" ")]
@@ -19,15 +19,15 @@ def full_frame(version, bodies=(BODY, BODY), params=0):
     """Return a frame with something of every kind; what the version does not have is left out."""
     layout = layout_of(version)
     frame = natnet.NatNetFrame(1234, bodies, params)
-    position = packed("3f", *BODY.position)
+    position = pack_fields("3f", *BODY.position)
     body = packed_body(BODY, version, markers=3)
-    marker = packed("i3ffH", 1, *BODY.position, 0.01, 0)
+    marker = pack_fields("i3ffH", 1, *BODY.position, 0.01, 0)
     marker_sets = [
-        numbered(packed_name("green"), position, position),
-        numbered(packed_name("all"), *[position] * 5),
+        numbered(pack_name("green"), position, position),
+        numbered(pack_name("all"), *[position] * 5),
     ]
-    skeleton = numbered(packed("i", 3), body, body)
-    skeletons = [skeleton, numbered(packed("i", 4))]
+    skeleton = numbered(pack_fields("i", 3), body, body)
+    skeletons = [skeleton, numbered(pack_fields("i", 4))]
     sections = [
         marker_sets,
         [position],  # of an unlabelled marker
@@ -36,22 +36,25 @@ def full_frame(version, bodies=(BODY, BODY), params=0):
     ]
     if layout.sized:
         markers_of_asset = numbered(b"", marker + bytes(4), marker + bytes(4))
-        asset = numbered(packed("i", 5), body) + markers_of_asset
+        asset = numbered(pack_fields("i", 5), body) + markers_of_asset
         sections.append([asset])
     labelled_marker = marker + bytes(4 * layout.timed)
     sections.append([labelled_marker, labelled_marker])
-    analogue = [packed("i2f", 2, 1.0, 2.0), packed("i", 0)]  # channels of two samples and of none
-    force_plate = numbered(packed("i", 1), *analogue)
-    device = numbered(packed("i", 2), packed("if", 1, 3.0))
+    analogue = [
+        pack_fields("i2f", 2, 1.0, 2.0),
+        pack_fields("i", 0),
+    ]  # channels of two samples and of none
+    force_plate = numbered(pack_fields("i", 1), *analogue)
+    device = numbered(pack_fields("i", 2), pack_fields("if", 1, 3.0))
     sections.extend([[force_plate], [device]][: layout.channels])
     parts = [section(items, version) for items in sections]
-    payload = packed("i", frame.number) + b"".join(parts) + suffix(frame, version)
-    return datagram(natnet.MessageKind.FRAME, payload)
+    payload = pack_fields("i", frame.number) + b"".join(parts) + suffix(frame, version)
+    return pack_datagram(natnet.MessageKind.FRAME, payload)
 
 
 def numbered(head, *items):
     """A head, the number of items, and these."""
-    return head + packed("i", len(items)) + b"".join(items)
+    return head + pack_fields("i", len(items)) + b"".join(items)
 
 
 def full_modeldef(version):
@@ -69,6 +72,6 @@ def full_modeldef(version):
     if version >= (4, 1):
         others.append((6, b"an asset that is stepped over"))
     model = natnet.ModelDef((("green", 1), ("blü", 2)))
-    return model, datagram(
+    return model, pack_datagram(
         natnet.MessageKind.MODELDEF, pack_modeldef(model, version, others, markers=3)
     )

@@ -20,12 +20,12 @@ def parse_request(received: bytes) -> natnet.ClientMessage:
         case natnet.MessageKind.CONNECT if len(payload) <= wire.SENDER.size:
             return natnet.Connect(wire.read_sender(payload)[1])
         case natnet.MessageKind.CONNECT:
-            _, *version = wire.unpacked(BITSTREAM, payload[wire.SENDER.size :])
+            _, *version = wire.unpack_fields(BITSTREAM, payload[wire.SENDER.size :])
             return natnet.Connect(natnet.Version(*version[:2]), pinned=True)
         case natnet.MessageKind.REQUEST:
             return natnet.NatNetRequest(wire.read_text(payload))
         case natnet.MessageKind.ECHO_REQUEST:
-            return natnet.EchoRequest(*wire.unpacked(Struct("<Q"), payload))
+            return natnet.EchoRequest(*wire.unpack_fields(Struct("<Q"), payload))
         case _:
             return natnet.Bare(kind)
 
@@ -37,21 +37,25 @@ def pack_answer(message: natnet.ServerMessage, version: natnet.Version = natnet.
     version = max(version, natnet.OLDEST)
     match message:
         case natnet.NatNetFrame():
-            return wire.datagram(natnet.MessageKind.FRAME, pack_frame(message, version))
+            return wire.pack_datagram(natnet.MessageKind.FRAME, pack_frame(message, version))
         case natnet.ModelDef():
             grown = GROWN if version > natnet.NEWEST else b""
-            return wire.datagram(
+            return wire.pack_datagram(
                 natnet.MessageKind.MODELDEF, pack_modeldef(message, version, grown=grown)
             )
         case natnet.ServerInfo(name, own, clock_hz, port):
             info = wire.SERVER_INFO.pack(clock_hz, port) if own >= (3, 0) else b""
-            return wire.datagram(natnet.MessageKind.SERVER_INFO, wire.sender(name, own) + info)
+            return wire.pack_datagram(
+                natnet.MessageKind.SERVER_INFO, wire.pack_sender(name, own) + info
+            )
         case natnet.Response(payload):
-            return wire.datagram(natnet.MessageKind.RESPONSE, payload)
+            return wire.pack_datagram(natnet.MessageKind.RESPONSE, payload)
         case natnet.EchoResponse(client, server):
-            return wire.datagram(natnet.MessageKind.ECHO_RESPONSE, wire.ECHO.pack(client, server))
+            return wire.pack_datagram(
+                natnet.MessageKind.ECHO_RESPONSE, wire.ECHO.pack(client, server)
+            )
         case natnet.Bare(kind):
-            return wire.datagram(kind, b"")
+            return wire.pack_datagram(kind, b"")
 
 
 def pack_frame(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
@@ -60,25 +64,27 @@ def pack_frame(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
     empty = section([], version)
     bodies = [packed_body(body, version) for body in frame.bodies]
     after = 2 + layout.sized + layout.channels  # skeletons, assets, labelled markers, channels
-    parts = wire.packed("i", frame.number), empty * 2, section(bodies, version), empty * after
+    parts = wire.pack_fields("i", frame.number), empty * 2, section(bodies, version), empty * after
     return b"".join((*parts, suffix(frame, version)))
 
 
 def section(parts: Sequence[bytes], version: natnet.Version) -> bytes:
     """Pack a section of a frame from its packed elements."""
     size = sum(map(len, parts))
-    head = wire.packed("i", len(parts))
+    head = wire.pack_fields("i", len(parts))
     if layout_of(version).sized:
-        head += wire.packed("i", size)
+        head += wire.pack_fields("i", size)
     return head + b"".join(parts)
 
 
 def packed_body(body: natnet.RigidBody, version: natnet.Version, markers: int = 0) -> bytes:
     """Pack a rigid body, in versions before 3.0 with `markers` markers."""
     error = 0.0002 if body.tracking_valid else 0.0  # mean error of its markers [m]
-    listed = b"" if layout_of(version).timed else wire.packed("i", markers) + bytes(20 * markers)
-    pose = wire.packed("i7f", body.id, *body.position, *body.quaternion)
-    return pose + listed + wire.packed("fH", error, body.tracking_valid)
+    listed = (
+        b"" if layout_of(version).timed else wire.pack_fields("i", markers) + bytes(20 * markers)
+    )
+    pose = wire.pack_fields("i7f", body.id, *body.position, *body.quaternion)
+    return pose + listed + wire.pack_fields("fH", error, body.tracking_valid)
 
 
 def suffix(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
@@ -87,7 +93,7 @@ def suffix(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
     times = [0] * (len(layout.suffix.format) - 3)
     if layout.timed:
         times[3] = frame.exposure or 0
-    return wire.packed(layout.suffix.format[1:], *times, frame.params, 0)
+    return wire.pack_fields(layout.suffix.format[1:], *times, frame.params, 0)
 
 
 def pack_modeldef(
@@ -104,23 +110,23 @@ def pack_modeldef(
     """
     described = (_packed_body(*body, version, markers) + grown for body in model.bodies)
     sets = [*others, *((RIGID_BODY, data) for data in described)]
-    parts = [wire.packed("i", len(sets))]
+    parts = [wire.pack_fields("i", len(sets))]
     sized = layout_of(version).sized
     for kind, data in sets:
-        head = wire.packed("ii", kind, len(data)) if sized else wire.packed("i", kind)
+        head = wire.pack_fields("ii", kind, len(data)) if sized else wire.pack_fields("i", kind)
         parts += [head, data]
     return b"".join(parts)
 
 
 def _packed_body(name: str, number: int, version: natnet.Version, markers: int) -> bytes:
-    parts = [wire.packed_name(name), wire.packed("ii3f", number, -1, 0.0, 0.0, 0.0)]
+    parts = [wire.pack_name(name), wire.pack_fields("ii3f", number, -1, 0.0, 0.0, 0.0)]
     if version >= (4, 2):
-        parts.append(wire.packed("4f", 0.0, 0.0, 0.0, 1.0))
+        parts.append(wire.pack_fields("4f", 0.0, 0.0, 0.0, 1.0))
     if version >= (3, 0):
-        parts.append(wire.packed(f"i{3 * markers}f", markers, *[0.01] * (3 * markers)))
-        parts.append(wire.packed(f"{markers}i", *range(1, markers + 1)))
+        parts.append(wire.pack_fields(f"i{3 * markers}f", markers, *[0.01] * (3 * markers)))
+        parts.append(wire.pack_fields(f"{markers}i", *range(1, markers + 1)))
     if version >= (4, 0):
-        parts.extend(wire.packed_name(f"Marker{index + 1}") for index in range(markers))
+        parts.extend(wire.pack_name(f"Marker{index + 1}") for index in range(markers))
     return b"".join(parts)
 
 

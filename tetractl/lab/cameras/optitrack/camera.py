@@ -23,8 +23,9 @@ from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack import diagnosis, natnet
 from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
+from tetractl.lab.cameras.optitrack.sender_filter import SenderFilter
 from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS, Stream
-from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, Senders, pack
+from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack_message
 from tetractl.tools.worker import WAITING_MAX, drained
 
 ASK_NS = SECOND // 4  # an unanswered request is repeated after this time
@@ -51,7 +52,7 @@ class OptitrackCamera:
         robots = [entry(section.robots, name) for name in setup.names]
         self.section = section
         self.error: OSError | None = None
-        self.senders = Senders(section.server, section.command_port)
+        self.senders = SenderFilter(section.server, section.command_port)
         self._clock = clock
         self._wake = wake
         self._threaded = make_socket is None
@@ -219,7 +220,7 @@ class OptitrackCamera:
                 return
             except ConnectionError:  # an ICMP "port unreachable" in answer to an earlier message
                 continue
-            if not self.senders.admit(datagram, host, port):
+            if not self.senders.accept(datagram, host, port):
                 continue
             before = self.stream.newest
             message = self.stream.feed(datagram, self._clock.now())
@@ -230,9 +231,9 @@ class OptitrackCamera:
                 self.error = None
                 self._wake()
             if isinstance(message, natnet.NatNetFrame):
-                self.senders.pin(port)
+                self.senders.fix_frames_port(port)
             elif isinstance(message, natnet.ServerInfo) and self._unicast:
-                self.senders.pin(message.data_port)
+                self.senders.fix_frames_port(message.data_port)
 
     def _chores(self) -> None:
         """Send the requests that are due."""
@@ -279,7 +280,7 @@ class OptitrackCamera:
             yield "echo", SECOND // 50 if often else SECOND // 2, natnet.EchoRequest(now)
 
     def _send(self, message: natnet.ClientMessage) -> None:
-        data = pack(message)
+        data = pack_message(message)
         try:
             self._sockets[0].sendto(data, (self.section.server, self.section.command_port))
         except OSError as error:

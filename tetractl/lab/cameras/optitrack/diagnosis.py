@@ -5,18 +5,19 @@ from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.payloads import LAYOUTS
 from tetractl.lab.cameras.optitrack.section import OptitrackSection, TrackedRobot
+from tetractl.lab.cameras.optitrack.sender_filter import SenderFilter
 from tetractl.lab.cameras.optitrack.stream import Stream
-from tetractl.lab.cameras.optitrack.wire import Senders, parse
+from tetractl.lab.cameras.optitrack.wire import parse
 
 SHOWN = 12  # largest number of rigid bodies listed in a message
 
 
-def no_server(section: OptitrackSection, senders: Senders, timeout_s: float) -> AbortError:
+def no_server(section: OptitrackSection, senders: SenderFilter, timeout_s: float) -> AbortError:
     """Return the error for a server that did not answer CONNECT within `timeout_s`."""
     address = f"{section.server}:{section.command_port}"
-    most = senders.most(frames=False)
-    if most is not None:
-        sender, _ = most
+    refused = senders.main_refused_sender(sends_frames=False)
+    if refused is not None:
+        sender, _ = refused
         return AbortError(
             f"no camera server answers at {address}, but one does from {sender} ({timeout_s:g} s)",
             f"set lab.camera.server to {sender.host} and lab.camera.command_port to {sender.port}",
@@ -29,13 +30,13 @@ def no_server(section: OptitrackSection, senders: Senders, timeout_s: float) -> 
 
 
 def no_frames(
-    section: OptitrackSection, senders: Senders, stream: Stream, timeout_s: float
+    section: OptitrackSection, senders: SenderFilter, stream: Stream, timeout_s: float
 ) -> AbortError:
     """Return the error for a server that answers but sends no usable frame."""
     server = f"the camera server at {section.server}:{section.command_port} answers"
-    most = senders.most(frames=True)
-    if most is not None and not stream.counts.unread_frames:
-        sender, count = most
+    refused = senders.main_refused_sender(sends_frames=True)
+    if refused is not None and not stream.counts.unread_frames:
+        sender, count = refused
         fits = _reads_as(senders.refused_frame, stream)
         came = f"{count} frames came from {sender} in {timeout_s:g} s, which fit {fits}"
         if sender.host != section.server:
@@ -172,7 +173,7 @@ def _lacking(stream: Stream, model: natnet.ModelDef, name: str, robot: TrackedRo
     return f"the cameras {why}; they have {bodies(stream)}"
 
 
-def not_taken(senders: Senders, stream: Stream) -> list[str]:
+def not_taken(senders: SenderFilter, stream: Stream) -> list[str]:
     """Return warnings about dropped datagrams: from other senders, or answers without a request."""
     lines: list[str] = []
     if senders.refused:

@@ -26,12 +26,15 @@ BODY = POSE.size + ERROR_AND_PARAMS.size  # bytes of a rigid body without marker
 
 
 class Layout(NamedTuple):
-    """What differs between the protocol versions: the suffix of a frame, which ends with params and
-    an i32; the number of its sections of channels (force plates, devices); and two changes.
+    """The differences between the protocol versions.
 
-    From 3.0 on (`timed`) the suffix has the time of exposure as its fourth field, rigid bodies no
-    longer contain their markers, and labelled markers end with an error. From 4.1 on (`sized`)
-    frames have a section of assets, and sections and data sets state their size.
+    Attributes:
+        suffix: The end of a frame, whose last two fields are its params and an i32.
+        channels: Number of sections of channels in a frame (force plates, devices).
+        timed: True since 3.0: the fourth field of the suffix is the time of exposure, rigid bodies
+            no longer contain their markers, and labelled markers end with an error.
+        sized: True since 4.1: frames have a section of assets, and sections and data sets state
+            their size.
     """
 
     suffix: Struct
@@ -52,14 +55,35 @@ LAYOUTS = {  # by the first version of each
 
 @cache  # for each frame and body
 def layout_of(version: natnet.Version) -> Layout:
-    """Return the layout of a version; WireError for versions that are too old."""
+    """Find the layout of a protocol version.
+
+    Raises:
+        WireError: If the version is too old.
+    """
     if version < natnet.OLDEST:
         raise WireError(f"protocol {version} is older than {natnet.OLDEST}")
     return LAYOUTS[max(since for since in LAYOUTS if since <= version)]
 
 
+# Size of one element of each section, or the smallest size that it can have [bytes]
+MARKER_SET_MIN = 5
+MARKER = 12
+SKELETON_MIN = 8
+ASSET_MIN = 12
+LABELLED_MARKER = 26
+LABELLED_MARKER_BEFORE_3 = 22
+CHANNELS_MIN = 8
+CHANNEL_MIN = 4
+SAMPLE = 4
+MARKER_OF_BODY_BEFORE_3 = 20
+POSITION = 12
+DESCRIPTION_MIN = 5
+BODY_DESCRIPTION_MIN = 21
+MARKER_DESCRIPTION = 16
+
+
 class Cursor:
-    """A read position in a payload of little-endian fields; it only moves forward, up to `end`."""
+    """A read position in a payload of little-endian fields. It only moves forward, up to `end`."""
 
     __slots__ = ("at", "data", "end")
 
@@ -122,6 +146,18 @@ class Cursor:
         count = self.count(smallest)
         self.skip(self.size(count, smallest))
 
+    def part(self) -> "Cursor":
+        """Read the size of a part, move past the part, and return a cursor on it."""
+        size = self.size(count=0, smallest=0)
+        part = Cursor(self.data, end=self.at + size, begin=self.at)
+        self.skip(size)
+        return part
+
+    def skip_names(self) -> None:
+        """Skip a count and that number of names."""
+        for _ in range(self.count(1)):
+            self.name()
+
     def name(self) -> str:
         """Read a NUL-terminated name of at most 255 bytes."""
         start = self.at
@@ -147,90 +183,111 @@ def parse_frame(payload: bytes, version: natnet.Version) -> natnet.NatNetFrame:
 
 def _read_sized(cursor: Cursor, layout: Layout) -> tuple[natnet.RigidBody, ...]:
     """Read the sections of a frame from 4.1 on: the rigid bodies, the others by their sizes."""
-    cursor.skip_sized(5)  # marker sets
-    cursor.skip_sized(12)  # other markers
+    cursor.skip_sized(MARKER_SET_MIN)
+    cursor.skip_sized(MARKER)  # unlabelled markers
     count = cursor.count(BODY)
     if cursor.size(count, BODY) != count * BODY:
         raise WireError("the stated size of the rigid bodies is wrong")
     bodies = tuple(_body(cursor, layout) for _ in range(count))
-    cursor.skip_sized(8)  # skeletons
-    cursor.skip_sized(12)  # assets
-    cursor.skip_sized(26)  # labelled markers
+    cursor.skip_sized(SKELETON_MIN)
+    cursor.skip_sized(ASSET_MIN)
+    cursor.skip_sized(LABELLED_MARKER)
     for _ in range(layout.channels):
-        cursor.skip_sized(8)
+        cursor.skip_sized(CHANNELS_MIN)
     return bodies
 
 
 def _read_measured(cursor: Cursor, layout: Layout) -> tuple[natnet.RigidBody, ...]:
     """Read the sections of a frame before 4.1: the rigid bodies, and the others element by
     element."""
-    for _ in range(cursor.count(5)):  # marker sets
+    for _ in range(cursor.count(MARKER_SET_MIN)):
         cursor.name()
-        cursor.skip_elements(12)
-    cursor.skip_elements(12)  # other markers
+        cursor.skip_elements(MARKER)
+    cursor.skip_elements(MARKER)  # unlabelled markers
     bodies = tuple(_body(cursor, layout) for _ in range(cursor.count(BODY)))
-    for _ in range(cursor.count(8)):  # skeletons
-        cursor.skip(4)
+    for _ in range(cursor.count(SKELETON_MIN)):
+        cursor.skip(I32.size)
         for _ in range(cursor.count(BODY)):
             _body(cursor, layout)
-    cursor.skip_elements(26 if layout.timed else 22)  # labelled markers
+    cursor.skip_elements(LABELLED_MARKER if layout.timed else LABELLED_MARKER_BEFORE_3)
     for _ in range(layout.channels):
-        for _ in range(cursor.count(8)):
-            cursor.skip(4)
-            for _ in range(cursor.count(4)):
-                cursor.skip_elements(4)
+        for _ in range(cursor.count(CHANNELS_MIN)):
+            cursor.skip(I32.size)
+            for _ in range(cursor.count(CHANNEL_MIN)):
+                cursor.skip_elements(SAMPLE)
     return bodies
 
 
 def _body(cursor: Cursor, layout: Layout) -> natnet.RigidBody:
     number, *pose = cursor.take(POSE)
     if not layout.timed:
-        cursor.skip_elements(20)  # the positions, ids and sizes of its markers
+        cursor.skip_elements(MARKER_OF_BODY_BEFORE_3)
     _, params = cursor.take(ERROR_AND_PARAMS)
     return natnet.RigidBody(number, (*pose[:3],), (*pose[3:],), bool(params & 1))
 
 
 MARKER_SET, RIGID_BODY, SKELETON, FORCE_PLATE, DEVICE, CAMERA = range(6)
-# data sets to skip before 4.1: bytes, names, bytes, and whether a list of names follows
+
+
+class SkippedLayout(NamedTuple):
+    """The layout of a data set that is skipped, in protocols before 4.1.
+
+    Attributes:
+        bytes_before: Bytes before its names.
+        names: Number of its names.
+        bytes_after: Bytes after its names.
+        ends_with_names: True if a counted list of names follows.
+    """
+
+    bytes_before: int
+    names: int
+    bytes_after: int
+    ends_with_names: bool
+
+
 SKIPPED = {
-    MARKER_SET: (0, 1, 0, True),
-    FORCE_PLATE: (4, 1, 652, True),  # after its name: size, origin, matrix, corners, types
-    DEVICE: (4, 2, 8, True),
-    CAMERA: (0, 1, 28, False),
+    MARKER_SET: SkippedLayout(0, 1, 0, ends_with_names=True),
+    # after the name of a force plate: size, origin, matrix, corners, types
+    FORCE_PLATE: SkippedLayout(4, 1, 652, ends_with_names=True),
+    DEVICE: SkippedLayout(4, 2, 8, ends_with_names=True),
+    CAMERA: SkippedLayout(0, 1, 28, ends_with_names=False),
 }
 
 
 def parse_modeldef(payload: bytes, version: natnet.Version) -> natnet.ModelDef:
     """Read the rigid bodies' names and ids; bodies inside skeletons are left out."""
     layout = layout_of(version)
-    readable = {*SKIPPED} if layout.timed else {MARKER_SET, CAMERA}  # of which the layout is known
+    known_kinds = {*SKIPPED} if layout.timed else {MARKER_SET, CAMERA}
     cursor = Cursor(payload)
     bodies: list[tuple[str, int]] = []
-    for _ in range(cursor.count(5)):
+    for _ in range(cursor.count(DESCRIPTION_MIN)):
         kind = cursor.i32()
         if layout.sized:
-            stop = cursor.size(0, 0) + cursor.at
+            description = cursor.part()
             if kind == RIGID_BODY:
-                bodies.append(_named(Cursor(payload, stop, cursor.at)))
-            cursor.at = stop
+                bodies.append(_named(description))
         elif kind == RIGID_BODY:
             bodies.append(_described(cursor, version))
         elif kind == SKELETON:
             cursor.name()
-            cursor.skip(4)
-            for _ in range(cursor.count(21)):
+            cursor.skip(I32.size)
+            for _ in range(cursor.count(BODY_DESCRIPTION_MIN)):
                 _described(cursor, version)
-        elif kind in readable:
-            before, names, after, listed = SKIPPED[kind]
-            cursor.skip(before)
-            for _ in range(names):
-                cursor.name()
-            cursor.skip(after)
-            for _ in range(cursor.count(1) if listed else 0):
-                cursor.name()
+        elif kind in known_kinds:
+            _skip_description(cursor, SKIPPED[kind])
         else:
             return natnet.ModelDef(tuple(bodies), complete=False)
     return natnet.ModelDef(tuple(bodies))
+
+
+def _skip_description(cursor: Cursor, layout: SkippedLayout) -> None:
+    """Skip a data set in a version that does not state its size."""
+    cursor.skip(layout.bytes_before)
+    for _ in range(layout.names):
+        cursor.name()
+    cursor.skip(layout.bytes_after)
+    if layout.ends_with_names:
+        cursor.skip_names()
 
 
 def _named(cursor: Cursor) -> tuple[str, int]:
@@ -243,9 +300,12 @@ def _named(cursor: Cursor) -> tuple[str, int]:
 def _described(cursor: Cursor, version: natnet.Version) -> tuple[str, int]:
     """Read a body's complete description, in a version that does not state its size."""
     named = _named(cursor)
-    cursor.skip(12)
-    count = cursor.count(16) if version >= (3, 0) else 0
-    cursor.skip(count * 16)
-    for _ in range(count if version >= (4, 0) else 0):
-        cursor.name()
+    cursor.skip(POSITION)
+    if version < (3, 0):
+        return named
+    markers = cursor.count(MARKER_DESCRIPTION)
+    cursor.skip(markers * MARKER_DESCRIPTION)
+    if version >= (4, 0):
+        for _ in range(markers):
+            cursor.name()
     return named

@@ -19,7 +19,7 @@ from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
-from tetractl.lab.cameras.optitrack.wire import number_in, parse
+from tetractl.lab.cameras.optitrack.wire import parse, read_number
 
 DRIFT_MAX = 1e-3  # largest drift between the server's clock and ours [s/s]
 
@@ -275,11 +275,11 @@ class Stream:
     def _response(self, response: natnet.Response) -> None:
         request = self._requests.take_text()
         if request == UP_AXIS and self.up is None:
-            self.up_answer = int(number_in(response, "i"))
+            self.up_answer = int(read_number(response, "i"))
             if self.up_answer in (UpAxis.Y, UpAxis.Z):
                 self.up = UpAxis(self.up_answer)
         elif request == UNITS:
-            unit_mm = number_in(response, "f")
+            unit_mm = read_number(response, "f")
             if not 1e-3 <= unit_mm <= 1e6:
                 raise WireError(f"a unit of length of {unit_mm:g} mm is not plausible")
             self.unit_mm = unit_mm

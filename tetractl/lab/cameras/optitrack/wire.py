@@ -1,14 +1,7 @@
-"""Parses a server's NatNet datagrams, packs a client's messages, and decides which datagrams come
-from the server, by its address and two of its ports.
-
-Answers come from the port that commands are sent to. Frames come from one other port: in unicast
-the port that SERVERINFO reports (from 3.0 on), otherwise the port of the first readable frame.
-NatNet does not authenticate senders: packets from the server's address and port are accepted.
-"""
+"""Parses the NatNet datagrams of a camera server, and packs the messages of a client."""
 
 import struct
-from collections import Counter
-from typing import Any, NamedTuple
+from typing import Any
 
 from tetractl.core.errors import WireError
 from tetractl.lab.cameras.optitrack import natnet
@@ -16,108 +9,78 @@ from tetractl.lab.cameras.optitrack.payloads import NAME_MAX, parse_frame, parse
 
 HEADER = struct.Struct("<HH")  # message id, payload bytes
 DATAGRAM_MAX = 65_507  # largest payload of a UDP datagram over IPv4 [bytes]
-SENDER = struct.Struct("<256s4B4B")  # name, application version, NatNet version
+SENDER_FIELDS = "256s4B4B"  # name, application version, NatNet version
+SENDER = struct.Struct("<" + SENDER_FIELDS)
 SERVER_INFO = struct.Struct("<QH5x")  # clock, data port; multicast and its group are not read
 ECHO = struct.Struct("<QQ")  # our time and the server's
-ANSWERS = frozenset(natnet.MessageKind) - {natnet.MessageKind.FRAME}
-
-
-class Sender(NamedTuple):
-    """The origin of datagrams: address and port, and whether they are frames or answers."""
-
-    host: str
-    port: int
-    frames: bool
-
-    def __str__(self) -> str:
-        return f"{self.host}:{self.port}"
-
-
-class Senders:
-    """Admits the datagrams of one server and counts all others by their sender."""
-
-    def __init__(self, server: str, command_port: int) -> None:
-        self.server = server
-        self.command_port = command_port
-        self.frames_port: int | None = None
-        self.refused: Counter[Sender] = Counter()
-        self.refused_frame = b""  # the newest refused frame
-
-    def admit(self, datagram: bytes, host: str, port: int) -> bool:
-        """Return whether a datagram comes from the address and port for its kind.
-
-        Until the frames' port is known, frames are admitted from every port of the server. A
-        datagram of unknown kind counts as a frame, since it may be a damaged frame.
-        """
-        frame = int.from_bytes(datagram[:2], "little") not in ANSWERS
-        expected = (self.frames_port or port) if frame else self.command_port
-        if host == self.server and port == expected:
-            return True
-        sender = Sender(host, port, frame)
-        # forged senders must not fill the memory
-        if sender in self.refused or len(self.refused) < 64:
-            self.refused[sender] += 1
-        if frame:
-            self.refused_frame = datagram
-        return False
-
-    def pin(self, port: int) -> None:
-        """Admit frames only from this port from now on, unless it is 0; once a port is known, calls
-        do nothing."""
-        self.frames_port = self.frames_port or port
-
-    def most(self, frames: bool) -> tuple[Sender, int] | None:
-        """Return the sender of the most refused frames (if not `frames`: answers) and their number;
-        None if none was refused.
-        """
-        senders = self.refused.most_common()
-        return next((sender for sender in senders if sender[0].frames is frames), None)
+TEXT_MAX = 256  # longest text in a field of a request or a sender [bytes]
 
 
 def parse(datagram: bytes, version: natnet.Version | None = None) -> natnet.ServerMessage:
-    """Read one datagram of a server; WireError, and no other error, if it cannot be read.
+    """Read one datagram of a server.
 
-    `version` is the protocol version that SERVERINFO reported or CONNECT requested; only frames and
-    models need it.
+    Args:
+        datagram: The whole datagram.
+        version: The protocol version that SERVERINFO reported or CONNECT requested. Only frames and
+            models need it.
+
+    Raises:
+        WireError: If the datagram cannot be read. Nothing else is raised.
     """
     kind, payload = split(datagram)
     match kind:
-        case natnet.MessageKind.FRAME | natnet.MessageKind.MODELDEF:
-            if version is None:
-                raise WireError(f"{kind.name} received before the protocol version is known")
-            read = parse_frame if kind is natnet.MessageKind.FRAME else parse_modeldef
-            return read(payload, version)
+        case natnet.MessageKind.FRAME:
+            return parse_frame(payload, _known(version, kind))
+        case natnet.MessageKind.MODELDEF:
+            return parse_modeldef(payload, _known(version, kind))
         case natnet.MessageKind.SERVER_INFO:
-            name, version = read_sender(payload)
-            if version < (3, 0):
-                return natnet.ServerInfo(name, version, 0, 0)
-            rest = payload[SENDER.size : SENDER.size + SERVER_INFO.size]
-            return natnet.ServerInfo(name, version, *unpacked(SERVER_INFO, rest))
+            return _parse_server_info(payload)
         case natnet.MessageKind.RESPONSE:
             return natnet.Response(payload)
         case natnet.MessageKind.ECHO_RESPONSE:
-            return natnet.EchoResponse(*unpacked(ECHO, payload))
+            return natnet.EchoResponse(*unpack_fields(ECHO, payload))
         case _:
             return natnet.Bare(kind)
 
 
-def pack(message: natnet.ClientMessage) -> bytes:
-    """Pack one datagram of a client."""
+def _known(version: natnet.Version | None, kind: natnet.MessageKind) -> natnet.Version:
+    """Return the protocol version, which messages of this kind need to be read."""
+    if version is None:
+        raise WireError(f"{kind.name} received before the protocol version is known")
+    return version
+
+
+def _parse_server_info(payload: bytes) -> natnet.ServerInfo:
+    name, reported_version = read_sender(payload)
+    if reported_version < (3, 0):
+        return natnet.ServerInfo(name, reported_version, 0, 0)
+    rest = payload[SENDER.size : SENDER.size + SERVER_INFO.size]
+    return natnet.ServerInfo(name, reported_version, *unpack_fields(SERVER_INFO, rest))
+
+
+def pack_message(message: natnet.ClientMessage) -> bytes:
+    """Pack one message of a client into a datagram."""
     match message:
         case natnet.Connect(version, pinned):
-            bitstream = packed("?4B", False, *version, 0, 0) if pinned else b""
-            return datagram(natnet.MessageKind.CONNECT, sender("tetractl", version) + bitstream)
+            bitstream = pack_fields("?4B", False, *version, 0, 0) if pinned else b""
+            return pack_datagram(
+                natnet.MessageKind.CONNECT, pack_sender("tetractl", version) + bitstream
+            )
         case natnet.NatNetRequest(text):
-            return datagram(natnet.MessageKind.REQUEST, packed_name(text))
+            return pack_datagram(natnet.MessageKind.REQUEST, pack_name(text))
         case natnet.EchoRequest(client):
-            return datagram(natnet.MessageKind.ECHO_REQUEST, packed("Q", client))
+            return pack_datagram(natnet.MessageKind.ECHO_REQUEST, pack_fields("Q", client))
         case natnet.Bare(kind):
             size = SENDER.size if kind is natnet.MessageKind.KEEPALIVE else 1
-            return datagram(kind, bytes(size))
+            return pack_datagram(kind, bytes(size))
 
 
 def split(datagram: bytes) -> tuple[natnet.MessageKind, bytes]:
-    """Return a datagram's kind and payload; WireError if its header is wrong."""
+    """Split a datagram into its kind and its payload.
+
+    Raises:
+        WireError: If the header is wrong.
+    """
     if len(datagram) < HEADER.size:
         raise WireError(f"a datagram of {len(datagram)} bytes is too short")
     code, size = HEADER.unpack_from(datagram)
@@ -130,34 +93,55 @@ def split(datagram: bytes) -> tuple[natnet.MessageKind, bytes]:
         raise WireError(f"unknown message id {code}") from None
 
 
-def datagram(kind: natnet.MessageKind, payload: bytes) -> bytes:
-    """Pack a payload into a datagram of a kind; WireError if it is too long."""
+def pack_datagram(kind: natnet.MessageKind, payload: bytes) -> bytes:
+    """Put a header in front of a payload.
+
+    Raises:
+        WireError: If the payload is too long for a datagram.
+    """
     if len(payload) + HEADER.size > DATAGRAM_MAX:
         raise WireError(f"a payload of {len(payload)} bytes does not fit in a datagram")
-    return packed("HH", kind, len(payload)) + payload
+    return pack_fields("HH", kind, len(payload)) + payload
 
 
-def number_in(response: natnet.Response, layout: str) -> float:
-    """Read a response that is one number: "i" an i32, as of `UpAxis`, or "f" an f32."""
-    return unpacked(struct.Struct(f"<{layout}"), response.payload)[0]
+def read_number(response: natnet.Response, layout: str) -> float:
+    """Read a response that consists of one number.
+
+    Args:
+        response: The server's response.
+        layout: "i" for a 32-bit integer, such as the answer to `UpAxis`, or "f" for a 32-bit float.
+    """
+    return unpack_fields(struct.Struct(f"<{layout}"), response.payload)[0]
 
 
-def unpacked(layout: struct.Struct, payload: bytes) -> tuple[Any, ...]:
-    """Return the fields of a payload; WireError if its size is another one."""
+def unpack_fields(layout: struct.Struct, payload: bytes) -> tuple[Any, ...]:
+    """Unpack the fields of a payload.
+
+    Raises:
+        WireError: If the payload's size differs from the size of the layout.
+    """
     if len(payload) != layout.size:
         raise WireError(f"a payload of {layout.size} bytes expected, not of {len(payload)}")
     return layout.unpack(payload)
 
 
-def packed(layout: str, *values: Any) -> bytes:
-    """Pack little-endian values; WireError if one does not fit."""
+def pack_fields(layout: str, *values: Any) -> bytes:
+    """Pack values in little-endian order.
+
+    Args:
+        layout: Format of the values, as in `struct`, without a byte order.
+        values: The values.
+
+    Raises:
+        WireError: If a value does not fit its field.
+    """
     try:
         return struct.pack("<" + layout, *values)
     except (struct.error, OverflowError) as error:
         raise WireError(f"cannot pack {layout}: {error}") from None
 
 
-def packed_name(name: str) -> bytes:
+def pack_name(name: str) -> bytes:
     """Pack a NUL-terminated name."""
     raw = name.encode("utf-8", "replace")
     if len(raw) > NAME_MAX or b"\0" in raw:
@@ -165,20 +149,24 @@ def packed_name(name: str) -> bytes:
     return raw + b"\0"
 
 
-def sender(name: str, version: natnet.Version) -> bytes:
-    """Pack the sender's name and protocol version, with which CONNECT and SERVERINFO begin."""
-    return packed(SENDER.format[1:], packed_name(name), 0, 1, 0, 0, *version, 0, 0)
+def pack_sender(name: str, version: natnet.Version) -> bytes:
+    """Pack the name and protocol version of a sender, which open CONNECT and SERVERINFO."""
+    return pack_fields(SENDER_FIELDS, pack_name(name), 0, 1, 0, 0, *version, 0, 0)
 
 
 def read_sender(payload: bytes) -> tuple[str, natnet.Version]:
     """Read the sender's name and protocol version."""
-    name, *versions = unpacked(SENDER, payload[: SENDER.size])
+    name, *versions = unpack_fields(SENDER, payload[: SENDER.size])
     return read_text(name), natnet.Version(*versions[4:6])
 
 
 def read_text(raw: bytes) -> str:
-    """Read text of at most 256 bytes up to the first NUL, or to the end if there is none."""
-    raw = raw[: NAME_MAX + 2].partition(b"\0")[0]
-    if len(raw) > NAME_MAX + 1:
+    """Read the text up to the first NUL, or up to the end if there is none.
+
+    Raises:
+        WireError: If the text has more than TEXT_MAX bytes.
+    """
+    text = raw.partition(b"\0")[0]
+    if len(text) > TEXT_MAX:
         raise WireError("the text is too long for its field")
-    return raw.decode("utf-8", "replace")
+    return text.decode("utf-8", "replace")

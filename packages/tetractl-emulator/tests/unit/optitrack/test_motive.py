@@ -14,7 +14,7 @@ from tetractl_emulator.sides import Options, Stage
 from tetractl.core.clock import SECOND
 from tetractl.experiment.load import parse_spec
 from tetractl.lab.cameras.optitrack import natnet
-from tetractl.lab.cameras.optitrack.wire import pack, parse
+from tetractl.lab.cameras.optitrack.wire import pack_message, parse
 
 TICKS_PER_MS = 10_000  # of the server's clock
 
@@ -28,7 +28,7 @@ class Client:
         self.socket = lab.emulation.wires.bound("127.0.0.1", 0)
 
     def send(self, data):
-        data = data if isinstance(data, bytes) else pack(data)
+        data = data if isinstance(data, bytes) else pack_message(data)
         self.socket.sendto(data, (self.motive.ports.address, self.motive.ports.command_port))
 
     def got(self):

@@ -11,7 +11,7 @@ from tetractl_emulator.optitrack.natnet_server import pack_answer, pack_modeldef
 
 from tetractl.core.errors import WireError
 from tetractl.lab.cameras.optitrack import natnet
-from tetractl.lab.cameras.optitrack.wire import datagram, number_in, pack, parse
+from tetractl.lab.cameras.optitrack.wire import pack_datagram, pack_message, parse, read_number
 
 pytestmark = pytest.mark.slow
 
@@ -56,7 +56,7 @@ def test_frames_round_trip(version, data):
 def test_models_round_trip(version, names_and_ids, markers):
     model = natnet.ModelDef(names_and_ids)
     payload = pack_modeldef(model, version, markers=markers)
-    assert parse(datagram(natnet.MessageKind.MODELDEF, payload), version) == model
+    assert parse(pack_datagram(natnet.MessageKind.MODELDEF, payload), version) == model
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_models_round_trip(version, names_and_ids, markers):
 )
 def test_an_unknown_data_set_ends_the_reading_and_says_so(version, kind):
     packed = pack_modeldef(natnet.ModelDef((("green", 1),)), version, [(kind, b"?")])
-    parsed = parse(datagram(natnet.MessageKind.MODELDEF, packed), version)
+    parsed = parse(pack_datagram(natnet.MessageKind.MODELDEF, packed), version)
     assert parsed == natnet.ModelDef((), complete=False)
 
 
@@ -141,15 +141,15 @@ def test_frames_as_written_by_hand(written):
 
 
 @pytest.mark.parametrize(
-    ("pack", "parse", "message", "size"),
+    ("pack", "read", "message", "size"),
     [
-        (pack, parse_request, natnet.Connect(V41), 268),
-        (pack, parse_request, natnet.Connect(V41, pinned=True), 273),
-        (pack, parse_request, natnet.Bare(natnet.MessageKind.KEEPALIVE), 268),
-        (pack, parse_request, natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF), 5),
-        (pack, parse_request, natnet.Bare(natnet.MessageKind.DISCONNECT), 5),
-        (pack, parse_request, natnet.EchoRequest(2**64 - 1), 12),
-        (pack, parse_request, natnet.NatNetRequest("UpAxis"), 11),
+        (pack_message, parse_request, natnet.Connect(V41), 268),
+        (pack_message, parse_request, natnet.Connect(V41, pinned=True), 273),
+        (pack_message, parse_request, natnet.Bare(natnet.MessageKind.KEEPALIVE), 268),
+        (pack_message, parse_request, natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF), 5),
+        (pack_message, parse_request, natnet.Bare(natnet.MessageKind.DISCONNECT), 5),
+        (pack_message, parse_request, natnet.EchoRequest(2**64 - 1), 12),
+        (pack_message, parse_request, natnet.NatNetRequest("UpAxis"), 11),
         (pack_answer, parse, natnet.ServerInfo("Motive", natnet.Version(2, 10), 0, 0), 268),
         (pack_answer, parse, natnet.ServerInfo("Motive", V41, 10**7, 1511), 283),
         (pack_answer, parse, natnet.Bare(natnet.MessageKind.UNRECOGNIZED), 4),
@@ -158,17 +158,17 @@ def test_frames_as_written_by_hand(written):
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_handshake_messages_round_trip_in_their_sizes(pack, parse, message, size):
+def test_handshake_messages_round_trip_in_their_sizes(pack, read, message, size):
     packed = pack(message)
     assert len(packed) == size
-    assert parse(packed) == message
+    assert read(packed) == message
 
 
 def test_the_number_of_a_response_is_read_as_its_question_asks():
-    assert number_in(natnet.Response(struct.pack("<f", 120.0)), "f") == 120.0
-    assert number_in(natnet.Response(struct.pack("<i", 1)), "i") == 1
+    assert read_number(natnet.Response(struct.pack("<f", 120.0)), "f") == 120.0
+    assert read_number(natnet.Response(struct.pack("<i", 1)), "i") == 1
     with pytest.raises(WireError):
-        number_in(natnet.Response(b"text\0"), "i")
+        read_number(natnet.Response(b"text\0"), "i")
 
 
 @pytest.mark.parametrize(
@@ -182,10 +182,13 @@ def test_the_number_of_a_response_is_read_as_its_question_asks():
         (pack_answer(EMPTY, natnet.Version(2, 6)), natnet.Version(2, 5)),
         (pack_answer(EMPTY, V30), V41),  # another version's layout
         (pack_answer(EMPTY, V41), V30),
-        (datagram(natnet.MessageKind.SERVER_INFO, bytes(263)), None),
-        (datagram(natnet.MessageKind.SERVER_INFO, bytes(260) + b"\4\1\0\0"), None),  # 4.1 is longer
-        (datagram(natnet.MessageKind.ECHO_RESPONSE, bytes(15)), None),
-        (datagram(natnet.MessageKind.MODELDEF, struct.pack("<ii", 1, 1) + b"x" * 300), V30),
+        (pack_datagram(natnet.MessageKind.SERVER_INFO, bytes(263)), None),
+        (
+            pack_datagram(natnet.MessageKind.SERVER_INFO, bytes(260) + b"\4\1\0\0"),
+            None,
+        ),  # 4.1 is longer
+        (pack_datagram(natnet.MessageKind.ECHO_RESPONSE, bytes(15)), None),
+        (pack_datagram(natnet.MessageKind.MODELDEF, struct.pack("<ii", 1, 1) + b"x" * 300), V30),
     ],
 )
 def test_bad_datagrams_raise_the_one_exception(packed, version):

@@ -165,14 +165,11 @@ def observed(
     day: "Day", experiment: "Experiment", lab: "LabSection"
 ) -> "tuple[Truth, Sequence[Violation]]":
     """Return the truth of a day in a lab, and the sentences that it has broken."""
+    from tetractl_emulator.rehearsal.outcome_sentences import outcome_violations
     from tetractl_emulator.rehearsal.sentences import violations
     from tetractl_emulator.rehearsal.truth import Truth
 
     watchdog_s = (experiment.wheels.watchdog if experiment.wheels else None) or WATCHDOG_S
-    if lab.actuator.type == "field":
-        from tetractl_emulator.rehearsal.cell_sentences import DishTruth, cell_violations
-
-        dish = DishTruth(day, experiment.setup, lab.limits, watchdog_s)
-        return dish, cell_violations(dish, lab)
-    truth = Truth(day, experiment.setup, lab.limits, watchdog_s)
-    return truth, violations(truth)
+    swims = lab.actuator.type == "field"
+    truth = Truth(day, experiment.setup, lab.limits, watchdog_s, halts=not swims)
+    return truth, outcome_violations(truth) if swims else violations(truth)

@@ -11,7 +11,6 @@ from tetractl_emulator.fault_rows import SEEN, SIGHT
 from tetractl_emulator.lab_rehearse import rehearsed
 from tetractl_emulator.rehearsal import day
 
-from tetractl.core.clock import SECOND
 from tetractl.lab.guard import Guard
 
 pytestmark = pytest.mark.slow
@@ -96,7 +95,7 @@ def test_robots_that_take_lines_are_rehearsed_too(tmp_path):
 
 @pytest.mark.long
 def test_a_day_of_cells_is_observed(monkeypatch):
-    """Without pictures the field goes off; a guard whose clock stands with them is found."""
+    """Without pictures the trial ends for that reason; any other reason would be a violation."""
     pytest.importorskip("cv2")
     lost = {"kind": "no pictures", "right": SEEN, "fault": "no_frames", "at": 6.3}
     plan_days(monkeypatch, lost)
@@ -104,15 +103,6 @@ def test_a_day_of_cells_is_observed(monkeypatch):
     row = rehearsed(*of_day)
     assert row["violations"] == []
     assert row["reason"].startswith("no new camera frame")
-    decide = Guard.decide
-
-    def blind(guard, now_ns, damaged=0, failure=None):
-        seen_ns = guard._stream.newest_ns or now_ns
-        return decide(guard, min(now_ns, seen_ns + SECOND // 20), damaged, failure)
-
-    monkeypatch.setattr(Guard, "decide", blind)
-    broken = [name for name, *_ in rehearsed(*of_day)["violations"]]
-    assert "driven blind" in broken
 
 
 @pytest.mark.system

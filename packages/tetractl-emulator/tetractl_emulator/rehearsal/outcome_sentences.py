@@ -26,6 +26,15 @@ PROGRAM_ERROR = re.compile(r"\b[A-Z]\w*(Error|Exception|Interrupt)\b|Traceback")
 """What a run prints if it fails by an error of our program."""
 
 
+def outcome_violations(truth: Truth) -> list[Violation]:
+    """Check a day of cells: its log, its exit code and the reason of its abort.
+
+    Cells swim on when the field is off, so the sentences about standstill and places do not apply.
+    """
+    sentences = (log_is_whole, exit_code_is_right, reason_names_a_fault)
+    return [violation for sentence in sentences for violation in sentence(truth)]
+
+
 # The log is readable, and says what was
 
 

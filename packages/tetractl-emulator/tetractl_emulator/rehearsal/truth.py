@@ -154,13 +154,15 @@ def nearest_exposures(
 class Truth:
     """The truth of a day in a lab of N robots; all is computed when it is first asked for.
 
-    `watchdog_s` is the time after which a robot that hears no command stops by itself [s].
+    `watchdog_s` is the time after which a robot that hears no command stops by itself [s]. `halts`
+    is False for cells, which never stand still.
     """
 
     day: Day
     setup: Setup
     limits: LabLimits
     watchdog_s: float
+    halts: bool = True
 
     @property
     def unit_mm(self) -> float:
@@ -388,7 +390,7 @@ class Truth:
         """The faults by which a camera plainly shows motion of robots that may rest."""
         return [
             fault
-            for fault in self.creeping
+            for fault in (self.creeping if self.halts else ())
             if fault.speed_mm_s > MOVES_MM_S or fault.rate_rad_s > MOVES_RAD_S
         ]
 

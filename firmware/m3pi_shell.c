@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#define BASE_RESET_MS 10
+#define BASE_STARTS_MS 200 /* until the 3pi reads commands */
 #define BYTES_A_STEP 256 /* so that a babbling radio cannot hold up the motors */
 
 enum { M1_FORWARD = 0xC1, M2_FORWARD = 0xC5, BATTERY = 0xB1 }; /* backward is one more */
@@ -84,5 +86,26 @@ void m3pi_shell_step(m3pi_shell *shell, uint32_t now_ms)
     size = m3pi_take_reply(&shell->core, now_ms, reply);
     if (size > 0) {
         shell->hal.radio_write(shell->hal.context, reply, size);
+    }
+}
+
+void m3pi_shell_run(const m3pi_board *board, uint8_t index)
+{
+    static m3pi_shell shell;
+
+    board->hold_base(true);
+    board->wait_ms(BASE_RESET_MS);
+    board->hold_base(false);
+    board->wait_ms(BASE_STARTS_MS);
+    board->open_ports(); /* only now: bytes that came earlier are too old */
+    m3pi_shell_start(&shell, &board->ports, index, board->now_ms());
+    if (board->was_reset_by_watchdog) {
+        m3pi_emergency_stop(&shell.core);
+    }
+    board->start_watchdog(M3PI_WATCHDOG_MS);
+    for (;;) {
+        m3pi_shell_step(&shell, board->now_ms());
+        board->feed_watchdog();
+        board->wait_ms(1);
     }
 }

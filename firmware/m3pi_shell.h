@@ -1,6 +1,6 @@
 /* The loop around the core: radio bytes in, 3pi serial-slave commands and replies out.
  *
- * Portable too; it reaches the hardware through four functions only.
+ * Portable too: it reaches the hardware only through the functions of m3pi_hal and m3pi_board.
  */
 #ifndef M3PI_SHELL_H
 #define M3PI_SHELL_H
@@ -22,6 +22,18 @@ typedef struct {
     void (*base_write)(void *context, const uint8_t *data, size_t length);
 } m3pi_hal;
 
+/* What a board offers besides reading and writing. */
+typedef struct {
+    m3pi_hal ports;
+    void (*hold_base)(bool held); /* hold the 3pi in reset, or release it */
+    void (*open_ports)(void);
+    uint32_t (*now_ms)(void);
+    void (*wait_ms)(uint32_t ms);
+    void (*start_watchdog)(uint32_t ms); /* the chip's own watchdog, which resets the chip */
+    void (*feed_watchdog)(void);
+    bool was_reset_by_watchdog;
+} m3pi_board;
+
 typedef struct {
     m3pi_core core;
     m3pi_hal hal;
@@ -36,6 +48,11 @@ void m3pi_shell_start(m3pi_shell *shell, const m3pi_hal *hal, uint8_t index, uin
 
 /* One round; call it every millisecond or so. */
 void m3pi_shell_step(m3pi_shell *shell, uint32_t now_ms);
+
+/* The program of a robot; it never returns. It resets the 3pi first, which would otherwise drive on
+ * by itself after a reset of this chip. If the chip's own watchdog caused that reset, the robot
+ * starts emergency-stopped. */
+void m3pi_shell_run(const m3pi_board *board, uint8_t index);
 
 #ifdef __cplusplus
 }

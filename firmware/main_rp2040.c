@@ -1,5 +1,6 @@
-/* An RP2040 board on the m3pi's headers, with the Pico SDK. NOT TRIED ON HARDWARE: no robot was at
- * hand. All that decides anything is in m3pi_core.c and m3pi_shell.c; here is only wiring.
+/* An RP2040 board in place of the mbed, with the Pico SDK. NEVER RUN ON A ROBOT, as no robot was at
+ * hand. All decisions are in m3pi_core.c and m3pi_shell.c. This file only connects them to the
+ * hardware.
  *
  * XBee on GP0 (tx), GP1 (rx), transparent mode at RADIO_BAUD; 3pi with the serial-slave program on
  * GP4 (tx), GP5 (rx), its reset on GP6. The 3pi has logic of 5 V and the RP2040 of 3.3 V: GP5 and GP6
@@ -50,6 +51,13 @@ static void base_write(void *context, const uint8_t *data, size_t length)
 
 static uint32_t now_ms(void) { return to_ms_since_boot(get_absolute_time()); }
 
+static void hold_base(bool held)
+{
+    gpio_init(BASE_RESET);
+    gpio_put(BASE_RESET, !held);
+    gpio_set_dir(BASE_RESET, true);
+}
+
 static void open_port(uart_inst_t *port, uint baud, uint tx)
 {
     uart_init(port, baud);
@@ -57,29 +65,27 @@ static void open_port(uart_inst_t *port, uint baud, uint tx)
     gpio_set_function(tx + 1, GPIO_FUNC_UART);
 }
 
-int main(void)
+static void open_ports(void)
 {
-    static m3pi_shell shell;
-    const m3pi_hal hal = {NULL, radio_read, radio_write, base_read, base_write};
-
-    /* Also after the chip's own watchdog has bitten: the 3pi would drive on by itself. */
-    gpio_init(BASE_RESET);
-    gpio_put(BASE_RESET, false);
-    gpio_set_dir(BASE_RESET, true);
-    sleep_ms(10);
-    gpio_put(BASE_RESET, true);
-    sleep_ms(200);
-
     open_port(uart0, RADIO_BAUD, 0);
     open_port(uart1, BASE_BAUD, 4);
-    m3pi_shell_start(&shell, &hal, ROBOT_INDEX, now_ms());
-    if (watchdog_enable_caused_reboot()) { /* not a new program or the reset button */
-        m3pi_emergency_stop(&shell.core);
-    }
-    watchdog_enable(M3PI_WATCHDOG_MS, true);
-    for (;;) {
-        m3pi_shell_step(&shell, now_ms());
-        watchdog_update();
-        sleep_ms(1);
-    }
+}
+
+static void start_watchdog(uint32_t ms) { watchdog_enable(ms, true); }
+
+int main(void)
+{
+    const m3pi_board board = {
+        .ports = {NULL, radio_read, radio_write, base_read, base_write},
+        .hold_base = hold_base,
+        .open_ports = open_ports,
+        .now_ms = now_ms,
+        .wait_ms = sleep_ms,
+        .start_watchdog = start_watchdog,
+        .feed_watchdog = watchdog_update,
+        .was_reset_by_watchdog = watchdog_enable_caused_reboot(), /* not a new program, no button */
+    };
+
+    m3pi_shell_run(&board, ROBOT_INDEX);
+    return 0;
 }

@@ -1,13 +1,10 @@
-"""The robot's C core against the Python codec, byte by byte, and its own C tests."""
+"""The robot's C core against the Python codec, byte by byte."""
 
 import contextlib
 import random
-import shutil
-import subprocess
 
 import pytest
 from support.device_replies import packed_reply
-from support.paths import FIRMWARE
 from tetractl_emulator import firmware
 from tetractl_emulator.firmware import CoreEvent, RobotCore
 
@@ -152,26 +149,3 @@ def test_a_source_that_does_not_compile_is_one_clear_line(tmp_path, monkeypatch)
         firmware.load("m3pi", tmp_path / "out")
     assert "\n" not in got.value.message
     assert list((tmp_path / "out").iterdir()) == []
-
-
-@pytest.mark.skipif(
-    shutil.which("make") is None or shutil.which("g++") is None, reason="no make or g++ found"
-)
-@pytest.mark.parametrize(
-    ("target", "passed", "count"),
-    [
-        ("test", "76 checks, 0 failures", 1),
-        pytest.param("sanitize", "76 checks, 0 failures", 1, marks=pytest.mark.long),
-        # of two boards, with coils and with electrodes; regression: after a reset by the chip's own
-        # watchdog the driver took up the next frame
-        pytest.param("sketch", "field_driver: 0 failures", 2 * 2, marks=pytest.mark.long),
-    ],
-)
-def test_the_firmwares_own_tests_pass(tmp_path, target, passed, count):
-    command = ["make", "--no-print-directory", f"BUILD={tmp_path}", target]
-    done = subprocess.run(command, cwd=FIRMWARE, capture_output=True, text=True)
-    if target != "test" and "cannot find -l" in done.stderr:
-        pytest.skip("the compiler has no sanitizer libraries")
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count(passed) == count
-    assert target == "sketch" or done.stdout.endswith("\npassed\n")

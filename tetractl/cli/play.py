@@ -90,6 +90,7 @@ def play(
     """
     from tetractl.control.build import warm_up
     from tetractl.experiment.yaml.document import FieldValue
+    from tetractl.run.folder_lock import locked
     from tetractl.run.open_trial import directed_spec
     from tetractl.view.terminal.hand_keys import read_script
     from tetractl.view.terminal.screen import shows_pictures
@@ -114,7 +115,10 @@ def play(
     folder = out or new_log_folder(experiment.name)
     ui.refuse_filled(folder)
 
-    with stoppable(directed, RunOptions(yes=yes), by_keys=timed_keys is None) as interrupt:
+    with (
+        stoppable(directed, RunOptions(yes=yes), by_keys=timed_keys is None) as interrupt,
+        locked(folder),
+    ):
         game = Game(loaded, directed, folder, interrupt)
         if in_lab:
             _in_lab(game, console, ask_to_place=not yes)

@@ -5,8 +5,8 @@ log begins with its spec, whose directions are known when the trial has ended, a
 holds the directions that came later. So the trial is logged twice:
 
     LogWriter        while the robots drive, as any trial, each plan being the direction held: what
-                     a crash leaves
-    HandLog          when they stand, in its place: the log of `sequence`
+                     a crash leaves, as NAME.part
+    HandLog          when they stand, in its place: the log of `sequence`, as NAME
 
     HandController   asks for the direction of each step, and keeps it with the step's problem
     WallPace         lets a simulation take as long as people need to steer it
@@ -30,11 +30,15 @@ from tetractl.core.poses import Observation
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.trial import Result, Start, Step
 from tetractl.experiment.loaded_spec import LoadedSpec, start_of, with_controller
+from tetractl.log.write.sink import TRIAL_PART
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.folder_lock import make_folder
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path, ready_trial, trial_seeds
 from tetractl.tools.worker import Relay
+
+SAVING = ".saving"
+"""Suffix of a finished log while it is written: until then, the log so far is the only one."""
 
 Ask = Callable[[float], float | None]
 """Returns the direction [rad] of a step, or None to stop, by the step's time from the first [s]."""
@@ -122,10 +126,13 @@ class HandLog(Relay):
         start = start_of(
             with_directions, self._start.trial, self._start.plant, self._start.start_unix_ns
         )
-        with LogWriter(path) as log:
-            log.on_start(start)
-            for call in self._calls:
-                call(log)
+        try:
+            with LogWriter(path, part=SAVING) as log:
+                log.on_start(start)
+                for call in self._calls:
+                    call(log)
+        finally:
+            path.with_name(path.name + SAVING).unlink(missing_ok=True)
 
 
 def run_by_hand(
@@ -141,8 +148,9 @@ def run_by_hand(
     make_folder(folder)
     path = log_path(folder, controller.trial)
     hand_log = HandLog(controller)
+    first = LogWriter(path, real_time=spec.experiment.plant.real_time, keeps_part=True)
     with (
-        LogWriter(path, real_time=spec.experiment.plant.real_time) as log,
+        first as log,
         ready_trial(
             [log, hand_log],
             spec,
@@ -155,11 +163,9 @@ def run_by_hand(
     ):
         result = ready.run()
     if controller.directions:
-        finished = path.with_name(f"finished-{path.name}")
-        hand_log.save(spec, finished)
-        finished.replace(path)
-    else:
-        path.unlink()
+        hand_log.save(spec, path)
+    path.with_name(path.name + TRIAL_PART).unlink()  # last: a crash leaves one log at least
+    if not controller.directions:
         folder.rmdir()
     return result
 

@@ -10,6 +10,7 @@ from tetractl.core.commands import Stop
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Observer
 from tetractl.experiment.load import parse_contents
+from tetractl.log.read.find import find_logs
 from tetractl.log.read.reader import content_digest
 from tetractl.run.hand import HandController, run_by_hand
 from tetractl.run.interrupt import Interrupt
@@ -112,6 +113,34 @@ def test_a_crash_leaves_the_log_so_far(tmp_path):
     directions = iter([0.5, 1.0, 1.5])
     with pytest.raises(StopIteration):
         steer(SPEC, tmp_path, lambda time_s: next(directions))
-    left = tetractl.read_log(tmp_path / "trial-001.mcap")
+    left = tetractl.read_log(tmp_path / "trial-001.mcap.part")
     assert [step.plan.direction for step in left.steps] == [0.5, 1.0, 1.5]
     assert len(left.mocap) > 3
+
+
+class Killed(BaseException):
+    """Stands for the end of the process at some point."""
+
+
+def killed(*args, **options):
+    raise Killed
+
+
+@pytest.mark.parametrize(
+    ("where", "name"),
+    [
+        ("tetractl.run.hand.HandLog.save", "trial-001.mcap.part"),
+        ("tetractl.run.hand.HandController.plan_of_sequence", "trial-001.mcap.part"),
+        ("pathlib.Path.unlink", "trial-001.mcap"),
+    ],
+)
+def test_a_kill_while_the_log_is_finished_leaves_one_log(where, name, tmp_path, monkeypatch):
+    """Regression: a whole log that failed `verify`, or two logs of one trial."""
+    monkeypatch.setattr(where, killed)
+    with pytest.raises(Killed):
+        steer(SPEC, tmp_path, chosen([0.5, 1.0, 1.5]))
+    (left,) = find_logs([tmp_path])
+    assert left.name == name
+    assert len(tetractl.read_batch(tmp_path).trials) == 1
+    if name.endswith(".mcap"):
+        assert tetractl.verify(left).ok

@@ -98,11 +98,7 @@ def trial_of(contents: RawLog, steps: int | None = None) -> TrialLog:
         digest=contents.stated_digests.content or None,
         pictures=tuple(pictures),
     )
-    if not contents.damaged:
-        return trial
-    # damage is stated with a time since the first direction, which the trial knows
-    until_s = trial.elapsed_s(int(frames.received_ns.max(initial=0)))
-    return replace(trial, damage=_damage(contents, until_s))
+    return replace(trial, damage=_damage(contents, trial)) if contents.damaged else trial
 
 
 @contextmanager
@@ -117,16 +113,24 @@ def decode_errors(contents: RawLog) -> Iterator[None]:
         ) from None
 
 
-def _damage(contents: RawLog, until_s: float) -> Damage:
-    """Return how a log is torn, recovered and unfinished; its last frame was received at `until_s`
-    [s]."""
+def _damage(contents: RawLog, trial: TrialLog) -> Damage:
+    """Return how a log is torn, recovered and unfinished; `trial` is what is left in it."""
     source = contents.recovered or Damage((), ())
     problems = [*source.problems, *contents.problems]
     lost = [*source.lost, *contents.lost]
     if contents.result is None:
         problems.append(str(contents.result_or_why_not))
-        lost.append(f"the result and everything after {until_s:.3f} s")
+        frames_ns = int(trial.received_ns.max()) if len(trial.received_ns) else None
+        steps_ns = trial.steps[-1].command.sent_ns if trial.steps else None
+        frames = _all_after(trial, "camera frames", frames_ns)
+        lost.append(f"the result, {frames} and {_all_after(trial, 'control steps', steps_ns)}")
     return Damage(tuple(problems), tuple(lost))
+
+
+def _all_after(trial: TrialLog, what: str, last_ns: int | None) -> str:
+    """Return a text on what a log without a result has lost: what came after the last one, whose
+    time is in seconds since the first direction, or everything if there is none."""
+    return f"all {what}" if last_ns is None else f"{what} after {trial.elapsed_s(last_ns):.3f} s"
 
 
 def read_result(path: Path) -> ResultSummary:

@@ -10,7 +10,7 @@ from tetractl.core.errors import LogError
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import Result, Start
 from tetractl.log.write.encoder import Encoder
-from tetractl.log.write.sink import Sink
+from tetractl.log.write.sink import TRIAL_PART, Sink
 from tetractl.tools.worker import Relay, Worker
 
 QUEUE_MAX = 1000
@@ -34,15 +34,27 @@ class _OpenLog:
 class LogWriter(Relay):
     """Stores one trial as `path`, which is called `path`.part until the trial has ended.
 
+    `part` is another suffix for that, of a copy that replaces no other log. If `keeps_part` is
+    True, the log keeps its suffix at the end, because another log takes its place.
+
     One thread encodes and writes; calls only put records in a queue. While the queue is full, a
     call waits: up to DISK_PATIENCE_S in a simulation, which runs faster than any disk, and not at
     all in `real_time`. If the queue stays full or a write fails, the log is given up: the next
     call raises LogError, later calls do nothing, and the records in the file stay readable.
     """
 
-    def __init__(self, path: Path, real_time: bool = False) -> None:
+    def __init__(
+        self,
+        path: Path,
+        real_time: bool = False,
+        *,
+        part: str = TRIAL_PART,
+        keeps_part: bool = False,
+    ) -> None:
         self._path = path
         self._real_time = real_time
+        self._part = part
+        self._keeps_part = keeps_part
         self._log: _OpenLog | None = None  # before the start, or if that failed
         self._early_failure: OSError | None = None  # of the disk, before the log began
 
@@ -53,7 +65,7 @@ class LogWriter(Relay):
 
     def on_start(self, start: Start) -> None:
         """Create the file; store metadata, specs and scene, and wait until the disk has them."""
-        sink = Sink(self._path)
+        sink = Sink(self._path, self._part)
         encoder = Encoder(sink, self._real_time, hosted=True)
         worker = Worker(
             f"log {self._path.name}",
@@ -62,7 +74,7 @@ class LogWriter(Relay):
             patience_s=DISK_PATIENCE_S,
             too_slow=LogError(
                 f"{self._path}: the disk is too slow for this log",
-                f"the log so far is in {self._path}.part",
+                f"the log so far is in {self._path}{self._part}",
             ),
             idle=sink.flush_if_due,
             batch_s=0.0 if self._real_time else BATCH_S,
@@ -80,13 +92,14 @@ class LogWriter(Relay):
             self._log.worker.put(call, self._log.encoder)
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Store the stop and the result, wait until the disk has them, and rename the log."""
+        """Store the stop and the result, wait until the disk has them, and rename the log, unless
+        it keeps its suffix."""
         log = self._log
         if log is None:
             return
         super().on_stop(stop, result)
         log.worker.put(log.sink.seal, log.start_unix_ns + stop.sent_ns)
-        self._close(complete=True)
+        self._close(complete=not self._keeps_part)
         log.worker.check()
 
     def drain(self) -> None:

@@ -3,7 +3,7 @@
 from support.mutate import rewritten
 from support.paths import ROOT
 
-from tetractl.log.format.channels import RESULT, STEP
+from tetractl.log.format.channels import FRAMES, RESULT, STEP
 from tetractl.log.read.overview import overview
 from tetractl.log.read.raw_log import ALTERED
 from tetractl.log.read.reader import trial_of
@@ -19,9 +19,24 @@ def test_a_log_without_a_result_says_up_to_when_it_is_known():
     del raw.by_topic[RESULT]
     assert raw.damaged
     trial = trial_of(raw)
-    until_s = trial.elapsed_s(int(trial.received_ns.max()))
+    frames_s = trial.elapsed_s(int(trial.received_ns.max()))
+    steps_s = trial.elapsed_s(trial.steps[-1].command.sent_ns)
     assert trial.damage.problems == (raw.result_or_why_not,)
-    assert trial.damage.lost == (f"the result and everything after {until_s:.3f} s",)
+    (lost,) = trial.damage.lost
+    frames = f"camera frames after {frames_s:.3f} s"
+    assert lost == f"the result, {frames} and control steps after {steps_s:.3f} s"
+
+
+def test_steps_that_are_kept_are_not_said_to_be_lost():
+    """Regression: "everything after 0.000 s" of a killed game whose steps up to 1.35 s were kept.
+
+    Steps reach the disk before the frames that were received meanwhile.
+    """
+    raw = scan(WHOLE)
+    del raw.by_topic[RESULT], raw.by_topic[FRAMES]
+    (lost,) = trial_of(raw).damage.lost
+    assert lost.startswith("the result, all camera frames and control steps after ")
+    assert not lost.endswith("after 0.000 s")
 
 
 def test_a_copy_of_a_torn_log_is_damaged_as_its_source_is(tmp_path):

@@ -11,7 +11,8 @@ from support.terminal import Terminal
 from support.trials import three_robots
 
 import tetractl as package
-from tetractl.cli.play import _best, _error
+from tetractl import load_spec
+from tetractl.cli.play import _best, _error, _harder
 from tetractl.experiment.section_abilities import GivenDirections
 
 pytestmark = pytest.mark.slow
@@ -209,3 +210,21 @@ def test_a_cell_of_a_notebook_is_no_terminal(words, code, says, folder):
         terminal.expect(says)
         assert terminal.finish() == code
     assert "\x1b" not in terminal.raw
+
+
+def test_only_a_spec_without_disturbances_is_said_to_have_none(folder, monkeypatch):
+    """Regression: "robots do exactly what the controller expects", with a controller that expects
+    straight lines."""
+    monkeypatch.chdir(folder)
+    disturbed = load_spec("spec.yaml")
+    exact = load_spec("spec.yaml", "plant={type: sim}")
+    assert _harder(disturbed.experiment) == []
+    first, *commands = _harder(exact.experiment)
+    assert "no disturbances" in first
+    assert "controller" not in first
+    assert commands == [
+        "  tetractl init --example three_m3pi_bench",
+        "  tetractl play experiments/three_m3pi_bench.yaml",
+    ]
+    assert tetractl(folder, "init", "--example", "three_m3pi_bench").ok()
+    assert _harder(exact.experiment)[1:] == commands[1:]

@@ -43,10 +43,8 @@ THEIRS = (
     "first step of the best. It stops when no sequence brings them nearer."
 )
 """What is said when the controller's trial has ended, and its last picture stays."""
-UNDISTURBED = (
-    "here robots do exactly what the controller expects; where they do not:",
-    "  tetractl play experiments/three_m3pi_bench.yaml",
-)
+DISTURBED = "three_m3pi_bench"
+"""A shipped spec whose robots and camera are disturbed."""
 
 
 def play(
@@ -138,8 +136,9 @@ class Game:
     controller.
 
     `yours` are the results of the person's trials in which a direction was given, and `theirs` is
-    the controller's. The game is `over` once a trial was interrupted, was aborted, or had no
-    direction; then `error` says why it was aborted, if it was.
+    the controller's. A trial that an emulated lab's guard stops is a lost try, and the game goes
+    on. The game is `over` once a trial was interrupted or had no direction, or once real robots or
+    an emergency stop ended it; then `error` is the reason.
     """
 
     def __init__(
@@ -172,7 +171,8 @@ class Game:
             self.yours.append(result)
         else:
             self.over = True
-        self._note_end(result)
+        stopped = supervision is not None and supervision.emergency.is_set()
+        self._note_end(result, lost=self.experiment.plant.real_time or stopped or self.over)
 
     def supervision(
         self, emergency: threading.Event, prompt: "PlacementPrompt | None" = None
@@ -195,7 +195,7 @@ class Game:
         folder = self.folder / "controller"
         make_folder(folder)
         self.theirs = run_logged(self._loaded, folder, TRIAL, observers, self.interrupt)
-        self._note_end(self.theirs)
+        self._note_end(self.theirs, lost=False)
 
     @property
     def folders(self) -> "list[Path]":
@@ -207,10 +207,9 @@ class Game:
     def _folder(self, number: int) -> Path:
         return self.folder / ("you" if number == 1 else f"you-{number}")
 
-    def _note_end(self, result: "Result") -> None:
-        from tetractl.core.plan import Outcome
-
-        if result.outcome is Outcome.ABORTED:
+    def _note_end(self, result: "Result", lost: bool) -> None:
+        """Note how a trial ended; if it was aborted and the game is `lost`, that is an error."""
+        if lost and _was_stopped(result):
             self.over = True
             self.error = result.reason
         if self.interrupt.requested:
@@ -238,7 +237,7 @@ def _in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
         experiment.units.length,
         live=True,
         hints=LAB_HINTS,
-        aside=task(experiment.setup, experiment.plant.disturbed),
+        aside=task(experiment.setup, disturbed=True),
     )
     with StopKey(emergency.set, entered.set, steer=keys.press), keys:
         console.print("; ".join(LAB_HINTS), style="bold", highlight=False)
@@ -270,7 +269,7 @@ def _you_steer(game: Game, console: "Console", speed: float) -> str:
     emergency = threading.Event()
     keys = HandKeys(lambda: interrupt.requested or emergency.is_set(), can_pause=simulated)
     hints = HINTS if simulated else LAB_HINTS
-    aside = task(game.experiment.setup, game.experiment.plant.disturbed)
+    aside = task(game.experiment.setup, game.experiment.plant.disturbed or not simulated)
     view = LiveView(console, hints=hints, aside=aside, plain=True)
     stop = keys.stop if simulated else emergency.set
 
@@ -282,6 +281,8 @@ def _you_steer(game: Game, console: "Console", speed: float) -> str:
 
     def say_at_end(result: "Result") -> None:
         you = f"You: {_how_well(result, game.experiment)}"
+        if _was_stopped(result):
+            you = f"{you}. This try is lost"
         if game.theirs is None:
             view.say(f"{you}. {WHY}", "ENTER: the controller", "R: again")
         else:
@@ -344,8 +345,8 @@ def _conclude(game: Game) -> int:
     """Print how the trials ended; return the exit code."""
     if game.yours:
         print(_line(game), flush=True)
-        if game.theirs is not None and not game.experiment.plant.disturbed:
-            ui.tell(*UNDISTURBED)
+        if game.theirs is not None:
+            ui.tell(*_harder(game.experiment))
         folders = " ".join(quote(str(path)) for path in game.folders)
         ui.tell(f"logs in {game.folder}; look at them with:", f"  tetractl replay {folders}")
     else:
@@ -361,6 +362,21 @@ def _conclude(game: Game) -> int:
     return Exit.DONE
 
 
+def _harder(experiment: "Experiment") -> list[str]:
+    """Return lines on a spec with disturbances, if this one simulates none."""
+    from tetractl.experiment.examples import FOLDER
+
+    if experiment.plant.disturbed or not experiment.plant.simulated:
+        return []
+    path = Path(FOLDER, f"{DISTURBED}.yaml")
+    first = [] if path.exists() else [f"  tetractl init --example {DISTURBED}"]
+    return [
+        "this spec simulates no disturbances; one that does:",
+        *first,
+        f"  tetractl play {path}",
+    ]
+
+
 def _line(game: Game) -> str:
     """Return how well all trials ended, on one line."""
     first, *others = [_how_well(result, game.experiment) for result in game.yours]
@@ -370,14 +386,22 @@ def _line(game: Game) -> str:
     return ", ".join(parts)
 
 
+def _was_stopped(result: "Result") -> bool:
+    """Return whether a guard or a fault ended a trial."""
+    return result.outcome == "aborted"
+
+
 def _best(results: "Sequence[Result]") -> "Result":
     """Return the result of the least error, of those that are not lost if there are any."""
-    not_lost = [r for r in results if not (r.entered_obstacle or r.left_arena)]
+    not_lost = [r for r in results if not (r.entered_obstacle or r.left_arena or _was_stopped(r))]
     return min(not_lost or results, key=lambda result: result.total_error)
 
 
 def _how_well(result: "Result", experiment: "Experiment") -> str:
-    """Return the total error and the time of a trial, and where robots must not have been."""
+    """Return the total error and the time of a trial, and where robots must not have been; of an
+    aborted trial, when and why the robots were stopped."""
+    if _was_stopped(result):
+        return f"stopped after {result.duration_s:.1f} s ({result.reason})"
     where = [" through an obstacle"] if result.entered_obstacle else []
     where += [" outside the arena"] if result.left_arena else []
     return f"{_error(result, experiment)}{' and'.join(where)}"

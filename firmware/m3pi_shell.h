@@ -18,7 +18,7 @@ typedef struct {
     void *context;
     int (*radio_read)(void *context); /* next byte, or -1 at once if there is none */
     void (*radio_write)(void *context, const uint8_t *data, size_t length);
-    int (*base_read)(void *context); /* the 3pi, likewise */
+    int (*base_read)(void *context);  /* the same for the 3pi */
     void (*base_write)(void *context, const uint8_t *data, size_t length);
 } m3pi_hal;
 
@@ -43,10 +43,10 @@ typedef struct {
     bool awaits_battery;
 } m3pi_shell;
 
-/* Power-up; the 3pi is told to stop. */
+/* Start a robot that is stopped, and stop the 3pi. */
 void m3pi_shell_start(m3pi_shell *shell, const m3pi_hal *hal, uint8_t index, uint32_t now_ms);
 
-/* One round; call it every millisecond or so. */
+/* Do one round of the main loop. Call it about every millisecond. */
 void m3pi_shell_step(m3pi_shell *shell, uint32_t now_ms);
 
 /* The program of a robot; it never returns. It resets the 3pi first, which would otherwise drive on

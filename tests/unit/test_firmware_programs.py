@@ -70,6 +70,7 @@ def test_the_program_for_the_mbed_is_one_that_its_boot_rom_starts(tmp_path):
 def test_emulated_cortex_processors_do_what_this_computer_does(tmp_path):
     done = make("qemu", tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
+    assert "start-up: passed\n" in done.stdout + done.stderr
     same = "5 test programs passed, and the core did the same as here with 10000 packets\n"
     assert done.stdout.endswith(f"cortex-m0plus: {same}cortex-m3: {same}")
     events = {

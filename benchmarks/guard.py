@@ -41,7 +41,7 @@ ENDS = {
     "stopped": "another body|all robots drift|does not move|backward|the wrong way",
     "near something": "too close|about to leave|about to enter",
     "not noticed": "not noticed",
-    "at rest": "still moves|move alike",
+    "at rest": "still moves|seen to move as no command",
 }
 """What the reason says first of a trial that was stopped while robots drove, ended because robots
 truly came near to another, the edge or an obstacle, or was noticed only when they stood."""

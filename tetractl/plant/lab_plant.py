@@ -24,7 +24,14 @@ from tetractl.lab.device_abilities import AddsToFrames, RobotWatch, WatchesRobot
 from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.guard import GuardState
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
-from tetractl.lab.rest_check import LONGER, STANDS_NS, Rest, drifting_robots, wait_for_rest
+from tetractl.lab.rest_check import (
+    LONGER,
+    STANDS_NS,
+    Rest,
+    drifting_robots,
+    joined,
+    wait_for_rest,
+)
 from tetractl.lab.rig import Rig, build_rig
 from tetractl.model.path_check import PathCheck
 from tetractl.tools.worker import WAITING_MAX
@@ -181,7 +188,10 @@ class LabPlant:
         """Connect, run the preflight check, and wait until the robots are on their starts."""
         rig = self.rig
         rig.open()
-        findings = wait_until_ready(rig, self._supervision)
+        try:
+            findings = wait_until_ready(rig, self._supervision)
+        except AbortError as error:
+            raise self._refused(error) from None
         now = self.clock.now()
         for warning in findings.all_warnings:
             self._notes.append(Note(now, "warning", warning))
@@ -258,10 +268,9 @@ class LabPlant:
         as not at rest.
         """
         guard = self.rig.loop.guard
-        rest = Rest()
-        if self.rig.loop.frames.newest:
-            rest = wait_for_rest(self.rig, self._supervision.cancelled)
-        self._check_pause("after the stop")
+        rest = self._come_to_rest()
+        if self._check_pause("after the stop") and not rest.fault:
+            rest = self._come_to_rest()  # as after every abort
         not_at_rest = rest.reason
         if not_at_rest:
             self._note("error", not_at_rest)
@@ -349,13 +358,27 @@ class LabPlant:
         self._returned.add(first.sent_ns)
         return replace(first, delivered=(self.rig.actuator.failure is None,) * robots)
 
-    def _check_pause(self, when: str) -> None:
+    def _come_to_rest(self) -> Rest:
+        """Stop the robots until all have been seen to stand; return how they came to rest."""
+        if self.rig.loop.frames.newest is None:
+            return Rest()
+        return wait_for_rest(self.rig, self._supervision.cancelled)
+
+    def _refused(self, error: AbortError) -> AbortError:
+        """Return why a run does not start. Robots that move are stopped before, and named."""
+        if not (self.rig.actuator.halts and drifting_robots(self.rig)):
+            return error
+        self._halt()
+        self.rig.loop.guard.abort(error.message)
+        return AbortError(joined(error.message, self._come_to_rest().unrest), error.hint)
+
+    def _check_pause(self, when: str) -> bool:
         """Abort if a robot was seen to move in a pause as no command does, or once all have stood
-        for `REST_NS`.
+        for `REST_NS`; return whether it aborted.
         """
         guard = self.rig.loop.guard
         if not (self._stopped_ns and self.rig.actuator.halts and guard.state is GuardState.READY):
-            return
+            return False
         lines: list[str] = []
         if self.clock.now() - self._stopped_ns > STANDS_NS:
             lines += drifting_robots(self.rig, LONGER[:1])
@@ -366,6 +389,7 @@ class LabPlant:
             lines += [f"{self.setup.names[i]} {how}" for i, how in moved.items()]
         if lines:  # the first reason stays
             guard.abort(f"{when} {lines[0]}")
+        return bool(lines)
 
     def _raise_abort(self) -> None:
         if self.rig.loop.guard.state is GuardState.ABORT:

@@ -1,5 +1,6 @@
 """Whether standing robots are distinguished from poses that drift, in virtual time."""
 
+import re
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -85,7 +86,7 @@ def test_robots_that_stand_are_seen_to_stand(camera):
 def test_a_pose_that_turns_slowly_or_creeps_does_not_stand(rates, said, camera):
     """Regression: 0.3 rad/s and 10 mm/s were allowed, so a false pose that turned was accepted."""
     fault = at_rest(camera, rates, BLUE)
-    assert fault.startswith(f"2 s after the stop: blue still moves {said}")
+    assert re.match(rf"[01]\.\d s after the stop: blue still moves {re.escape(said)}", fault)
 
 
 def test_a_robot_that_was_seen_to_stand_is_to_be_seen_still():
@@ -149,10 +150,9 @@ def test_robots_that_plain_stops_do_not_hold_are_sent_one_that_they_latch_and_ar
     lab = fake_lab(SETUP)
     moving_until(lab, 100.0, (0, 2))
     rest, emergencies, now_s = rest_of(lab)
-    assert rest.fault.startswith("2 s after the stop: green still moves (100 mm/s")
+    assert "s after the stop: green still moves (100 mm/s" in rest.fault
     assert rest.unrest == "still moves: green, red: switch them off"
     first_latched = emergencies.index(True)
-    assert first_latched >= 10
     assert all(emergencies[first_latched:])
     assert 5.4 <= now_s <= 6.0  # the trial ended at 0.5 s
 
@@ -214,8 +214,8 @@ def test_what_noise_says_in_a_quarter_second_is_looked_at_for_longer(monkeypatch
 def test_poses_that_drift_together_name_the_camera():
     """Regression: a moved origin read as robots that still move. Here it moves at 10 mm/s."""
     said = at_rest(MOTIVE, (6.0, -8.0, 0.0), ALL)
-    assert said.startswith("2 s after the stop: all robots are seen to move alike (1")
-    assert said.endswith("though stopped: do the camera or its origin move?")
+    assert "after the stop: all robots are seen to move" in said
+    assert "has the camera or its origin moved, or does another program drive" in said
 
 
 @pytest.mark.parametrize("ago_s", [0.02, 0.06, 0.12, 0.2, 0.24])
@@ -252,9 +252,24 @@ def test_a_robot_that_stands_is_watched_no_longer_than_a_signal_allows():
     assert now_s < 1.5
 
 
-def test_robots_are_not_latched_if_only_the_camera_moves():
+@pytest.mark.parametrize("aborted", [False, True])
+@pytest.mark.parametrize("begins_s", [0.0, 0.9, 1.1])
+def test_robots_that_all_move_alike_are_latched_and_named_though_it_may_be_the_camera(
+    begins_s, aborted
+):
+    """Regression: a program that drove all robots by one pair of numbers passed for the camera, and
+    one that plain stops held for a moment for robots that stand. The trial ended at 0.5 s."""
     lab = fake_lab(SETUP)
-    show_drift(lab, (6.0, -8.0, 0.0), ALL)
+    moving_until(lab, 100.0, ALL, begins_s)
+    rest, emergencies, _ = rest_of(lab, aborted=aborted)
+    assert rest.unrest == "still moves: green, blue, red: switch them off"
+    assert emergencies[-1]
+
+
+def test_robots_are_watched_without_a_stop_before_they_count_as_standing():
+    """A program that drives robots is hidden as long as stops are sent to them."""
+    lab = fake_lab(SETUP)
+    moving_until(lab, 100.0, GREEN, begins_s=0.95)
     rest, emergencies, _ = rest_of(lab)
-    assert rest.unrest == ""
-    assert not any(emergencies)
+    assert rest.moving == ("green",)
+    assert emergencies[-1]

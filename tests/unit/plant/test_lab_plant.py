@@ -195,7 +195,8 @@ def test_robots_that_do_not_stand_after_a_stop_are_named(metres):
     lab.world.deaf = {0}
     lab.world.moving = (True, False, False)
     verdict = lab.plant.settle()
-    assert verdict.not_at_rest.startswith("2 s after the stop: green still moves (180 mm/s, ")
+    assert "s after the stop: green still moves (180 mm/s, " in verdict.not_at_rest
+    assert verdict.unrest == "still moves: green: switch it off"
     assert [item.text for item in lab.plant.news() if isinstance(item, Note)] == [
         verdict.not_at_rest
     ]
@@ -209,6 +210,46 @@ def test_a_stop_that_was_lost_is_sent_again_until_the_robots_stand():
     assert lab.plant.settle().not_at_rest.startswith("after the stop green moves")
     assert lab.world.moving == (False, False, False)
     assert all(sent.direction is None for sent in lab.actuator.sent[before:])
+
+
+def drive_from(lab, begins_ns):
+    """Let another program drive all robots forward from a time on; a latched stop holds them."""
+    advance = lab.world.advance
+
+    def driven():
+        before_ns = lab.world.then_ns
+        advance()
+        if begins_ns < lab.clock.now() and not lab.actuator.emergencies:
+            lab.world.poses[:, 0] += 0.1 * (lab.clock.now() - before_ns) / 1e6
+
+    lab.world.advance = driven
+
+
+def test_robots_that_another_program_drives_after_the_stop_are_held():
+    """Regression: they stood for a moment, the guard saw them move, and nothing stopped them."""
+    lab = stopped()
+    drive_from(lab, lab.clock.now() + SECOND // 2)
+    verdict = lab.plant.settle()
+    assert lab.actuator.emergencies
+    assert "only an emergency stop held the robots" in verdict.unrest
+    assert verdict.not_at_rest
+
+
+def test_robots_that_move_before_a_run_are_stopped_and_named():
+    lab = fake_lab(SETUP, LabLimits(start_mm=1e6))
+    drive_from(lab, 0)
+    with pytest.raises(AbortError, match="only an emergency stop held the robots") as refused:
+        lab.plant.open()
+    assert lab.actuator.emergencies
+    assert "does another program drive the robots?" in refused.value.message
+
+
+def test_robots_that_stand_off_their_starts_get_no_latched_stop():
+    lab = fake_lab(SETUP)
+    lab.world.poses[1, 0] += 120.0
+    with pytest.raises(AbortError, match=r"^blue is 120 mm from its start"):
+        lab.plant.open()
+    assert not lab.actuator.emergencies
 
 
 def test_an_emergency_stop_is_sent_as_one_and_ends_every_call():

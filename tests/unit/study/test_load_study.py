@@ -107,7 +107,7 @@ def test_a_problem_of_the_base_that_one_arm_shows_names_that_arm(tmp_path):
 
 def test_a_lab_is_refused(tmp_path):
     spec = (ROOT / "experiments" / "three_m3pi_lab.yaml").read_text()
-    without_plant = spec.replace("plant: {type: sim, dead_time: 0.06}", "")
+    without_plant = spec.replace("plant: {type: sim, dead_time: 0.02}", "")
     lab = without_plant.replace("\nlab:\n", "\nplant:\n  type: lab\n")
     error = problem_of(tmp_path, HEAD, lab)
     why = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"

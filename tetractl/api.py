@@ -187,7 +187,8 @@ def run_batch(
     The logs are trial-000.mcap and so on. `resume` runs only the trials that the folder lacks;
     without it, a folder that holds logs is refused. `on_result` is called with each trial's number
     and result. `progress` prints to stderr what is compiled and, now and then, how many trials have
-    ended. An aborted trial ends the batch. Errors are those of `run_trial`.
+    ended. An aborted trial ends the batch; in an emulated lab only if somebody would have to touch
+    a robot or a device. Errors are those of `run_trial`.
     """
     from tetractl.run import batch
     from tetractl.run.executors import on_this_machine
@@ -205,7 +206,8 @@ def run_batch(
         tasks = batch_tasks(spec, todo)
         executor = on_this_machine(jobs, len(todo), interrupt)
         watcher = _Watcher(on_result, progress_of_script(len(todo)) if progress else None)
-        report = batch.run_batch(tasks, store, executor, watcher, fail_fast=True)
+        on_failure = batch.OnFailure.of_batch(spec.experiment.plant)
+        report = batch.run_batch(tasks, store, executor, watcher, on_failure)
     for error in report.errors.values():
         raise error
     return read_batch(store.folder)
@@ -252,7 +254,7 @@ def run_study(
         missing_trials.warm_up_arms(loaded, _announcer(progress))
         executor = on_this_machine(jobs, len(tasks), interrupt)
         watcher = _Watcher(_ignore, progress_of_script(len(tasks)) if progress else None)
-        report = batch.run_batch(tasks, store, executor, watcher, fail_fast=False)
+        report = batch.run_batch(tasks, store, executor, watcher)
         arm_table.write_table(loaded, store)
         figure.write_figures(loaded, store)
     for error in report.errors.values():

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 from support import cli
 from support.running import QUICK, Started
 
-from tetractl.run.batch import run_batch
+from tetractl.run.batch import OnFailure, run_batch
 from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
 from tetractl.study.arm_table import finished_trials, write_table
@@ -80,7 +80,8 @@ def run(folder, study=STUDY, spec=QUICK, out="out", **options):
         executor = options.get("executor") or on_this_machine(
             options.get("jobs", 1), len(tasks), Interrupt()
         )
-        report = run_batch(tasks, store, executor, watcher, options.get("fail_fast", False))
+        on_failure = options.get("on_failure", OnFailure.GO_ON)
+        report = run_batch(tasks, store, executor, watcher, on_failure)
         write_table(loaded, store)
     return Ran(loaded, store, tasks, outdated, report, watcher)
 

@@ -30,6 +30,13 @@ def run(
     resume: Annotated[
         bool, options.switch("Run only the trials without a complete log in DIR.", "--resume")
     ] = False,
+    keep_going: Annotated[
+        bool | None,
+        options.switch(
+            "Go on with the next trial after an abort, unless somebody has to touch a robot or a "
+            "device first. [emulated: yes; otherwise: no]",
+        ),
+    ] = None,
     dry_run: options.DryRun = False,
     strict: options.Strict = False,
     quiet: options.Quiet = False,
@@ -41,6 +48,11 @@ def run(
 
     In the lab a person at the terminal is shown where robots must stand and starts the robots by
     Enter; without a terminal, give --yes.
+
+    With --keep-going, a batch goes on after an abort if the robots were seen to stand. In the lab,
+    the next trial waits until they are back at their starts, as between all trials. The batch still
+    ends after an emergency stop, after the failure of a device, if a robot may still move, and if
+    the next trial cannot start. The exit code of a batch with an aborted trial is 1.
 
     With --serve a simulated trial takes as long as a real one.
 
@@ -59,6 +71,7 @@ def run(
         out=out,
         jobs=jobs,
         resume=resume,
+        keep_going=keep_going,
         dry_run=dry_run,
         quiet=quiet,
         yes=yes,

@@ -113,7 +113,7 @@ def _run_tasks(
     quiet: bool,
 ) -> bool:
     """Run trials with their progress on stderr; return whether a signal asked to stop."""
-    from tetractl.run.batch import run_batch
+    from tetractl.run.batch import OnFailure, run_batch
     from tetractl.run.cluster import Cluster
     from tetractl.run.executors import on_this_machine
     from tetractl.study.missing_trials import warm_up_arms
@@ -140,7 +140,8 @@ def _run_tasks(
             )
         display = StudyProgress(open_console(stderr=True), len(tasks), quiet)
         with interrupt.watch(), display as progress:
-            run_batch(tasks, store, executor, progress, fail_fast)
+            on_failure = OnFailure.END if fail_fast else OnFailure.GO_ON
+            run_batch(tasks, store, executor, progress, on_failure)
     return interrupt.requested
 
 

@@ -73,11 +73,13 @@ class RunOptions:
     """How trials are run: the options of `run`, with their defaults.
 
     Without `out`, logs go to a new folder in ./logs. With `port`, trials are served to viewers.
+    `keep_going` is None for the default of the plant.
     """
 
     out: Path | None = None
     jobs: int = 1
     resume: bool = False
+    keep_going: bool | None = None
     dry_run: bool = False
     quiet: bool = False
     yes: bool = False
@@ -127,7 +129,7 @@ def run_command(
     ):
         planned = _planned(store, only)
         report = _run_trials(loaded, store, planned, options, interrupt, viewers)
-        code = _conclude(report, planned, interrupt.requested, folder, options.json)
+        code = _conclude(report, planned, interrupt.requested, store, options.json)
         return code, folder
 
 
@@ -220,12 +222,12 @@ def _run_trials(
     interrupt: Interrupt,
     viewers: "Sequence[Observer]",
 ) -> "Report":
-    """Run trials with their display, and with `viewers` as observers, until the first that fails.
+    """Run trials with their display, and with `viewers` as observers, until one ends the batch.
 
     Trials of the lab are shown by `_in_lab`, one after another on a terminal by `_on_screen`, and
     all others by `_in_lines`.
     """
-    from tetractl.run.batch import run_batch
+    from tetractl.run.batch import OnFailure, run_batch
     from tetractl.run.task import batch_tasks
     from tetractl.view.terminal.screen import shows_pictures
 
@@ -239,8 +241,9 @@ def _run_trials(
     else:
         unit = loaded.experiment.units.length
         display = _in_lines(console, unit, len(tasks), options.jobs, interrupt, viewers)
+    on_failure = OnFailure.of_batch(loaded.experiment.plant, options.keep_going)
     with display as (executor, observer):
-        return run_batch(tasks, store, executor, observer, fail_fast=True)
+        return run_batch(tasks, store, executor, observer, on_failure)
 
 
 @contextmanager
@@ -314,7 +317,7 @@ def _in_lines(
 
 
 def _conclude(
-    report: "Report", planned: list[int], stop_requested: bool, folder: Path, as_json: bool
+    report: "Report", planned: list[int], stop_requested: bool, store: "Store", as_json: bool
 ) -> int:
     """Print the statistics of the whole folder, then how the run ended; return the exit code.
 
@@ -322,6 +325,7 @@ def _conclude(
     """
     from tetractl.run.spec_trial import log_path
 
+    folder = store.folder
     not_run = len(planned) - len(report.results)
     interrupted = report.interrupted or (stop_requested and not_run > 0)
     error = next(iter(report.errors.values()), None)
@@ -340,12 +344,16 @@ def _conclude(
 
     if error is not None:
         raise error
-    if report.aborted:
-        return Exit.FAILED
-    if interrupted:
+    last_aborted = bool(report.results) and next(reversed(report.results)) in report.aborted
+    if interrupted and not last_aborted:
         resume = f"--out {quote(str(folder))} --resume"
         ui.tell(f"interrupted; continue with the same command and {resume}")
         return Exit.INTERRUPTED
+    aborts = report.aborted.values()
+    if not_run and aborts and all(result.verdict.can_restart for result in aborts):
+        ui.tell("hint: with --keep-going a batch goes on after such an abort")
+    if report.aborted or store.aborted:
+        return Exit.FAILED
     first = min((trial for _, trial in report.results), default=0)
     first_log = log_path(folder, first)
     ui.tell(f"look at one with: tetractl replay {quote(str(first_log))}")

@@ -74,7 +74,8 @@ class Verdict:
     older logs. All distances are measured from the robots' centres; the methods count bodies of a
     `radius` [length unit], by default the centres. In a lab with robots on wheels `turn` (N,)
     is the rate at which each robot turned by itself while it drove, and `turn_std` (N,) its
-    standard error, inf if it is unknown [rad/s]; otherwise both are empty.
+    standard error, inf if it is unknown [rad/s]; otherwise both are empty. `can_restart` is False
+    if somebody has to touch a robot or a device before another trial can start. Logs lack it.
     """
 
     final: Poses
@@ -86,12 +87,13 @@ class Verdict:
     turn: tuple[float, ...] = ()
     turn_std: tuple[float, ...] = ()
     unrest: str = ""
+    can_restart: bool = True
 
     @classmethod
     def unknown(cls, robots: int) -> Self:
         """Return the verdict on N robots of which the plant could not tell where they stopped."""
         nowhere = Poses.of(np.full((robots, 3), np.nan))
-        return cls(nowhere, (False,) * robots, (math.inf,) * robots)
+        return cls(nowhere, (False,) * robots, (math.inf,) * robots, can_restart=False)
 
     def in_obstacle(self, radius: float = 0.0) -> list[bool]:
         """Return which robots (N,) entered an obstacle."""

@@ -285,7 +285,15 @@ class LabPlant:
         self._settled = True
         turn, turn_std = guard.drift.turning()
         verdict = self._frames.path_check.verdict(self._final(), not_at_rest)
-        return replace(verdict, unrest=rest.unrest, turn=turn, turn_std=turn_std)
+        return replace(
+            verdict,
+            unrest=rest.unrest,
+            turn=turn,
+            turn_std=turn_std,
+            can_restart=rest == Rest()
+            and not guard.emergency
+            and self.rig.actuator.failure is None,
+        )
 
     def close(self) -> None:
         """Release camera and actuator."""

@@ -54,6 +54,8 @@ MEANINGS: Mapping[Outcome, str] = {
     Outcome.ABORTED: "a fault or an error ended the trial",
 }
 """What outcomes mean, for readers of tables and reports."""
+REASONS_NAMED = 3
+"""Maximum number of different reasons for aborts that a table names."""
 
 
 def _outcomes(trials: Sequence[ResultSummary]) -> list[Figure]:
@@ -64,9 +66,22 @@ def _outcomes(trials: Sequence[ResultSummary]) -> list[Figure]:
         "aborted": counts[Outcome.ABORTED],
         "interrupted": counts[Outcome.INTERRUPTED],
     }
-    text = "; ".join(f"{n} {way.value} ({MEANINGS[way]})" for way, n in ways)
+    explained = {**MEANINGS, Outcome.ABORTED: _abort_reasons(trials)}
+    text = "; ".join(f"{n} {way.value} ({explained[way]})" for way, n in ways)
     brief = ", ".join(f"{n} {way.value}" for way, n in ways)
     return [Figure("outcomes", text, items, brief=brief)]
+
+
+def _abort_reasons(trials: Sequence[ResultSummary]) -> str:
+    """Return why trials were aborted, the most frequent reason first, with the number of trials for
+    each if there are several reasons."""
+    aborted = [trial for trial in trials if trial.outcome is Outcome.ABORTED]
+    counts = Counter(trial.result.reason or MEANINGS[Outcome.ABORTED] for trial in aborted)
+    if len(counts) == 1:
+        return next(iter(counts))
+    named = [f"{n} x {reason}" for reason, n in counts.most_common(REASONS_NAMED)]
+    others = len(aborted) - sum(n for _, n in counts.most_common(REASONS_NAMED))
+    return "; ".join([*named, f"{others} x other reasons"] if others else named)
 
 
 def _arrived(trials: Sequence[ResultSummary]) -> list[Figure]:

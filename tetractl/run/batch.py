@@ -4,12 +4,14 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from enum import Enum
 from pathlib import Path
 from typing import Protocol
 
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
-from tetractl.core.trial import Result
+from tetractl.core.trial import EMULATED_PLANT, Result
+from tetractl.experiment.plant import PlantSection
 from tetractl.run.executors import Executor
 from tetractl.run.store import Store
 from tetractl.run.task import Finished, OtherCodeError, Task
@@ -64,6 +66,37 @@ class Report:
         return {key: r for key, r in self.results.items() if r.outcome is Outcome.ABORTED}
 
 
+class OnFailure(Enum):
+    """What a run does after a trial that fails: one that is aborted or has no outcome."""
+
+    GO_ON = "run all other trials"
+    GO_ON_IF_CLEAR = "run them after an abort, unless somebody has to touch a robot or a device"
+    END = "run no other trial"
+
+    def ends_run(self, result: Result | None) -> bool:
+        """Return whether a failed trial ends the run.
+
+        Args:
+            result: The result of the trial, which is aborted. None if the trial has no outcome.
+        """
+        if self is OnFailure.GO_ON_IF_CLEAR:
+            return result is None or not result.verdict.can_restart
+        return self is OnFailure.END
+
+    @classmethod
+    def of_batch(cls, plant: PlantSection, keep_going: bool | None = None) -> "OnFailure":
+        """Return what a batch does after a failure.
+
+        Args:
+            plant: The section of the plant.
+            keep_going: Whether it goes on after an abort. By default it does in an emulated lab,
+                where every trial has a lab of its own with robots at their starts.
+        """
+        if keep_going is None:
+            keep_going = plant.type == EMULATED_PLANT and not plant.real_time
+        return cls.GO_ON_IF_CLEAR if keep_going else cls.END
+
+
 class TrialTimes:
     """The wall time of the trials that have ended, and the number of those left, by arm."""
 
@@ -102,12 +135,19 @@ def run_batch(
     store: Store,
     executor: Executor,
     observer: RunObserver,
-    fail_fast: bool = False,
+    on_failure: OnFailure = OnFailure.GO_ON,
 ) -> Report:
     """Run trials and store their logs.
 
-    With `fail_fast` the first trial that is aborted or has no outcome ends the run. Raises
-    OtherCodeError if the code on a worker differs from that of this process.
+    Args:
+        tasks: The trials to run.
+        store: The folder of their logs.
+        executor: What runs the trials, one by one or several at a time.
+        observer: It is notified when a trial starts and ends.
+        on_failure: Whether a trial that is aborted or has no outcome ends the run.
+
+    Raises:
+        OtherCodeError: If the code on a worker differs from the code of this process.
     """
     report = Report(left=len(tasks))
     times = TrialTimes(tasks)
@@ -131,7 +171,7 @@ def run_batch(
             else:
                 report.errors[task.key] = ended_by
                 failure = _one_line(ended_by)
-            if failure is not None and fail_fast:
+            if failure is not None and on_failure.ends_run(result):
                 executor.end()
             times.ended(task.arm, ended_by.wall_s if isinstance(ended_by, Finished) else None)
             left_s = times.left_s(executor.workers)

@@ -113,6 +113,12 @@ class Store:
         """The trials of a batch that are not finished."""
         return self.batches[""].lacking
 
+    @property
+    def aborted(self) -> list[int]:
+        """The finished trials of a batch that were aborted, and would be aborted again."""
+        results = self.batches[""].results
+        return [trial for trial, r in results.items() if r.outcome is Outcome.ABORTED]
+
     @contextmanager
     def opened(self, resume: bool = True) -> Iterator[None]:
         """Create and lock the folder, and read which trials are finished.

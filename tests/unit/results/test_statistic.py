@@ -45,7 +45,7 @@ def test_a_count_and_a_share_are_of_the_trials_for_which_a_condition_holds():
 def test_outcomes_are_explained_where_there_is_room():
     trials = batch([*ERRORS, [1.0]])
     done = trials[0].outcome
-    trials[4] = batch([[1.0]], outcome=Outcome.ABORTED)[0]
+    trials[4] = batch([[1.0]], outcome=Outcome.ABORTED, reason="")[0]
     (figure,) = built_in_statistics.OUTCOMES.of_batch(trials)
     explained = f"4 {done.value} ({MEANINGS[done]}); 1 aborted ({MEANINGS[Outcome.ABORTED]})"
     assert figure.text == explained
@@ -54,6 +54,21 @@ def test_outcomes_are_explained_where_there_is_room():
     seen = {way: n for way, n in figure.items["outcomes"].items() if n}
     assert seen == {done.value: 4, "aborted": 1}
     assert figure.items["aborted"] == 1
+
+
+def test_aborts_are_named_the_most_frequent_first():
+    reasons = ["green left", "blue hit", "green left", "green lost", "red lost", "blue lost"]
+    trials = [batch([[1.0]], outcome=Outcome.ABORTED, reason=reason)[0] for reason in reasons]
+
+    def text(trials):
+        (figure,) = built_in_statistics.OUTCOMES.of_batch(trials)
+        return figure.text
+
+    assert text(trials[:1]) == "1 aborted (green left)"
+    assert text([trials[0], trials[2]]) == "2 aborted (green left)"
+    assert text(trials[:3]) == "3 aborted (2 x green left; 1 x blue hit)"
+    named = "2 x green left; 1 x blue hit; 1 x green lost; 2 x other reasons"
+    assert text(trials) == f"6 aborted ({named})"
 
 
 def test_what_is_unknown_says_why_and_is_null_in_json():

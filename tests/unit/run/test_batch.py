@@ -12,7 +12,7 @@ from tetractl.core.plan import Outcome
 from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.run import executors
-from tetractl.run.batch import run_batch
+from tetractl.run.batch import OnFailure, run_batch
 from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path, run_logged, trial_seeds
@@ -36,9 +36,10 @@ class Watcher:
         self.events.append(("ended", ending.task.trial, outcome, ending.failure, ending.left_s))
 
 
-def scripted(monkeypatch, outcomes, action=lambda trial: None):
+def scripted(monkeypatch, outcomes, action=lambda trial: None, can_restart=True):
     """Trials that end as `outcomes` says, by index, without being run; they take 2 s."""
     result = made.trial(1, steps=2, frames=2).result
+    result = replace(result, verdict=replace(result.verdict, can_restart=can_restart))
     ran = []
 
     def run(task, folder, interrupt, observers, supervision):
@@ -53,10 +54,10 @@ def scripted(monkeypatch, outcomes, action=lambda trial: None):
     return ran
 
 
-def run(folder, trials=range(4), jobs=1, interrupt=None, watcher=None, fail_fast=True):
+def run(folder, trials=range(4), jobs=1, interrupt=None, watcher=None, on_failure=OnFailure.END):
     executor = on_this_machine(jobs, len(trials), interrupt or Interrupt())
     store = Store.of_batch(folder, SPEC.experiment)
-    return run_batch(batch_tasks(SPEC, trials), store, executor, watcher or Watcher(), fail_fast)
+    return run_batch(batch_tasks(SPEC, trials), store, executor, watcher or Watcher(), on_failure)
 
 
 def ran_of(report):
@@ -76,15 +77,28 @@ def test_trials_run_in_order_and_those_who_watch_learn_the_time_left(monkeypatch
     assert (report.left, report.interrupted, report.aborted) == (0, False, {})
 
 
-@pytest.mark.parametrize("fail_fast", [True, False])
-def test_an_aborted_trial_ends_the_run_only_if_that_is_asked_for(monkeypatch, tmp_path, fail_fast):
-    ran = scripted(monkeypatch, {1: Outcome.ABORTED})
+@pytest.mark.parametrize("on_failure", OnFailure)
+@pytest.mark.parametrize("can_restart", [True, False])
+def test_an_aborted_trial_ends_the_run_if_that_is_asked_for(
+    monkeypatch, tmp_path, on_failure, can_restart
+):
+    ran = scripted(monkeypatch, {1: Outcome.ABORTED}, can_restart=can_restart)
     watcher = Watcher()
-    report = run(tmp_path, watcher=watcher, fail_fast=fail_fast)
-    assert ran == ([0, 1] if fail_fast else [0, 1, 2, 3])
-    assert ([*report.aborted], report.left) == ([("", 1)], 2 if fail_fast else 0)
+    report = run(tmp_path, watcher=watcher, on_failure=on_failure)
+    goes_on = on_failure is OnFailure.GO_ON or (
+        on_failure is OnFailure.GO_ON_IF_CLEAR and can_restart
+    )
+    assert ran == ([0, 1, 2, 3] if goes_on else [0, 1])
+    assert ([*report.aborted], report.left) == ([("", 1)], 0 if goes_on else 2)
     assert not report.interrupted
     assert [event[3] for event in watcher.events if event[0] == "ended"][1] == "aborted: why"
+
+
+def test_a_trial_without_an_outcome_ends_a_batch_that_goes_on_after_aborts(monkeypatch, tmp_path):
+    ran = scripted(monkeypatch, {0: Outcome.ABORTED, 1: AbortError("the port is gone")})
+    report = run(tmp_path, on_failure=OnFailure.GO_ON_IF_CLEAR)
+    assert ran == [0, 1]
+    assert ([*report.errors], report.left) == ([("", 1)], 2)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +108,7 @@ def test_an_interruption_ends_the_run(monkeypatch, tmp_path, outcomes, interrupt
     """Regression: between two trials it came too late, and the batch ended as if done."""
     interrupt = Interrupt()
     scripted(monkeypatch, outcomes, lambda trial: trial == 1 and interrupt.request())
-    report = run(tmp_path, interrupt=interrupt, fail_fast=False)
+    report = run(tmp_path, interrupt=interrupt, on_failure=OnFailure.GO_ON)
     assert (ran_of(report), report.left, report.interrupted) == ([0, 1], 2, interrupted)
 
 
@@ -122,7 +136,7 @@ def kill_itself(task, folder):
 @pytest.mark.system
 def test_a_trial_that_kills_its_process_is_run_again_alone_and_then_fails(tmp_path, monkeypatch):
     monkeypatch.setattr(executors, "_work", kill_itself)
-    report = run(tmp_path, [0, 1, 2], jobs=2, fail_fast=False)
+    report = run(tmp_path, [0, 1, 2], jobs=2, on_failure=OnFailure.GO_ON)
     assert sorted(ran_of(report)) == [0, 2]
     (error,) = report.errors.values()
     assert isinstance(error, AbortError)

@@ -8,7 +8,7 @@ from support.studies import FAILING, SMALL, Watcher, run
 
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.run import spec_trial, store
-from tetractl.run.batch import run_batch
+from tetractl.run.batch import OnFailure, run_batch
 from tetractl.run.executors import Here
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path
@@ -114,7 +114,7 @@ def run_as_batch(folder, spec, trials):
     batch = Store.of_batch(folder, spec.experiment)
     executor = Here(Interrupt())
     with batch.opened(resume=False):
-        run_batch(batch_tasks(spec, trials), batch, executor, Watcher(), fail_fast=True)
+        run_batch(batch_tasks(spec, trials), batch, executor, Watcher(), on_failure=OnFailure.END)
 
 
 def test_batches_are_arms_of_a_study_that_lacks_their_other_trials(done, finished):

@@ -299,9 +299,9 @@ class TerminalPrompt:
 class LabWatch(LiveView):
     """Shows a batch in the lab: a line per trial and, if `live`, a live view of each trial.
 
-    Notes are printed on `console`, a line per trial on `quiet`, which may be silent; `unit` is the
-    length unit. Between trials, while robots are placed, the live view is closed: it opens when a
-    trial starts.
+    Notes are printed on `console`, and so is the line of a trial that failed. The lines of other
+    trials are printed on `quiet`, which may be silent. `unit` is the length unit. Between trials,
+    while robots are placed, the live view is closed: it opens when a trial starts.
     """
 
     def __init__(
@@ -332,7 +332,8 @@ class LabWatch(LiveView):
         self._show_lines()
         if ending.result:
             text = trial_line(ending.task, ending.result, self._unit)
-            self._quiet.print(text, highlight=False, markup=False, soft_wrap=True)
+            console = self._console if ending.failure else self._quiet
+            console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def on_start(self, start: Start) -> None:
         """Open the live view."""

@@ -10,6 +10,7 @@ import numpy as np
 from tetractl.core.trial import PlantInfo
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.estimate import ArmErrors, numeric
+from tetractl.results.flagged import SAFETY, unsafe
 from tetractl.results.open_batch import Batch, counts
 from tetractl.results.tables import GIVEN_DIRECTIONS, error_table, processors_note
 from tetractl.results.trial_tables import trials_table
@@ -106,8 +107,25 @@ def given_note(arms: Sequence[Arm]) -> str:
     return f"{GIVEN_DIRECTIONS}: {', '.join(names)}" if names else ""
 
 
+def unsafe_columns(
+    names: Iterable[str], trials: Iterable[tuple[Arm, ResultSummary]]
+) -> list[Column]:
+    """Return a column for each thing in SAFETY that happened: in how many trials of each arm it
+    did, whether or not these trials count in the means."""
+    happened = {label: Counter[str]() for label in SAFETY}
+    for arm, trial in trials:
+        for label in unsafe(trial):
+            happened[label][arm.name] += 1
+    listed = list(names)
+    return [
+        Column(label, [in_arm[name] for name in listed])
+        for label, in_arm in happened.items()
+        if in_arm
+    ]
+
+
 def arms_table(loaded: LoadedStudy, store: Store) -> Table:
-    """Return the table of arms: total error, aborted trials, and plant."""
+    """Return the table of arms: total error, unsafe and aborted trials, and plant."""
     arms = loaded.arms[:LISTED]
     plants = origins(loaded)[:LISTED]
     trials = list(finished_trials(loaded, store))
@@ -121,6 +139,7 @@ def arms_table(loaded: LoadedStudy, store: Store) -> Table:
         Column("arm", list(errors)),
         of_error["n"],
         of_error["mean"],
+        *unsafe_columns(errors, trials),  # before what a narrow terminal leaves out
         of_error["95 % interval"],
         of_error["std"],
     ]

@@ -8,6 +8,7 @@ import pytest
 from support.studies import STUDY, run
 
 from tetractl.results.estimate import distributions
+from tetractl.results.flagged import SAFETY
 from tetractl.study.arm_table import arms_table, field_values, group_of, write_table
 from tetractl.study.figure import study_figure, write_figures
 from tetractl.study.load_study import arm_name
@@ -80,6 +81,28 @@ def test_the_errors_of_arms_are_a_table(ran):
     means = table.columns[2].values
     assert means[0] == pytest.approx(np.mean(errors(ran, first_arm)))
     assert table.note == "disturbances are assumed in the spec, not measured"
+
+
+def test_the_table_counts_what_must_not_happen(ran, monkeypatch):
+    """Regression: arms that entered the obstacle in 10 of 10 trials looked like the others."""
+    first, second, *_ = ran.loaded.arms
+    assert not {*SAFETY} & {*arms_table(ran.loaded, ran.store).header}
+    for arm, number, changes in [
+        (first, 0, {"entered": (True,)}),
+        (first, 3, {"entered": (True,), "edge": (-1.0,)}),
+        (second, 1, {"edge": (-1.0,)}),
+    ]:
+        results = ran.store.batches[arm.name].results
+        result = results[number].result
+        unsafe = replace(result, verdict=replace(result.verdict, **changes))
+        monkeypatch.setitem(results, number, replace(results[number], result=unsafe))
+    table = arms_table(ran.loaded, ran.store)
+    columns = {column.name: column.values for column in table.columns}
+    others = [0] * (len(ran.loaded.arms) - 2)
+    assert columns["entered an obstacle"] == [2, 0, *others]
+    assert columns["left the arena"] == [1, 1, *others]
+    assert "touched one another" not in columns
+    assert table.header.index("left the arena") < table.header.index("95 % interval")
 
 
 def test_rows_of_several_types_of_processor_are_marked(ran, monkeypatch):

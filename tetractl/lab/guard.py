@@ -99,8 +99,8 @@ from tetractl.lab.robot_track import MISSING, PoseDecision, RobotTrack
 
 DAMAGED_MAX = 20
 """Most pictures or datagrams of a second that may be damaged."""
-BUSY = "; control steps were late just before: is this computer busy?"
-"""Added to a reason that blames a robot or the camera."""
+BUSY = "control steps were late (is this computer busy?), then "
+"""Put before a reason that blames a robot or the camera."""
 FROZEN = "the frame repeats the one before to the last bit: is the camera frozen?"
 RARELY = 3.0
 """A robot may be unseen for so many times `untracked_abort`, though not all at once."""
@@ -265,9 +265,7 @@ class Guard:
         recent = [accepted.frame for accepted in frames.last(RECENT_NS)]
         culprit = Culprit(self.rules, self.drift, recent)
         reason = culprit.why(suspect, self.reason) or self.reason
-        late_ns = self._pace.late_ns
-        is_busy = late_ns is not None and recent[-1].received_ns - late_ns <= COMPARED_NS
-        self.reason = _with_cause(reason, BUSY if is_busy else self._stream.slow_text)
+        self.reason = self._with_cause(reason, recent[-1].received_ns)
 
     def lose_robot(self, i: int, reason: str) -> None:
         """Continue without a robot; abort if the rules forbid that or no other robot is left."""
@@ -276,7 +274,7 @@ class Guard:
             return
         others = [track for track in self._robots if track is not robot and not track.lost]
         if not self.rules.goes_on or not others:
-            self.abort(_with_cause(reason, self._stream.slow_text))
+            self.abort(self._with_cause(reason, self._pace.ticked_ns or 0))
             return
         robot.lost_ns = robot.last_ns
         self._warnings.append(f"{reason}: the run goes on without this robot")
@@ -499,7 +497,7 @@ class Guard:
             silent_s = undirected_ns / SECOND
             self.abort(f"{late}: the controller gave no direction for {silent_s:.1f} s")
         elif frameless_ns >= rules.limits.stream_lost * SECOND:
-            self.abort(self._stream.frameless_text(frameless_ns))
+            self.abort(self._with_cause(self._stream.frameless_text(frameless_ns), now_ns))
 
     def _check_tracking(self) -> None:
         """For each robot that is not lost: abort if it disobeys for as long as stops it; lose it if
@@ -582,8 +580,12 @@ class Guard:
             self._warned.add(text)
             self._warnings.append(text)
 
-
-def _with_cause(reason: str, cause: str) -> str:
-    """Return the reason of an abort with its cause, "" if none is known: then it is asked whether
-    the robot was pushed."""
-    return reason.removesuffix(PUSHED) + cause if cause else reason
+    def _with_cause(self, reason: str, now_ns: int) -> str:
+        """Add to a reason that blames a robot or the camera what else explains it: late control
+        steps just before, or slow frames. The text does not ask then whether the robot was pushed.
+        """
+        late_ns = self._pace.late_ns
+        if late_ns is not None and now_ns - late_ns <= COMPARED_NS:
+            return BUSY + reason.removesuffix(PUSHED)
+        slow_text = self._stream.slow_text
+        return reason.removesuffix(PUSHED) + slow_text if slow_text else reason

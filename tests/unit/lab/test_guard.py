@@ -520,18 +520,35 @@ def test_an_abort_by_another_thread_while_a_ruling_is_made_is_final():
 
 
 @pytest.mark.parametrize(("frames_since", "named"), [(10, True), (130, False)])
-def test_the_computer_is_named_where_its_own_steps_were_late(frames_since, named):
-    """Regression: on a busy computer robots or the camera were blamed for what late steps did."""
-    course = begun_with_checks(Finds())
+@pytest.mark.parametrize("suspect", [None, 0])
+def test_the_computer_is_named_first_where_its_own_steps_were_late(frames_since, named, suspect):
+    """Regression: on a busy computer robots or the camera were blamed for what late steps did:
+    "green is not tracked (0.36 s)"."""
+    course = begun_with_checks(Finds(), rules=RULES)
     course.guard.note_step(missed=True)
     course.frames(frames_since)
     course.guard.note_step(missed=False)
-    course.guard.abort("green moves as no command does", suspect=0)
+    if suspect is None:
+        course.guard.lose_robot(0, "green is not tracked (0.36 s)")
+    else:
+        course.guard.abort("green is not tracked (0.36 s)", suspect=suspect)
     course.frame()
     shown = FrameBuffer()
     shown.append(course.accepted)
     course.guard.name_culprit(shown)
-    assert course.guard.reason == "green moves as no command does" + BUSY * named
+    assert course.guard.reason == BUSY * named + "green is not tracked (0.36 s)"
+
+
+@pytest.mark.parametrize("late", [True, False])
+def test_the_computer_is_named_first_where_no_frame_came_after_late_steps(late):
+    course = begun_with_checks(Finds(), rules=RULES)
+    course.frame()
+    course.guard.note_step(missed=late)
+    for _ in range(5):
+        course.now_ns += SECOND // 10
+        course.guard.note_direction(course.now_ns)
+        course.tick()
+    assert course.guard.reason == BUSY * late + "no new camera frame for 0.50 s"
 
 
 @pytest.mark.parametrize(("hz", "named"), [(14, True), (19, True), (21, False), (120, False)])

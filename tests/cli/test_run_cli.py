@@ -37,6 +37,7 @@ ELSEWHERE = (  # a faster test runs them, or their like
     "microjet_hold",
     "tetrahymena_hold",
     "three_m3pi_lab",  # in the emulated lab: its plays
+    "three_m3pi_paper_lab",
     "tetrahymena_lab",
     "tetrahymena_dish",
 )

@@ -6,11 +6,13 @@ import os
 import random
 import shlex
 import shutil
+import subprocess
 
 import pytest
 from support import cli
 from support.durable import random_kill
 from support.lateness import lateness
+from support.paths import ROOT
 from support.running import QUICK
 
 from tetractl.log.read.reader import read_trial
@@ -82,3 +84,26 @@ def test_a_value_that_is_set_as_it_was_makes_no_other_trial(logs):
     done = tetractl(logs, f"rerun trial-001.mcap --set {setting} --out same --quiet").ok()
     assert "the content digests agree: " in done.stderr
     assert "differ" not in done.stderr
+
+
+@pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="there is no ssh-keygen here")
+def test_the_commands_of_the_page_sign_a_log_and_notice_a_change(tmp_path):
+    """What a signature covers is bytes: any file will do for a log."""
+    page = (ROOT / "docs" / "reference" / "durability.md").read_text()
+    section = page.partition("### Signing logs")[2].partition("\n## ")[0]
+    commands = [line.strip() for line in section.splitlines() if line.startswith("    ")]
+    log = tmp_path / "logs" / "batch" / "trial-000.mcap"
+    log.parent.mkdir(parents=True)
+    log.write_bytes(b"a log")
+
+    def run(command):
+        without_passphrase = command.replace("-t ed25519", "-t ed25519 -N ''")
+        return subprocess.run(
+            without_passphrase, shell=True, cwd=tmp_path, capture_output=True, text=True
+        )
+
+    done = [run(command) for command in commands]
+    assert [one.returncode for one in done] == [0] * 4
+    assert 'Good "tetractl" signature for the-lab' in done[-1].stdout
+    log.write_bytes(b"a changed log")
+    assert run(commands[-1]).returncode != 0

@@ -62,7 +62,7 @@ class Tampering:
     records: tuple[Record, ...]  # in the place of that one
 
 
-def sim_log(folder: Path, sets: Sequence[str]) -> Path:
+def sim_log(folder: Path, sets: Sequence[str] = ()) -> Path:
     """Run one small disturbed simulation; return its log."""
     run_logged(parse_spec(SIM, "tampered.yaml", list(sets)), folder, 1)
     return log_path(folder, 1)

@@ -164,7 +164,7 @@ class Result:
     period; both differ from run to run on the same seed.
 
     A new number of a result is a field here, computed in `of` from what its callers pass
-    (`run/control_loop.py`; `replay/lab_result.py`, which checks it); a field of the message in
+    (`run/control_loop.py`; `replay/result_check.py`, which checks it); a field of the message in
     `log/format/tetractl.proto`, written and read, or left empty by older logs, in `run_records.py`.
     """
 

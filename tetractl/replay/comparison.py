@@ -2,7 +2,7 @@
 plans or messages, up to the first value that differs.
 """
 
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import zip_longest
 from typing import Any
@@ -162,17 +162,16 @@ NOT_COMPARED = {*channels.HOST_RECORDS, channels.DIGESTS, channels.RECOVERED}
 """Records that a trial that is run again has otherwise, or not at all."""
 
 
-def log_differences(
-    again: RawLog, log: RawLog, apart: Set[str] = frozenset()
-) -> Iterator[Difference]:
-    """Yield the first difference of each channel and attachment between the log of a trial and that
-    of the trial run again, those of control steps first; of a brief log only what it has, and none
-    of the channels and attachments `apart`.
+def log_differences(again: RawLog, log: RawLog) -> Iterator[Difference]:
+    """Compare the log of a trial with the log of the same trial run again.
 
-    Attachments that only the log has are not differences: others may add them.
+    Yields:
+        The first difference of each channel and attachment, those of control steps first. Channels
+        that a brief log lacks are not compared, nor attachments that only the log has: others may
+        add them.
     """
-    topics = [topic for topic in CHANNELS if topic not in NOT_COMPARED | apart]
-    names = again.attachments.keys() - NOT_COMPARED - apart
+    topics = [topic for topic in CHANNELS if topic not in NOT_COMPARED]
+    names = again.attachments.keys() - NOT_COMPARED
     if log.brief:
         topics = [topic for topic in topics if log.by_topic[topic]]
         names &= log.attachments.keys()

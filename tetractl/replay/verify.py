@@ -24,14 +24,8 @@ from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog, frame_gaps, step_gaps
 from tetractl.replay import run_again
 from tetractl.replay.comparison import Difference
-from tetractl.replay.lab_commands import command_differences
-from tetractl.replay.lab_result import error_differences, lab_differences
 from tetractl.replay.recompute import TOLERANCE, Recomputed, recompute
-from tetractl.replay.run_and_messages import (
-    encoding_differences,
-    message_differences,
-    run_differences,
-)
+from tetractl.replay.result_check import result_differences
 from tetractl.tools.table.terminal_table import LISTED_MAX
 
 DECIDES_BITS = (
@@ -57,11 +51,10 @@ class Method(StrEnum):
 
 
 class EndCheck(Enum):
-    """With what the end of a trial is compared."""
+    """What the end of a trial is compared with."""
 
     NOTHING = "nothing: run and spec dispute the plant, or the log is damaged or without a result"
-    LAB = "frames and commands of a lab"
-    RECORDS = "spec, records and last poses of a simulation that does not repeat here"
+    RECORDS = "the steps, frames and poses in the log: a lab, or a simulation that does not repeat"
     AGAIN = "the simulation, run again"
 
 
@@ -126,7 +119,7 @@ def verify(path: Path) -> Verification:
     problems += of_end
     problems += _differences_of_records(raw, log)
     notes = list(_notes(raw, log))
-    if end_check is EndCheck.RECORDS:
+    if end_check is EndCheck.RECORDS and log.start.plant.simulated:
         notes.append(f"the trial is not run again: {why_not_again}")
     return Verification(
         log=str(path),
@@ -159,8 +152,6 @@ def _end_check(log: TrialLog, why_not_again: str) -> EndCheck:
     is_disputed = is_simulated != log.experiment.plant.simulated
     if is_disputed or log.damage is not None or log.result is None:
         return EndCheck.NOTHING
-    if not is_simulated:
-        return EndCheck.LAB
     return EndCheck.RECORDS if why_not_again else EndCheck.AGAIN
 
 
@@ -177,17 +168,8 @@ def _differences_of_end(check: EndCheck, raw: RawLog, log: TrialLog) -> Iterator
         yield Difference(None, "result.reason", "aborted without a reason")
     if check is EndCheck.AGAIN:
         yield from run_again.differences(raw, log)
-    elif check is EndCheck.LAB:
-        yield from lab_differences(log, result)
-        yield from command_differences(log, result)
-        yield from encoding_differences(raw, log, result)
-        if is_whole:
-            yield from message_differences(raw, log, result)
-    else:
-        yield from run_differences(raw, log)
-        if is_whole:
-            yield from message_differences(raw, log, result)
-            yield from error_differences(log, result)
+    elif is_whole:
+        yield from result_differences(log, result)
 
 
 def _differences_of_records(raw: RawLog, log: TrialLog) -> Iterator[Difference]:

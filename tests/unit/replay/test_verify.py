@@ -26,9 +26,8 @@ from tetractl.log.format.channels import LOG, RESULT, STEP
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage
-from tetractl.replay.lab_commands import command_differences
-from tetractl.replay.lab_result import lab_differences
 from tetractl.replay.recompute import first_steps, recompute
+from tetractl.replay.result_check import result_differences
 from tetractl.replay.verify import Method, verify
 from tetractl.run.checked_controller import CheckedController
 from tetractl.run.spec_trial import log_path, run_logged
@@ -295,7 +294,7 @@ def test_on_another_processor_the_errors_have_to_follow_from_the_poses(tmp_path,
 
 
 def fields_that_differ(log, result):
-    return {difference.field for difference in lab_differences(log, result)}
+    return {difference.field for difference in result_differences(log, result)}
 
 
 def test_a_wall_that_a_path_logged_in_the_lab_crosses_was_entered(tmp_path):
@@ -304,44 +303,6 @@ def test_a_wall_that_a_path_logged_in_the_lab_crosses_was_entered(tmp_path):
     log = read_trial(random_trials.write(lab_trial, tmp_path / "trial.mcap"))
     fields = fields_that_differ(log, replace(log.result, verdict=clear))
     assert any(field.startswith("result.entered") for field in fields)
-
-
-@pytest.mark.parametrize(
-    ("tracked", "edge_mm", "agrees"),
-    [
-        (60, 490.0, True),
-        (60, 500.0, True),
-        (60, 489.0, False),
-        (100, 490.0, True),
-        (100, 500.0, False),
-    ],
-)
-def test_a_pose_that_came_too_late_to_count_as_tracked_is_part_of_the_path(
-    tmp_path, tracked, edge_mm, agrees
-):
-    """From the edge the robot is 500 mm away, in frames from 60 on 490. Regression, a rehearsed
-    day: a cube was switched off while the program stood still, and its last reading, which no frame
-    called tracked, was the nearest to the edge."""
-    log = lab_log(tmp_path, lost(0, tracked), 0.0, "yes", 0.001)
-    mocap = log.mocap.copy()
-    mocap[:, 0, :2] = (log.start.setup.arena.left + 500, 1000)
-    mocap[60:, 0, 0] -= 10
-    verdict = log.result.verdict
-    if tracked == 100:
-        verdict = replace(verdict, final=Poses.of(mocap[-1]))
-    verdict = replace(verdict, edge=(edge_mm, *verdict.edge[1:]))
-    fields = fields_that_differ(replace(log, mocap=mocap), replace(log.result, verdict=verdict))
-    assert ("result.edge.0" not in fields) == agrees
-
-
-@pytest.mark.parametrize(("row", "agrees"), [(-1, True), (-20, False)])
-def test_cells_whose_pictures_ended_before_the_stop_have_the_last_poses(tmp_path, row, agrees):
-    """The stop comes 0.8 s after the last frame: 0.5 s until the trial aborts, and repeats."""
-    log = lab_log(tmp_path, lost(0, 100), 40.0, "no", 0.001)
-    log = replace(log, stop=replace(log.stop, sent_ns=1_790_000_000))
-    verdict = replace(log.result.verdict, final=Poses.of(log.mocap[row]))
-    result = replace(log.result, outcome=Outcome.ABORTED, verdict=verdict)
-    assert ("result.final" not in fields_that_differ(log, result)) == agrees
 
 
 @pytest.fixture
@@ -370,15 +331,15 @@ def test_only_a_trial_that_an_error_ended_may_state_no_final_poses(
     assert ("result.final" not in fields_that_differ(log, result)) == agree
 
 
-def test_without_obstacles_no_distance_to_one_can_be_stated(log_of_robots_at_rest):
-    """Regression: any distance to an obstacle passed."""
-    log = log_of_robots_at_rest
-    bare = replace(log, start=replace(log.start, setup=replace(log.start.setup, obstacles=())))
-    true = replace(log.result.verdict, clearance=(np.inf,) * 3)
-    assert "result.clearance.1" not in fields_that_differ(bare, replace(log.result, verdict=true))
-    made_up = replace(true, clearance=(np.inf, 50.0, np.inf))
-    fields = fields_that_differ(bare, replace(log.result, verdict=made_up))
-    assert "result.clearance.1" in fields
+@pytest.mark.parametrize(
+    ("halts", "row", "agrees"),
+    [("yes", -1, True), ("yes", 0, False), ("yes", -2, False), ("no", -20, True)],
+)
+def test_final_poses_are_the_last_ones_unless_robots_swim_on(tmp_path, halts, row, agrees):
+    log = lab_log(tmp_path, lost(0, 100), 40.0, halts, 0.001)
+    verdict = replace(log.result.verdict, final=Poses.of(log.mocap[row]))
+    fields = fields_that_differ(log, replace(log.result, verdict=verdict))
+    assert ("result.final" not in fields) == agrees
 
 
 def test_frames_that_the_camera_lost_end_no_check_of_a_log_without_its_end():
@@ -394,14 +355,6 @@ def test_what_viewers_cannot_decode_is_noticed(tmp_path, contents):
     torn = {entry: entry._replace(data=entry.data[:-3])}
     (problem,) = verify(rewrite(contents, tmp_path / "changed.mcap", torn)).problems
     assert str(problem) == "trial: /tf[0]: not a valid message of its channel"
-
-
-def test_a_lab_of_robots_on_wheels_without_a_speed_of_any_is_compared(log_of_robots_at_rest):
-    """Regression: it ended in a traceback, as no greatest speed could be found."""
-    log = log_of_robots_at_rest
-    still = [replace(command, left=None, right=None) for command in log.commands]
-    differences = command_differences(replace(log, commands=still), log.result)
-    assert [difference.field for difference in differences if "wheels" in difference.message] == []
 
 
 def test_no_step_after_a_gap_is_a_first_step():

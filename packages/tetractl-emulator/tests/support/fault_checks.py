@@ -14,7 +14,7 @@ from tetractl.experiment.load import load_spec
 from tetractl.log.format.channels import LOG
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.replay.lab_result import lab_differences
+from tetractl.replay.result_check import result_differences
 
 SCRIPTS = sorted(FOLDER.rglob("*.yaml"))
 
@@ -58,7 +58,7 @@ def check_log(expect, played):
     if broke_off:
         assert trial.damage is not None
         return
-    assert [*lab_differences(trial, trial.result)] == []
+    assert [*result_differences(trial, trial.result)] == []
     if expect.outcome == "done":
         assert trial.result.outcome.complete
     else:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from tetractl.log.read.reader import read_trial
-from tetractl.replay.lab_result import lab_differences
+from tetractl.replay.result_check import result_differences
 
 UNEVEN = """
 emulation:
@@ -77,7 +77,7 @@ def check(sets, played):
         trial = read_trial(log)
         assert trial.damage is None
         assert trial.result.outcome.complete
-        differs = [*lab_differences(trial, trial.result)]
+        differs = [*result_differences(trial, trial.result)]
         assert not differs, differs
     check_poses(played, trial)
     assert played.of("robot", moving=False), "they drove, and stand"

@@ -10,7 +10,7 @@ import numpy as np
 
 from tetractl.core.commands import Stop, Turn
 from tetractl.core.plan import Outcome
-from tetractl.replay.lab_result import lab_differences
+from tetractl.replay.result_check import result_differences
 from tetractl_emulator.fault_rows import MOTION, PLACE
 from tetractl_emulator.rehearsal.day import HUNG
 from tetractl_emulator.rehearsal.logged import logged
@@ -64,7 +64,7 @@ def log_is_whole(truth: Truth) -> Iterator[Violation]:
     elif log.stop is None:
         yield Violation("log", 0.0, "has no stop")
     else:
-        for difference in islice(lab_differences(log, log.result), 1):
+        for difference in islice(result_differences(log, log.result), 1):
             yield Violation("log", 0.0, str(difference))
 
 

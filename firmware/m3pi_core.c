@@ -23,9 +23,10 @@ static void stop(m3pi_core *core)
 /* Once silent it stays so until a new frame comes, also when the clock wraps round. */
 static void watch(m3pi_core *core, uint32_t now_ms)
 {
-    if ((uint32_t)(now_ms - core->heard_ms) >= M3PI_WATCHDOG_MS) {
-        core->silent = true;
-    }
+    const uint32_t quiet_ms = now_ms - core->heard_ms;
+
+    core->silent |= quiet_ms >= M3PI_WATCHDOG_MS;
+    core->forgotten |= quiet_ms >= M3PI_FORGET_MS;
     if (core->silent) {
         stop(core);
     }
@@ -52,7 +53,8 @@ static m3pi_event obey(m3pi_core *core, uint32_t now_ms)
     const uint8_t sequence = frame[1];
     const uint8_t flags = frame[2];
     const uint8_t ahead = (uint8_t)(sequence - core->sequence);
-    const bool is_new = core->silent || (ahead >= 1u && ahead <= AHEAD_MAX);
+    const bool is_next = core->known && ahead >= 1u && ahead <= AHEAD_MAX;
+    const bool is_new = core->forgotten || is_next;
 
     if (flags & M3PI_FLAG_EMERGENCY_STOP) {
         core->emergency_stopped = true;
@@ -70,6 +72,8 @@ static m3pi_event obey(m3pi_core *core, uint32_t now_ms)
         core->sequence = sequence;
         core->heard_ms = now_ms;
         core->silent = false;
+        core->forgotten = false;
+        core->known = true;
     }
     if ((flags & M3PI_FLAG_POLL) && (is_new || !(flags & M3PI_FLAG_RUN))) {
         core->reply_pending = true;

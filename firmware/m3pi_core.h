@@ -9,9 +9,11 @@
  *   52 index sequence status u16 battery_mv u16 received u16 rejected, CRC
  *
  * Sequence: a frame is new if it is 1 to 127 steps ahead of the last new one, modulo 256; or if
- * the robot has been silent (nothing new for M3PI_WATCHDOG_MS, or nothing since power-up), which
- * is how a restarted controller is taken up. Frames that are not new never set wheels and never
- * feed the watchdog; but a frame that tells to stop is obeyed, new or not.
+ * nothing new has come for M3PI_FORGET_MS, which is how a restarted controller is taken up. So no
+ * frame is new for as long after power-up. Frames that are not new never set wheels and never feed
+ * the watchdog; but a frame that tells to stop is obeyed, new or not. The watchdog stops the robot
+ * long before it forgets the number, and one that has just been switched on waits: a frame that the
+ * radio delivers late, by less than M3PI_FORGET_MS, cannot drive a robot that has stopped.
  *
  * Emergency stop: latched by any frame that checks and has the flag, and by m3pi_emergency_stop.
  * Only m3pi_init clears it, that is, switching the robot off and on.
@@ -29,6 +31,7 @@ extern "C" {
 #define M3PI_FRAME_MAX (4u + 2u * M3PI_ROBOTS_MAX + 2u) /* unstuffed, with CRC */
 #define M3PI_REPLY_SIZE 14u                             /* stuffed, with the closing 00 */
 #define M3PI_WATCHDOG_MS 250u
+#define M3PI_FORGET_MS 1000u
 #define M3PI_REPLY_SLOT_MS 10u
 
 enum { M3PI_FLAG_RUN = 1, M3PI_FLAG_EMERGENCY_STOP = 2, M3PI_FLAG_POLL = 4 };
@@ -51,11 +54,11 @@ typedef struct {
     uint8_t sequence;
     uint8_t echo;
     int8_t left, right;
-    bool running, silent, emergency_stopped, reply_pending;
+    bool running, silent, known, forgotten, emergency_stopped, reply_pending;
     framing_reader reader;
 } m3pi_core;
 
-/* Power-up: stopped, silent, not latched. `index` is the robot's place in the frame, from 0. */
+/* Power-up: stopped, silent, not latched; times count from it. `index` is the robot's place in the frame, from 0. */
 void m3pi_init(m3pi_core *core, uint8_t index);
 
 /* Latch the emergency stop. Call it after m3pi_init if the chip's own watchdog has reset the chip:

@@ -79,9 +79,10 @@ static void stop(twist_core *core)
  * round. */
 static void watch(twist_core *core, uint32_t now_ms)
 {
-    if ((uint32_t)(now_ms - core->heard_ms) >= TWIST_WATCHDOG_MS) {
-        core->silent = true;
-    }
+    const uint32_t quiet_ms = now_ms - core->heard_ms;
+
+    core->silent |= quiet_ms >= TWIST_WATCHDOG_MS;
+    core->forgotten |= quiet_ms >= TWIST_FORGET_MS;
     if (core->silent) {
         stop(core);
     }
@@ -127,7 +128,8 @@ static int32_t rim_speed(int32_t w, uint16_t radius_mm)
 static twist_event obey(twist_core *core, uint32_t now_ms, const command *order)
 {
     const uint8_t ahead = (uint8_t)(order->sequence - core->sequence);
-    const bool is_new = core->silent || (ahead >= 1u && ahead <= AHEAD_MAX);
+    const bool is_next = core->known && ahead >= 1u && ahead <= AHEAD_MAX;
+    const bool is_new = core->forgotten || is_next;
 
     core->received++;
     if (order->emergency_stop) {
@@ -146,6 +148,8 @@ static twist_event obey(twist_core *core, uint32_t now_ms, const command *order)
         core->sequence = order->sequence;
         core->heard_ms = now_ms;
         core->silent = false;
+        core->forgotten = false;
+        core->known = true;
     }
     if (order->poll && (is_new || !order->run)) {
         core->reply_pending = true;

@@ -29,6 +29,7 @@ extern "C" {
 #define TWIST_LINE_MAX 300u /* characters of a line without its end */
 #define TWIST_REPLY_MAX 48u
 #define TWIST_WATCHDOG_MS 250u
+#define TWIST_FORGET_MS 1000u /* then any sequence is new */
 #define TWIST_REPLY_SLOT_MS 20u
 #define TWIST_SPEED_MAX 5000  /* mm/s */
 #define TWIST_TURN_MAX 50000 /* mrad/s */
@@ -66,6 +67,8 @@ typedef struct {
     uint8_t sequence;
     uint32_t heard_ms;
     bool silent; /* none has come for TWIST_WATCHDOG_MS */
+    bool known;  /* a sequence, as one has come since power-up */
+    bool forgotten; /* the sequence: none has come for TWIST_FORGET_MS */
 
     /* the reply that is to come */
     bool reply_pending;
@@ -77,7 +80,8 @@ typedef struct {
     uint16_t rejected;
 } twist_core;
 
-/* Power-up: stopped, silent, not latched. `index` is the robot's number in commands, `radius_mm`
+/* Power-up: stopped, silent, not latched; times count from it. `index` is the robot's number in
+ * commands, `radius_mm`
  * the distance from a wheel to the robot's centre. */
 void twist_init(twist_core *core, uint8_t index, uint16_t radius_mm);
 

@@ -1,6 +1,6 @@
 """Runs the vectors of tests/twist_vectors.txt against twist.py, in MicroPython or Python."""
 
-from twist import Twist
+from twist import FORGET_MS, Twist
 
 
 def unescape(text):
@@ -30,8 +30,10 @@ def run(text):
         what = words[0]
         first = int(words[1])
         rest = words[2] if len(words) > 2 else ""
-        if what == "init":
+        if what in ("init", "boot"):
             robot = Twist(first, int(rest))
+            if what == "init":
+                robot.watch(FORGET_MS)
             continue
         if what == "battery":
             robot.battery_mv = first

@@ -17,6 +17,7 @@ ROBOTS_MAX = 32
 LINE_MAX = 300
 AHEAD_MAX = 127
 WATCHDOG_MS = 250
+FORGET_MS = 1000  # then any sequence is new
 REPLY_SLOT_MS = 20
 SPEED_MAX = 5000  # mm/s
 TURN_MAX = 50000  # mrad/s
@@ -55,6 +56,7 @@ class Twist:
         self.left = self.right = 0  # mm/s
         self.running = self.emergency_stopped = False
         self.silent = True
+        self.known = self.forgotten = False  # of the sequence
         self.battery_mv = self.received = self.rejected = 0
         self.sequence = self.heard_ms = 0
         self.pending = None  # sequence and time of the reply to send
@@ -112,7 +114,8 @@ class Twist:
 
     def obey(self, sequence, flags, speeds, now_ms):
         """Do what a command says."""
-        is_new = self.silent or 1 <= (sequence - self.sequence) % 256 <= AHEAD_MAX
+        is_next = self.known and 1 <= (sequence - self.sequence) % 256 <= AHEAD_MAX
+        is_new = self.forgotten or is_next
         self.received += 1
         if flags & EMERGENCY_STOP:
             self.emergency_stopped = True
@@ -124,7 +127,8 @@ class Twist:
         if is_new:
             self.sequence = sequence
             self.heard_ms = now_ms
-            self.silent = False
+            self.silent = self.forgotten = False
+            self.known = True
         if flags & POLL and (is_new or not flags & RUN):
             self.pending = sequence, now_ms + self.index * REPLY_SLOT_MS
 
@@ -135,8 +139,9 @@ class Twist:
 
     def watch(self, now_ms):
         """Once silent it stays so until a new command comes, also when the clock wraps round."""
-        if (now_ms - self.heard_ms) % PERIOD >= WATCHDOG_MS:
-            self.silent = True
+        quiet_ms = (now_ms - self.heard_ms) % PERIOD
+        self.silent = self.silent or quiet_ms >= WATCHDOG_MS
+        self.forgotten = self.forgotten or quiet_ms >= FORGET_MS
         if self.silent:
             self.stop()
 

@@ -6,9 +6,9 @@
 #include <stdio.h>
 #include <string.h>
 
-#define DRIVE_MS 300u
-#define POLL_MS 700u
-#define END_MS 1000u
+#define DRIVE_MS 1300u
+#define POLL_MS 1700u
+#define END_MS 2000u
 #define LATE_MS 3u /* maximum time until the program reacts */
 
 static const uint8_t drive[] = {9, 0x51, 7, 1, 3, 0x40, 0xC0, 0x7F, 0x7F, 1, 1, 2, 0x7D, 0};
@@ -142,7 +142,7 @@ static void check_board(void)
     }
 }
 
-static void run_for_a_second(int (*program)(void))
+static void run_to_the_end(int (*program)(void))
 {
     if (setjmp(outside) == 0) {
         (void)program();
@@ -155,7 +155,7 @@ int board_play(int (*program)(void), void (*reset_chip)(void), void (*check_chip
         memset(&board, 0, sizeof board);
         board_was_reset_by_watchdog = run == 1;
         reset_chip();
-        run_for_a_second(program);
+        run_to_the_end(program);
         check_board();
         check_chip();
     }

@@ -47,8 +47,11 @@ int main(int argc, char **argv)
         *at++ = '\0';
         const uint32_t first = (uint32_t)strtoul(at, &at, 10);
         at += *at == ' ';
-        if (strcmp(line, "init") == 0) {
+        if (strcmp(line, "init") == 0 || strcmp(line, "boot") == 0) {
             twist_init(&core, (uint8_t)first, (uint16_t)strtoul(at, NULL, 10));
+            if (line[0] == 'i') {
+                (void)twist_status(&core, TWIST_FORGET_MS);
+            }
         } else if (strcmp(line, "battery") == 0) {
             twist_set_battery(&core, (uint16_t)first);
         } else if (strcmp(line, "push") == 0) {

@@ -57,6 +57,13 @@ static size_t make(uint8_t *out, uint8_t sequence, uint8_t flags, uint8_t robots
     return stuff(body, size, out);
 }
 
+/* A robot that was switched on long ago; the times of a test begin at 0. */
+static void switch_on(m3pi_core *core, uint8_t index)
+{
+    m3pi_init(core, index);
+    (void)m3pi_status(core, M3PI_FORGET_MS);
+}
+
 static m3pi_event push(m3pi_core *core, const uint8_t *data, size_t length, uint32_t now)
 {
     m3pi_event last = M3PI_NOTHING;
@@ -87,7 +94,7 @@ static void test_documented_frame(void)
     const int wheels[4][2] = {{64, -64}, {127, 127}, {0, 0}, {0, 0}};
     for (uint8_t index = 0; index < 4; index++) {
         m3pi_core core;
-        m3pi_init(&core, index);
+        switch_on(&core, index);
         CHECK(drives(&core, 0, 0, 0));
         CHECK(push(&core, frame, sizeof frame, 1000) == M3PI_ACCEPTED);
         CHECK(drives(&core, 1000, wheels[index][0], wheels[index][1]));
@@ -102,7 +109,7 @@ static void test_damaged_frames_change_nothing(void)
     for (size_t at = 0; at + 1 < size; at++) {
         for (unsigned bit = 0; bit < 8; bit++) {
             m3pi_core core;
-            m3pi_init(&core, 0);
+            switch_on(&core, 0);
             CHECK(send(&core, 7, M3PI_FLAG_RUN, 5, 6, 0) == M3PI_ACCEPTED);
             memcpy(bad, frame, size);
             bad[at] = (uint8_t)(bad[at] ^ (1u << bit));
@@ -118,7 +125,7 @@ static void test_malformed_frames(void)
 {
     uint8_t frame[256], flood[1000];
     m3pi_core core;
-    m3pi_init(&core, 0);
+    switch_on(&core, 0);
     CHECK(send(&core, 1, 8, 5, 5, 0) == M3PI_REJECTED);    /* unknown flag */
     CHECK(send(&core, 1, 1, -128, 5, 0) == M3PI_REJECTED); /* no count */
     CHECK(push(&core, frame, make(frame, 1, 1, 33, 1, 1), 0) == M3PI_REJECTED);
@@ -133,7 +140,7 @@ static void test_malformed_frames(void)
 static void test_watchdog(void)
 {
     m3pi_core core;
-    m3pi_init(&core, 0);
+    switch_on(&core, 0);
     CHECK(m3pi_status(&core, 0) == M3PI_STATUS_SILENT);
     (void)send(&core, 1, M3PI_FLAG_RUN, 50, 60, 1000);
     CHECK(drives(&core, 1249, 50, 60));
@@ -149,30 +156,61 @@ static void test_watchdog(void)
 static void test_sequence(void)
 {
     m3pi_core core;
-    m3pi_init(&core, 0);
+    switch_on(&core, 0);
     CHECK(send(&core, 250, M3PI_FLAG_RUN, 1, 1, 0) == M3PI_ACCEPTED);
     CHECK(send(&core, 250, M3PI_FLAG_RUN, 2, 2, 100) == M3PI_STALE); /* duplicate */
     CHECK(send(&core, 249, M3PI_FLAG_RUN, 2, 2, 100) == M3PI_STALE); /* old */
     CHECK(send(&core, 122, M3PI_FLAG_RUN, 2, 2, 100) == M3PI_STALE); /* 128 ahead: old */
     CHECK(drives(&core, 249, 1, 1));
     CHECK(drives(&core, 250, 0, 0)); /* stale frames did not feed the watchdog */
-    m3pi_init(&core, 0);
+    switch_on(&core, 0);
     CHECK(send(&core, 250, M3PI_FLAG_RUN, 1, 1, 0) == M3PI_ACCEPTED);
     CHECK(send(&core, 121, M3PI_FLAG_RUN, 2, 2, 1) == M3PI_ACCEPTED); /* 127 ahead, wrapped */
     CHECK(drives(&core, 1, 2, 2));
     CHECK(send(&core, 3, M3PI_FLAG_RUN, 3, 3, 200) == M3PI_STALE); /* controller restarts ... */
-    CHECK(send(&core, 4, M3PI_FLAG_RUN, 3, 3, 251) == M3PI_ACCEPTED); /* ... taken up here */
-    CHECK(drives(&core, 251, 3, 3));
-    CHECK(send(&core, 1, 0, 9, 9, 252) == M3PI_STALE); /* a stop is obeyed, even an old one */
-    CHECK(drives(&core, 252, 0, 0));
-    CHECK(send(&core, 5, M3PI_FLAG_RUN, 4, 4, 253) == M3PI_ACCEPTED);
-    CHECK(drives(&core, 253, 4, 4));
+    CHECK(send(&core, 4, M3PI_FLAG_RUN, 3, 3, 1000) == M3PI_STALE);
+    CHECK(send(&core, 5, M3PI_FLAG_RUN, 3, 3, 1001) == M3PI_ACCEPTED); /* ... taken up here */
+    CHECK(drives(&core, 1001, 3, 3));
+    CHECK(send(&core, 1, 0, 9, 9, 1002) == M3PI_STALE); /* a stop is obeyed, even an old one */
+    CHECK(drives(&core, 1002, 0, 0));
+    CHECK(send(&core, 6, M3PI_FLAG_RUN, 4, 4, 1003) == M3PI_ACCEPTED);
+    CHECK(drives(&core, 1003, 4, 4));
+}
+
+/* Regression: a frame that the radio delivered late drove a robot that the watchdog had stopped. */
+static void test_a_late_frame_does_not_drive_a_robot_that_stands(void)
+{
+    m3pi_core core;
+    switch_on(&core, 0);
+    CHECK(send(&core, 7, M3PI_FLAG_RUN, 9, 9, 5000) == M3PI_ACCEPTED);
+    CHECK(send(&core, 9, 0, 0, 0, 5100) == M3PI_ACCEPTED);
+    CHECK(send(&core, 8, M3PI_FLAG_RUN, 9, 9, 5800) == M3PI_STALE); /* sent before the stop */
+    CHECK(send(&core, 8, 0, 0, 0, 5900) == M3PI_STALE);             /* its number is not taken */
+    CHECK(send(&core, 9, M3PI_FLAG_RUN, 9, 9, 6099) == M3PI_STALE);
+    CHECK(drives(&core, 6099, 0, 0));
+    CHECK(m3pi_status(&core, 6099) == M3PI_STATUS_SILENT);
+    CHECK(send(&core, 10, M3PI_FLAG_RUN, 9, 9, 6099) == M3PI_ACCEPTED); /* the same controller */
+    CHECK(drives(&core, 6099, 9, 9));
+}
+
+static void test_a_robot_that_was_just_switched_on_waits(void)
+{
+    m3pi_core core;
+    uint8_t reply[M3PI_REPLY_SIZE];
+    m3pi_init(&core, 0);
+    CHECK(send(&core, 7, M3PI_FLAG_RUN, 9, 9, 10) == M3PI_STALE);
+    CHECK(send(&core, 8, M3PI_FLAG_RUN, 9, 9, 999) == M3PI_STALE);
+    CHECK(drives(&core, 999, 0, 0));
+    CHECK(send(&core, 9, M3PI_FLAG_POLL, 0, 0, 999) == M3PI_STALE);
+    CHECK(m3pi_take_reply(&core, 999, reply) == M3PI_REPLY_SIZE); /* it answers */
+    CHECK(send(&core, 6, M3PI_FLAG_RUN, 9, 9, 1000) == M3PI_ACCEPTED);
+    CHECK(drives(&core, 1000, 9, 9));
 }
 
 static void test_emergency_stop_is_latched(void)
 {
     m3pi_core core;
-    m3pi_init(&core, 0);
+    switch_on(&core, 0);
     (void)send(&core, 10, M3PI_FLAG_RUN, 9, 9, 0);
     CHECK(send(&core, 9, M3PI_FLAG_RUN | M3PI_FLAG_EMERGENCY_STOP, 9, 9, 1) == M3PI_STALE);
     CHECK(drives(&core, 1, 0, 0)); /* old, and with RUN: still */
@@ -181,7 +219,7 @@ static void test_emergency_stop_is_latched(void)
         CHECK(drives(&core, now, 0, 0));
         CHECK(m3pi_status(&core, now) == M3PI_STATUS_EMERGENCY_STOPPED);
     }
-    m3pi_init(&core, 0); /* switched off and on */
+    switch_on(&core, 0); /* switched off and on */
     (void)send(&core, 1, M3PI_FLAG_RUN, 9, 9, 0);
     CHECK(drives(&core, 0, 9, 9));
 }
@@ -190,13 +228,13 @@ static void test_emergency_stop_is_latched(void)
 static void test_a_robot_can_begin_latched(void)
 {
     m3pi_core core;
-    m3pi_init(&core, 0);
+    switch_on(&core, 0);
     m3pi_emergency_stop(&core);
     CHECK(m3pi_status(&core, 0) == (M3PI_STATUS_EMERGENCY_STOPPED | M3PI_STATUS_SILENT));
     CHECK(send(&core, 1, M3PI_FLAG_RUN, 9, 9, 0) == M3PI_ACCEPTED);
     CHECK(drives(&core, 0, 0, 0));
     CHECK(m3pi_status(&core, 0) == M3PI_STATUS_EMERGENCY_STOPPED);
-    m3pi_init(&core, 0);
+    switch_on(&core, 0);
     (void)send(&core, 1, M3PI_FLAG_RUN, 9, 9, 0);
     m3pi_emergency_stop(&core);
     CHECK(drives(&core, 0, 0, 0)); /* also in the middle of a drive */
@@ -208,7 +246,7 @@ static void test_reply(void)
     const uint8_t body[] = {0x52, 2, 0, 0, 0x88, 0x13, 1, 0, 1, 0};
     uint8_t sealed[12];
     m3pi_core core;
-    m3pi_init(&core, 2);
+    switch_on(&core, 2);
     m3pi_set_battery(&core, 5000);
     CHECK(m3pi_take_reply(&core, 0, reply) == 0);
     (void)m3pi_push(&core, 0x33, 0);
@@ -230,7 +268,7 @@ static void test_garbage_never_drives(void)
 {
     m3pi_core core;
     uint32_t random = 1;
-    m3pi_init(&core, 0);
+    switch_on(&core, 0);
     for (uint32_t i = 0; i < 2000000; i++) {
         random = random * 1664525u + 1013904223u;
         /* many zeros make many short frames */
@@ -292,25 +330,27 @@ static void test_shell(void)
     memset(&b, 0, sizeof b);
     m3pi_shell_start(&shell, &hal, 0, 0);
     CHECK(base_got(&b, started, sizeof started));
-    m3pi_shell_step(&shell, 1);
+    m3pi_shell_step(&shell, M3PI_FORGET_MS); /* it was just switched on */
+    b.base_sent = 0;
+    m3pi_shell_step(&shell, 1001);
     CHECK(b.base_sent == 0); /* nothing new to say */
     b.radio_size = make(b.radio_in, 1, M3PI_FLAG_RUN | M3PI_FLAG_POLL, 1, 40, -127);
     b.base_in[0] = 0x39; /* 5.433 V, as the 3pi answers */
     b.base_in[1] = 0x15;
     b.base_size = 2;
-    m3pi_shell_step(&shell, 2);
+    m3pi_shell_step(&shell, 1002);
     CHECK(base_got(&b, turning, sizeof turning));
     CHECK(b.radio_sent == M3PI_REPLY_SIZE);
     CHECK(b.radio_out[1] == 0x52 && b.radio_out[5] == 0x39 && b.radio_out[6] == 0x15);
-    m3pi_shell_step(&shell, 21);
+    m3pi_shell_step(&shell, 1021);
     CHECK(b.base_sent == 0);
-    m3pi_shell_step(&shell, 22); /* repeated: a lost byte must not last */
+    m3pi_shell_step(&shell, 1022); /* repeated: a lost byte must not last */
     CHECK(base_got(&b, turning, sizeof turning));
-    m3pi_shell_step(&shell, 252);
+    m3pi_shell_step(&shell, 1252);
     CHECK(base_got(&b, stopped, sizeof stopped));
-    m3pi_shell_step(&shell, 1000); /* asks again, gets no answer, and says unknown next time */
+    m3pi_shell_step(&shell, 2000); /* asks again, gets no answer, and says unknown next time */
     CHECK(b.base_sent == 5 && b.base_out[4] == 0xB1);
-    m3pi_shell_step(&shell, 2000);
+    m3pi_shell_step(&shell, 3000);
     CHECK(shell.core.battery_mv == 0);
 }
 
@@ -321,6 +361,8 @@ int main(void)
     test_malformed_frames();
     test_watchdog();
     test_sequence();
+    test_a_late_frame_does_not_drive_a_robot_that_stands();
+    test_a_robot_that_was_just_switched_on_waits();
     test_emergency_stop_is_latched();
     test_a_robot_can_begin_latched();
     test_reply();

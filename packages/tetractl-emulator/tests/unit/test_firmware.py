@@ -34,13 +34,20 @@ def run(sequence, *wheels, flags=Flag.RUN):
     return encode_command(BroadcastCommand(sequence, flags, wheels))
 
 
+def switched_on(index, library):
+    """A robot that was switched on long ago."""
+    core = RobotCore(index, library)
+    core.wheels(10_000)
+    return core
+
+
 @needs_compiler
 def test_every_robot_obeys_its_own_wheels(library):
     rng = random.Random(1)
     for robots in range(ROBOTS_MAX + 1):
         wheels = [(rng.randint(-127, 127), rng.randint(-127, 127)) for _ in range(robots)]
         for index in {0, max(0, robots - 1), robots, 255}:
-            core = RobotCore(index, library)
+            core = switched_on(index, library)
             assert core.push(run(robots, *wheels), 0) == [CoreEvent.ACCEPTED]
             assert core.wheels(0) == (wheels[index] if index < robots else (0, 0))
 
@@ -49,7 +56,7 @@ def test_every_robot_obeys_its_own_wheels(library):
 @needs_compiler
 def test_core_and_codec_agree_on_what_a_frame_is(library):
     rng = random.Random(2)
-    core = RobotCore(0, library)
+    core = switched_on(0, library)
     counts_of_event = dict.fromkeys(CoreEvent, 0)
     for _ in range(30_000):
         frame = damaged(rng)
@@ -73,7 +80,7 @@ def test_core_and_codec_agree_on_what_a_frame_is(library):
             else:
                 assert core.wheels(0) == before
             if Flag.EMERGENCY_STOP in expected.flags or rng.random() < 0.05:
-                core = RobotCore(0, library)
+                core = switched_on(0, library)
     counted = set(counts_of_event) - {CoreEvent.NOTHING}
     assert min(counts_of_event[event] for event in counted) > 200
 
@@ -120,7 +127,7 @@ def damaged(rng):
 
 @needs_compiler
 def test_polled_robots_answer_once_each_in_its_slot(library):
-    cores = [RobotCore(index, library) for index in range(3)]
+    cores = [switched_on(index, library) for index in range(3)]
     poll = run(0, flags=Flag.POLL)
     for index, core in enumerate(cores):
         core.set_battery(4900 + index)

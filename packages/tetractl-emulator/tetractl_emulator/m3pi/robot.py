@@ -23,6 +23,7 @@ from tetractl_emulator.firmware import RobotCore
 STANDING_MM_S = 1.0
 AT_REST_MM_S = 1e-9
 FULL_LOAD_MM_S = 2000.0  # both wheels together
+ON_MS = 10_000  # how long robots have been on when an emulation begins
 BATTERY_MV = 5100  # of four NiMH cells, without load
 SAG_MV = 150.0  # at full load
 Speeds = tuple[float, float]
@@ -76,9 +77,10 @@ class EmulatedRobot:
         acting: ActingFaults | None = None,
     ) -> None:
         self.name = name
-        self.core = make_core(index)
         self.index = index
         self._make_core = make_core
+        self._switched_on_ms = 0  # from when on its program counts
+        self.core = self._core_of_long_ago()
         self._unloaded_mv = battery_mv
         self.powered = True
         self.acting = acting or ActingFaults()
@@ -113,7 +115,7 @@ class EmulatedRobot:
         """Take bytes from the robot's radio module."""
         if self.powered:
             self.core.set_battery(self._battery_mv())
-            self.core.push(data, self.robots.now_ms)
+            self.core.push(data, self._now_ms)
 
     def _battery_mv(self) -> int:
         """Return the battery's voltage under the present load [mV]."""
@@ -130,13 +132,18 @@ class EmulatedRobot:
 
     def answer(self) -> bytes:
         """Return the bytes that the robot now sends to its radio module."""
-        return self.core.take_reply(self.robots.now_ms) if self.powered else b""
+        return self.core.take_reply(self._now_ms) if self.powered else b""
+
+    @property
+    def status(self) -> Status:
+        """What its program reports."""
+        return self.core.status(self._now_ms)
 
     def counts(self) -> Counts:
         """Return the present counts of both motors."""
         if not self.powered:
             return 0, 0
-        counts = self.core.wheels(self.robots.now_ms)
+        counts = self.core.wheels(self._now_ms)
         veer = self.acting.newest("veer", self.name) if any(counts) else None
         return counts if veer is None else veer.counts
 
@@ -153,12 +160,24 @@ class EmulatedRobot:
         """Switch the robot on or off; switching it on restarts its firmware."""
         self.powered = on
         if on:
+            self._switched_on_ms = self.robots.now_ms
             self.core = self._make_core(self.index)
 
     def renumber(self, index: int) -> None:
         """Give the robot a firmware with another number."""
         self.index = index
-        self.core = self._make_core(index)
+        self.core = self._core_of_long_ago()
+
+    def _core_of_long_ago(self) -> Program:
+        """Return a program that has run for ON_MS."""
+        core = self._make_core(self.index)
+        core.wheels(ON_MS)
+        return core
+
+    @property
+    def _now_ms(self) -> int:
+        """The time of the robot's program, since it was switched on [ms]."""
+        return self.robots.now_ms - self._switched_on_ms
 
     def place(self, x: float, y: float, heading: float) -> None:
         """Put the robot, at rest, at a pose [mm, rad]."""

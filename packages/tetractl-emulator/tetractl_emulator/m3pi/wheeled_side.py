@@ -77,7 +77,7 @@ class WheeledSide(PluggedDevices):
         each robot's firmware."""
         speeds = (robot.wheels for robot in self.robots)
         wheels = [[round(left, 2), round(right, 2)] for left, right in speeds]
-        status = [int(robot.core.status(self.wheels.now_ms)) for robot in self.robots]
+        status = [int(robot.status) for robot in self.robots]
         return {"wheels": wheels, "status": status}
 
     def switch(self, on: bool) -> None:

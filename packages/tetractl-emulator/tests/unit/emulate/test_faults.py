@@ -80,7 +80,7 @@ def undone_faults():
 
 
 def robot_state(robot):
-    return {**vars(robot), "core": 0, "robots": 0, "acting": 0}
+    return {**vars(robot), "core": 0, "robots": 0, "acting": 0, "_switched_on_ms": 0}
 
 
 def state(lab, name):
@@ -259,6 +259,10 @@ def test_robots_are_put_back_and_restarted(tmp_path):
         assert robot.x == 500
         assert robot.y == 500
         assert robot.heading == 0.5
+        robot.hear(encode_command(BroadcastCommand(3, Flag.RUN, RUN)))
+        assert robot.counts() == (0, 0)  # it may be a command from before
+        placed_ns = lab.timeline.now_ns
+        turn_until(lab, lambda: lab.timeline.now_ns > placed_ns + SECOND)
         robot.hear(encode_command(BroadcastCommand(3, Flag.RUN, RUN)))
         assert robot.counts() == (60, 60)
 

@@ -32,6 +32,8 @@ FRAMES_CHECKED = 60
 RATE_SHARE = 0.8
 """Least share of the camera's rate at which frames come without a warning."""
 NOT_POLLED = RobotStatus(None)
+QUARTER = math.pi / 2
+"""A quarter turn [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +163,7 @@ def inspect(rig: Rig) -> Preflight:
     )
     own_hz = rig.setup.sight.rate_hz
     slow = comes_hz is not None and comes_hz < RATE_SHARE * own_hz
-    warnings = [*camera.warnings, *actuator.warnings]
+    warnings = [*camera.warnings, *actuator.warnings, *turned_by_quarters(rig, newest)]
     if slow:
         warnings.append(f"{comes_hz:.0f} frames a second come instead of {own_hz:.0f}")
     if outdated:
@@ -188,7 +190,31 @@ def unplaced(rig: Rig) -> list[str]:
     """Return one line per robot that the camera does not see on its start."""
     newest = rig.loop.frames.newest
     robots = (_robot(rig, i, newest) for i in range(len(rig.setup.names)))
-    return [line for robot in robots if (line := robot.untracked or robot.misplaced)]
+    lines = [line for robot in robots if (line := robot.untracked or robot.misplaced)]
+    return [*lines, *turned_by_quarters(rig, newest)]
+
+
+def turned_by_quarters(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
+    """Return a line if all robots stand on their starts, and all headings are off by the same
+    number of quarter turns: then the tags or bodies are turned, not the robots."""
+    robots = [_robot(rig, i, frame) for i in range(len(rig.setup.names))]
+    turned = [robot.off_heading for robot in robots if robot.off_heading is not None]
+    on_start = [
+        robot.off_mm is not None and robot.off_mm <= rig.limits.start_mm for robot in robots
+    ]
+    if not all(on_start):
+        return []
+    quarters = round(turned[0] / QUARTER)
+    largest = min(rig.limits.start_heading, QUARTER / 4)
+    off = [abs(math.remainder(turn - quarters * QUARTER, math.tau)) for turn in turned]
+    if quarters == 0 or max(off) > largest:
+        return []
+    degrees = "180" if abs(quarters) == 2 else f"{90 * quarters:+d}"
+    whose = "all robots are" if len(robots) > 1 else f"{robots[0].name} is"
+    return [
+        f"{whose} turned by {degrees} degrees from the start heading: does each tag or "
+        "body show the robot's front? (The top edge of an AprilTag belongs on the robot's left.)"
+    ]
 
 
 def dropped(outdated: int) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from tetractl.cli import ui
 from tetractl.cli.options import Sets, Spec, option, out_option
@@ -19,8 +19,32 @@ MARGIN_MM = 10.0
 LABEL_MM = 6.0
 RULER_MM = 100.0
 INCH_MM = 25.4
-Placed = tuple[float, float, int, float, str]
-"""Left and lower end of a card on a page [mm], number and side of its tag [mm], and its label."""
+ARROW = 0.3
+"""Length of the arrow on a card, from its centre, in modules of the tag."""
+LETTER = 0.45
+"""Font size of the word beside it, in modules: "front" is then 1.2 modules long."""
+
+
+class Card(NamedTuple):
+    """A tag with its white margin.
+
+    Attributes:
+        tag: Number of the tag.
+        side_mm: Side of the tag's black square [mm].
+        label: What is printed below the card.
+        points_to: What the arrow on the card points to.
+        angle: Direction of the arrow, from the direction in which the tag is read [rad].
+    """
+
+    tag: int
+    side_mm: float
+    label: str
+    points_to: str = "front"
+    angle: float = 0.0
+
+
+Placed = tuple[float, float, Card]
+"""Left and lower end of a card on a page [mm], and the card."""
 
 
 def markers(
@@ -32,7 +56,8 @@ def markers(
     """Write the tags of a spec's robots and floor to a PDF that prints them at their true size.
 
     Print it without scaling ("actual size"); each page has a ruler of 100 mm to measure. Cut the
-    robots' tags out with the white margin, which the camera needs.
+    robots' tags out with the white margin, which the camera needs. The arrow on a robot's tag
+    points to the robot's front, the arrow on a floor tag along the spec's x axis.
 
     Example: tetractl lab markers shelf.yaml -o markers.pdf
     """
@@ -48,41 +73,52 @@ def markers(
             f"{loaded.name}: lab.camera is of type {camera.type}, which has no tags",
             "a spec with tags: tetractl init NAME --lab --camera apriltag --robots twist",
         )
-    tags = [(robot.tag, robot.size_mm, f"robot {robot.name}") for robot in camera.robots]
-    tags += [(f.tag, f.size_mm, f"floor, centre at {f.at[0]:g}, {f.at[1]:g}") for f in camera.floor]
-    pages = [drawn(PAPERS[paper], page) for page in arranged(PAPERS[paper], tags)]
+    cards = [
+        Card(tag.tag, tag.size_mm, f"robot {tag.name}", "front", tag.heading_offset)
+        for tag in camera.robots
+    ]
+    cards += [
+        Card(
+            tag.tag,
+            tag.size_mm,
+            f"floor, centre at {tag.at[0]:g}, {tag.at[1]:g}",
+            "x",
+            -tag.heading,
+        )
+        for tag in camera.floor
+    ]
+    pages = [drawn(PAPERS[paper], page) for page in arranged(PAPERS[paper], cards)]
     save_whole(out, _pdf(pages))
     print(out)
-    ui.tell(f"print it without scaling: {len(tags)} tags on {len(pages)} pages of {paper} paper")
+    ui.tell(f"print it without scaling: {len(cards)} tags on {len(pages)} pages of {paper} paper")
     return Exit.DONE
 
 
-def arranged(
-    size: tuple[float, float], tags: Sequence[tuple[int, float, str]]
-) -> Iterator[list[Placed]]:
-    """Yield the tags of each page of a size [mm], in rows from the top; UsageError if a tag is
+def arranged(size: tuple[float, float], cards: Sequence[Card]) -> Iterator[list[Placed]]:
+    """Yield the cards of each page of a size [mm], in rows from the top; UsageError if a tag is
     larger than a page."""
     width, height = size
     page: list[Placed] = []
     x = MARGIN_MM
     top = height - MARGIN_MM
     low = height - MARGIN_MM
-    for tag, side, label in tags:
-        card = side * 1.25  # with a module of white around the eight of the tag
-        if card > width - 2 * MARGIN_MM or card > height - 3 * MARGIN_MM - LABEL_MM:
-            raise UsageError(f"tag {tag}: {side:g} mm and its margin are larger than the paper")
-        if x + card > width - MARGIN_MM:
+    for card in cards:
+        whole = card.side_mm * 1.25  # with a module of white around the eight of the tag
+        if whole > width - 2 * MARGIN_MM or whole > height - 3 * MARGIN_MM - LABEL_MM:
+            size_text = f"{card.side_mm:g} mm and its margin are larger than the paper"
+            raise UsageError(f"tag {card.tag}: {size_text}")
+        if x + whole > width - MARGIN_MM:
             x = MARGIN_MM
             top = low
-        if top - card - LABEL_MM < 2 * MARGIN_MM:
+        if top - whole - LABEL_MM < 2 * MARGIN_MM:
             yield page
             page = []
             x = MARGIN_MM
             top = height - MARGIN_MM
             low = top
-        page.append((x, top - card, tag, side, label))
-        x = x + card
-        low = min(low, top - card - LABEL_MM)
+        page.append((x, top - whole, card))
+        x = x + whole
+        low = min(low, top - whole - LABEL_MM)
     yield page
 
 
@@ -95,28 +131,56 @@ def drawn(size: tuple[float, float], page: Sequence[Placed]) -> "Figure":
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(0, width), ylim=(0, height))
     axes.set_axis_off()
-    for x, y, tag, side, label in page:
-        _card(axes, x, y, tag, side)
-        axes.text(x, y - 1, f"tag {tag}, {side:g} mm: {label}", fontsize=8, va="top")
+    for x, y, card in page:
+        _draw_tag(axes, x, y, card)
+        _draw_arrow(axes, x, y, card)
+        label = f"tag {card.tag}, {card.side_mm:g} mm: {card.label}"
+        axes.text(x, y - 1, label, fontsize=8, va="top")
     axes.plot((MARGIN_MM, MARGIN_MM + RULER_MM), (MARGIN_MM,) * 2, "k|-", linewidth=0.5)
     axes.text(MARGIN_MM + RULER_MM + 3, MARGIN_MM, "100 mm: measure it", fontsize=8, va="center")
     return figure
 
 
-def _card(axes: "Axes", x: float, y: float, tag: int, side: float) -> None:
+def _draw_tag(axes: "Axes", x: float, y: float, card: Card) -> None:
     from matplotlib.patches import Rectangle
 
     from tetractl_microscope.apriltag.detect import MODULES, tag_picture
 
+    side = card.side_mm
     module = side / MODULES
     outer = (MODULES + 2) * module
     axes.add_patch(Rectangle((x, y), outer, outer, fill=False, color="0.8", linewidth=0.2))
     axes.add_patch(Rectangle((x + module, y + module), side, side, color="k", linewidth=0))
-    for row, modules in enumerate(tag_picture(tag)):
+    for row, modules in enumerate(tag_picture(card.tag)):
         for column, grey in enumerate(modules.tolist()):
             if grey:
                 corner = x + (1 + column) * module, y + (MODULES - row) * module
                 axes.add_patch(Rectangle(corner, module, module, color="w", linewidth=0))
+
+
+def _draw_arrow(axes: "Axes", x: float, y: float, card: Card) -> None:
+    """Draw an arrow, and what it points to, beside the tag's top right corner.
+
+    There the detector does not look for the edges of the tag, so that its corners stay exact.
+    """
+    import numpy as np
+    from matplotlib.patches import Polygon
+
+    from tetractl_microscope.apriltag.detect import MODULES
+
+    module = card.side_mm / MODULES
+    centre = np.array([x, y]) + (MODULES + 1.5) * module
+    turns = card.angle + np.array([0.0, 2.5, -2.5])  # of the tip and of the two other ends [rad]
+    ends = centre + ARROW * module * np.column_stack([np.cos(turns), np.sin(turns)])
+    axes.add_patch(Polygon(ends, color="k", linewidth=0))
+    axes.text(
+        centre[0] - 0.45 * module,
+        centre[1],
+        card.points_to,
+        fontsize=LETTER * module * 72 / INCH_MM,
+        ha="right",
+        va="center",
+    )
 
 
 def _pdf(pages: Sequence["Figure"]) -> bytes:

@@ -1,5 +1,6 @@
 """What is checked before robots move, in virtual time, of a fake camera and a fake actuator."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -125,6 +126,40 @@ def test_what_is_no_robot_must_not_stand_in_the_arena(x):
 
     inside = ("something else stands in the arena at 1000, 700 mm",)
     assert looked_over(place).problems == (inside if x > 0 else ())
+
+
+def turn(*angles):
+    """Let the camera show each robot turned by an angle [rad]."""
+
+    def change(camera):
+        frames = camera.frames
+
+        def turned():
+            for frame in frames():
+                poses = [
+                    Pose(p.x, p.y, p.heading + angle)
+                    for p, angle in zip(frame.poses, angles, strict=True)
+                ]
+                yield replace(frame, poses=tuple(poses))
+
+        camera.frames = lambda: list(turned())
+
+    return change
+
+
+@pytest.mark.parametrize(("quarters", "degrees"), [(-1, "-90"), (1, "+90"), (2, "180")])
+def test_tags_that_are_all_turned_by_quarters_are_noticed(quarters, degrees):
+    """Regression: tags glued on with the top edge forward, as the guide was understood."""
+    turned = quarters * math.pi / 2
+    report = looked_over(turn(turned + 0.1, turned - 0.1, turned))
+    assert not report.ready
+    (warning,) = report.warnings
+    assert warning.startswith(f"all robots are turned by {degrees} degrees from the start heading")
+
+
+@pytest.mark.parametrize("turned", [(0.1, -0.1, 0.0), (1.57, 1.57, 0.0), (1.57, -1.57, 1.57)])
+def test_robots_that_are_turned_otherwise_have_no_turned_tags(turned):
+    assert looked_over(turn(*turned)).warnings == ()
 
 
 def test_a_run_names_all_devices_that_are_missing():

@@ -47,7 +47,8 @@ class RobotTag(RobotPart):
     height_mm: NonNegative
     """Height of the tag above the floor [mm]."""
     heading_offset: Finite = 0.0
-    """Angle from the direction in which the upright tag is read to the robot's front [rad]."""
+    """Angle from the direction in which the upright tag is read, from left to right, to the robot's
+    front [rad]. 0 if the tag's top edge is on the robot's left."""
 
 
 class FloorTag(Model):
@@ -60,7 +61,8 @@ class FloorTag(Model):
     size_mm: Positive
     """Side of the tag's black square [mm]."""
     heading: Finite = 0.0
-    """Direction in which the upright tag is read, as an angle from the spec's x axis [rad]."""
+    """Direction in which the upright tag is read, from left to right, as an angle from the spec's x
+    axis [rad]. 0 if the tag's top edge points along the spec's y axis."""
 
 
 class AprilTagSection(PictureSection):

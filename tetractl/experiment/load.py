@@ -23,6 +23,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.registries import CONTROLLERS
 from tetractl.experiment.base import validated
@@ -205,7 +207,8 @@ def validated_experiment(document: Document, written: bool) -> Experiment:
     """Return the experiment of a document; InvalidSpecError with all its wrong values at once or,
     if there are none, with all that contradicts each other."""
     experiment = validated(Experiment, document)
-    for error in errors_of(experiment, written):
-        document.refuse(error.where, str(error))
+    with np.errstate(all="ignore"):  # numbers at the end of floating point are compared as inf
+        for error in errors_of(experiment, written):
+            document.refuse(error.where, str(error))
     document.require_no_problems()
     return experiment

@@ -70,7 +70,8 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
 def _centres(begin: float, extent: float, side: float, walls: bool) -> Floats:
     """Return the cells' centres along an axis; if not `walls`, two cells are added at each end."""
     beyond = 0 if walls else 2
-    cells = np.arange(-beyond, math.ceil(extent / side - 1e-9) + beyond, dtype=np.float64)
+    count = max(math.ceil(extent / side - 1e-9), 1)  # a side far shorter than the other has one
+    cells = np.arange(-beyond, count + beyond, dtype=np.float64)
     return begin + (cells + 0.5) * side
 
 

@@ -510,6 +510,7 @@ class PlacedWarning(SpecProblem):
 
 
 @np.errstate(all="ignore")  # very large values may overflow
+@np.errstate(all="ignore")  # numbers at the end of floating point are compared as inf
 def find_warnings(loaded: LoadedSpec) -> tuple[PlacedWarning, ...]:
     """Return the warnings of a spec, in the order of its lines."""
     if loaded.experiment.open:  # its robots are placeholders

@@ -1,6 +1,7 @@
 """Each warning where it is due, with its number, and none where a spec is sound."""
 
 import re
+from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -9,11 +10,13 @@ from support.bounded import best_plan, spec
 from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec, parse_contents, parse_spec
+from tetractl.experiment.loaded_spec import resolved_yaml
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.run.plausibility import CheckContext, beyond_the_plan, find_warnings, out_of_reach
 
 THREE = ROOT / "experiments" / "three_m3pi.yaml"
 LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"
+BENCH = ROOT / "experiments" / "three_m3pi_bench.yaml"
 ON = "wheels.watchdog=null"
 BLOCK = "{{type: rectangle, left: 1200, bottom: {}, width: 100, height: {}}}".format
 NAMED = {
@@ -279,13 +282,12 @@ robots:
 obstacles: [{{type: rectangle, left: -{big}, bottom: 0, width: 1.0e-320, height: 1.0e-320}}]
 controller: {{type: mpc, period: 100, collision: {{margin: {big}}}}}
 """
-    with np.errstate(all="ignore"):
-        try:
-            loaded = parse_spec(text, "big")
-        except InvalidSpecError as error:  # products of such lengths are 0: all points touch
-            assert "is inside obstacles.0" in str(error)
-            assert float(big) < 1e-150
-            return
+    try:
+        loaded = parse_spec(text, "big")
+    except InvalidSpecError as error:  # products of such lengths are 0: all points touch
+        assert "is inside obstacles.0" in str(error)
+        assert float(big) < 1e-150
+        return
     for warning in find_warnings(loaded):
         assert "\n" not in str(warning)
 
@@ -321,3 +323,44 @@ def test_a_target_outside_the_arena_or_in_an_obstacle_has_one_message(target):
     with pytest.raises(InvalidSpecError) as refused:
         load_spec(THREE, sets)
     assert len(refused.value.message.splitlines()) == 1
+
+
+def numbers_in(value, loc=()):
+    """Where the numbers of a spec's contents are."""
+    if isinstance(value, dict):
+        items = value.items()
+    elif isinstance(value, list):
+        items = enumerate(value)
+    else:
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            yield loc
+        return
+    for key, inner in items:
+        yield from numbers_in(inner, (*loc, key))
+
+
+def with_number(contents, loc, number):
+    changed = deepcopy(contents)
+    section = changed
+    for key in loc[:-1]:
+        section = section[key]
+    section[loc[-1]] = number
+    return changed
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("number", [1e17, -1e17, 1e300, 1.7e308, 1e-17, 1e-300])
+def test_an_absurd_number_in_any_field_ends_in_one_line_each(number):
+    """Regression: `arena.width: 1e17` was a traceback."""
+    contents = yaml.safe_load(resolved_yaml(load_spec(BENCH).experiment))
+    locs = list(numbers_in(contents))
+    assert ("arena", "width") in locs
+    for loc in locs:
+        try:
+            loaded = parse_contents(with_number(contents, loc, number), "absurd")
+        except InvalidSpecError as error:
+            lines = [str(problem) for problem in error.problems]
+        else:
+            lines = list(map(str, find_warnings(loaded)))
+        assert not any("\n" in line for line in lines), loc

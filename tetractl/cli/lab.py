@@ -169,10 +169,9 @@ def calibrate(
 ) -> int:
     """Calibrate each robot's actuator by small motions.
 
-    It measures wheel speeds, wheel distance and heading offset of robots on two wheels, and the
-    time from a command to the first picture in which they moved. Robots
-    move one after another, each within about 0.3 m; space or Esc stops all robots. Enter the file's
-    name in the spec as `lab.calibration`.
+    It measures wheel speeds, wheel distance and heading offset of robots on two wheels. Robots move
+    one after another, each within about 0.3 m; space or Esc stops all robots. Enter the file's name
+    in the spec as `lab.calibration`.
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
     """

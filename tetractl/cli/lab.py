@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from tetractl.core.setup import Setup
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.lab_section import LabLimits, Measured
+    from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.lab.actuators.xbee.hardware import XbeeSection
     from tetractl.lab.rig import Rig
 
@@ -40,21 +41,35 @@ def check(
 ) -> int:
     """Check camera, actuator, robots, batteries and starts of a lab, without moving a robot.
 
+    In a real lab it also practises control steps with simulated robots for 3 s: it measures whether
+    this computer plans in time, and reads the camera meanwhile.
+
     Exit code 0 means that a run could start now. Questions that only a person can answer, such as
     the firmware of an unknown radio, are asked; without a terminal, give --yes.
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
-    from tetractl.lab.preflight import look_over
+    from tetractl.control.build import warm_up
+    from tetractl.lab.preflight import Preflight, look_over
     from tetractl.run.model_changes import LATENCY, stated_model
+    from tetractl.run.practice import practise
     from tetractl.view.terminal.findings import preflight_items, print_findings
 
-    experiment = _experiment_on(spec, sets, plant)
+    loaded = _loaded_on(spec, sets, plant)
+    experiment = loaded.experiment
     rig = ui.rig_of(experiment)
     if experiment.open:
         rig.start_anywhere()
+
+    def with_practice(findings: Preflight) -> Preflight:
+        if not experiment.plant.real_time or experiment.open or findings.camera_rate_hz is None:
+            return findings
+        warm_up(experiment, partial(ui.announce_compiling, False))
+        practice = practise(loaded, rig.clock, rig.silent_ns)
+        return practice.added_to(findings, rig.limits)
+
     with interrupted_once(robots=True):
-        preflight = look_over(rig)
+        preflight = look_over(rig, with_practice)
     if as_json:
         print(dumps(preflight_items(preflight), indent=2, allow_nan=False))
     else:
@@ -176,7 +191,7 @@ def calibrate(
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
     """
     ui.refuse_existing(out)
-    experiment = _experiment_on(spec, sets, plant)
+    experiment = _loaded_on(spec, sets, plant).experiment
     names = robot or list(experiment.setup.names)
     for name in names:
         if name not in experiment.setup.names:
@@ -242,15 +257,15 @@ def save_calibration(out: Path, measured: "Measured") -> int:
     return Exit.DONE
 
 
-def _experiment_on(spec: Path, sets: list[str] | None, plant: str) -> "Experiment":
-    """Return a spec's experiment in its lab, real or, as `plant` says, emulated."""
+def _loaded_on(spec: Path, sets: list[str] | None, plant: str) -> "LoadedSpec":
+    """Return a spec in its lab, real or, as `plant` says, emulated."""
     from tetractl.experiment.load import load_document
     from tetractl.experiment.plants import on_plant, settings_on
     from tetractl.experiment.yaml.document import read_document
 
     document = read_document(spec)
     loaded = load_document(document, settings_on(document, sets or [], plant))
-    return on_plant(loaded, plant).experiment
+    return on_plant(loaded, plant)
 
 
 def _xbee(port: str, baud: int) -> "XbeeSection":

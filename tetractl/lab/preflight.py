@@ -15,7 +15,7 @@ their starts.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from tetractl.core.clock import SECOND
@@ -100,14 +100,21 @@ class Preflight:
         return (*self.warnings, *self.questions, *robots)
 
 
-def look_over(rig: Rig) -> Preflight:
+def look_over(
+    rig: Rig, go_on: Callable[[Preflight], Preflight] = lambda findings: findings
+) -> Preflight:
     """Open a rig, inspect it, and close it. If a device cannot be opened, that is a problem in
-    addition to those of the other, so that the operator learns of all that is missing at once."""
+    addition to those of the other, so that the operator learns of all that is missing at once.
+
+    Args:
+        rig: The rig, which was not opened before.
+        go_on: Called with the findings while both devices are open; returns them with its own.
+    """
     try:
         failures = rig.open_devices()
         if not failures:
             with rig:
-                return inspect(rig)
+                return go_on(inspect(rig))
         return _inspect_opened(rig, failures)
     finally:
         rig.close()

@@ -1,0 +1,152 @@
+"""Practises control steps on this computer: can it plan in time, and read the camera meanwhile?
+
+A computer that is too slow or too busy sends commands late, and its robots drive on by old ones. So
+before a run `lab check` lets the controller steer simulated robots in real time, while the lab's
+camera sends frames. No robot moves: nothing is sent to the lab's devices.
+
+    delay     the time from when a step is due until its plan is known. The robots drive meanwhile,
+              so a delay of more than a control period is late.
+    silence   the longest time for which no frame of the lab's camera was read
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tetractl.core.clock import SECOND, Clock, milliseconds
+from tetractl.core.plan import Outcome
+from tetractl.core.protocols import Observer
+from tetractl.core.trial import Step
+from tetractl.experiment.lab_section import LabLimits
+from tetractl.experiment.loaded_spec import LoadedSpec
+from tetractl.experiment.plants import on_plant
+from tetractl.lab.preflight import Preflight
+from tetractl.run.checked_controller import build_controller
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.spec_trial import ready_trial, trial_seeds
+
+PRACTICE_S = 3.0
+"""Time for which control steps are practised [s]."""
+LATE_SHARE_MAX = 0.2
+"""Maximum fraction of late steps. Five in a row end a run: at this fraction about one trial of 400
+steps in eight, if steps are late independently of one another."""
+FACT = "control steps"
+
+
+@dataclass(frozen=True, slots=True)
+class Practice:
+    """How control steps went that were practised.
+
+    Attributes:
+        period_ns: The control period.
+        delays_ns: The delay of each step during which robots drove.
+        silence_ns: The longest time for which no camera frame was read.
+    """
+
+    period_ns: int
+    delays_ns: tuple[int, ...]
+    silence_ns: int
+
+    def added_to(self, findings: Preflight, limits: LabLimits) -> Preflight:
+        """Return the findings of a preflight with those of the practice."""
+        problems = list(findings.problems)
+        warnings = list(findings.warnings)
+        facts = dict(findings.facts)
+        count = len(self.delays_ns)
+        period_ms = milliseconds(self.period_ns)
+        if count:
+            median_ms = milliseconds(int(np.median(self.delays_ns)))
+            longest_ms = milliseconds(max(self.delays_ns))
+            facts[FACT] = (
+                f"{median_ms:.0f} ms, at most {longest_ms:.0f} ms, of a period of "
+                f"{period_ms:.0f} ms, in {count} steps with simulated robots"
+            )
+            late = sum(delay_ns > self.period_ns for delay_ns in self.delays_ns)
+            text = f"{late} of {count} practised control steps took longer than the control period"
+            if late > LATE_SHARE_MAX * count:
+                problems.append(f"this computer is too slow or too busy: {text}")
+            elif late:
+                warnings.append(f"{text}: is this computer busy?")
+        if self.silence_ns > limits.stale * SECOND:
+            problems.append(
+                "this computer is too busy, or the camera pauses: no frame was read for "
+                f"{milliseconds(self.silence_ns):.0f} ms while control steps were practised; "
+                f"robots stop after {1000 * limits.stale:.0f} ms"
+            )
+        return replace(findings, problems=tuple(problems), warnings=tuple(warnings), facts=facts)
+
+
+class PacedSteps(Observer):
+    """Lets the control steps of simulated trials be due in real time, and measures their delays.
+
+    Args:
+        period_ns: The control period.
+        clock: The clock by which steps are due.
+        silent_ns: Returns the time since the last camera frame was read.
+        interrupt: It ends the trial that runs after PRACTICE_S.
+    """
+
+    def __init__(
+        self, period_ns: int, clock: Clock, silent_ns: Callable[[], int], interrupt: Interrupt
+    ) -> None:
+        self.delays_ns: list[int] = []
+        self.silence_ns = 0
+        self.steps = 0
+        self.is_over = False
+        self._period_ns = period_ns
+        self._clock = clock
+        self._silent_ns = silent_ns
+        self._interrupt = interrupt
+        self._due_ns: int | None = None  # when this step was due, None if robots stood before
+        self._end_ns = 0
+
+    def on_step(self, step: Step) -> None:
+        """Measure the delay of a step, and wait until the next one is due."""
+        now_ns = self._clock.now()
+        if self.steps == 0:
+            self._end_ns = now_ns + round(PRACTICE_S * SECOND)
+        self.steps += 1
+        if step.k == 0:
+            self._due_ns = None  # the robots stood while the first plan was computed
+        self.silence_ns = max(self.silence_ns, self._silent_ns())
+        due_ns = now_ns
+        if self._due_ns is not None:
+            self.delays_ns.append(now_ns - self._due_ns)
+            due_ns = max(self._due_ns, now_ns - self._period_ns)
+        due_ns += self._period_ns
+        if due_ns > self._end_ns:
+            self.is_over = True
+            self._interrupt.request()
+            return
+        self._clock.sleep_until(due_ns)
+        self.silence_ns = max(self.silence_ns, self._silent_ns())
+        self._due_ns = None if step.plan.pauses else due_ns
+
+
+def practise(spec: LoadedSpec, clock: Clock, silent_ns: Callable[[], int]) -> Practice:
+    """Let the controller of a spec steer simulated robots for PRACTICE_S.
+
+    Args:
+        spec: The spec of a lab whose robots are known. Its controller's code is compiled.
+        clock: The host's clock, by which steps are due.
+        silent_ns: Returns the time since the last frame of the lab's camera was read [ns].
+
+    Raises:
+        KeyboardInterrupt: If a signal has ended the practice.
+    """
+    interrupt = Interrupt()
+    period_ns = round(spec.experiment.controller.period * SECOND)
+    paced = PacedSteps(period_ns, clock, silent_ns, interrupt)
+    key, _ = trial_seeds(spec.experiment.trials.seed, 0)
+    simulated = on_plant(spec, "sim")
+    while not paced.is_over:  # trials may be short
+        steps_before = paced.steps
+        controller = build_controller(spec.experiment, key)  # in the lab it obeys a real deadline
+        with ready_trial([paced], simulated, 0, (), interrupt, controller=controller) as trial:
+            result = trial.run()
+        if result.outcome is Outcome.INTERRUPTED and not paced.is_over:
+            raise KeyboardInterrupt
+        if paced.steps == steps_before:
+            break
+    return Practice(period_ns, tuple(paced.delays_ns), paced.silence_ns)

@@ -15,7 +15,6 @@ SMALLEST = [
     ("disturbed", "--trials", "1", "--part", "hurting", "--only", "none of these"),
     ("unmodelled", "--trials", "1", "--world", "base", "anywhere"),
     pytest.param(("many_robots", "--trials", "1"), marks=pytest.mark.release),
-    ("analyze", "--trials", "1", "--plans", "1"),
     ("solver", "--quick", "--only", "a,b"),
 ]
 

@@ -216,7 +216,7 @@ ENDING = {  # every command that ends by itself and needs no lab, and its exit c
     "export logs -o tables": 0,
     "verify logs": 0,
     "stats logs --format csv": 0,
-    "analyze spec.yaml --plans 1": 0,
+    "analyze spec.yaml --trials 1": 0,
     "study study.yaml --out arms --jobs 2": 0,
     "identify logs": 0,
     "lab stop --port nowhere": 1,

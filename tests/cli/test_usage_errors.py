@@ -106,7 +106,7 @@ identify logs poses.csv | logs and CSV files cannot be combined
 rerun LOG --plant lab --yes | lab
 rerun LOG --set plant.deadtime=1 | did you mean 'dead_time'
 analyze no.yaml | no.yaml: there is no such file
-analyze spec.yaml --plans 0 | Invalid value for '--plans'
+analyze spec.yaml --trials 0 | Invalid value for '--trials'
 kinds --set x=1 | --set and --spec need --check
 kinds --check nowhere:X | nowhere:X: cannot be imported: ModuleNotFoundError
 kinds --check json | json: must be MODULE:NAME | such as pivot:PIVOT

@@ -224,8 +224,8 @@ def _check(path: Path, sets: list[str]) -> _Checked:
 
 def _valid(file: str, loaded: "LoadedSpec", warnings: "Sequence[PlacedWarning]") -> _Checked:
     """Return what is said of a valid spec."""
-    from tetractl.analysis.reach import reach
     from tetractl.model.bounds import least_total_error
+    from tetractl.reach.reach import reach
 
     experiment = loaded.experiment
     setup = experiment.setup

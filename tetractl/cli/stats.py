@@ -1,12 +1,12 @@
-"""`tetractl stats` and `analyze`: statistics of trials, and predictions without any trial."""
+"""`tetractl stats`: statistics of trials."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from tetractl.cli import ui
-from tetractl.cli.options import LikeFormatJson, Sets, argument, option, switch
-from tetractl.core.errors import Exit, LogError, printable
+from tetractl.cli.options import LikeFormatJson, argument, option, switch
+from tetractl.core.errors import Exit, LogError
 from tetractl.tools.table.table_files import csv_text, json_text
 from tetractl.tools.table.terminal_table import TEXTS, print_tables
 
@@ -118,40 +118,3 @@ def _described(batches: "Sequence[Source]") -> "list[BatchStatistics]":
             raise LogError(f"{source.name}: none of {len(batch.damaged)} logs can be read")
         described.append(describe(batch, source.name))
     return described
-
-
-def analyze(
-    spec: Annotated[Path, argument("SPEC", "Spec file of the experiment to analyse.")],
-    sets: Sets = None,
-    plans: Annotated[
-        int, option("N", "Number of plans to search for each result.", min=1, max=1000)
-    ] = 5,
-    form: Annotated[
-        Literal["text", "json"], option("text|json", "Output format.", "--format")
-    ] = "text",
-    as_json: LikeFormatJson = False,
-) -> int:
-    """Predict how well the robots of a spec can be steered together; no trial is run.
-
-    Searches good plans with the multistart optimiser. Along them, predicts the mean total error
-    under the noise of the spec's simulated plant (errors of turning rate a and speed, random walk
-    of the headings, measurement noise), the shortest plan that reaches the targets, the ellipse of
-    each robot's end position, and the error of robots whose turning rates a differ more or less, or
-    of fewer robots. If the turning rates a of two robots are too similar, searches for a better
-    value of one of them.
-
-    Example: tetractl analyze experiments/tetrahymena.yaml
-    """
-    from tetractl.analysis.analysis_text import advice, tables
-    from tetractl.analysis.analysis_text import as_json as items
-    from tetractl.analysis.analyze import analyze as predict
-
-    experiment = ui.load(spec, sets).experiment
-    with ui.progress("Planning") as planned:
-        analysis = predict(experiment, plans, planned)
-    if as_json or form == "json":
-        print(json_text(items(analysis)))
-    else:
-        print_tables(tables(analysis))
-        print(printable(advice(analysis)), flush=True)
-    return Exit.DONE

@@ -225,7 +225,7 @@ def _run_trials(
     """Run trials with their display, and with `viewers` as observers, until one ends the batch.
 
     Trials of the lab are shown by `_in_lab`, one after another on a terminal by `_on_screen`, and
-    all others by `_in_lines`.
+    all others by `in_lines`.
     """
     from tetractl.run.batch import OnFailure, run_batch
     from tetractl.run.task import batch_tasks
@@ -240,7 +240,7 @@ def _run_trials(
         display = _on_screen(console, interrupt, viewers)
     else:
         unit = loaded.experiment.units.length
-        display = _in_lines(console, unit, len(tasks), options.jobs, interrupt, viewers)
+        display = in_lines(console, unit, len(tasks), options.jobs, interrupt, viewers)
     on_failure = OnFailure.of_batch(loaded.experiment.plant, options.keep_going)
     with display as (executor, observer):
         return run_batch(tasks, store, executor, observer, on_failure)
@@ -291,7 +291,7 @@ def _on_screen(
 
 
 @contextmanager
-def _in_lines(
+def in_lines(
     console: "Console",
     unit: str,
     count: int,

@@ -159,7 +159,7 @@ COMMANDS = Registry(
         "validate": "tetractl.cli.specs:validate",
         "rerun": "tetractl.cli.rerun:rerun",
         "study": "tetractl.cli.study:study",
-        "analyze": "tetractl.cli.stats:analyze",
+        "analyze": "tetractl.cli.analyze:analyze",
         "warm": "tetractl.cli.specs:warm",
         "plot": "tetractl.cli.plot:plot",
         "report": "tetractl.cli.report:report",

@@ -63,7 +63,7 @@ def survey(
     The field rotates for the time `robots.seconds` of the spec. The command prints whether cells
     turn towards the field or towards its mirror image; then the picture is mirrored, or a coil pair
     reversed. Every cell in view is listed with 95 % intervals; choices of cells that follow the
-    field and are distinguishable are ranked by the error that `tetractl analyze` predicts, with the
+    field and are distinguishable are ranked by the predicted error, with the
     noise of the spec's simulation. -o writes a spec with which a trial finds the best cells again,
     by their turning rates a and speeds.
 
@@ -73,13 +73,13 @@ def survey(
 
     Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
     """
-    from tetractl.analysis.closed_loop import Noise
-    from tetractl.analysis.steering import planner, tolerance
     from tetractl.core.protocols import LabSupervision
     from tetractl.experiment.plants import lab_of, on_plant
     from tetractl.experiment.yaml.core_yaml import dump
     from tetractl.experiment.yaml.document import parse_document, with_settings
     from tetractl_microscope.cells.section import CellsSection
+    from tetractl_microscope.choice.closed_loop import Noise
+    from tetractl_microscope.choice.first_plans import planner, tolerance
     from tetractl_microscope.choice.ranked import alike, ranked
     from tetractl_microscope.choice.section import Choice
     from tetractl_microscope.handedness import handedness_lines, watch_turning

@@ -7,9 +7,9 @@ import pytest
 from support.paths import EXAMPLES
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.choosing import chosen_from
+from tetractl_microscope.choice.closed_loop import Noise
 from tetractl_microscope.choice.ranked import RankedChoice, ranked
 
-from tetractl.analysis.closed_loop import Noise
 from tetractl.core.poses import Pose
 from tetractl.experiment.load import load_spec
 

@@ -6,11 +6,11 @@ from itertools import combinations, islice
 
 import numpy as np
 
-from tetractl.analysis.closed_loop import Noise, end_covariance, linearise, mean_errors
-from tetractl.analysis.steering import planner, plans
 from tetractl.experiment.experiment import Experiment
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.choosing import settled, worth
+from tetractl_microscope.choice.closed_loop import Noise, end_covariance, linearise, mean_errors
+from tetractl_microscope.choice.first_plans import planner, plans
 from tetractl_microscope.choice.section import choice_of
 
 COMPARED = 40  # number of choices whose errors are predicted: those with the most different a
@@ -75,7 +75,7 @@ def ranked(
 ) -> list[RankedChoice]:
     """Return the best choices of cells for an experiment that chooses its robots, best first.
 
-    Errors are predicted as by `tetractl analyze`, from the cells' poses: first along a few plans
+    Errors are predicted from the cells' poses by a linearised closed loop: first along a few plans
     for the COMPARED choices of greatest `worth`, then along more, up to `plans`, for the best of
     them (successive halving), with the same random numbers. If no plan reaches the targets in the
     first round, there are no further ones. Only cells with a magnet count, and no choice has two

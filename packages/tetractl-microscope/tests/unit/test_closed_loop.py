@@ -7,15 +7,14 @@ import pytest
 from support.plants import sim
 from support.problems import problem, world
 from support.trials import experiment
-
-from tetractl.analysis.closed_loop import (
+from tetractl_microscope.choice.closed_loop import (
     Linear,
     Noise,
     end_covariance,
-    left_out,
     linearise,
     mean_errors,
 )
+
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.model.motion.exact import step
@@ -118,4 +117,3 @@ def test_the_noise_is_the_plants():
     assert noise.heading_walk == 0.1
     assert noise.position_std == 2
     assert noise.heading_std == 0.02
-    assert left_out(spec.plant) == ("dead_time", "disturbances")

@@ -3,9 +3,8 @@
 import pytest
 from support.trials import THREE_M3PI, experiment
 
-from tetractl.analysis.analysis_text import as_json, tables
-from tetractl.analysis.analyze import analyze
-from tetractl.analysis.reach import reach
+from tetractl.reach.facts import facts_items, facts_table, most_similar
+from tetractl.reach.reach import reach
 
 ROBOTS = THREE_M3PI["robots"]
 NAMES = tuple(robot["name"] for robot in ROBOTS)
@@ -70,11 +69,18 @@ def test_any_motion_has_a_verdict(motion, a, rank):
     assert reach(three_robots(a, controller=controller)).rank == rank
 
 
-@pytest.mark.long
-def test_analyze_says_it_where_no_plan_is_found():
-    mpc = {"type": "mpc", "period": 0.2, "horizon_max": 12, "estimate": False}
-    analysis = analyze(three_robots(a=(6, 6, 3), controller=mpc), plans=1)
-    assert analysis.steering is None
-    rows = dict(tables(analysis)[0].rows)
-    assert rows["reach of the signal"] == str(analysis.reach)
-    assert as_json(analysis)["reach"]["rank"] == 4
+def test_the_two_most_similar_robots_differ_least_in_a():
+    setup = three_robots().setup
+    slower, faster = most_similar(setup)
+    assert (setup.a[slower], setup.a[faster]) == (3, 4)
+    assert most_similar(setup.only([0])) is None
+
+
+def test_facts_of_similar_robots_are_the_same_in_text_and_json():
+    spec = three_robots(a=(6, 6, 3))
+    rows = dict(facts_table(spec).rows)
+    items = facts_items(spec)
+    assert rows["reach of the signal"] == str(reach(spec))
+    assert items["reach"]["rank"] == 4
+    assert rows["smallest difference of a"] == f"0 % ({NAMES[0]}, {NAMES[1]})"
+    assert (items["most_similar"], items["smallest_difference"]) == (list(NAMES[:2]), 0)

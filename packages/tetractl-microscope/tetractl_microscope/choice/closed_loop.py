@@ -176,12 +176,6 @@ class Noise:
         )
 
 
-def left_out(plant: PlantSection) -> tuple[str, ...]:
-    """Return the names of a plant's disturbances that `Noise` does not contain."""
-    names = ("dead_time", "lost_commands", "drive", "cells", "disturbances")
-    return tuple(name for name, value in plant if name in names and value)
-
-
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
     """The joint covariance of the ends' deviations e and the relative errors q.

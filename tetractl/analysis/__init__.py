@@ -1,1 +1,0 @@
-"""Predicts the errors of a spec's robots under an assumed noise, without running trials."""

@@ -1,0 +1,1 @@
+"""Can the robots of a spec be steered apart by one common signal?"""

@@ -1,0 +1,69 @@
+"""What a spec says about steering its robots together, before a trial is run: a table and JSON."""
+
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.setup import Setup
+from tetractl.experiment.experiment import Experiment
+from tetractl.reach.reach import reach
+from tetractl.tools.table.table import Table, plural
+
+
+def most_similar(setup: Setup) -> tuple[int, int] | None:
+    """Find the two robots whose turning rates a differ least.
+
+    Returns:
+        The index of the slower and of the faster one. None for a single robot.
+    """
+    order = np.argsort(setup.a, kind="stable")
+    if len(order) < 2:
+        return None
+    gaps = setup.a[order[1:]] / setup.a[order[:-1]] - 1
+    first = int(np.argmin(gaps))
+    slower, faster = order[first : first + 2].tolist()
+    return slower, faster
+
+
+def facts_table(experiment: Experiment) -> Table | None:
+    """Make the table of what is known before a trial.
+
+    Returns:
+        The table. None if robots are still to be found, as in a dish.
+    """
+    if experiment.open:
+        return None
+    setup = experiment.setup
+    facts: list[tuple[str, str]] = []
+    reached = reach(experiment)
+    if reached:
+        facts.append(("reach of the signal", str(reached)))
+    pair = most_similar(setup)
+    if pair:
+        names = ", ".join(setup.names[robot] for robot in pair)
+        facts.append(
+            ("smallest difference of a", f"{100 * _difference(setup, *pair):.3g} % ({names})")
+        )
+    if setup.hold is not None and not setup.on_wheels:
+        radii = setup.speed / setup.a.min()
+        circles = [f"{name} {r:.3g}" for name, r in zip(setup.names, radii, strict=True)]
+        facts.append((f"radii of the smallest circles [{setup.unit}]", ", ".join(circles)))
+    title = f"{setup.name}: {len(setup.names)} {plural('robot', len(setup.names))}"
+    return Table.of_texts(title, ("figure", "value"), facts)
+
+
+def facts_items(experiment: Experiment) -> dict[str, Any]:
+    """List the same facts as the items of a JSON object. Unknown values are None."""
+    reached = reach(experiment)
+    pair = None if experiment.open else most_similar(experiment.setup)
+    setup = experiment.setup
+    return {
+        "reach": reached.fields if reached else None,
+        "most_similar": [setup.names[robot] for robot in pair] if pair else [],
+        "smallest_difference": _difference(setup, *pair) if pair else None,
+    }
+
+
+def _difference(setup: Setup, slower: int, faster: int) -> float:
+    """Compute the difference of two turning rates relative to the smaller one."""
+    return float(setup.a[faster] / setup.a[slower] - 1)

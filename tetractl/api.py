@@ -481,7 +481,7 @@ def verify(path: str | Path) -> "Verification":
             f"{path}: is a folder, and verify reads one log",
             f"[verify(trial.log) for trial in read_batch({str(path)!r}).trials]",
         )
-    return verify.verify(Path(path))
+    return verify.verify(Path(path), _announcer(True))
 
 
 def summarise(

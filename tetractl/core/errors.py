@@ -18,7 +18,7 @@ class Exit(IntEnum):
     DONE = 0
     FAILED = 1  # a trial was aborted, a check failed, or a log is damaged
     USAGE = 2  # the arguments or the spec are wrong
-    LOSSY = 3  # a log was recovered, but not all of it
+    LOSSY = 3  # a log was recovered, but not all of it; or it was not verified to its end
     INTERRUPTED = 130  # Ctrl-C or another signal, after stopping the robots and closing the log
 
 

@@ -37,6 +37,11 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True)
+class Unchecked(Difference):
+    """A part of a log that was not compared because that would take too long: no contradiction."""
+
+
+@dataclass(frozen=True, slots=True)
 class Tolerance:
     """The allowed difference between two numbers: |ours - logged| <= relative * larger + absolute.
 

@@ -11,7 +11,6 @@ difference in the last bit of one cost may change the leading particle and then 
 
 import copy
 import math
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -44,10 +43,12 @@ from tetractl.replay.comparison import (
     SAME_BITS,
     Difference,
     Tolerance,
+    Unchecked,
     first_difference,
 )
 from tetractl.run.checked_controller import CheckedController
 from tetractl.run.spec_trial import trial_seeds
+from tetractl.tools.kernels.kernel_cache import computing_s
 from tetractl.tools.plugin_fault import plugins_blamed
 
 TOLERANCE = 1e-9
@@ -72,13 +73,14 @@ class Recomputed:
 
 
 def recompute(
-    log: TrialLog, search_again: bool, cpu: Callable[[], float] = time.thread_time
+    log: TrialLog, search_again: bool, cpu: Callable[[], float] = computing_s
 ) -> Recomputed:
     """Compute every decision of a log again, up to the first that differs.
 
     `search_again` True runs the searches again and compares bits, False uses the logged searches.
     Steps after a gap are not checked, since the controller's state is lost. If the processor time,
-    read from `cpu` [s], exceeds its limit, a difference that says so is returned.
+    read from `cpu` [s], exceeds its limit, the difference is an `Unchecked`. Compiling does not
+    count.
     """
     try:
         key, _ = trial_seeds(log.start.seed, log.start.trial)
@@ -120,7 +122,7 @@ def _step_difference(
         searches.require_time()
     except (TooLongError, MemoryError):
         text = f"not computed again: the rest takes over {seconds_limit():g} s or much memory"
-        return Difference(step.k, "plan", f"{text}; {FACTOR}=2 allows twice as much")
+        return Unchecked(step.k, "plan", f"{text}; {FACTOR}=2 allows twice as much")
     except NoSearchError:
         if searches.contradiction is not None:
             return searches.contradiction.in_step(step.k)
@@ -309,7 +311,7 @@ class StepSearches:
     `seconds_limit`; of searches that are run again it counts from the first one, which compiles.
     """
 
-    def __init__(self, search_again: bool, cpu: Callable[[], float] = time.thread_time) -> None:
+    def __init__(self, search_again: bool, cpu: Callable[[], float] = computing_s) -> None:
         self.requests: dict[int, SearchRequest] = {}
         self.contradiction: Difference | None = None
         self._to_come: list[tuple[int, Search]] = []

@@ -9,11 +9,14 @@ If another machine or version wrote the log, costs must agree within a tolerance
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum, StrEnum
 from pathlib import Path
 
+from tetractl.control.build import warm_up
+from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
 from tetractl.core.shown import Shown
 from tetractl.experiment.experiment import packages
@@ -23,7 +26,7 @@ from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog, frame_gaps, step_gaps
 from tetractl.replay import run_again
-from tetractl.replay.comparison import Difference
+from tetractl.replay.comparison import Difference, Unchecked
 from tetractl.replay.recompute import TOLERANCE, Recomputed, recompute
 from tetractl.replay.result_check import result_differences
 from tetractl.tools.table.terminal_table import LISTED_MAX
@@ -74,18 +77,26 @@ class Verification(Shown):
     method: Method
     elsewhere: tuple[str, ...]
     problems: tuple[Difference, ...]  # the first decision that differs comes first
+    unchecked: tuple[Difference, ...]  # what was not compared, because it takes too long
     notes: tuple[str, ...]
     seconds: float
 
     @property
     def ok(self) -> bool:
-        """Whether no problem was found."""
-        return not self.problems
+        """Whether the log was checked to its end, and no problem was found."""
+        return not (self.problems or self.unchecked)
+
+    @property
+    def verdict(self) -> str:
+        """The verdict in words: "ok", "FAILED", or that the check did not reach the end."""
+        if self.problems:
+            return "FAILED"
+        return "not checked to the end" if self.unchecked else "ok"
 
     @property
     def lines(self) -> Iterator[str]:
         """The lines on the log: whether it is ok, by which check, and what is wrong."""
-        verdict = "ok" if self.ok else "FAILED"
+        verdict = self.verdict
         if self.rewritten:
             verdict += f", written again by {self.rewritten}"
             if self.ok:
@@ -94,6 +105,7 @@ class Verification(Shown):
         yield f"{self.log}: {verdict}: {decisions} ({self.seconds:.2f} s)"
         if self.method is Method.REEVALUATED:
             yield from (f"  written elsewhere: {line}" for line in self.elsewhere)
+        yield from (f"  {unchecked}" for unchecked in self.unchecked)
         for problem in self.problems[:LISTED_MAX]:
             yield f"  {problem}"
         if len(self.problems) > LISTED_MAX:
@@ -101,11 +113,21 @@ class Verification(Shown):
         yield from (f"  note: {note}" for note in self.notes)
 
 
-def verify(path: Path) -> Verification:
-    """Verify one log; raises LogError as `read_trial` does. A brief log is only run again."""
-    began_s = time.perf_counter()
+def verify(path: Path, announce: Callable[[str], None] = lambda text: None) -> Verification:
+    """Verify one log. A brief log is only run again.
+
+    Args:
+        path: File of the log.
+        announce: Called with a message if code must be compiled first, as by `warm_up`.
+
+    Raises:
+        LogError: If nothing in the file can be read.
+    """
     raw = scan(path)
     log = trial_of(raw)
+    with suppress(TetractlError):  # that the controller cannot plan is found below
+        warm_up(log.experiment, announce)
+    began_s = time.perf_counter()
     elsewhere = host_differences(log)
     why_not_again = run_again.why_not_again(log, elsewhere)
     end_check = _end_check(log, why_not_again)
@@ -115,9 +137,10 @@ def verify(path: Path) -> Verification:
     is_repeated = end_check is EndCheck.AGAIN and not of_end
     if not is_repeated and not raw.brief:
         method, decisions = _decisions(log, elsewhere)
-    problems = [] if decisions.difference is None else [decisions.difference]
-    problems += of_end
-    problems += _differences_of_records(raw, log)
+    found = [] if decisions.difference is None else [decisions.difference]
+    found += of_end
+    found += _differences_of_records(raw, log)
+    unchecked = tuple(item for item in found if isinstance(item, Unchecked))
     notes = list(_notes(raw, log))
     if end_check is EndCheck.RECORDS and log.start.plant.simulated:
         notes.append(f"the trial is not run again: {why_not_again}")
@@ -128,7 +151,8 @@ def verify(path: Path) -> Verification:
         checked=decisions.agreeing,
         method=method,
         elsewhere=elsewhere,
-        problems=tuple(problems),
+        problems=tuple(item for item in found if not isinstance(item, Unchecked)),
+        unchecked=unchecked,
         notes=tuple(notes),
         seconds=time.perf_counter() - began_s,
     )

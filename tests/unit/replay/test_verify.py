@@ -3,11 +3,13 @@
 import os
 import subprocess
 import sys
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from numba import njit
 from numpy._core._multiarray_umath import __cpu_dispatch__
 from support import mutate, random_trials
 from support.made_labs import lab_log, lost
@@ -31,6 +33,7 @@ from tetractl.replay.result_check import result_differences
 from tetractl.replay.verify import Method, verify
 from tetractl.run.checked_controller import CheckedController
 from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.tools.kernels.kernel_cache import computing_s
 
 pytestmark = pytest.mark.slow
 
@@ -174,6 +177,51 @@ def test_what_a_deadline_cut_short_comes_out_too(tmp_path, monkeypatch, swarm, l
     searches_left_out = len(steps[1].plan.searches) < 3
     assert cut_short or searches_left_out or looks > 4
     assert verify(path).problems == ()
+
+
+@pytest.fixture
+def no_time(monkeypatch):
+    """Let no decision be computed in time, and no simulation run again."""
+    monkeypatch.setattr("tetractl.replay.recompute.seconds_limit", lambda: 1e-9)
+    monkeypatch.setattr("tetractl.replay.run_again.limits.seconds_limit", lambda: 1e-9)
+
+
+@pytest.mark.parametrize("simulated_again", [True, False])
+def test_a_log_that_takes_too_long_is_not_checked_to_the_end(
+    log, monkeypatch, no_time, simulated_again
+):
+    """A third verdict: the log may be right."""
+    if not simulated_again:
+        monkeypatch.setattr(
+            "tetractl.replay.run_again.why_not_again", lambda *_: "another host wrote it"
+        )
+    verification = verify(log)
+    assert verification.problems == ()
+    assert not verification.ok
+    assert verification.verdict == "not checked to the end"
+    first, why, *_ = verification.lines
+    assert first.startswith(f"{log}: not checked to the end: ")
+    assert "TETRACTL_LOG_FACTOR=2 allows twice as much" in why
+
+
+def test_a_contradiction_is_a_failure_even_if_the_check_does_not_reach_the_end(
+    tmp_path, log, no_time
+):
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes(log.read_bytes()[:-6000])
+    verification = verify(torn)
+    assert verification.unchecked
+    assert verification.verdict == "FAILED"
+
+
+def test_compiling_does_not_count_against_the_limits():
+    """Regression: "FAILED: 1 of 145 decisions" of a right log, as kernels were compiled."""
+    before_s = computing_s()
+    thread_s = time.thread_time()
+    njit(lambda x: x @ x.T + np.linalg.inv(x))(np.eye(3))  # kept in no cache
+    compiling_s = time.thread_time() - thread_s
+    assert compiling_s > 0
+    assert computing_s() - before_s < compiling_s / 2
 
 
 def test_a_torn_log_is_checked_up_to_the_tear(tmp_path, log):

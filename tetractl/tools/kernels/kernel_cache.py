@@ -14,6 +14,7 @@ import os
 import pickle
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -93,17 +94,37 @@ def shipped() -> Path | None:
 
 
 class _Compiling(event.Listener):
-    """Calls the functions in `compiling` when numba starts to compile."""
+    """Calls the functions in `compiling` when numba starts to compile, and adds up the time.
+
+    Attributes:
+        spent_s: Processor time that compiling has taken so far [s].
+    """
+
+    def __init__(self) -> None:
+        self.spent_s = 0.0
+        self._depth = 0  # compiling a function compiles those that it calls
+        self._began_s = 0.0
 
     def on_start(self, event: Any) -> None:
         for call in tuple(compiling):
             call()
+        if self._depth == 0:
+            self._began_s = time.thread_time()
+        self._depth += 1
 
     def on_end(self, event: Any) -> None:
-        pass
+        self._depth -= 1
+        if self._depth == 0:
+            self.spent_s += time.thread_time() - self._began_s
 
 
-event.register("numba:compile", _Compiling())
+_listener = _Compiling()
+event.register("numba:compile", _listener)
+
+
+def computing_s() -> float:
+    """Return the processor time of this thread without the time that compiling took [s]."""
+    return time.thread_time() - _listener.spent_s
 
 
 class KernelCache:

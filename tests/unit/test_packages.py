@@ -119,3 +119,14 @@ def test_what_a_missing_package_brings_is_answered_by_the_command_that_installs_
     assert code == 2, said
     assert f"needs {package}, which is not installed" in said
     assert f"pip install ./packages/{package}" in said
+
+
+def test_the_core_requires_at_most_twelve_libraries_each_with_its_reason():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    names = [re.split(r"[>=<\[]", requirement)[0] for requirement in project["dependencies"]]
+    reasons = (ROOT / "docs" / "decisions" / "program.md").read_text()
+    _, _, table = reasons.partition("## Libraries")
+    rows = [line for line in table.partition("Extras:")[0].splitlines() if line.startswith("| `")]
+    listed = [name for row in rows for name in re.findall(r"`([\w-]+)`", row.split("|")[1])]
+    assert sorted(listed) == sorted(names)
+    assert len(names) <= 12

@@ -19,6 +19,7 @@ from functools import cache
 from typing import Any, BinaryIO
 
 import zstandard
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message as ProtobufMessage
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -40,7 +41,6 @@ from mcap.records import (
     Statistics,
 )
 from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap_protobuf.schema import build_file_descriptor_set
 
 from tetractl.core import __version__
 from tetractl.log.format.channels import (
@@ -266,11 +266,21 @@ class FileWriter:
         yield self._metadata
 
 
+def _with_imports(file: Any) -> list[Any]:
+    """List a `FileDescriptor` after the files that it imports, each once."""
+    listed: dict[str, Any] = {}
+    for imported in file.dependencies:
+        listed |= {one.name: one for one in _with_imports(imported)}
+    return [*listed.values(), file]
+
+
 @cache
 def protobuf_schema(message: type[ProtobufMessage]) -> Schema:
     """Return the schema of a message, without a number of its own."""
     descriptor = message.DESCRIPTOR
-    files = build_file_descriptor_set(message)
+    files = FileDescriptorSet()
+    for definition in _with_imports(descriptor.file):
+        definition.CopyToProto(files.file.add())
     used = _used(descriptor)
     for file in files.file:
         if file.name == descriptor.file.name:  # tetractl's own has the messages of all channels

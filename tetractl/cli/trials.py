@@ -129,7 +129,7 @@ def run_command(
     ):
         planned = _planned(store, only)
         report = _run_trials(loaded, store, planned, options, interrupt, viewers)
-        code = _conclude(report, planned, interrupt.requested, store, options.json)
+        code = _conclude(report, planned, interrupt, lab, store, options.json)
         return code, folder
 
 
@@ -317,7 +317,12 @@ def in_lines(
 
 
 def _conclude(
-    report: "Report", planned: list[int], stop_requested: bool, store: "Store", as_json: bool
+    report: "Report",
+    planned: list[int],
+    interrupt: Interrupt,
+    in_lab: bool,
+    store: "Store",
+    as_json: bool,
 ) -> int:
     """Print the statistics of the whole folder, then how the run ended; return the exit code.
 
@@ -327,7 +332,7 @@ def _conclude(
 
     folder = store.folder
     not_run = len(planned) - len(report.results)
-    interrupted = report.interrupted or (stop_requested and not_run > 0)
+    interrupted = report.interrupted or (interrupt.requested and not_run > 0)
     error = next(iter(report.errors.values()), None)
     complete = error is None and not report.aborted and not interrupted
     if error is not None and not report.results:
@@ -346,8 +351,14 @@ def _conclude(
         raise error
     last_aborted = bool(report.results) and next(reversed(report.results)) in report.aborted
     if interrupted and not last_aborted:
-        resume = f"--out {quote(str(folder))} --resume"
-        ui.tell(f"interrupted; continue with the same command and {resume}")
+        go_on = f"continue with the same command and --out {quote(str(folder))} --resume"
+        if in_lab and interrupt.terminated:
+            ui.tell(
+                "interrupted by a signal: if it came from `tetractl lab stop`, the robots stay "
+                f"stopped until you switch each off and on; then {go_on}"
+            )
+        else:
+            ui.tell(f"interrupted; {go_on}")
         return Exit.INTERRUPTED
     aborts = report.aborted.values()
     if not_run and aborts and all(result.verdict.can_restart for result in aborts):

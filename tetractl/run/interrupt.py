@@ -41,6 +41,7 @@ class Interrupt:
         self, notice: Callable[[int], object] = lambda count: None, breaks_at: int = 2
     ) -> None:
         self.count = 0
+        self.terminated = False  # whether SIGTERM was among them, as `tetractl lab stop` sends it
         self.notice = notice  # called with `count` at each request, in the signal's handler
         self._breaks_at = breaks_at
         self._breakable = False
@@ -106,6 +107,7 @@ class Interrupt:
             raise KeyboardInterrupt
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        self.terminated = self.terminated or number == signal.SIGTERM
         self.request()
 
     def on_unraisable(self, lost: "sys.UnraisableHookArgs", /) -> None:

@@ -45,7 +45,8 @@ def emulate(
         float | None,
         option(
             "S",
-            "Put robots back on their starts once they have stood still for S seconds.",
+            "Put robots back on their starts once they have stood still for S seconds. After an "
+            "abort, a run watches them for up to 5 s: use at least 6.",
             min=0.1,
         ),
     ] = None,

@@ -1,18 +1,40 @@
 """What `run` prints at its end, and its exit code."""
 
 import errno
+import signal
 from pathlib import Path
+from types import SimpleNamespace
 
+import pytest
 from support.batches import result
 
 from tetractl.cli import trials
 from tetractl.core.errors import Exit
 from tetractl.run.batch import Report
+from tetractl.run.interrupt import Interrupt
 
 
-def end_interrupted(folder, report):
-    """End a run of two trials that was interrupted."""
-    return trials._conclude(report, [0, 1], True, Path(folder), as_json=False)
+def end_interrupted(folder, report, number=signal.SIGINT, in_lab=False):
+    """End a run of two trials that was interrupted by a signal."""
+    interrupt = Interrupt()
+    with interrupt.watch():
+        signal.raise_signal(number)
+    store = SimpleNamespace(folder=Path(folder), aborted=())
+    return trials._conclude(report, [0, 1], interrupt, in_lab, store, as_json=False)
+
+
+@pytest.mark.parametrize(
+    ("number", "in_lab", "stopped"),
+    [(signal.SIGTERM, True, True), (signal.SIGTERM, False, False), (signal.SIGINT, True, False)],
+)
+def test_after_lab_stop_robots_must_be_switched_on_before_a_run_continues(
+    capsys, number, in_lab, stopped
+):
+    """Regression: the last line was about --resume alone, though every robot was latched."""
+    assert end_interrupted("logs", Report(), number, in_lab) == Exit.INTERRUPTED
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.endswith("continue with the same command and --out logs --resume")
+    assert ("switch each off and on" in last) == stopped
 
 
 def test_a_folder_with_a_blank_is_quoted_in_the_command_that_continues(capsys):

@@ -147,6 +147,8 @@ def test_stop_ends_the_suspended_run_that_has_the_port(lab, tmp_path):
         run.wait()
     assert done.returncode == 0, done.stderr
     assert code in (1, 130)
+    if code == 130:
+        assert "switch each off and on" in (tmp_path / "said").read_text().splitlines()[-1]
     assert f"process {run.pid} (" in done.stderr
     assert done.stdout.startswith("sent 10 stops on ")
     _, record = emulator.end()

@@ -149,7 +149,8 @@ class FaultRow:
     """A variant of a fault on rehearsed days: reasons that match `right` name it. `fields` are
     those of a script: values, or the draws of values; `fault` is the name of the kind.
 
-    One `at_once` has no duration. `weight` is relative.
+    One `at_once` has no duration. `weight` is relative. `start` and `stop` are the fractions of the
+    days on which it begins with the emulation, and as the robots stop.
     """
 
     name: str
@@ -157,7 +158,8 @@ class FaultRow:
     fields: Mapping[str, Any] = field(default_factory=dict)
     at_once: bool = False
     weight: float = 1.0
-    start: float = 0.1  # share of the days on which it is there from the start
+    start: float = 0.1
+    stop: float = 0.2
     fault: str = ""
 
 

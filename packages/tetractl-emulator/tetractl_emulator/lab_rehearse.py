@@ -20,7 +20,7 @@ from tetractl.tools.terminal import is_terminal
 
 SPECS = "it is the spec's: mend that, and rehearse it then"
 
-DRAWN = 5
+DRAWN = 6
 """Which draw of days a folder has: days that were drawn otherwise are not continued."""
 WATCHDOG_S = 0.25
 """Time after which robots stop whose spec names none [s]."""

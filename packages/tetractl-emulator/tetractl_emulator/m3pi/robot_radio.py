@@ -6,9 +6,12 @@ of robots are its own affair.
 
 import random
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 
 from tetractl.core.clock import SECOND
+from tetractl.core.errors import WireError
+from tetractl.model.wheels import Counts
 from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.m3pi.robot import EmulatedRobot
@@ -32,6 +35,7 @@ class RobotRadio(SerialDevice):
     ) -> None:
         super().__init__(timeline, port, baud, note, acting)
         self.robots = robots
+        self.sequence = 0  # of the last command, while another program drives the robots
         self._random = random.Random(seed)
         self._loss = loss
 
@@ -54,6 +58,9 @@ class RobotRadio(SerialDevice):
 
     def pass_on(self, message: bytes, arrives_ns: int) -> None:
         """Let each robot hear a message that arrives at a time, or later, unless it is lost."""
+        if self.acting.of("driven_elsewhere"):
+            with suppress(WireError):
+                self.sequence = self._command(message.rstrip(b"\0\n"))["sequence"]
         arrives_ns += self.late_ns()
         for robot in self.robots:
             if self._random.random() >= self.loss_to(robot.name):
@@ -64,6 +71,9 @@ class RobotRadio(SerialDevice):
     def stop_elsewhere(self, sequence: int) -> None:
         """Let the robots hear an emergency stop of another sender, with its own sequence number;
         none if it cannot reach them."""
+
+    def drive_elsewhere(self, sequence: int, counts: Counts) -> None:
+        """Let the robots hear a command of another program; none if they have no such program."""
 
     def poll_answers(self) -> None:
         """Send the answers that robots have ready; to be called about every millisecond."""

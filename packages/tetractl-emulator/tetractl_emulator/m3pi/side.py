@@ -8,26 +8,24 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, Name, Positive
 from tetractl.experiment.lab_section import LabSection, entry
 from tetractl.lab.actuators.m3pi.actuator import drivetrains
 from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.actuators.wheel_commands import radii_mm
-from tetractl.model.wheels import Counts
-from tetractl_emulator.fault_rows import MOTION, OUR_HZ, PLACE, FaultRow, pair, signed
 from tetractl_emulator.faults import Fault, Share, Undo, fault_kind
 from tetractl_emulator.m3pi.emulated_radio import EmulatedRadio
 from tetractl_emulator.m3pi.robot import BATTERY_MV, EmulatedRobot, EmulatedRobots
 from tetractl_emulator.m3pi.wheeled_side import (
+    DRIVEN_ELSEWHERE,
     WHEELED_FAULTS,
+    Count,
     WheeledSide,
     robots_of_day,
 )
 from tetractl_emulator.sides import Stage
 
-Count = Annotated[int, Field(ge=-127, le=127)]
 SERIES_1 = (0x1744, 0x10EC)  # HV and VR of a module with 802.15.4
 SERIES_2 = (0x1944, 0x21A7)  # HV and VR of one with Zigbee
 
@@ -73,7 +71,6 @@ def _renumber(fault: Any, device: Any) -> Undo:
     return undo
 
 
-ELSEWHERE = f"only an emergency stop|{MOTION}|{PLACE}"
 FAULTS = (
     fault_kind(
         "veer",
@@ -86,20 +83,7 @@ FAULTS = (
         fields={"robot": Name, "id": Annotated[int, Field(ge=0, le=31)]},
         begin=_renumber,
     ),
-    fault_kind(
-        "driven_elsewhere",
-        "Another program on the radio sends all robots these counts, at this rate [Hz].",
-        fields={"counts": tuple[Count, Count], "rate": (Positive, 100.0)},
-        rows=[
-            FaultRow("second sender", ELSEWHERE, {"counts": pair(signed(3, 60)), "rate": 100.0}),
-            FaultRow(
-                "sender at our rate", ELSEWHERE, {"counts": pair(signed(3, 60)), "rate": OUR_HZ}
-            ),
-        ],
-        begin=lambda fault, device: device.drive_elsewhere(
-            fault.counts, round(SECOND / fault.rate)
-        ),
-    ),
+    DRIVEN_ELSEWHERE,
     *WHEELED_FAULTS,
 )
 
@@ -149,22 +133,6 @@ class EmulatedM3pi(WheeledSide):
             stage.acting,
         )
         self.radios = [self.radio]
-
-    def drive_elsewhere(self, counts: Counts, period_ns: int) -> Undo:
-        """Let robots hear another program that drives them, until the fault ends."""
-        ends_ns = NEVER
-
-        def send(sequence: int) -> None:
-            if self.timeline.now_ns < ends_ns:
-                self.radio.drive_elsewhere(sequence % 256, counts)
-                self.timeline.at(self.timeline.now_ns + period_ns, lambda: send(sequence + 1))
-
-        def end() -> None:
-            nonlocal ends_ns
-            ends_ns = self.timeline.now_ns
-
-        send(0)
-        return end
 
 
 def _wheels(

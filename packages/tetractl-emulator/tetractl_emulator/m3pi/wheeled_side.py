@@ -12,15 +12,18 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, Name, Point, Positive
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS, LabSection, entry
 from tetractl.lab.actuators.wheel_commands import radii_mm, wheels_by_speed
 from tetractl_emulator.fault_rows import (
     LINK,
+    MOTION,
     MOVED,
     NOTHING,
+    OUR_HZ,
+    PLACE,
     RADIO,
     WHEEL,
     FaultRow,
@@ -28,6 +31,8 @@ from tetractl_emulator.fault_rows import (
     less,
     lost,
     off,
+    one_of,
+    pair,
     signed,
     whole_number,
 )
@@ -43,6 +48,7 @@ PUSH_PARTS = 40  # in how many steps
 LAG_MAX_S = 0.08  # longest time constant of a wheel on a rehearsed day
 WHEEL_OFF = 0.05  # most by which the speed of a wheel is off on such a day
 Wheel = Literal["left", "right", "both"]
+Count = Annotated[int, Field(ge=-127, le=127)]
 
 
 class WheeledSide(PluggedDevices):
@@ -106,6 +112,28 @@ class WheeledSide(PluggedDevices):
         for part in range(parts):
             at_ns = self.timeline.now_ns + part * PUSH_NS // PUSH_PARTS
             self.timeline.at(at_ns, lambda: self.wheels.shift(row, x, y, turn))
+
+    def drive_elsewhere(self, fault: Any) -> Undo:
+        """Let robots hear another program that drives them, until the fault ends. It numbers its
+        commands from 0 on or, if it `follows`, as if each came next after ours.
+        """
+        period_ns = round(SECOND / fault.rate)
+        ends_ns = NEVER
+
+        def send(number: int) -> None:
+            if self.timeline.now_ns >= ends_ns:
+                return
+            for radio in self.radios:
+                sequence = radio.sequence + 1 if fault.follows else number
+                radio.drive_elsewhere(sequence % 256, fault.counts)
+            self.timeline.at(self.timeline.now_ns + period_ns, lambda: send(number + 1))
+
+        def end() -> None:
+            nonlocal ends_ns
+            ends_ns = self.timeline.now_ns
+
+        send(0)
+        return end
 
     def stop_elsewhere(self) -> None:
         """Let robots hear ten emergency stops of another sender."""
@@ -215,6 +243,26 @@ def _swap_numbers(fault: Any, device: Any) -> Undo:
     return swap
 
 
+ELSEWHERE = f"only an emergency stop|{MOTION}|{PLACE}"
+SENDER = {"counts": pair(signed(3, 60)), "rate": one_of(20.0, OUR_HZ, 100.0, 200.0)}
+DRIVEN_ELSEWHERE = fault_kind(
+    "driven_elsewhere",
+    "Another program on the radio sends all robots these counts, at this rate [Hz]. Its numbers "
+    "are its own or, if it follows, as if its commands came next after ours.",
+    fields={
+        "counts": tuple[Count, Count],
+        "rate": (Positive, 100.0),
+        "follows": (bool, False),
+    },
+    rows=[
+        FaultRow("second sender", ELSEWHERE, SENDER),
+        FaultRow("sender that follows", ELSEWHERE, SENDER | {"follows": True}),
+        FaultRow("sender as robots stop", ELSEWHERE, SENDER, start=0.0, stop=1.0),
+        FaultRow("sender before the run", ELSEWHERE, SENDER, start=1.0, weight=0.5),
+    ],
+    begin=lambda fault, device: device.drive_elsewhere(fault),
+)
+"""The fault of a second program, for robots whose commands another program can make."""
 WHEELED_FAULTS = (
     fault_kind(
         "wheel_stuck",

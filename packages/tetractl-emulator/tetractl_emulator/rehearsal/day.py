@@ -45,8 +45,6 @@ KEPT = 20_000
 """Blocks of memory that a run may leave in its process, if it has loaded no module."""
 START_SHARE = 0.16
 """Share of `start_mm` within which robots are put."""
-STOP_SHARE = 0.2
-"""Share of the faults that begin while robots stop, in a pause or at the end."""
 SPAN_S = 11.0
 """Latest begin of a fault after the first command that moves robots [s]."""
 CHOICE_S = 5.0
@@ -217,7 +215,7 @@ def _fault(
     when = random.random()
     if when < row.start:
         fault |= {"since": "start", "at": round(random.uniform(0, 1), 3)}
-    elif when > 1 - STOP_SHARE:
+    elif when > 1 - row.stop:
         fault |= {"since": "stop", "at": round(random.uniform(0, 0.5), 3)}
     else:
         fault["at"] = round(random.uniform(0, span_s), 3)

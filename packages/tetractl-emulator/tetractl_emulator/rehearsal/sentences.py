@@ -76,6 +76,10 @@ RESULT_MM = 10.0
 """Error of a result: 0.03 s of driving at 200 mm/s, and the noise of poses at rest."""
 REFUSED_S = 0.05
 """Time of refused poses after which a robot has to stop."""
+FORGET_S = 1.0
+"""Time for which robots remember the number of the last new command."""
+LEFT_SEEN_S = 0.75
+"""Time for which a robot that drives is plainly seen to."""
 READING_WAITS_S = 0.03
 """Longest time for which a reading of a mat waits for an event of its connection."""
 BODY_MM = 60.0
@@ -210,6 +214,7 @@ def rests_after_a_stop(truth: Truth) -> Iterator[Violation]:
     Stops are not counted on a day on which nothing could be sent, or our process was killed.
     """
     yield from _wheels_stand(truth)
+    yield from _none_is_left_driving(truth)
     yield from _no_command_drives(truth)
     yield from _emergency_stop_is_sent(truth)
     yield from _latched_robots_stay(truth)
@@ -233,20 +238,44 @@ def _wheels_stand(truth: Truth) -> Iterator[Violation]:
     """No wheel turns once a command has come, a watchdog has passed and wheels have rolled since
     the end or a kill, whichever was first.
 
-    Those that another program drives may turn for `WATCHED_S` more, until a stop that they latch;
-    nothing is checked if another fault was met, or it began after the end.
+    Not checked on a day on which another program drove them, which may begin at any time.
     """
-    elsewhere = truth.faults_of(*ELSEWHERE)
-    if elsewhere and (len(truth.faults) > 1 or elsewhere[0].span.began_s > truth.ended_s):
+    if truth.met(*ELSEWHERE):
         return
     bound_s = TRANSIT_S + truth.watchdog_s + ROLL_S + _radio_late_s(truth)
-    if elsewhere:
-        bound_s += WATCHED_S
     must_rest = truth.times_s > truth.left_s + bound_s
     rolls = must_rest[:, None] & (truth.wheel_speed_mm_s > ROLLS_MM_S)
     if rolls.any():
         row, i = np.argwhere(rolls)[0]
         yield _unrest(float(truth.times_s[row]), f"{truth.setup.names[i]} moves")
+
+
+def _none_is_left_driving(truth: Truth) -> Iterator[Violation]:
+    """No robot drives on after our process has ended, whatever drives it; and what was printed
+    names each that does.
+
+    A robot drives on if its wheels turn `AFTER_NS` later, when what was sent has come to its end,
+    and turned in the last `LEFT_SEEN_S` of our process, so that it could be seen. One that the
+    camera did not show then, that did not hear, or that was hurried by a signal, may be driven on,
+    but has to be named.
+
+    Not checked after a kill or if nothing could be sent; if poses were false or repeated, so that
+    robots seemed to stand; and of robots that no camera showed before a run began.
+    """
+    hidden = truth.creeping or truth.met("repeat", "freeze", "swap", *MUTE)
+    if truth.killed or hidden or not len(truth.times_s):
+        return
+    turns = truth.wheel_speed_mm_s > ROLLS_MM_S
+    last = (truth.times_s > truth.alive_s - LEFT_SEEN_S) & (truth.times_s < truth.alive_s)
+    is_shown: Bools = np.all(truth.unseen_s[last] < SHOWN_S, axis=0)
+    drives_on: Bools = turns[-1] & np.all(turns[last], axis=0)
+    could_be_held = not truth.met(*STOPS_FAIL, "late_radio", "overtaken_packets")
+    for i in np.flatnonzero(drives_on & (is_shown | (truth.began_s < np.inf))).tolist():
+        name = truth.setup.names[i]
+        if name not in truth.named_at_the_end:
+            yield _unrest(truth.alive_s, f"{name} is left driving, and not named")
+        elif is_shown[i] and could_be_held:
+            yield _unrest(truth.alive_s, f"{name} is left driving")
 
 
 def _no_command_drives(truth: Truth) -> Iterator[Violation]:
@@ -295,18 +324,21 @@ def _none_runs_again(truth: Truth) -> Iterator[Violation]:
     A robot that does not run counts as one that has heard the end, unless its watchdog stops it. A
     radio that delays all alike delays the end, too.
 
-    Not checked on a day on which any robot started again, at whatever time, or another program
-    drove the robots.
+    Those that number them forget a number after `FORGET_S`: a command that is later may drive them.
+
+    Not checked on a day on which another program drove the robots.
     """
     heard_s = truth.ended_s + TRANSIT_S + truth.delay_s("late_radio", "reboots")
-    if not any("sequence" in command for command in truth.commands):
-        heard_s += truth.delay_s("overtaken_packets")
+    overtaken_s = truth.delay_s("overtaken_packets")
+    numbered = any("sequence" in command for command in truth.commands)
+    if not numbered or overtaken_s > FORGET_S:
+        heard_s += overtaken_s
     is_after = (truth.times_s > heard_s)[:, None]
     runs = truth.has_status(RUNNING)
     stands = is_after & ~runs & ~truth.has_status(SILENT)
     has_stood = np.maximum.accumulate(stands, axis=0)
     runs_again = (has_stood & runs).any(axis=1)
-    if runs_again.any() and not truth.met(*STARTS_AGAIN, *ELSEWHERE):
+    if runs_again.any() and not truth.met(*ELSEWHERE):
         yield _unrest(float(truth.times_s[runs_again.argmax()]), "a robot is driven again")
 
 

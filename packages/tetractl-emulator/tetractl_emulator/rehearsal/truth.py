@@ -474,6 +474,14 @@ class Truth:
         error = re.search(r"^error: (?:trial 1: )?(.*)", self.day.said, re.MULTILINE)
         return error[1] if error else ""
 
+    @cached_property
+    def named_at_the_end(self) -> set[str]:
+        """The robots that the run has named as still moving, or as not seen to stand."""
+        named = re.findall(r"(?:still moves|not seen to stand): ([^:;\n]*):", self.day.said)
+        if "the cameras do not show that the robots stand" in self.day.said:
+            named.append(", ".join(self.setup.names))
+        return {name for names in named for name in names.split(", ")}
+
     # The log against the truth
 
     @cached_property

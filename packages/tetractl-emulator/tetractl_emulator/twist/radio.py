@@ -6,11 +6,13 @@ from typing import Any
 from tetractl.core.clock import MILLISECOND
 from tetractl.lab.actuators.twist.lines import LineCommand, decode_command, encode_command
 from tetractl.lab.cobs import Flag
+from tetractl.model.wheels import Counts
 from tetractl_emulator.m3pi.robot import EmulatedRobot
 from tetractl_emulator.m3pi.robot_radio import RobotRadio
 from tetractl_emulator.port import PseudoPort
 from tetractl_emulator.sides import Stage
 
+MM_S_A_COUNT = 8  # speed of a wheel of an m3pi for a count [mm/s]
 DELAY_NS = 2 * MILLISECOND  # guess: from the end of a line at the radio to the robots
 
 
@@ -48,6 +50,12 @@ class LineRadio(RobotRadio):
     def stop_elsewhere(self, sequence: int) -> None:
         """Pass on an emergency stop that no program of ours has sent."""
         self.hear(encode_command(LineCommand("W", sequence, Flag.EMERGENCY_STOP)))
+
+    def drive_elsewhere(self, sequence: int, counts: Counts) -> None:
+        """Pass on a command of another program, that all robots drive at speeds of these counts."""
+        left, right = (MM_S_A_COUNT * count for count in counts)
+        entries = tuple((index, left, right) for index in self._indices)
+        self.hear(encode_command(LineCommand("W", sequence, Flag.RUN, entries)))
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
         command = decode_command(sealed)

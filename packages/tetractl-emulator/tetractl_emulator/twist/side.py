@@ -10,6 +10,7 @@ from tetractl_emulator.faults import ActingFaults, Fault
 from tetractl_emulator.firmware import TwistCore
 from tetractl_emulator.m3pi.robot import EmulatedRobot
 from tetractl_emulator.m3pi.wheeled_side import (
+    DRIVEN_ELSEWHERE,
     WHEELED_FAULTS,
     PortedSide,
     WheelsSettings,
@@ -21,7 +22,7 @@ from tetractl_emulator.twist.radio import LineRadio
 class EmulatedTwist(PortedSide):
     """Robots that run the firmware's core, on the ports of the spec."""
 
-    faults: ClassVar[Sequence[type[Fault]]] = WHEELED_FAULTS
+    faults: ClassVar[Sequence[type[Fault]]] = (DRIVEN_ELSEWHERE, *WHEELED_FAULTS)
 
     def __init__(self, stage: Stage, settings: WheelsSettings) -> None:
         section = stage.lab.actuator

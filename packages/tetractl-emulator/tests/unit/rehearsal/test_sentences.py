@@ -147,6 +147,37 @@ def test_robots_rest_after_a_stop(events, fault):
     assert "not at rest" in broken(events, fault=fault)
 
 
+SENDER = {"kind": "sender as robots stop", "fault": "driven_elsewhere", "at": 0.0}
+SENDER |= {"counts": [20, 20], "rate": 100.0}
+NAMED = "error: trial 1: green is not tracked (0.30 s); still moves: green: switch it off\n"
+
+
+def driven_on(held, unseen=(10.0, 10.0, 10.0)):
+    """A day on which green is driven from the end on, until the process ends at 8 s or after."""
+    rows = [truth_at(2.4 + k / 60, 180.0, unseen=unseen) for k in range(338)]
+    after = [truth_at(8.05 + k / 60, 0.0 if held else 180.0) for k in range(58)]
+    return [*RUN, *DRIVES, starts(2.3), ABORT, *STOPS, *rows, *after]
+
+
+@pytest.mark.parametrize(
+    ("held", "said", "more", "wrong"),
+    [
+        (True, ERROR, {}, False),
+        (False, ERROR, {}, True),
+        (False, NAMED, {}, True),  # it could have been held
+        (False, NAMED, {"unseen": (900.0, 10.0, 10.0)}, False),
+        (False, ERROR, {"unseen": (900.0, 10.0, 10.0)}, True),
+    ],
+)
+def test_no_robot_is_left_driving_by_another_program_and_each_that_is_is_named(
+    held, said, more, wrong
+):
+    """Regression: what another program drove after a trial was excused."""
+    events = driven_on(held, **more)
+    found = [v for v in violations(day(events, fault=SENDER, said=said)) if "left dr" in v.finding]
+    assert bool(found) == wrong
+
+
 @pytest.mark.parametrize(("speed_mm_s", "wrong"), [(1.0, False), (2.0, True)])
 def test_wheels_stand_once_the_slowest_have_rolled_from_1_m_s_to_1_mm_s(speed_mm_s, wrong):
     """At 3.4 s, 1.1 s after the end: a command comes within 0.05 s, the watchdog has 0.25 s, and

@@ -83,14 +83,11 @@ plot LOG --kind video -o folder.gif | folder.gif: is a folder | name a file in i
 plot LOG -o nowhere/a.png | nowhere/a.png: there is no folder nowhere
 plot LOG --kind pie | no figure is called 'pie'
 plot logs --kind over-time | shows one trial, not 3
-plot logs --kind scatter | 'scatter' is no longer there | use --kind batch
-plot LOG --kind timing | 'timing' is no longer there | use --kind over-time
 plot logs --kind video | a video shows one trial, not 3
 plot LOG --kind video -o video.avi | video.avi: cannot write '.avi' videos
 export logs -o x.csv | one file holds one table
 export logs -o x --table no | there is no table 'no'
-export logs -o x --format csv | No such option: --format | tables are CSV
-export logs -o x.parquet --table steps | 'parquet' is no longer there | tables are CSV; in Python
+export logs -o x --format csv | No such option: --format
 export logs -o picture.png | picture.png: not a folder | name another with --out
 export logs -o empty.yaml/x | empty.yaml: not a folder | name another with --out
 export logs -o empty.yaml/x.csv --table steps | empty.yaml: not a folder | name another with --out
@@ -101,7 +98,6 @@ identify tables | tables: no logs (*.mcap) in this folder | of tables, name the 
 identify tables/poses.csv tables/poses.csv | tables/poses.csv: is named twice | name both files
 identify logs --yes | No such option
 run lab.yaml --plant lab | there is no terminal at which to ask | add --yes
-design spec.yaml | 'design' is no longer there | run any trials
 identify logs poses.csv | logs and CSV files cannot be combined
 rerun LOG --plant lab --yes | lab
 rerun LOG --set plant.deadtime=1 | did you mean 'dead_time'

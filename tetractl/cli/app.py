@@ -22,7 +22,6 @@ from tetractl.core.registries import COMMANDS, LAB_COMMANDS
 from tetractl.core.registry import PluginError, Registry
 from tetractl.experiment.packages import not_installed
 from tetractl.tools.plugin_fault import UNIX_MODULES, FaultyPluginError, plugins_blamed
-from tetractl.tools.retired import INSTEAD, refuse_retired
 
 EXTRAS = {
     "dask_jobqueue": ("dask-jobqueue", "dask"),
@@ -79,9 +78,8 @@ class _Group(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return the command with this name, None if there is none; UsageError if its package is
-        not installed, or if only earlier versions have it."""
+        not installed."""
         if cmd_name not in self.commands:
-            refuse_retired(self.registry.group, cmd_name)
             missing = not_installed(self.registry.group, cmd_name)
             if missing:
                 problem, hint = missing
@@ -227,13 +225,11 @@ def _complain_of_module(module: str) -> Exit | None:
 
 
 def _usage_hint(error: TyperException) -> str | None:
-    """Return what to use instead of an option that earlier versions had, or where the options
-    are."""
+    """Say how the wrong argument is written, or where the options are listed."""
     context = getattr(error, "ctx", None)  # of typer's UsageError, which has no public name
     if context is None:
         return None
-    retired = INSTEAD.get((context.info_name, getattr(error, "option_name", "")))
-    return retired or _without_equals_sign() or f"try '{context.command_path} --help'"
+    return _without_equals_sign() or f"try '{context.command_path} --help'"
 
 
 def _without_equals_sign() -> str | None:

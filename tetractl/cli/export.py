@@ -7,7 +7,6 @@ from tetractl.cli import ui
 from tetractl.cli.options import Logs, option, out_option
 from tetractl.core.errors import Exit, LogError, UsageError, printable
 from tetractl.log.read.find import find_logs
-from tetractl.tools.retired import refuse_retired
 from tetractl.tools.table.table_files import table_files
 
 
@@ -67,7 +66,6 @@ def _table_paths(out: Path, table: str | None) -> dict[str, Path]:
         raise UsageError(f"there is no table {table!r}", f"there are {', '.join(TABLES)}")
     names = TABLES if table is None else (table,)
     ending = out.suffix.lower()
-    refuse_retired("export", ending.removeprefix("."))
     is_table = ending == ".csv" and not out.is_dir()
     if is_table and table is None:
         raise UsageError(f"{out}: one file holds one table", "name the table with --table")

@@ -21,7 +21,6 @@ from tetractl.experiment.schema import (
 from tetractl.experiment.yaml.core_yaml import with_space
 from tetractl.experiment.yaml.document import Document
 from tetractl.experiment.yaml.problems import Loc, SpecProblem, did_you_mean
-from tetractl.tools.retired import INSTEAD, KEY
 
 Schema = dict[str, Any]
 
@@ -242,8 +241,6 @@ def _meant_key(key: str, parent: Loc, data: Any, schema: Schema) -> str:
     spaced = with_space(key)
     if spaced:
         return f"; {spaced}"
-    if (KEY, key) in INSTEAD:
-        return f"; {INSTEAD[KEY, key]}"
     fields = list(describe(parent, data, schema).get("properties", ()))
     guess = did_you_mean(key, fields)
     if guess:

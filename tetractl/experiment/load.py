@@ -18,7 +18,6 @@ that cannot be read is an error at once.
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,7 +41,6 @@ from tetractl.experiment.yaml.document import (
     with_settings,
 )
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem
-from tetractl.tools.retired import replace_retired_keys
 
 IDENTIFIED = ("identified",)
 """The field that names a file of `tetractl identify`."""
@@ -105,10 +103,8 @@ def parse_written(text: str, name: str, settings: Sequence[SpecSetting] = ()) ->
     document = with_settings(parse_document(text, name), settings)
     _refuse_study(document)
     _refuse_named_files(document)
-    logged = deepcopy(document.data)
-    replace_retired_keys(document.data)
     experiment = validated_experiment(document, written=True)
-    return LoadedSpec(experiment, text, name, logged=logged)
+    return LoadedSpec(experiment, text, name, logged=document.data)
 
 
 def parse_contents(

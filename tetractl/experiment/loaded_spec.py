@@ -83,8 +83,8 @@ def spec_hash(experiment: Experiment, logged: Any = None) -> str:
 
 
 def _with_logged_keys(fields: Any, logged: Any) -> Any:
-    """Return the fields of a spec with the keys, also retired ones, of the spec `logged` in a log:
-    a field that was added since is left out."""
+    """Return the fields of a spec without those that the spec `logged` in a log lacks, since they
+    were added later."""
     if isinstance(fields, dict) and isinstance(logged, dict):
         return {
             key: _with_logged_keys(fields[key], value) if key in fields else value

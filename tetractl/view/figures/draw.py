@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 
 from tetractl.core.errors import UsageError
 from tetractl.core.registries import FIGURES
-from tetractl.tools.retired import refuse_retired
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
 def check_kind(kind: str) -> None:
     """Raise UsageError if no figure has this name."""
     if kind not in FIGURES:
-        refuse_retired(FIGURES.group, kind)
         names = ", ".join(FIGURES.names())
         raise UsageError(f"no figure is called {kind!r}", f"there are {names}, and video")
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from tetractl.replay.verify import Verification
-    from tetractl.report.page import PlayerPage
+    from tetractl.report.html_page import FramedPage
     from tetractl.results.describe import BatchComparison, BatchStatistics
     from tetractl.results.open_batch import Batch, Batches
     from tetractl.run.batch import Ending, RunObserver
@@ -575,10 +575,45 @@ def _video(trials: Sequence[TrialLog], file: str | Path | None) -> "Video":
     return video(trials[0], None if file is None else Path(file))
 
 
-def show(data: "Trial | Sequence[Trial] | Batch") -> "PlayerPage":
+def show(data: "Trial | Sequence[Trial] | Batch") -> "FramedPage":
     """Return the player of the report, of a trial, several trials, a batch or its folder; a
     notebook shows it.
     """
     from tetractl.report.page import player
 
     return player(_trials(data))
+
+
+def play_page(spec: Spec, *, file: str | Path | None = None) -> "FramedPage":
+    """Make a web page in which anybody steers the robots of a spec by hand.
+
+    The page needs no server and no network. Its robots move by the spec's model, without
+    disturbances. It carries one trial of the spec's controller, which this function simulates.
+
+    Args:
+        spec: The experiment: a loaded spec, a YAML file, or its contents.
+        file: Where to write the page (.html). By default, it is not written.
+
+    Returns:
+        The page, which a notebook shows. Its HTML is the attribute `page`.
+
+    Raises:
+        SpecError: If the spec has a hold or way-points, which nobody can play.
+        UsageError: If the robots are found by a camera, or move by a motion that the page does not
+            know.
+
+    Example:
+        >>> tetractl.play_page("experiments/three_m3pi.yaml", file="play.html")
+    """
+    from tetractl.report import play_page as page
+    from tetractl.run.open_trial import directed_spec
+    from tetractl.run.undisturbed import undisturbed_spec
+    from tetractl.tools.files import save_whole
+
+    undisturbed = undisturbed_spec(_spec(spec))
+    directed_spec(undisturbed)  # refuses what nobody can steer by hand
+    page.refuse_unknown_motion(undisturbed)
+    made = page.play_page(undisturbed, run_trial(undisturbed))
+    if file is not None:
+        save_whole(Path(file), made.page.encode())
+    return made

@@ -66,6 +66,10 @@ def play(
         Path | None,
         options.option("FILE", "Take the keys from lines such as `1.5 up`, in virtual time."),
     ] = None,
+    html: Annotated[
+        Path | None,
+        options.option("FILE", "Write a web page in which anybody can play, and stop."),
+    ] = None,
     yes: options.Yes = False,
     out: options.LogFolder = None,
 ) -> int:
@@ -84,6 +88,9 @@ def play(
     In the lab, and in an emulated one, Esc is the emergency stop. In the lab robots are placed and
     started as by `run`, and the controller's trial is left out.
 
+    --html writes a page for a browser, without a network: on a phone, in a class, on a website. Its
+    robots move without the spec's disturbances.
+
     Example: tetractl play experiments/three_m3pi.yaml
     """
     from tetractl.control.build import warm_up
@@ -94,6 +101,10 @@ def play(
     from tetractl.view.terminal.screen import shows_pictures
 
     loaded = load_to_run(spec, sets or [], plant, [FieldValue("trials.seed", seed, "--seed")])
+    if html is not None:
+        if script is not None or speed is not None or out is not None:
+            raise UsageError("--html writes a page: it takes no --script, --speed or --out")
+        return _write_page(loaded, html)
     directed = directed_spec(loaded)
     experiment = loaded.experiment
     in_lab = experiment.plant.real_time
@@ -129,6 +140,15 @@ def play(
                 if not game.over:
                     game.control()
     return _conclude(game)
+
+
+def _write_page(spec: "LoadedSpec", file: Path) -> int:
+    """Write the game as a web page."""
+    from tetractl.api import play_page
+
+    play_page(spec, file=file)
+    ui.tell(f"wrote {file}: open it in a browser, or send it to others")
+    return Exit.DONE
 
 
 class Game:

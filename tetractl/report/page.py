@@ -4,15 +4,13 @@
 player of the trials, errors over time, statistics, figures of the first trial, its provenance.
 """
 
-import hashlib
 import json
 import math
 import re
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +18,7 @@ from tetractl.core.errors import LogError, unit_of
 from tetractl.log.read.find import without_others
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.report.html_page import THEME, FramedPage, asset, html_page, script_json
 from tetractl.report.trial_data import packed, trial_data
 from tetractl.results.as_json import comparison_items
 from tetractl.results.describe import BatchComparison, BatchStatistics, contrast, describe
@@ -37,8 +36,6 @@ from tetractl.tools.table.table import NONE, Column, Table
 from tetractl.tools.table.table_files import plain
 from tetractl.tools.table.terminal_table import html
 
-ASSETS = files("tetractl.report") / "assets"
-"""Folder of the page's style, frame and scripts."""
 MANY = 100
 """Trials at most that a page carries all, with plans and searches."""
 CARRIED = 61
@@ -60,8 +57,7 @@ TRIAL_FIGURES = ("trajectory", "convergence", "errors", "over-time")
 PLAYER_PX = 740
 """Height of the player in a notebook, whose style `framed` fits the arena and its controls into it
 at any width, and lets the numbers next to them scroll."""
-THEME = '<button id="theme" aria-label="Light or dark">◐</button>'
-SCRIPTS = ("data.js", "scene.js", "chart.js", "player.js")
+SCRIPTS = ("data.js", "clock.js", "legend.js", "scene.js", "chart.js", "player.js")
 """The scripts of a page with a player, in the order in which they need each other."""
 
 
@@ -108,26 +104,11 @@ def report(
         figures = figures_of_trial(first)
         parts.append(f"<section><h2>Figures of the first trial</h2>{figures}</section>")
         parts.append(_provenance(first))
-    return _page(name, "".join(parts), bool(trials)), [*unread, *carried.unread]
+    page = html_page(name, "".join(parts), SCRIPTS if trials else ())
+    return page, [*unread, *carried.unread]
 
 
-@dataclass(frozen=True, slots=True)
-class PlayerPage:
-    """The player of trials as a page of its own, which a notebook shows in a frame.
-
-    The frame is a sandbox: what is in a log reaches nothing of the notebook.
-    """
-
-    page: str = field(repr=False)
-
-    def _repr_html_(self) -> str:
-        return (
-            f'<iframe sandbox="allow-scripts" srcdoc="{escape(self.page)}" width="100%"'
-            f' height="{PLAYER_PX}" style="border: 0"></iframe>'
-        )
-
-
-def player(logs: Sequence[TrialLog]) -> PlayerPage:
+def player(logs: Sequence[TrialLog]) -> FramedPage:
     """Return the player of trials that are read; of more than MANY, without plans and searches."""
     title = f"{logs[0].experiment.name}: {logs[0].origin}"
     header = f"<header><h1>{escape(title)}</h1>{THEME}</header>"
@@ -138,7 +119,7 @@ def player(logs: Sequence[TrialLog]) -> PlayerPage:
         trials.append(_CarriedTrial(log.log, name, data))
     parts = header + _player(trials, logs[0].experiment.units.length)
     body = f'<div class="framed">{parts}</div>'
-    return PlayerPage(_page(title, body, with_player=True))
+    return FramedPage(html_page(title, body, SCRIPTS), PLAYER_PX)
 
 
 # ---- Reading ----
@@ -226,28 +207,6 @@ def _batches(
 # ---- Parts of the page ----
 
 
-def _page(title: str, body: str, with_player: bool) -> str:
-    """Return the whole page; its security policy allows only the player's scripts, and nothing from
-    outside the page.
-    """
-    style = _asset("page.css")
-    scripts = "".join(_asset(script) for script in SCRIPTS) if with_player else ""
-    program = f'"use strict";\n{scripts}'
-    digest = hashlib.sha256(program.encode()).digest()
-    allowed = b64encode(digest).decode()
-    policy = (
-        f"default-src 'none'; img-src data:; style-src 'unsafe-inline';"
-        f" script-src 'sha256-{allowed}'; base-uri 'none'; form-action 'none'"
-    )
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>\n{style}</style>\n</head>\n<body>\n{body}"
-        f"<script>{program}</script>\n</body>\n</html>\n"
-    )
-
-
 def _header(title: str, compared: BatchComparison, numbers: Mapping[str, int]) -> str:
     """Return the HTML of the title, each batch's result, the verdicts, and every total error."""
     groups = compared.groups
@@ -302,7 +261,7 @@ def _player(trials: Sequence[_CarriedTrial], unit: str, note: str = "") -> str:
         text = packed(trial.data)
         data.append(f'<script type="text/plain" id="trial-data-{index}">{text}</script>\n')
     # the names in the options come last, as a name may contain the text of a place
-    frame = _asset("player.html").replace("@UNIT@", unit_of(unit))
+    frame = asset("player.html").replace("@UNIT@", unit_of(unit))
     frame = frame.replace("@NOTE@", note).replace("@OPTIONS@", "".join(options))
     return frame + "".join(data)
 
@@ -325,9 +284,9 @@ def _statistics(compared: BatchComparison, numbers: Mapping[str, int]) -> str:
         parts.append(f"<section><h2>Comparison</h2>{_tables(tables(compared))}</section>")
     items = plain(comparison_items(compared))
     data = json.dumps(items, ensure_ascii=False, separators=(",", ":"))
-    for unsafe in "<\u2028\u2029":  # inside an HTML script element
-        data = data.replace(unsafe, f"\\u{ord(unsafe):04x}")
-    parts.append(f'<script type="application/json" class="statistics">{data}</script>\n')
+    parts.append(
+        f'<script type="application/json" class="statistics">{script_json(data)}</script>\n'
+    )
     return "".join(parts)
 
 
@@ -417,8 +376,3 @@ def _captioned(picture: str, text: str) -> str:
 def _side_by_side(figures: Sequence[str]) -> str:
     """Return figures on white paper, in a dark page too."""
     return f'<div class="paper">{"".join(figures)}</div>'
-
-
-def _asset(name: str) -> str:
-    """Return the text of a file of the page."""
-    return (ASSETS / name).read_text("utf-8")

@@ -58,7 +58,7 @@ def speeds_at_rest(frames: Sequence[Observation]) -> Floats:
 
 
 class RestMonitor:
-    """Reports, once a trial for each robot, that it moves although it was told to stop."""
+    """Reports, once a trial for each robot, that it moves although it was commanded to stop."""
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup

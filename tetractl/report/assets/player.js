@@ -14,8 +14,11 @@ class Player {
       history: new Chart(byId("chart-history"), { xLabel: "iteration", log: true }),
     };
     this.rate = 1;
-    this.frames = 0;
+    this.clock = new FrameClock((seconds) => this.advance(seconds));
   }
+
+  get frames() { return this.clock.frames; }
+  get playing() { return this.clock.running; }
 
   bind() {
     const on = (id, event, action) => byId(id).addEventListener(event, action);
@@ -139,18 +142,8 @@ class Player {
   }
 
   tables() {
-    const { trial } = this, head = byId("robots");
-    head.replaceChildren(...trial.robots.map((robot) => {
-      const row = document.createElement("tr");
-      const name = document.createElement("th");
-      name.scope = "row";
-      const dot = document.createElement("span");
-      dot.className = "dot";
-      dot.style.background = robot.color;
-      name.append(dot, robot.name);
-      row.append(name, document.createElement("td"), document.createElement("td"), document.createElement("td"));
-      return row;
-    }));
+    const { trial } = this, letters = robotLetters(trial.robots);
+    byId("robots").replaceChildren(...trial.robots.map((robot, r) => robotRow(robot, letters[r], 3)));
     byId("distance-unit").textContent = `[${trial.unit}]`;
     byId("outcome").textContent = trial.outcome + (trial.reason ? `: ${trial.reason}` : "");
     byId("file").textContent = trial.file;
@@ -178,22 +171,20 @@ class Player {
   toggle() {
     if (this.playing) { this.pause(); return; }
     if (this.time >= this.trial.end) this.time = this.trial.start;
-    this.playing = true;
     byId("play").textContent = "Pause";
-    let before = performance.now();
-    const frame = (now) => {
-      if (!this.playing) return;
-      this.time = Math.min(this.time + (this.rate * (now - before)) / 1000, this.trial.end);
-      before = now;
-      this.draw();
-      this.frames++;
-      if (this.time >= this.trial.end) this.pause(); else requestAnimationFrame(frame);
-    };
-    requestAnimationFrame(frame);
+    this.clock.start();
+  }
+
+  // Show the trial some seconds later; return whether it goes on then.
+  advance(seconds) {
+    this.time = Math.min(this.time + this.rate * seconds, this.trial.end);
+    this.draw();
+    if (this.time >= this.trial.end) this.pause();
+    return this.playing;
   }
 
   pause() {
-    this.playing = false;
+    this.clock.stop();
     byId("play").textContent = "Play";
     if (this.trial) byId("said").textContent = this.words();
   }

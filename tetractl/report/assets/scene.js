@@ -25,7 +25,8 @@ const PLACES = [[1, -1], [1, 1], [-1, -1], [-1, 1]]; // of a name: right or left
 class Scene {
   constructor(canvas) {
     this.canvas = canvas;
-    this.options = { plan: true, trail: true, follow: false };
+    this.options = { plan: true, trail: true, follow: false, dotted: false };
+    this.overlay = undefined; // draws more on the arena, by a context
   }
 
   // Show a trial; `drawn` is called when a picture of its dish has been decoded.
@@ -70,11 +71,13 @@ class Scene {
     const dx = EDGE.left + (wide - scale * (right - left)) / 2;
     const dy = EDGE.bottom + (high - scale * (top - bottom)) / 2;
     this.place = (x, y) => [dx + (x - left) * scale, height - dy - (y - bottom) * scale];
+    this.world = (px, py) => [left + (px - dx) / scale, bottom + (height - dy - py) / scale];
     this.end = dx + scale * (right - left);
     this.ground(context, width, t);
     if (this.options.trail) this.trails(context, t);
     this.targets(context);
     if (this.options.plan && this.trial.plan) this.plan(context, t);
+    this.overlay?.(context);
     this.robots(context, poses);
     this.direction(context, t);
   }
@@ -152,11 +155,17 @@ class Scene {
       context.arc(x, y, radius, 0, 2 * Math.PI);
       context.stroke();
     };
-    for (const robot of this.trial.robots) {
+    const letters = robotLetters(this.trial.robots);
+    context.font = "600 9px system-ui, sans-serif";
+    context.textAlign = "center";
+    context.textBaseline = "middle";
+    this.trial.robots.forEach((robot, r) => {
       context.strokeStyle = robot.color;
       context.lineWidth = 2;
       const target = this.place(...robot.target);
       square(target, half);
+      context.fillStyle = color("ink");
+      context.fillText(letters[r], target[0], target[1] + 0.5);
       context.lineWidth = 1.2;
       for (const point of robot.via) square(this.place(...point), half / 2);
       if (this.trial.hold) {
@@ -164,7 +173,7 @@ class Scene {
         ring(target, Math.abs(edge - target[0]));
       }
       ring(this.place(...robot.start), 4);
-    }
+    });
   }
 
   trails(context, t) {
@@ -183,14 +192,21 @@ class Scene {
   plan(context, t) {
     const k = indexAt(this.trial.steps.t, t);
     if (k < 0) return;
-    context.lineWidth = 1.4;
-    context.setLineDash([4, 4]);
+    this.paths(context, this.trial.plan[k], this.options.dotted);
+  }
+
+  // Positions that robots will pass, (H, N, 2), as dashed lines or, if `dotted`, as dots.
+  paths(context, positions, dotted) {
+    context.lineWidth = dotted ? 4 : 1.4;
+    context.lineCap = dotted ? "round" : "butt";
+    context.setLineDash(dotted ? [0, 9] : [4, 4]);
     this.trial.robots.forEach((robot, r) => {
-      this.line(context, this.trial.plan[k].map((poses) => poses[r]));
+      this.line(context, positions.map((poses) => poses[r]));
       context.strokeStyle = robot.color;
       context.stroke();
     });
     context.setLineDash([]);
+    context.lineCap = "butt";
   }
 
   robots(context, poses) {

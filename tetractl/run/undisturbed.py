@@ -1,0 +1,31 @@
+"""The experiment of a spec without its disturbances: robots do exactly what the model says."""
+
+from tetractl.core.errors import UsageError
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.loaded_spec import LoadedSpec
+from tetractl.experiment.yaml.core_yaml import dump
+
+MODEL_MOTION = "exact"
+"""The motion of robots whose plant is not a simulation by one motion."""
+
+
+def undisturbed_spec(spec: LoadedSpec) -> LoadedSpec:
+    """Return a spec whose simulated robots do exactly what its model says.
+
+    The plant becomes a simulation without disturbances, noise, wheels or delays, and the
+    controller is told so: its dead time and the lag of wheels are 0. Robots, targets, obstacles,
+    arena, controller and seed stay.
+
+    Raises:
+        UsageError: If the robots of each trial are found by a camera, as in a survey of a dish.
+    """
+    experiment = spec.experiment
+    if experiment.chosen is not None:
+        raise UsageError("each trial of the spec finds its robots, so none are known before it")
+    fields = experiment.model_dump(mode="json")
+    motion = fields["plant"].get("motion", MODEL_MOTION)
+    fields["plant"] = {"type": "sim", "motion": motion}
+    fields["controller"]["dead_time"] = 0.0
+    if fields.get("wheels"):
+        fields["wheels"]["lag"] = 0.0
+    return parse_spec(dump(fields), spec.name)

@@ -39,9 +39,10 @@ demo: $(RUNTIME)
 	@echo "Twice 20 trials of three simulated robots: our controller, shown live, and the paper's"
 	@$(MAKE) --no-print-directory -j2 demo-ours demo-paper
 	@echo "Drawing the report and the figures"
-	@$(MAKE) --no-print-directory -j2 $(DEMO)/report.html $(DEMO)/figure-5.png $(DEMO)/figure-3.png $(DEMO)/all-trials.png
+	@$(MAKE) --no-print-directory -j2 $(DEMO)/report.html $(DEMO)/figure-5.png $(DEMO)/figure-3.png $(DEMO)/all-trials.png $(DEMO)/play.html
 	@$(BIN)/tetractl stats $(DEMO)/ours --against $(DEMO)/paper
 	@echo "Open $(DEMO)/report.html in a browser, or play a trial here: $(BIN)/tetractl replay $(DEMO)/ours/trial-000.mcap"
+	@echo "Steer the robots yourself: open $(DEMO)/play.html in a browser, also on a phone"
 
 demo-ours:
 	@$(BIN)/tetractl run experiments/three_m3pi_bench.yaml --out $(DEMO)/ours >$(DEMO)/ours.txt
@@ -63,6 +64,9 @@ $(DEMO)/figure-3.png:
 
 $(DEMO)/all-trials.png:
 	@$(BIN)/tetractl plot $(DEMO)/ours/trial-*.mcap -o $@ $(QUIETLY)
+
+$(DEMO)/play.html:
+	@$(BIN)/tetractl play experiments/three_m3pi.yaml --html $@ $(QUIETLY)
 
 # The tests of a file share fixtures: one process runs them. Files begin in the order of `testpaths`.
 # Containers often keep Python from writing bytecode; then each process of a test compiles all anew.
@@ -112,6 +116,8 @@ dist: $(STAMP)
 # All pages as a site, to be opened without a network: build/docs/docs/site/index.html.
 docs: $(RUNTIME)
 	@$(PIP) -e '.[docs]'
+	@mkdir -p build/game
+	@$(BIN)/tetractl play experiments/three_m3pi.yaml --html build/game/play.html
 	@$(BIN)/python -m sphinx -W --keep-going -q -c docs/site . build/docs
 	@echo "Open build/docs/docs/site/index.html in a browser"
 

@@ -18,4 +18,5 @@ myst_heading_anchors = 3  # headings are linked to as GitHub names them
 suppress_warnings = ["misc.highlighting_failure"]  # diagrams of Mermaid, which needs a network
 html_theme = "furo"  # its scripts and styles are copied into the site
 html_copy_source = False
+html_extra_path = ["../../build/game"]  # the game of the page "Try it now"
 highlight_language = "none"

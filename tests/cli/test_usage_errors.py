@@ -52,6 +52,10 @@ run spec.yaml --out logs --resume --seed 8 | trial-000.mcap: was run with anothe
 run spec.yaml --resume | --resume needs --out
 run spec.yaml --port 1 | --port needs --serve
 run spec.yaml --serve --jobs 2 | --serve shows one trial at a time
+run spec.yaml --rate 1 --serve | --rate shows one trial at a time
+run spec.yaml --rate 1 --jobs 2 | --rate shows one trial at a time
+run spec.yaml --rate 0 | Invalid value for '--rate'
+run lab.yaml --plant lab --rate 1 | --rate is for virtual time
 run lab.yaml --plant lab --jobs 2 | one trial at a time
 rerun LOG --seed 3 | No such option
 study study.yaml --logs some | 'some' is not one of 'all', 'none'

@@ -37,6 +37,10 @@ def run(
             "device first. [emulated: yes; otherwise: no]",
         ),
     ] = None,
+    rate: Annotated[
+        float | None,
+        options.option("R", "Show simulated trials at R times life speed.", min=0.1, max=100),
+    ] = None,
     dry_run: options.DryRun = False,
     strict: options.Strict = False,
     quiet: options.Quiet = False,
@@ -54,7 +58,7 @@ def run(
     ends after an emergency stop, after the failure of a device, if a robot may still move, and if
     the next trial cannot start. The exit code of a batch with an aborted trial is 1.
 
-    With --serve a simulated trial takes as long as a real one.
+    With --rate 1, or with --serve, a simulated trial takes as long as a real one.
 
     Ctrl-C finishes the step, stops the robots and closes the log; a second Ctrl-C does not wait for
     the step.
@@ -67,6 +71,8 @@ def run(
         raise UsageError("--resume needs --out", "name the folder of the batch to continue")
     if serve and jobs > 1:
         raise UsageError("--serve shows one trial at a time", "leave out --jobs")
+    if rate is not None and (serve or jobs > 1):
+        raise UsageError("--rate shows one trial at a time", "leave out --serve and --jobs")
     how = RunOptions(
         out=out,
         jobs=jobs,
@@ -78,6 +84,7 @@ def run(
         port=wanted_port(serve, port),
         json=json,
         unattended=unattended,
+        rate=rate,
     )
     of_spec = [
         FieldValue("trials.count", trials, "--trials"),

@@ -73,7 +73,8 @@ class RunOptions:
     """How trials are run: the options of `run`, with their defaults.
 
     Without `out`, logs go to a new folder in ./logs. With `port`, trials are served to viewers.
-    `keep_going` is None for the default of the plant.
+    `keep_going` is None for the default of the plant. With `rate`, simulated trials are slowed down
+    to that many times life speed.
     """
 
     out: Path | None = None
@@ -86,6 +87,7 @@ class RunOptions:
     port: int | None = None
     json: bool = False
     unattended: bool = False
+    rate: float | None = None
 
 
 def wanted_port(serve: bool, port: int | None) -> int | None:
@@ -111,6 +113,8 @@ def run_command(
     lab = experiment.plant.real_time
     if lab and options.jobs > 1:
         raise UsageError("--jobs is for virtual time: the lab runs one trial at a time")
+    if lab and options.rate is not None:
+        raise UsageError("--rate is for virtual time: robots in the lab move at life speed")
     if options.unattended and not (lab and options.yes):
         raise UsageError("--unattended is only for robots in the lab", "add --plant lab --yes")
 
@@ -228,9 +232,12 @@ def _run_trials(
     all others by `in_lines`.
     """
     from tetractl.run.batch import OnFailure, run_batch
+    from tetractl.run.hand import WallPace
     from tetractl.run.task import batch_tasks
     from tetractl.view.terminal.screen import shows_pictures
 
+    if options.rate is not None:
+        viewers = [*viewers, WallPace(MonotonicClock(), options.rate)]
     tasks = batch_tasks(loaded, planned)
     console = open_console(stderr=True, quiet=options.quiet)
     screen = shows_pictures(console) and not options.quiet

@@ -171,13 +171,24 @@ def run_by_hand(
 
 
 class WallPace(Observer):
-    """Slows a trial in virtual time to `speed` times the wall clock. A delay is not caught up."""
+    """Slows trials in virtual time down, so that people can follow them.
+
+    A delay is not caught up.
+
+    Args:
+        wall: The clock on the wall.
+        speed: Seconds of the trial per second of the clock.
+    """
 
     def __init__(self, wall: Clock, speed: float) -> None:
         self._wall = wall
         self._speed = speed
         self._due_ns = 0
         self._sent_ns: int | None = None
+
+    def on_start(self, start: Start) -> None:
+        """Begin a trial: its first command is due at once."""
+        self._sent_ns = None
 
     def on_step(self, step: Step) -> None:
         """Wait until the command of a step is due."""

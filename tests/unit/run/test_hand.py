@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 import tetractl
+from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Stop
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Observer
 from tetractl.experiment.load import parse_contents
 from tetractl.log.read.find import find_logs
 from tetractl.log.read.reader import content_digest
-from tetractl.run.hand import HandController, run_by_hand
+from tetractl.run.hand import HandController, WallPace, run_by_hand
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.open_trial import directed_spec
 
@@ -144,3 +145,16 @@ def test_a_kill_while_the_log_is_finished_leaves_one_log(where, name, tmp_path, 
     assert len(tetractl.read_batch(tmp_path).trials) == 1
     if name.endswith(".mcap"):
         assert tetractl.verify(left).ok
+
+
+@pytest.mark.parametrize("speed", [0.5, 2.0])
+def test_the_wall_pace_makes_every_trial_last_as_long_as_people_need(speed, tmp_path):
+    """Also the second trial, whose times begin at 0 again."""
+    wall = VirtualClock()
+    pace = WallPace(wall, speed)
+    directions = [0.0] * 11
+    for number in (1, 2):
+        began_ns = wall.now()
+        steer(SPEC, tmp_path / f"{speed}-{number}", chosen(directions), observers=[pace])
+        steps_s = 10 * 0.05
+        assert (wall.now() - began_ns) / SECOND == pytest.approx(steps_s / speed)

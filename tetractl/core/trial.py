@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import compress
 from typing import Self
 
 import numpy as np
@@ -161,7 +162,8 @@ class Result:
     robot was within the radius of its target, as defined by `TourMeasure`, and `lost` (N,) how
     often each robot was lost. `solve_ns` is the wall time that the controller needed for each
     control step, and `deadline_misses` the number of steps that took longer than the control
-    period; both differ from run to run on the same seed.
+    period; both differ from run to run on the same seed. `drove` says of each step whether robots
+    drove while it was planned, and is empty in older logs.
 
     A new number of a result is a field here, computed in `of` from what its callers pass
     (`run/control_loop.py`; `replay/result_check.py`, which checks it); a field of the message in
@@ -177,6 +179,7 @@ class Result:
     verdict: Verdict = field(repr=False)
     solve_ns: tuple[int, ...] = field(repr=False)
     deadline_misses: int = 0
+    drove: tuple[bool, ...] = field(default=(), repr=False)
     passed: tuple[float, ...] = ()
     inside: tuple[float, ...] = ()
     lost: tuple[int, ...] = ()
@@ -193,6 +196,7 @@ class Result:
         solve_ns: tuple[int, ...],
         deadline_misses: int,
         tour: TourMeasure,
+        drove: tuple[bool, ...] = (),
     ) -> Self:
         """Return the result of a trial from the verdict and the record of its steps."""
         errors = verdict.final.distances(setup.targets)
@@ -206,6 +210,7 @@ class Result:
             verdict=verdict,
             solve_ns=solve_ns,
             deadline_misses=deadline_misses,
+            drove=drove,
             passed=tour.passed,
             inside=tour.inside,
             lost=tour.lost,
@@ -216,6 +221,13 @@ class Result:
         """The result as a sentence, the last message of a log."""
         reason = f" ({self.reason})" if self.reason else ""
         return f"{self.outcome.value}{reason} after {self.steps} control steps"
+
+    @property
+    def driving_ns(self) -> tuple[int, ...]:
+        """The solve times of plans that were made while robots drove [ns]: there a plan must take
+        less than a control period. In older logs, all but the first plan count."""
+        drove = self.drove or (False, *(True,) * (len(self.solve_ns) - 1))
+        return tuple(compress(self.solve_ns, drove))
 
     @property
     def entered_obstacle(self) -> bool:

@@ -37,6 +37,7 @@ def result_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
         duration_s=result.duration_s,
         solve_ns=tuple(step.solve_ns for step in log.steps),
         deadline_misses=result.deadline_misses,
+        drove=result.drove,
         tour=log.tour,
     )
     difference = first_difference(again, result, name="result")

@@ -160,6 +160,7 @@ class StepCounts:
     """What is counted over the control steps."""
 
     solve_ns: list[int] = field(default_factory=list)  # wall time of each plan
+    drove: list[bool] = field(default_factory=list)  # whether robots drove meanwhile
     misses: int = 0  # plans that took longer than a period while robots drove
     first_sent_ns: int | None = None  # when the first direction was sent
 
@@ -339,6 +340,7 @@ class Trial:
         self._report(command.sent_ns, motion_text(before, self._motion))
         self._report(command.sent_ns, begun_leg)
         self._counts.solve_ns.append(solve_ns)
+        self._counts.drove.append(before is RobotMotion.DRIVE)
         if missed:
             self._counts.misses += 1
         self._report_frames()
@@ -472,6 +474,7 @@ class Trial:
             duration_s=seconds(halt.stop.sent_ns - began_ns),
             solve_ns=tuple(self._counts.solve_ns),
             deadline_misses=self._counts.misses,
+            drove=tuple(self._counts.drove),
             tour=self._measure,
         )
 

@@ -119,6 +119,7 @@ def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Re
         ),
         solve_ns=tuple(end.solve_ns) if end else (),
         deadline_misses=end.deadline_misses if end else 0,
+        drove=tuple(end.drove) if end else (),
         passed=tuple(message.passed),
         inside=tuple(message.inside),
         lost=tuple(message.lost),

@@ -252,14 +252,16 @@ class Result(_message.Message):
     def __init__(self, outcome: _Optional[str] = ..., reason: _Optional[str] = ..., unit: _Optional[str] = ..., steps: _Optional[int] = ..., duration_s: _Optional[float] = ..., total_error: _Optional[float] = ..., robot_errors: _Optional[_Iterable[float]] = ..., entered: _Optional[_Iterable[bool]] = ..., clearance: _Optional[_Iterable[float]] = ..., edge: _Optional[_Iterable[float]] = ..., apart: _Optional[_Iterable[float]] = ..., final_x: _Optional[_Iterable[float]] = ..., final_y: _Optional[_Iterable[float]] = ..., final_heading: _Optional[_Iterable[float]] = ..., passed: _Optional[_Iterable[float]] = ..., inside: _Optional[_Iterable[float]] = ..., lost: _Optional[_Iterable[int]] = ..., warnings: _Optional[int] = ..., turn: _Optional[_Iterable[float]] = ..., turn_std: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class HostEnd(_message.Message):
-    __slots__ = ("solve_ns", "deadline_misses", "ended")
+    __slots__ = ("solve_ns", "deadline_misses", "ended", "drove")
     SOLVE_NS_FIELD_NUMBER: _ClassVar[int]
     DEADLINE_MISSES_FIELD_NUMBER: _ClassVar[int]
     ENDED_FIELD_NUMBER: _ClassVar[int]
+    DROVE_FIELD_NUMBER: _ClassVar[int]
     solve_ns: _containers.RepeatedScalarFieldContainer[int]
     deadline_misses: int
     ended: str
-    def __init__(self, solve_ns: _Optional[_Iterable[int]] = ..., deadline_misses: _Optional[int] = ..., ended: _Optional[str] = ...) -> None: ...
+    drove: _containers.RepeatedScalarFieldContainer[bool]
+    def __init__(self, solve_ns: _Optional[_Iterable[int]] = ..., deadline_misses: _Optional[int] = ..., ended: _Optional[str] = ..., drove: _Optional[_Iterable[bool]] = ...) -> None: ...
 
 class Digests(_message.Message):
     __slots__ = ("content", "host", "brief")

@@ -131,6 +131,8 @@ def stated_result(message: pb.Result, end: pb.HostEnd | None, robots: int, unit:
     """
     result = decode_result(message, end, robots)
     check_result(result)
+    if result.drove and len(result.drove) != len(result.solve_ns):
+        raise ValueError("the result has another number of solve times than of plans")
     if message.unit != unit:
         raise ValueError(f"the result's unit is {message.unit!r}, not {unit!r}")
     return replace(result, reason=printable(result.reason, TEXT))

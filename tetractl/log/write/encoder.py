@@ -193,6 +193,7 @@ class Encoder:
                 solve_ns=result.solve_ns,
                 deadline_misses=result.deadline_misses,
                 ended=provenance.now(),
+                drove=result.drove,
             )
             self._add(channels.HOST_END, end, t_ns)
         self._add(channels.RUN, encode_run(self._start), t_ns)

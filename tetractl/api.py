@@ -598,7 +598,7 @@ def play_page(spec: Spec, *, file: str | Path | None = None) -> "FramedPage":
         The page, which a notebook shows. Its HTML is the attribute `page`.
 
     Raises:
-        SpecError: If the spec has a hold or way-points, which nobody can play.
+        SpecError: If the spec has a hold or way-points, which cannot be played.
         UsageError: If the robots are found by a camera, or move by a motion that the page does not
             know.
 
@@ -611,7 +611,7 @@ def play_page(spec: Spec, *, file: str | Path | None = None) -> "FramedPage":
     from tetractl.tools.files import save_whole
 
     undisturbed = undisturbed_spec(_spec(spec))
-    directed_spec(undisturbed)  # refuses what nobody can steer by hand
+    directed_spec(undisturbed)  # refuses what cannot be steered by hand
     page.refuse_unknown_motion(undisturbed)
     made = page.play_page(undisturbed, run_trial(undisturbed))
     if file is not None:

@@ -1,9 +1,9 @@
-"""Find words that an engineer would not write, in the texts of the package and in the pages.
+"""Find words that readers stumble over, in the texts of the code and in the pages.
 
-Run `python docs/words.py`; it prints each place as file:line and ends with 1 if there is one. In
-Python files it reads docstrings, comments and every text that holds a space (helps, errors,
-labels); of Markdown pages and YAML files everything but code. The second column of `WORDS` is what
-to write instead.
+Run `python docs/words.py`. It prints each place as file:line, and exits with 1 if there is one. In
+Python files it reads docstrings, comments and every string with a space (help, errors, labels). In
+Markdown pages and YAML files it reads everything except code. The second column of `WORDS` says
+what to write instead.
 """
 
 import io
@@ -16,22 +16,13 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 TREES = ("tetractl", "tests", "benchmarks", "docs", "examples", "experiments", "packages", ".")
 WORDS = {
-    r"told apart|tell(?:s|ing)? apart": "distinguished",
-    r"told": "given, configured, reported, commanded",
+    r"told": "configured, reported, commanded; told apart: distinguished",
     r"believ\w+|beliefs?": "accept, trust, assume, infer",
-    r"judg\w+": "evaluate, check",
-    r"looked at": "read, examine",
-    r"evidence": "data",
     r"anew": "again, regenerated",
-    r"whoever|nobody": "the caller, no process, which robot",
     r"to the letter": "exactly as published",
-    r"beside": "next to, in addition to",
-    r"weigh(?:ed|s)? up": "analyse",
     r"of old|of older code": "legacy, outdated",
-    r"hurr(?:y|ied|ies)": "interrupt",
-    r"worlds": "realisations, paired seeds",
 }
-_ODD = [
+_CHECKS = [
     (re.compile(rf"(?<![\w-])(?:{word})(?![\w-])", re.IGNORECASE), say)
     for word, say in WORDS.items()
 ]
@@ -62,8 +53,8 @@ def places(root: Path) -> Iterator[str]:
             continue
         for line, text in texts(path):
             for number, part in enumerate(text.splitlines() or [""]):
-                for odd, say in _ODD:
-                    for word in odd.findall(part):
+                for pattern, say in _CHECKS:
+                    for word in pattern.findall(part):
                         yield f"{path.relative_to(root)}:{line + number}: {word!r}: say {say}"
 
 

@@ -84,7 +84,7 @@ test: $(STAMP)
 test-fast: $(STAMP)
 	$(BIN)/python $(PYTEST) $(ON_CORES) -m "not slow and not long and not system"
 
-# Whole days, films, all faults in virtual time, and whatever takes over 0.5 s.
+# Whole days, all faults in virtual time, and whatever takes over 0.5 s.
 test-long: $(STAMP)
 	$(BIN)/python $(PYTEST) $(ON_CORES) -m "long and not system"
 

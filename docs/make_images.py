@@ -19,8 +19,6 @@ FOLDERS = (ROOT / "tests", ROOT / "benchmarks", *ROOT.glob("packages/*/tests"))
 sys.path[:0] = [str(folder) for folder in FOLDERS]
 
 from support.chromium import chromium  # noqa: E402
-from support.dish_films import film  # noqa: E402
-from support.needs_opencv import video  # noqa: E402
 from support.virtual_lab import virtual_dish  # noqa: E402
 
 from tetractl.log.read.reader import read_trial  # noqa: E402
@@ -70,7 +68,6 @@ def main() -> None:
         with virtual_dish(folder, seed=1) as dish:
             run_logged(dish.spec, folder, 0, [], Interrupt())
         tetractl("plot", folder / first, "--kind", "trajectory", "-o", IMAGES / "dish.png")
-        cells(folder)
         write_video(read_trial(bench / first), folder / "trial.gif", width=VIDEO_WIDTH)
         thin(folder / "trial.gif", IMAGES / "trial.gif")
         live(read_trial(bench / first), IMAGES / "live.svg")
@@ -87,19 +84,6 @@ def live(log: TrialLog, out: Path) -> None:
     dashboard = Dashboard(moment, f"{log.start.setup.name}, sim", footer)
     console.print(dashboard, height=32)
     out.write_text(console.export_svg(title="tetractl run experiments/three_m3pi_bench.yaml"))
-
-
-def cells(folder: Path) -> None:
-    """Follow the cells of a synthetic film, and keep the figure with few pixels and colours."""
-    made = film(seed=9001, side=768, cells=14, strangers=3, seconds=8.0)
-    video(folder / "dish.avi", made.pictures())
-    rows = "".join(f"{t},{direction}\n" for t, direction in made.turns)
-    (folder / "field.csv").write_text(f"time_s,direction_rad\n{rows}")
-    words = ("--field", folder / "field.csv", "--scale", "2.3", "-o", folder / "tracks")
-    tetractl("track", folder / "dish.avi", *words)
-    with Image.open(folder / "tracks" / "cells.png") as drawn:
-        small = drawn.convert("RGB").resize((900, round(900 * drawn.height / drawn.width)))
-        small.quantize(160, dither=Image.Dither.NONE).save(IMAGES / "cells.png", optimize=True)
 
 
 def thin(video: Path, out: Path) -> None:

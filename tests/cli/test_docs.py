@@ -33,7 +33,7 @@ LONGEST = (
     "docs/how-to/lesson.md",
     "docs/how-to/real-robots.md",
     "docs/how-to/study.md",
-    "packages/tetractl-microscope/docs/closed-loop-microscopy.md",
+    "packages/tetractl-microscope/docs/track.md",
 )
 """Pages whose examples take half a minute or more; shorter ones show the same commands."""
 

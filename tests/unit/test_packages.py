@@ -25,7 +25,7 @@ OURS = {f"tetractl-{name}" for name in NAMES}
 
 class Hidden:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {"cv2", "tifffile", *PACKAGES}:
+        if name.partition(".")[0] in {"cv2", "imageio", *PACKAGES}:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 sys.meta_path.insert(0, Hidden())

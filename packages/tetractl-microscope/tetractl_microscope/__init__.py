@@ -1,1 +1,1 @@
-"""Cells under a microscope: cameras that search pictures, coils, films and surveys."""
+"""Cells under a microscope: cameras that search pictures, coils, surveys and tracks."""

@@ -1,4 +1,4 @@
-"""Swimmers that can be followed and steered: their sizes, speeds and helices, found by name.
+"""Swimmers that can be steered: their sizes, speeds and helices, found by name.
 
 A range (low, high) holds for some 95 % of healthy swimmers that are seen from above. What a picture
 shows is less exact: blur widens a body, tilting out of the picture's plane shortens it, and a cell
@@ -133,21 +133,6 @@ MAGNETOSPIRILLUM = Organism(
     source=(
         "a magnetotactic bacterium of 5 um at 32 um/s: Khalil et al., IROS 2013; how it turns: "
         "Pichel et al., doi:10.48550/arXiv.1710.00405; ends of the ranges, width and helix: guess"
-    ),
-)
-SPERM = Organism(
-    name="sperm",
-    long_um=(4.0, 8.5),
-    wide_um=(2.4, 5.0),
-    speed_um_s=(15.0, 150.0),
-    helix_hz=(10.0, 5.0),
-    helix_um=(2.5, 1.5),
-    source=(
-        "heads of human sperm are 3.7 to 4.7 um long and 2.5 to 3.2 um wide, those of bulls and "
-        "rams up to 9 by 5 um; curvilinear velocity of human sperm some 20 to 140 um/s, beats of "
-        "the head at 5 to 20 Hz, 2 to 5 um wide: WHO laboratory manual, 6th edition, 2021, and "
-        "BOSO-Micro, doi:10.1371/journal.pone.0252291; ends of the ranges: guess. The tail is not "
-        "followed"
     ),
 )
 

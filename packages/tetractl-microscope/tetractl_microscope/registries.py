@@ -27,6 +27,5 @@ ORGANISMS = Registry(
         "euglena": "tetractl_microscope.organisms:EUGLENA",
         "helical-microrobot": "tetractl_microscope.organisms:HELICAL_MICROROBOT",
         "magnetospirillum": "tetractl_microscope.organisms:MAGNETOSPIRILLUM",
-        "sperm": "tetractl_microscope.organisms:SPERM",
     },
 )

@@ -58,6 +58,16 @@ def test_tracks_of_others_are_identified(dish):
     assert "does not fit" not in done.stdout
 
 
+def test_a_film_is_refused_and_the_way_to_its_tracks_is_named(tmp_path):
+    (tmp_path / "dish.avi").write_bytes(b"RIFF")
+    done = tetractl(tmp_path, "track", "dish.avi", "--scale", 2)
+    assert done.returncode == 2
+    assert done.stderr == (
+        "error: dish.avi: is a film, but tracks are needed\n"
+        "hint: follow its cells with trackpy or TrackMate, and give their table\n"
+    )
+
+
 def test_particles_that_drift_in_a_flow_get_no_a(dish):
     """Regression: an a of each, and the warning that all move together."""
     folder, _ = dish

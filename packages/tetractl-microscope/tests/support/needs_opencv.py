@@ -6,7 +6,9 @@ cv2 = pytest.importorskip("cv2", reason="pip install ./packages/tetractl-microsc
 
 
 def video(path, pictures, rate=30.0, codec="MJPG"):
-    """Write grey pictures as a film; return its path."""
+    """Write grey pictures as a film; return its path. The test is skipped if none can be read."""
+    for package in ("imageio.v3", "av"):
+        pytest.importorskip(package, reason="pip install './packages/tetractl-microscope[films]'")
     writer = None
     for picture in pictures:
         code = cv2.VideoWriter.fourcc(*codec)

@@ -6,7 +6,7 @@ import pytest
 from support.bounded_work import withstands
 from support.picture_targets import TARGETS
 from support.targets import mutant, only
-from tetractl_microscope.film.field_file import read_field
+from tetractl_microscope.tracks.field_file import read_field
 
 from tetractl.core.errors import TetractlError
 

@@ -100,12 +100,17 @@ class DeviceSource(PictureSource):
 
 
 class FileSource(PictureSource):
-    """A video file, played once at its own rate."""
+    """A film that imageio reads, such as MP4, AVI or TIFF, played once.
+
+    It shows what the camera would see in this film; nothing can be steered.
+    """
 
     feed: ClassVar[str] = "tetractl_microscope.pictures.source:FileFeed"
     type: Literal["file"]
     path: str = Field(min_length=1, max_length=500)
-    """Path of the video file, absolute or relative to the working directory."""
+    """Path of the film, absolute or relative to the working directory."""
+    rate: Positive | None = None
+    """Rate of pictures [Hz]; by default the rate that the film states. A TIFF states none."""
 
     @property
     def shown(self) -> str:

@@ -1,4 +1,4 @@
-"""Sources of pictures: a camera at this computer, a video file, a network camera."""
+"""Sources of pictures: a camera at this computer, a film, a network camera."""
 
 import http.client
 import io
@@ -6,8 +6,12 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from contextlib import suppress
+from importlib import import_module
+from itertools import chain
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import cv2
@@ -30,6 +34,7 @@ from tetractl_microscope.pictures.picture_section import (
 
 JPEG_START = b"\xff\xd8"
 JPEG_END = b"\xff\xd9"
+INSTALL_FILMS = "pip install './packages/tetractl-microscope[films]'"
 NO_CODE = b"\xff\x00" * 8  # 64 set bits: not a Huffman code, and more than a decoder reads ahead
 
 
@@ -61,17 +66,7 @@ def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | Non
         return None
 
 
-class _CaptureFeed(Feed):
-    """Pictures that OpenCV captures; its own timeouts end a wait."""
-
-    _capture: cv2.VideoCapture
-
-    def close(self) -> None:
-        """Release the camera or the file."""
-        self._capture.release()
-
-
-class DeviceFeed(_CaptureFeed):
+class DeviceFeed(Feed):
     """A camera at this computer, opened by OpenCV; not tested with a real camera."""
 
     def __init__(self, source: DeviceSource, clock: Clock, timeout_s: float) -> None:
@@ -125,9 +120,13 @@ class DeviceFeed(_CaptureFeed):
             raise SourceEndedError(f"{self._name} delivers no more pictures")
         return Picture(pixels, received)
 
+    def close(self) -> None:
+        """Release the camera."""
+        self._capture.release()
 
-class FileFeed(_CaptureFeed):
-    """A video file, played at its own rate."""
+
+class FileFeed(Feed):
+    """A film that imageio reads, played at its own rate or at the source's."""
 
     live = False
     emulated = True  # robots in a film cannot be steered
@@ -137,26 +136,63 @@ class FileFeed(_CaptureFeed):
         self._clock = clock
         if not Path(source.path).is_file():
             raise AbortError(f"there is no file {source.path}", "see lab.camera.source.path")
-        self._capture = cv2.VideoCapture(source.path)
-        rate = self._capture.get(cv2.CAP_PROP_FPS) if self._capture.isOpened() else 0.0
-        if not rate > 0:
-            self._capture.release()
-            raise AbortError(f"{source.path} is not a video that OpenCV can read")
-        self.rate_hz = rate
+        try:
+            imageio = import_module("imageio.v3")
+        except ModuleNotFoundError as error:
+            raise AbortError(
+                "a source of type file needs imageio, which is not installed", INSTALL_FILMS
+            ) from error
+        self._film: Any = None
+        try:
+            self._film = imageio.imopen(source.path, "r")
+            self._images = _single_images(self._film)
+            first = next(self._images)
+            own_rate_hz = self._film.metadata().get("fps")
+        except (Exception, StopIteration) as error:  # imageio does not document what it raises
+            self.close()
+            raise AbortError(
+                f"{source.path} is not a film that imageio can read",
+                f"convert it to MP4, AVI or TIFF, or {INSTALL_FILMS}",
+            ) from error
+        self.rate_hz = source.rate or own_rate_hz
+        if not self.rate_hz:
+            self.close()
+            raise AbortError(f"{source.path} states no rate", "set lab.camera.source.rate")
+        self._shift = max(0, int(first.max()).bit_length() - 8)
+        self._images = chain([first], self._images)
         self._start_ns: int | None = None
         self._read = 0
 
     def read(self) -> Picture:
-        """Return the next picture of the file when it is due."""
-        read, pixels = self._capture.read()
-        if not read:
+        """Return the next picture of the film when it is due."""
+        pixels = next(self._images, None)
+        if pixels is None:
             raise SourceEndedError(f"{self._path} has ended")
         if self._start_ns is None:
             self._start_ns = self._clock.now()
         assert self.rate_hz is not None
         self._clock.sleep_until(self._start_ns + round(self._read * SECOND / self.rate_hz))
         self._read += 1
-        return Picture(pixels, self._clock.now())
+        return Picture(self._grey(pixels), self._clock.now())
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._film is not None:
+            self._film.close()
+
+    def _grey(self, pixels: np.ndarray) -> Grey:
+        """Return grey levels of 8 bits: the upper ones of those that the first picture uses."""
+        if pixels.ndim == 3:
+            pixels = pixels[..., :3].mean(axis=-1)
+        levels = pixels.astype(np.int64) >> self._shift
+        return np.clip(levels, 0, 255).astype(np.uint8)
+
+
+def _single_images(film: Any) -> Iterator[np.ndarray]:
+    """Yield the images of a film; a TIFF may have all of them in one array."""
+    for image in film.iter():
+        is_stack = image.ndim > 2 and image.shape[-1] not in (3, 4)
+        yield from image if is_stack else [image]
 
 
 class MjpegFeed(Feed):

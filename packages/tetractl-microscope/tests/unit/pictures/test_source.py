@@ -1,6 +1,7 @@
 """Sources of pictures: files, devices and what a network camera may answer."""
 
 import struct
+import sys
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Annotated
@@ -46,6 +47,8 @@ def test_a_film_plays_at_its_own_rate(tmp_path):
     feed.close()
 
 
+# imageio leaves a file open that none of its plugins can read
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_no_file_and_no_film_are_told_apart(tmp_path):
     no_file = FileSource(type="file", path=str(tmp_path / "no.avi"))
     with pytest.raises(AbortError, match="there is no file"):
@@ -53,8 +56,32 @@ def test_no_file_and_no_film_are_told_apart(tmp_path):
     text = tmp_path / "text.avi"
     text.write_text("no film")
     no_film = FileSource(type="file", path=str(text))
-    with pytest.raises(AbortError, match="not a video that OpenCV can read"):
+    with pytest.raises(AbortError, match="not a film that imageio can read"):
         no_film.open(VirtualClock(), 1.0)
+
+
+def test_a_stack_of_16_bits_is_read_at_the_rate_of_the_spec(tmp_path):
+    """A microscope's TIFF states no rate, and its camera uses 12 of 16 bits."""
+    tifffile = pytest.importorskip("tifffile", reason="imageio[tifffile] is not installed")
+    path = tmp_path / "stack.tif"
+    deep = PICTURE.astype(np.uint16) * 16
+    tifffile.imwrite(path, np.array([deep, deep // 2, deep]), photometric="minisblack")
+    with pytest.raises(AbortError, match="states no rate") as error:
+        FileSource(type="file", path=str(path)).open(VirtualClock(), 1.0)
+    assert "lab.camera.source.rate" in error.value.hint
+    feed = FileSource(type="file", path=str(path), rate=7.0).open(VirtualClock(), 1.0)
+    assert feed.rate_hz == 7.0
+    assert [feed.read().content[0, 60] for _ in range(3)] == [120, 60, 120]
+    with pytest.raises(SourceEndedError, match="has ended"):
+        feed.read()
+
+
+def test_without_imageio_a_film_says_what_to_install(tmp_path, monkeypatch):
+    (tmp_path / "film.avi").write_bytes(b"film")
+    monkeypatch.setitem(sys.modules, "imageio.v3", None)
+    with pytest.raises(AbortError, match="needs imageio") as error:
+        FileSource(type="file", path=str(tmp_path / "film.avi")).open(VirtualClock(), 1.0)
+    assert "[films]" in error.value.hint
 
 
 class Capture:

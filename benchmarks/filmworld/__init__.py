@@ -1,1 +1,0 @@
-"""Synthetic films of swimming cells by two renderers that share no code, and scores of trackers."""

@@ -1,0 +1,188 @@
+"""How well the live tracker follows real cells, in a film of which no truth is known.
+
+    python benchmarks/real_films.py FILM --scale UM_PER_PIXEL --organism NAME
+
+The camera `cells` steers by what its tracker sees. Here the tracker sees the images of a film, and
+two measures judge it without a truth:
+
+- **No body**: the fraction of positions that have no body within NEAR_PX. Bodies are where an
+  image, blurred, differs from the film's median by more than a threshold. Positions in a blob that
+  several cells share are not counted.
+- **Contradicted**: a cell's position and its position LINK images later are a link. The tracker
+  also sees the film backwards. The cell that it shows at the second position must be at the first
+  one, too. A link is contradicted if that cell is elsewhere, by ELSEWHERE_PX or more. Either
+  direction may be wrong, so this is an upper bound. A link is sure if the tracker gives both of its
+  ends a probability at which the lab steers the cell (`identity_watch.SURE`).
+
+The detection of bodies shares no code with the tracker's. A body that rests for most of the film is
+part of the median, and so is none. The background is learned from the first seconds of the film, in
+each direction, as the camera learns it.
+"""
+
+import argparse
+import sys
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from tetractl_microscope.cells.identity_watch import SURE
+from tetractl_microscope.cells.tracking import CellTracker
+from tetractl_microscope.organisms import Organism, named
+from tetractl_microscope.pictures.feed import SourceEndedError
+from tetractl_microscope.pictures.picture_section import FileSource
+from tetractl_microscope.tracks.field_file import no_field
+
+from tetractl.core.clock import VirtualClock
+from tetractl.core.errors import TetractlError
+from tetractl.results.estimate import proportion_interval
+
+LEARNING_S = 1.5  # the default of the camera's `learning` [s]
+LEARNED = 15  # images from which the background is computed
+MEDIAN_OF = 60  # images of the film's median
+NEAR_PX = 6.0  # distance to a body of a position that has one
+LINKED_PX = 8.0  # distance at which positions of both directions show the same cell
+ELSEWHERE_PX = 20.0
+EVERY = 3  # every third image is examined for links
+LINK = 30  # length of a link [images]
+
+IMAGE, NUMBER, COLUMN, ROW, IS_SURE, IS_FOUND = range(6)
+"""Columns of a table of positions, one row for each cell in each image."""
+
+
+def read_film(path: Path, rate_hz: float | None) -> tuple[list[np.ndarray], float]:
+    """Return the images of a film as grey levels, and their rate [Hz]."""
+    source = FileSource(type="file", path=str(path), rate=rate_hz)
+    feed = source.open(VirtualClock(), 1.0)
+    images = []
+    try:
+        while True:
+            images.append(feed.read().content)
+    except SourceEndedError:
+        feed.close()
+    return images, feed.rate_hz
+
+
+def followed(
+    images: Sequence[np.ndarray], rate_hz: float, um_px: float, organism: Organism
+) -> np.ndarray:
+    """Return the positions, shape (N, 6), at which the live tracker sees cells."""
+    tracker = CellTracker(um_px, field_known=False, organism=organism)
+    first = images[: max(LEARNED, round(LEARNING_S * rate_hz))]
+    tracker.finder.learn(list(first[:: max(1, len(first) // LEARNED)]))
+    rows = []
+    for number, image in enumerate(images):
+        for cell in tracker.see(image, number / rate_hz, no_field):
+            column = cell.x / um_px - 0.5
+            row = len(image) - 0.5 - cell.y / um_px
+            is_found = cell.has_blob and not cell.merged
+            rows.append((number, cell.identity, column, row, cell.probability >= SURE, is_found))
+    return np.array(rows, float).reshape(-1, 6)
+
+
+def body_masks(images: Sequence[np.ndarray], threshold: float) -> list[np.ndarray]:
+    """Return where each image shows bodies: below the median by a `threshold` [grey levels], or
+    above it if that is negative.
+    """
+    step = max(1, len(images) // MEDIAN_OF)
+    background = np.median(np.array(images[::step]), axis=0)
+    square = np.ones((3, 3), np.uint8)
+    masks = []
+    for image in images:
+        darker = np.sign(threshold) * (background - image.astype(np.float32))
+        blurred = cv2.GaussianBlur(darker, (3, 3), 0)
+        mask = (blurred > abs(threshold)).astype(np.uint8)
+        masks.append(cv2.morphologyEx(mask, cv2.MORPH_OPEN, square))
+    return masks
+
+
+def no_body(rows: np.ndarray, bodies: Sequence[np.ndarray]) -> tuple[int, int]:
+    """Count the found positions that have no body near, or are outside the image; and all."""
+    found = rows[rows[:, IS_FOUND] > 0]
+    without = 0
+    for number in np.unique(found[:, IMAGE]).astype(int).tolist():
+        away = cv2.distanceTransform(1 - bodies[number], cv2.DIST_L2, 5)
+        height, width = away.shape
+        in_image = found[found[:, IMAGE] == number]
+        for x, y in in_image[:, [COLUMN, ROW]].astype(int).tolist():
+            is_inside = 0 <= x < width and 0 <= y < height
+            without += not is_inside or away[y, x] > NEAR_PX
+    return int(without), len(found)
+
+
+def contradicted(forwards: np.ndarray, backwards: np.ndarray, count: int) -> tuple[int, int]:
+    """Count the sure links of a film of `count` images that its reverse contradicts, and those of
+    which the reverse shows both ends.
+    """
+    turned = backwards.copy()
+    turned[:, IMAGE] = count - 1 - turned[:, IMAGE]
+    reverse_of = _by_number(turned)
+    reverse_in = defaultdict[int, list[np.ndarray]](list)
+    for row in turned:
+        reverse_in[int(row[IMAGE])].append(row)
+    wrong = 0
+    links = 0
+    for places in _by_number(forwards).values():
+        for number in list(places)[::EVERY]:
+            first = places[number]
+            second = places.get(number + LINK)
+            if second is None or not (first[IS_SURE] and second[IS_SURE]):
+                continue
+            here = [(_apart(row, first), row[NUMBER]) for row in reverse_in[number]]
+            gap_px, name = min(here, default=(np.inf, -1))
+            there = reverse_of.get(name, {}).get(number + LINK)
+            if gap_px < LINKED_PX and there is not None:
+                links += 1
+                wrong += _apart(there, second) >= ELSEWHERE_PX
+    return int(wrong), links
+
+
+def _by_number(rows: np.ndarray) -> dict[float, dict[int, np.ndarray]]:
+    """Return the rows of each cell by image."""
+    by_number: dict[float, dict[int, np.ndarray]] = {}
+    for row in rows:
+        by_number.setdefault(row[NUMBER], {})[int(row[IMAGE])] = row
+    return by_number
+
+
+def _apart(row: np.ndarray, other: np.ndarray) -> float:
+    return float(np.hypot(*(row[[COLUMN, ROW]] - other[[COLUMN, ROW]])))
+
+
+def share(hits: int, count: int) -> str:
+    """Return a fraction with its 95 % interval."""
+    if not count:
+        return "none"
+    ends = proportion_interval(hits, count)
+    return f"{hits} of {count} ({100 * ends.low:.1f} to {100 * ends.high:.1f} %)"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("film", type=Path)
+    parser.add_argument("--scale", type=float, required=True, help="micrometres per pixel")
+    parser.add_argument("--rate", type=float, help="images per second, if the film states none")
+    parser.add_argument("--organism", default="tetrahymena")
+    parser.add_argument(
+        "--darker", type=float, default=8.0, help="grey levels of a body; below 0: lighter"
+    )
+    chosen = parser.parse_args()
+    cv2.setNumThreads(1)
+    try:
+        images, rate_hz = read_film(chosen.film, chosen.rate)
+        organism = named(chosen.organism)
+    except TetractlError as error:
+        sys.exit(f"error: {error.message}")
+    forwards, backwards = (
+        followed(way, rate_hz, chosen.scale, organism) for way in (images, images[::-1])
+    )
+    bodies = body_masks(images, chosen.darker)
+    cells = len(np.unique(forwards[:, NUMBER]))
+    print(f"{chosen.film.name}: {len(images)} images at {rate_hz:g} Hz, {cells} numbers")
+    print(f"no body: {share(*no_body(forwards, bodies))}")
+    print(f"sure links contradicted: {share(*contradicted(forwards, backwards, len(images)))}")
+
+
+if __name__ == "__main__":
+    main()

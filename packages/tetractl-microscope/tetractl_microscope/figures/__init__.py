@@ -1,1 +1,0 @@
-"""Figures of the cells in a film; each is drawn by a function named in `registries`."""

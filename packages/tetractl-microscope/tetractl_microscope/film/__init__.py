@@ -1,1 +1,0 @@
-"""Analyses recorded films of cells: tracks, speeds and each cell's response to the field."""

@@ -1,0 +1,156 @@
+"""The tables of the cells, made from the record that `tetractl track --json` prints."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tetractl.results.estimate import (
+    VALUES_MIN,
+    Distribution,
+    Interval,
+    known_distribution,
+    t_quantile,
+)
+from tetractl.tools.table.table import NONE, Column, Table, fixed
+
+Record = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A quantity of each cell: its `name` in data files, heading and decimals in printed tables.
+
+    One without a heading is only in data files; of one that is `averaged`, the mean over the cells
+    is printed. One with an `interval` is {"value": ..., "ci95": [low, high]} in the record.
+    """
+
+    name: str
+    unit: str = ""
+    heading: str = ""
+    decimals: int = 0
+    averaged: bool = True
+    interval: bool = False
+
+    @property
+    def key(self) -> str:
+        """The name of the quantity in JSON, which ends in the unit."""
+        return Column(self.name, (), self.unit).key.lower()
+
+
+QUANTITIES = (
+    Quantity("since", "s", "from", 1, averaged=False),
+    Quantity("duration", "s", "for", 1, averaged=False),
+    Quantity("pictures", averaged=False),
+    Quantity("speed", "um/s", "speed", interval=True),
+    Quantity("speed_sd", "um/s"),
+    Quantity("vsl", "um/s", "VSL"),
+    Quantity("path", "um", averaged=False),
+    Quantity("sway", "rad", "sway", 2),
+    Quantity("helix", "Hz", "helix", 1),
+    Quantity("helix", "um"),
+    Quantity("a", "rad/s", "a", 2, interval=True),
+    Quantity("bias", "rad", "bias", 2, interval=True),
+    Quantity("magnetised", "", "magnet", averaged=False),
+)
+"""The quantities of a cell, in the order of the columns; each is a key of a cell in the record."""
+RESPONSES = "a_rad_s", "bias_rad"
+"""Quantities whose means are over the cells that respond to the field."""
+
+
+def cell_tables(record: Record) -> list[Table]:
+    """Return the tables to print: a row per cell, and the mean over the cells of each quantity."""
+    cells = record["cells"]
+    columns = [Column("cell", [cell["cell"] for cell in cells])]
+    for quantity in QUANTITIES:
+        texts = [_text(cell.get(quantity.key), quantity.decimals) for cell in cells]
+        if quantity.heading and not {NONE}.issuperset(texts):
+            columns.append(Column(quantity.heading, texts, quantity.unit))
+    note = "\n".join(record["notes"])
+    means = _means(cells)
+    return [Table("Cells, with 95 % intervals", tuple(columns), note), *means]
+
+
+def _text(entry: Any, decimals: int) -> str:
+    if isinstance(entry, bool):
+        return "yes" if entry else "no"
+    if isinstance(entry, Mapping):
+        low, high = (fixed(decimals)(end) for end in entry["ci95"])
+        return f"{fixed(decimals)(entry['value'])} [{low}, {high}]"
+    return fixed(decimals)(entry)
+
+
+def value_of(entry: Any) -> float | None:
+    """Return the value of an entry of a cell, with or without an interval; None if unknown."""
+    return entry["value"] if isinstance(entry, Mapping) else entry
+
+
+def known_values(cells: Sequence[Record], key: str) -> tuple[list[Record], list[float]]:
+    """Return the cells of which a quantity is known, and its values; of a and bias, only the cells
+    that respond to the field.
+    """
+    responding = [cell for cell in cells if key not in RESPONSES or cell.get("magnetised")]
+    with_values = [(cell, value_of(cell.get(key))) for cell in responding]
+    known_pairs = [(cell, value) for cell, value in with_values if value is not None]
+    return [cell for cell, _ in known_pairs], [value for _, value in known_pairs]
+
+
+def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
+    """Describe values of one or more cells, each weighted by the time for which its cell is seen.
+
+    A cell that is followed under one number after another is several of `cells`: n is the greatest
+    number that are seen at once, and the interval is Student's for that n.
+    """
+    weights = np.array([cell["duration_s"] for cell in cells])
+    since = np.array([cell["since_s"] for cell in cells])
+    middles = since + weights / 2
+    just_after = since[:, None] + 1e-6  # the greatest number is reached when a cell appears
+    is_seen = np.abs(just_after - middles) < weights / 2
+    n = int(is_seen.sum(axis=1).max())
+    mean = float(np.average(values, weights=weights))
+    if n < 2:
+        return known_distribution(n, mean, math.nan, Interval.none("one value has no spread"))
+    squares = np.square(np.array(values) - mean)
+    std = math.sqrt(float(np.average(squares, weights=weights)) * n / (n - 1))
+    half = t_quantile(n - 1) * std / math.sqrt(n)
+    few = Interval.none(f"an interval needs {VALUES_MIN} cells")
+    ends = few if n < VALUES_MIN else Interval(mean - half, mean + half, "t")
+    return known_distribution(n, mean, std, ends)
+
+
+def _means(cells: list[Record]) -> list[Table]:
+    """Return the table of means, none for fewer than two cells."""
+    rows = []
+    for quantity in QUANTITIES if len(cells) > 1 else ():
+        known_cells, values = known_values(cells, quantity.key)
+        if quantity.averaged and quantity.heading and values:
+            mean = cell_mean(known_cells, values)
+            show = fixed(quantity.decimals)
+            name = quantity.heading
+            if quantity.unit:
+                name += f" [{quantity.unit}]"
+            if quantity.key in RESPONSES:
+                name += " of those that respond"
+            spread = show(mean.std)
+            interval = mean.ci95.text(show)
+            rows.append((name, str(mean.n), show(mean.mean), interval, spread))
+    header = ("mean over cells", "n", "mean", "95 % interval", "standard deviation")
+    columns = zip(header, zip(*rows, strict=True), strict=True) if rows else ()
+    table = Table("Means over cells", tuple(Column(name, values) for name, values in columns))
+    return [table] if rows else []
+
+
+def cell_data(record: Record) -> Table:
+    """Return the data table of the cells: a row per cell, intervals as columns of their ends."""
+    cells = record["cells"]
+    columns = [Column("cell", [cell["cell"] for cell in cells])]
+    for quantity in QUANTITIES:
+        entries = [cell.get(quantity.key) for cell in cells]
+        values = [value_of(entry) for entry in entries]
+        columns.append(Column(quantity.key, values))
+        for k, end in enumerate(("low", "high") if quantity.interval else ()):
+            ends = [entry["ci95"][k] if isinstance(entry, Mapping) else None for entry in entries]
+            columns.append(Column(Quantity(f"{quantity.name}_{end}", quantity.unit).key, ends))
+    return Table("Cells", tuple(columns))

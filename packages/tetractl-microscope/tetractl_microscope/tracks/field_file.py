@@ -1,0 +1,101 @@
+"""The field's direction over time, from a CSV file."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tetractl.core.errors import UsageError, printable
+from tetractl.core.poses import Floats
+from tetractl.replay.identification.one_recording import Span, clock_remark, refuse_times_apart
+from tetractl.tools.table.csv_rows import columns_of, read_csv
+from tetractl.tools.table.quantities import (
+    RADIANS,
+    NumberColumn,
+    earlier,
+    find_column,
+    find_time,
+    refuse_degrees,
+)
+from tetractl_microscope.cells.field_record import FieldRecord
+from tetractl_microscope.cells.helix import Piece
+from tetractl_microscope.handedness import handedness, wrong_sides
+
+STRENGTH = "strength"
+STRONGEST = 100.0  # greatest strength of a field, relative to the reference field
+
+
+def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]:
+    """Return a warning if the cells turn as if the field's directions were of the other sense, or
+    rotated; `paths` (K, 3) are the cells' times [s] and positions x, y.
+    """
+    mirrored = (
+        "the directions run clockwise (--y-down), or the picture is mirrored; do not use a, bias "
+        "and magnet"
+    )
+    turning = handedness(paths, field.at)
+    lines = [] if turning is None else wrong_sides(turning, mirrored, "is it rotated?")
+    return tuple(f"warning: {line}" for line in lines)
+
+
+def clock_remarks(
+    field: FieldRecord, source: str, tracks: str, begin: float, end: float
+) -> tuple[str, ...]:
+    """Return a warning if the field's times are hardly those of tracks from `begin` to `end` [s];
+    UsageError if none is."""
+    shown_span = Span(tracks, begin, end)
+    sent = Span(source, float(field.times[0]), math.inf)
+    covered = (end - max(begin, sent.begin)) / max(end - begin, 1e-9)  # cells swim all the time
+    refuse_times_apart(shown_span, field.times, sent)
+    remark = clock_remark(shown_span, field.times, sent, covered)
+    return () if remark is None else (f"warning: {remark}",)
+
+
+def _no_column(path: Path, name: str, headers: Sequence[str]) -> UsageError:
+    """Return the error that a table has no column of a name."""
+    if not headers:
+        return UsageError(f"{path}: has no rows")
+    has = printable(", ".join(headers[:8]))
+    return UsageError(f"{path}: has no column {name}: its columns are {has}")
+
+
+def no_field(start: float, end: float) -> Sequence[Piece]:
+    """Return one piece from `start` to `end` [s] without a field."""
+    return ((end - start, 0.0, 0.0),)
+
+
+def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
+    """Return the field of a CSV file with columns time_s, direction_rad and perhaps strength.
+
+    Directions are anticlockwise from the picture's right, clockwise if `upside_down`; strengths are
+    fractions of the reference field, 1 by default. UsageError if a column or a valid value is
+    missing.
+    """
+    headers = columns_of(path)
+    time = find_time(path, headers)
+    angle = find_column(path, headers, ("direction",), RADIANS)
+    if time is None or angle is None:
+        raise _no_column(path, "time_s" if time is None else "direction_rad", headers)
+    strong = NumberColumn(STRENGTH) if STRENGTH in headers else None
+    lines: list[int] = []
+    times: list[float] = []
+    angles: list[float] = []
+    strengths: list[float] = []
+    for row in read_csv(path):
+        times.append(time.number(path, row))
+        if len(times) > 1 and times[-1] < times[-2]:
+            raise earlier(path, row)
+        strength = 1.0 if strong is None else strong.optional(path, row)
+        strength = 1.0 if math.isnan(strength) else strength
+        if abs(strength) > STRONGEST:
+            said = f"{path}, line {row.line}: {STRENGTH}: {strength:g} is too large"
+            raise UsageError(said, f"it is relative to the reference field, at most {STRONGEST:g}")
+        strengths.append(strength)
+        angles.append(angle.number(path, row))
+        lines.append(row.line)
+    directions = np.array(angles)
+    refuse_degrees(path, angle, lines, directions)
+    if upside_down:
+        directions = -directions
+    return FieldRecord(np.array(times), directions, np.array(strengths))

@@ -1,0 +1,200 @@
+"""Selects the tracks of swimming cells in a table of another program, and describes them."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import compress
+from pathlib import Path
+
+import numpy as np
+
+from tetractl.core.errors import TetractlError, UsageError
+from tetractl.tools.table.table_files import plain
+from tetractl_microscope.cells.field_record import FieldRecord
+from tetractl_microscope.organisms import Organism
+from tetractl_microscope.registries import ORGANISMS
+from tetractl_microscope.tracks.fit_track import RATE_MIN, CellPath, fit_tracks
+from tetractl_microscope.tracks.foreign_tracks import SpotTrack
+from tetractl_microscope.tracks.onward import TO_AND_FRO, hardly_any_goes_on, track_goes_on
+
+SHORTEST_S = 2.0
+"""Duration of the shortest track of which a speed is stated [s]."""
+COURSE_S = 0.3
+"""Time over which a direction of motion is known [s]: less is a part of a turn of the helix."""
+TOGETHER = 3.0
+"""Least ratio of the cells' common velocity to what each has of its own at which a stage moves:
+eight cells that swim each its own way reached it in 22 of 10,000 draws."""
+TOGETHER_MIN = 8
+"""Fewest cells of which that is said."""
+STRAIGHT = 0.7
+TURNS_ABOUT = 0.5
+"""Share of their way that cells which go with a flow come on at least; and the greatest mean of a
+field's directions, as vectors of length 1, of one that turns about."""
+STRAIGHTER = 0.9
+"""Share of its VSL below which a speed along a helix cannot be: the cell turns by itself."""
+OF_THE_HELIX = (
+    "speed_um_s",
+    "speed_sd_um_s",
+    "path_um",
+    "sway_rad",
+    "helix_hz",
+    "helix_um",
+    "a_rad_s",
+    "bias_rad",
+    "magnetised",
+)
+"""Values of a cell that are then none."""
+SPEED_S = 1.0
+"""Time over which a speed is measured by which the organism is chosen [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class CellTracks:
+    """The tracks of swimming cells in a table of another program.
+
+    Attributes:
+        paths: The tracks.
+        period_s: Usual time between two images [s].
+        span_s: Times of the first and of the last image [s].
+        remarks: Lines for the user about the tracks that are left out.
+    """
+
+    paths: tuple[CellPath, ...]
+    period_s: float
+    span_s: tuple[float, float]
+    remarks: tuple[str, ...]
+
+
+def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool) -> CellTracks:
+    """Return the tracks of cells that swim, of some that are seen for SHORTEST_S.
+
+    UsageError if none is, or, with a field, if pictures are too rare; TetractlError if hardly any
+    cell goes on as it went.
+    """
+    long_tracks = [track for track in tracks if np.ptp(track.rows[:, 0]) >= SHORTEST_S]
+    brief = [f"{track.number:.0f}" for track in tracks if np.ptp(track.rows[:, 0]) < SHORTEST_S]
+    if not long_tracks:
+        raise UsageError(f"{source}: has no cell that is seen for {SHORTEST_S:g} s")
+    remarks = list[str]()
+    if brief:
+        remarks.append(f"seen for less than {SHORTEST_S:g} s, so left out: {_cells(brief)}")
+    gaps_s = np.concatenate([np.diff(track.rows[:, 0]) for track in long_tracks])
+    period_s = float(np.median(gaps_s))
+    if with_field and period_s * RATE_MIN > 1:
+        raise UsageError(
+            f"{source}: pictures are {period_s:.3g} s apart, but a heading is the direction of "
+            f"motion over {COURSE_S:g} s",
+            f"film at {math.ceil(RATE_MIN)} pictures/s or more; if times are in ms, name their "
+            "column time_ms",
+        )
+    going_on = [track_goes_on(track.rows[:, 0], track.rows[:, 1:]) for track in long_tracks]
+    if hardly_any_goes_on(going_on):
+        raise TetractlError(f"{source}: {TO_AND_FRO}", "give the tracks of cells that swim")
+    to_and_fro = [
+        f"{track.number:.0f}"
+        for track, goes_on in zip(long_tracks, going_on, strict=True)
+        if not goes_on
+    ]
+    if to_and_fro:
+        remarks.append(f"warning: to and fro, as beads do, go, so left out: {_cells(to_and_fro)}")
+    swimming = compress(long_tracks, going_on)
+    paths = tuple(
+        CellPath(round(track.number), track.rows[:, 0], track.rows[:, 1:]) for track in swimming
+    )
+    first_s = min(float(track.rows[0, 0]) for track in long_tracks)
+    last_s = max(float(track.rows[-1, 0]) for track in long_tracks)
+    return CellTracks(paths, period_s, (first_s, last_s), tuple(remarks))
+
+
+def stage_remarks(paths: Sequence[CellPath], field: FieldRecord | None = None) -> tuple[str, ...]:
+    """Return a warning if all cells move together, as what lies still does on a stage that moves.
+
+    Cells without a field swim each its own way: the mean of their velocities is small. Those that
+    follow a field that turns about move together, but to no side for long.
+    """
+    velocities = np.array(
+        [(p.places[-1] - p.places[0]) / (p.times[-1] - p.times[0]) for p in paths]
+    )
+    if len(velocities) < TOGETHER_MIN:
+        return ()
+    common = np.median(velocities, axis=0)
+    speed_um_s = float(np.hypot(*common))
+    own_um_s = float(np.median(np.linalg.norm(velocities - common, axis=1)))
+    if speed_um_s < TOGETHER * own_um_s:
+        return ()
+    if field is not None:
+        pace_um_s = float(np.median([_speed_um_s(path) for path in paths]))
+        straight = speed_um_s / pace_um_s
+        times = np.unique(np.concatenate([path.times for path in paths]))
+        to_a_side = abs(np.mean(np.sign(field.at(times))))
+        if straight < STRAIGHT or to_a_side > TURNS_ABOUT:
+            return ()
+    of_field = "" if field is None else ", and no a is fitted"
+    return (
+        f"warning: all cells move together, by {speed_um_s:.0f} um/s, and by {own_um_s:.0f} um/s "
+        "apart from that: does the stage move, or the medium flow? It is part of their speeds"
+        + of_field,
+    )
+
+
+def _cells(names: Sequence[str]) -> str:
+    return ", ".join(f"cell {name}" for name in names)
+
+
+def organism_by_speed(paths: Sequence[CellPath]) -> Organism:
+    """Return the organism whose speeds are most like the median one of cells."""
+    speed_um_s = float(np.median([_speed_um_s(path) for path in paths]))
+    log_speed = math.log(speed_um_s)
+
+    def unlike(kind: Organism) -> float:
+        return abs(log_speed - math.log(math.prod(kind.speed_um_s)) / 2)
+
+    return min(ORGANISMS.usable().values(), key=unlike)
+
+
+def _speed_um_s(path: CellPath) -> float:
+    """Return the median speed of a cell over SPEED_S [um/s]."""
+    step_s = float(np.median(np.diff(path.times)))
+    steps = max(1, round(SPEED_S / step_s))
+    steps = min(steps, len(path.times) - 1)
+    ways = np.linalg.norm(path.places[steps:] - path.places[:-steps], axis=1)
+    return max(float(np.median(ways / (path.times[steps:] - path.times[:-steps]))), 1e-9)
+
+
+def track_record(
+    source: Path, cells: CellTracks, organism: Organism, field: FieldRecord | None
+) -> dict:
+    """Return the record that `tetractl track --json` prints.
+
+    Args:
+        source: The table of tracks.
+        cells: Its tracks of swimming cells.
+        organism: What swims.
+        field: The field over time. None if there was none.
+    """
+    summaries = fit_tracks(cells.paths, organism, field, cells.period_s)
+    note = f"cells are followed as {organism.name}; --organism names another"
+    if 1 / cells.period_s < RATE_MIN:
+        note = f"at fewer than {math.ceil(RATE_MIN)} pictures/s, cells have no speed along a helix"
+    notes = [note]
+    items = [cell.items() for cell in summaries]
+    turning: list[str] = []
+    for item in items:
+        speed = item["speed_um_s"]
+        # along a helix it is below the velocity along its way
+        if speed is not None and speed["ci95"][1] < STRAIGHTER * item["vsl_um_s"]:
+            item.update(dict.fromkeys(OF_THE_HELIX))
+            turning.append(str(item["cell"]))
+    if turning:
+        names = _cells(turning)
+        notes.append(f"without speed and a, as they turn by themselves, as no helix does: {names}")
+    return plain(
+        {
+            "tracks": source.name,
+            "rate_hz": 1 / cells.period_s,
+            "organism": organism.name,
+            "cells": items,
+            "notes": notes,
+            "field": field and field.items(),
+        }
+    )

@@ -1,5 +1,7 @@
 """The documentation as a site: `make docs` builds it with Sphinx, from the pages as they are."""
 
+from pathlib import Path
+
 project = html_title = "tetractl"
 extensions = ["myst_parser"]
 root_doc = "docs/site/index"
@@ -18,5 +20,6 @@ myst_heading_anchors = 3  # headings are linked to as GitHub names them
 suppress_warnings = ["misc.highlighting_failure"]  # diagrams of Mermaid, which needs a network
 html_theme = "furo"  # its scripts and styles are copied into the site
 html_copy_source = False
-html_extra_path = ["../../build/game"]  # the game of the page "Try it now"
+GAME = Path(__file__).parents[2] / "build" / "game"
+html_extra_path = [str(GAME)] if GAME.exists() else []  # for "Try it now"; `make docs` makes it
 highlight_language = "none"

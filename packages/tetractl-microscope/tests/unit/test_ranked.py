@@ -43,6 +43,21 @@ def test_the_cells_of_a_trial_are_those_that_differ_most():
 
 
 @pytest.mark.long
+def test_a_choice_with_a_cell_near_the_edge_comes_last():
+    """Regression: `lab survey` preferred a cell that it called unreliable."""
+    spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
+    noise = Noise.of(spec.experiment.plant)
+    cells = [found_cell(i, a) for i, a in enumerate((3.0, 4.0, 5.5))]
+    best = ranked(spec.experiment, cells, noise, 12)[0]
+    near = best.cells[0].number
+    uncertain = [replace(cell, free=cell.number != near) for cell in cells]
+    first, *others = ranked(spec.experiment, uncertain, noise, 12)
+    assert near not in first.numbers
+    assert np.isfinite(first.error)
+    assert all(near in choice.numbers for choice in others)
+
+
+@pytest.mark.long
 def test_no_choice_has_cells_that_cannot_be_distinguished():
     spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
     cells = [found_cell(i, a) for i, a in enumerate((4.0, 4.2, 5.5))]

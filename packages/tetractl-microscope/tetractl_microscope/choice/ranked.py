@@ -79,12 +79,16 @@ def ranked(
     for the COMPARED choices of greatest `worth`, then along more, up to `plans`, for the best of
     them (successive halving), with the same random numbers. If no plan reaches the targets in the
     first round, there are no further ones. Only cells with a magnet count, and no choice has two
-    that are `alike`; [] if no choice is left.
+    that are `alike`; [] if no choice is left. A choice with a cell near the edge, whose turning
+    rate is unreliable, comes after all other choices that reach the targets.
     """
     choice = choice_of(experiment)
     able = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)
     told_apart = [chosen for chosen in combinations(able, choice.choose) if not any(alike(chosen))]
-    by_worth = sorted(told_apart, key=lambda chosen: worth(chosen, experiment))
+    by_worth = sorted(
+        told_apart,
+        key=lambda chosen: (all(cell.free for cell in chosen), worth(chosen, experiment)),
+    )
     candidates = [
         RankedChoice(experiment, chosen, noise) for chosen in by_worth[: -COMPARED - 1 : -1]
     ]
@@ -96,10 +100,16 @@ def ranked(
             candidate.along(math.ceil(share * plans))
             done += 1
             on_done(done, sum(counts))
-        candidates[:count] = sorted(candidates[:count], key=lambda candidate: candidate.error)
+        candidates[:count] = sorted(candidates[:count], key=_order)
         if candidates and math.isinf(candidates[0].error):
             break  # no plan reaches the targets, and more plans of the same choices would not
     return candidates[: counts[-1]]
+
+
+def _order(candidate: RankedChoice) -> tuple[bool, bool, float]:
+    """Return the key by which choices are sorted, the best first."""
+    is_uncertain = not all(cell.free for cell in candidate.cells)
+    return math.isinf(candidate.error), is_uncertain, candidate.error
 
 
 def alike(cells: Sequence[RobotCandidate]) -> Iterator[tuple[RobotCandidate, RobotCandidate]]:

@@ -32,9 +32,9 @@ EXTRAS = {
 """For each optional module, the package's name and the extra of tetractl that installs it."""
 
 PANELS = {
-    "The first hour": ("init", "run", "play", "replay", "stats"),
-    "More trials": ("validate", "rerun", "study", "analyze", "reproduce", "warm"),
-    "Logs": ("plot", "report", "open", "export", "info", "verify", "recover"),
+    "An experiment": ("init", "run", "replay", "stats", "verify", "plot"),
+    "More trials": ("play", "validate", "rerun", "study", "analyze", "reproduce", "warm"),
+    "Logs": ("report", "open", "export", "info", "recover"),
     "Robots and cells": ("identify", "track", "lab"),
     "This program": ("schema", "kinds"),
 }

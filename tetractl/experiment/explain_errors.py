@@ -247,7 +247,7 @@ def _meant_key(key: str, parent: Loc, data: Any, schema: Schema) -> str:
         return guess
     inside = "".join(f"{step}." for step in parent)
     for home in homes(key, schema):
-        if home.startswith(inside):
+        if home.startswith(inside) and home != f"{inside}{key}":  # that of another kind
             return f" here; did you mean '{home}'?"
     return f"; known here: {', '.join(fields)}"
 

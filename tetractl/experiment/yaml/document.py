@@ -132,9 +132,21 @@ def file_of_spec(folder: Path | None, key: str, name: str) -> Path:
     return (folder or Path()) / name
 
 
-def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
-    """Read a spec file, or one that a spec names; InvalidSpecError if it is missing, is larger than
-    `max_bytes` or cannot be read."""
+SPEC_TEXT = "a spec is YAML text"
+"""What a file is that `read_text` reads, unless it is told otherwise."""
+
+
+def read_text(path: Path, max_bytes: int = MAX_BYTES, what: str = SPEC_TEXT) -> str:
+    """Read a spec, a file that a spec names, or another file of text.
+
+    Args:
+        path: The file.
+        max_bytes: Largest size that is read [bytes].
+        what: What the file should be, for messages.
+
+    Raises:
+        InvalidSpecError: If the file is missing, is too large or cannot be read.
+    """
 
     def refusal(message: str, line: int | None = None, column: int | None = None) -> Exception:
         problem = SpecProblem(printable(str(path)), message, line, column)
@@ -148,16 +160,18 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES) -> str:
     except FileNotFoundError:
         raise refusal(f"there is no such file{near_files(path)}") from None
     except IsADirectoryError:
-        raise refusal("is a folder; name a YAML file in it") from None
+        file = "YAML file" if what == SPEC_TEXT else "file"
+        raise refusal(f"is a folder; name a {file} in it") from None
     except OSError as error:
         raise refusal(f"cannot be read: {error.strerror or error}") from None
     except ValueError as error:  # a null character in the name
         raise refusal(f"cannot be read: {error}") from None
     if len(raw) > max_bytes:
-        usual = "; a spec is a few kilobytes of YAML" if max_bytes == MAX_BYTES else ""
+        is_spec = what == SPEC_TEXT and max_bytes == MAX_BYTES
+        usual = "; a spec is a few kilobytes of YAML" if is_spec else ""
         raise refusal(f"is larger than {max_bytes >> 20} MiB{usual}")
     if b"\0" in raw:
-        raise refusal("is a binary file; a spec is YAML text")
+        raise refusal(f"is a binary file; {what}")
     try:
         return raw.decode("utf-8")
     except UnicodeDecodeError as error:

@@ -46,6 +46,8 @@ WHY = (
 """What a person has felt when the trial has ended, in eight lines of the smallest panel."""
 PAUSED = "PAUSED. Try arrows: dots show where each leads. Nothing moves until you press P."
 """What is said in a pause."""
+BYTE_ORDER_MARK = "\ufeff"
+"""What some editors write at the beginning of a file."""
 WAIT_S = 0.01
 """Time between two questions whether the first key has been pressed [s]."""
 CELL_HEIGHT = 2.0
@@ -203,7 +205,8 @@ def read_script(path: Path) -> KeyScript:
     """Read a file of keys; UsageError with file and line for what is wrong."""
     keys: list[tuple[float, str]] = []
     last_s = 0.0
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
+    text = read_text(path, what="keys are lines of text").removeprefix(BYTE_ORDER_MARK)
+    for number, line in enumerate(text.splitlines(), start=1):
         words = line.partition("#")[0].split()
         if not words:
             continue

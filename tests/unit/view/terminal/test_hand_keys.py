@@ -118,6 +118,7 @@ RIGHT = {
     "comments and gaps": "# a lesson\n\n0 right  # go\n  1.5\tup\n\n3.0 space",
     "times from the first key": "10 right\n11.5 up\n13 space\n",
     "two keys at a time": "0 left\n0 right\n1.5 up\n3 q\n",
+    "a byte order mark": "\ufeff0 right\n1.5 up\n3 space\n",
     "other forms of numbers": "0e0 right\n15e-1 up\n+3. space\n",
 }
 

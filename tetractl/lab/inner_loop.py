@@ -350,7 +350,10 @@ class InnerLoop:
             return
         all_move = (True,) * len(ruling.poses)
         sampled_ns = newest.frame.sampled_ns
-        self._pass_on(self._actuator.send(Steer(direction), ruling.poses, all_move, sampled_ns))
+        sent = self._actuator.send(Steer(direction), ruling.poses, all_move, sampled_ns)
+        self._pass_on(sent)
+        # when a run starts, cells still turn by these directions
+        self.guard.note_transmission(sent.sent_ns, sent.speed.tolist(), sent.turning.tolist())
 
     def _pass_on(self, sent: Transmission) -> None:
         """Report a transmission to a camera that identifies robots by their response."""

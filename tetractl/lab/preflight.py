@@ -203,7 +203,11 @@ def unplaced(rig: Rig) -> list[str]:
 
 def turned_by_quarters(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
     """Return a line if all robots stand on their starts, and all headings are off by the same
-    number of quarter turns: then the tags or bodies are turned, not the robots."""
+    number of quarter turns: then the tags or bodies are turned, not the robots. Robots that may
+    start at any heading, such as cells that a trial finds, have no heading to be off.
+    """
+    if rig.limits.start_heading >= QUARTER:
+        return []
     robots = [_robot(rig, i, frame) for i in range(len(rig.setup.names))]
     turned = [robot.off_heading for robot in robots if robot.off_heading is not None]
     on_start = [

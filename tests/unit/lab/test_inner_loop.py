@@ -344,3 +344,18 @@ def test_a_port_that_fails_at_the_end_of_a_run_ends_no_stops(lab):
     assert min(np.diff(sent_ns)) > 0
     assert sent_ns[-1] - sent_ns[0] < SECOND // 4
     assert lab.plant.rig.loop.guard.reason == "green's port is gone"
+
+
+def test_the_guard_knows_the_directions_by_which_robots_turn_before_a_run():
+    """Regression: cells still turned by them when the run started, and 6 of 8 trials in a dish said
+    that they turn away from the field."""
+    idle = fake_lab(experiment().setup)
+    idle.plant.open()
+    noted = []
+    loop = idle.plant.rig.loop
+    loop.guard.note_transmission = lambda *sent: noted.append(sent)
+    loop.idle = lambda now_ns: 1.0
+    wait_a_second(idle)
+    assert len(noted) > 5
+    assert all(time_ns > 0 and len(speed) == len(turning) == 3 for time_ns, speed, turning in noted)
+    assert loop.guard.state is GuardState.READY

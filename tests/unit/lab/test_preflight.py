@@ -162,6 +162,17 @@ def test_robots_that_are_turned_otherwise_have_no_turned_tags(turned):
     assert looked_over(turn(*turned)).warnings == ()
 
 
+def test_robots_that_may_start_at_any_heading_have_no_turned_tags():
+    """Regression: a trial that finds its cells in a dish was refused, as all three happened to swim
+    the other way."""
+    lab = fake_lab(experiment().setup)
+    with lab.plant.rig as rig:
+        rig.start_anywhere()
+        turn(*[math.pi] * 3)(lab.camera)
+        report = inspect(rig)
+    assert (report.warnings, report.ready) == ((), True)
+
+
 def test_a_run_names_all_devices_that_are_missing():
     lab = fake_lab(experiment().setup)
     rig = lab.plant.rig

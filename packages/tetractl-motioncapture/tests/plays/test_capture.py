@@ -2,6 +2,7 @@
 
 import pytest
 from support.cli import tetractl
+from support.silent_labs import flagged_trials
 from tetractl_emulator.lab_rehearse import rehearsed
 
 pytestmark = pytest.mark.slow
@@ -22,6 +23,11 @@ def folder(tmp_path_factory):
 def test_a_run_is_valid_and_verifies(folder):
     assert "1 of 1 trials valid" in tetractl(folder, *RUN, "--out", "well").ok().stdout
     assert "bit-identical" in tetractl(folder, "verify", "well").ok().stdout
+
+
+@pytest.mark.long
+def test_no_trial_of_a_new_lab_is_flagged(folder):
+    assert flagged_trials(folder / "capture.yaml", folder / "silent") == []
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import socket
 import pytest
 import yaml
 from support.cli import tetractl
+from support.silent_labs import flagged_trials
 from support.virtual_lab import virtual_lab
 from tetractl_emulator.fault_rows import SIGHT
 from tetractl_emulator.rehearsal import day
@@ -38,6 +39,11 @@ def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("cubes")
     tetractl(place, "init", "cubes", "--lab", "--robots", "toio").ok()
     return place
+
+
+@pytest.mark.long
+def test_no_trial_of_a_new_lab_is_flagged(folder):
+    assert flagged_trials(folder / "cubes.yaml", folder / "silent") == []
 
 
 def run(folder, out, *words):

@@ -12,6 +12,13 @@ where s is the standard deviation of the rates, whatever fewer than half of them
 quantile of the normal distribution: of all N n rates of N robots, one is beyond it by chance in the
 fraction CHANCE of batches. The fewer trials, the less is known of s; with FEW, normal rates exceed
 the limit in 1 % of batches of ten trials or more, and in at most 3 % of smaller ones.
+
+With fewer than LEAST trials there is nothing to compare. The heading of a robot then counts as
+confirmed if its rate is 0 within UNCONFIRMED standard errors. Otherwise either its wheels differ
+from the spec, which calibrating them settles, or its pose is false. A pose that turns with its
+course at the rate x, while the robot drives a distance L in a time T, is off its robot by at most
+
+    integral of x t dL <= |x| T L / 2.
 """
 
 import math
@@ -26,6 +33,7 @@ import numpy as np
 
 from tetractl.core.losses import STOOD
 from tetractl.core.plan import Outcome
+from tetractl.core.setup import MM
 from tetractl.core.trial import Verdict
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.open_batch import Batch, counts, errors_known
@@ -48,6 +56,8 @@ LEAST = 6
 """Least number of trials with a known rate that are compared."""
 FEW = 14.0
 """By how much fewer trials widen the limit: see above."""
+UNCONFIRMED = 2.0
+"""Standard errors beyond which the rate of a robot without further trials is not 0."""
 DEVIATION_OVER_MEDIAN = 1.4826
 """Standard deviation of normal values over the median of their distances to the median."""
 
@@ -64,15 +74,16 @@ class Flagged:
 def flagged(batch: Batch) -> list[Flagged]:
     """Return the flagged trials, then the earlier attempts.
 
-    A trial is flagged if it is not valid, its log is damaged, a robot entered an obstacle,
-    left the arena, touched another one, was lost, stood while others drove or turned
-    otherwise than in the other trials, or the trial ended at `steps max` or `time limit`. Warnings
-    flag trials in a lab only, since in a simulation the spec requests the disturbances.
+    A trial is flagged if it is not valid, its log is damaged, a robot entered an obstacle, left the
+    arena, touched another one, was lost, stood while others drove, turned otherwise than in the
+    other trials or has an unconfirmed heading, or the trial ended at `steps max` or `time limit`.
+    Warnings flag trials in a lab only, since in a simulation the spec requests the disturbances.
     """
     logs: list[Flagged] = []
     turned = turned_otherwise(batch.trials)
+    unconfirmed = unconfirmed_headings(batch.trials)
     for trial in batch.trials:
-        notes = [*trial_notes(trial), *turned.get(trial.log, ())]
+        notes = [*trial_notes(trial), *turned.get(trial.log, ()), *unconfirmed.get(trial.log, ())]
         if notes and not counts(trial):
             notes.insert(0, "excluded")
         if notes:
@@ -140,10 +151,7 @@ class TrialTurn:
 
 def turns_of(trials: Sequence[ResultSummary]) -> Iterator[TrialTurn]:
     """Yield the turns of every robot with enough trials in which its rate is known."""
-    robots = trials[0].experiment.setup.names if trials else ()
-    measured = [trial for trial in trials if trial.result.verdict.turn]
-    for i, robot in enumerate(robots):
-        compared = [trial for trial in measured if math.isfinite(trial.result.verdict.turn_std[i])]
+    for i, robot, compared in _measured(trials):
         n = len(compared)
         if n < LEAST:
             continue
@@ -152,11 +160,44 @@ def turns_of(trials: Sequence[ResultSummary]) -> Iterator[TrialTurn]:
         off = rates - np.median(rates)
         deviation = (1 + FEW / n) * DEVIATION_OVER_MEDIAN * np.median(np.abs(off))
         unexplained = max(0.0, deviation**2 - np.median(errors) ** 2)  # by the errors
-        chance_of_one_side = CHANCE / (2 * len(robots) * n)
+        robots = len(trials[0].experiment.setup.names)
+        chance_of_one_side = CHANCE / (2 * robots * n)
         z = NormalDist().inv_cdf(1 - chance_of_one_side)
         limits = z * np.sqrt(errors**2 + unexplained)
         for trial, trial_off, limit in zip(compared, off.tolist(), limits.tolist(), strict=True):
             yield TrialTurn(trial.log, robot, trial_off, limit)
+
+
+def _measured(
+    trials: Sequence[ResultSummary],
+) -> Iterator[tuple[int, str, list[ResultSummary]]]:
+    """Yield the index and name of each robot, and the trials in which its rate is known."""
+    measured = [trial for trial in trials if trial.result.verdict.turn]
+    for i, robot in enumerate(trials[0].experiment.setup.names if trials else ()):
+        known = [trial for trial in measured if math.isfinite(trial.result.verdict.turn_std[i])]
+        yield i, robot, known
+
+
+def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
+    """Return a text for each robot whose heading its own motion does not confirm, by the path of
+    the trial. Robots with LEAST trials are compared instead, by `turned_otherwise`.
+    """
+    texts = defaultdict[str, list[str]](list)
+    for i, robot, known in _measured(trials):
+        if len(known) >= LEAST:
+            continue
+        for trial in known:
+            result = trial.result
+            rate = result.verdict.turn[i]
+            if abs(rate) <= UNCONFIRMED * result.verdict.turn_std[i]:
+                continue
+            setup = trial.experiment.setup
+            distance_mm = float(setup.speed[i]) * result.duration_s * setup.metres / MM
+            off_mm = abs(rate) * result.duration_s * distance_mm / 2
+            turned = f"it turned by {rate:+.2f} rad/s by itself"
+            off = f"if its wheels do not differ, it is up to {off_mm:.0f} mm off"
+            texts[trial.log].append(f"heading of {robot} not confirmed: {turned}; {off}")
+    return texts
 
 
 def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:

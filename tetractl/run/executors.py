@@ -26,7 +26,7 @@ from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Protocol, TypeVar
 
-from tetractl.core.errors import AbortError
+from tetractl.core.errors import AbortError, TetractlError
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.run.interrupt import STOP_SIGNALS, Interrupt
 from tetractl.run.task import Finished, Task, run_task
@@ -100,6 +100,10 @@ class Here:
             folder = ready(task)
             try:
                 ended = run_task(task, folder, self._interrupt, self._observers, self._supervision)
+            except TetractlError as error:
+                # without the traceback, as from a process: it would keep the whole plant in memory
+                error.__cause__ = error.__context__ = None
+                ended = error.with_traceback(None)
             except Exception as error:
                 ended = error
             yield task, ended

@@ -12,7 +12,7 @@ from support.batches import batch, experiment, group
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.as_json import batch_items
 from tetractl.results.describe import contrast
-from tetractl.results.flagged import flagged, turned_otherwise
+from tetractl.results.flagged import flagged, turned_otherwise, unconfirmed_headings
 from tetractl.results.tables import summary, texts_by_label
 from tetractl.tools.table.terminal_table import print_tables
 
@@ -48,6 +48,34 @@ def printed_summary(described):
     shown_tables = summary(contrast([described]))
     print_tables(shown_tables, Console(file=out, width=100))
     return out.getvalue()
+
+
+def turning_by(*rates):
+    """A trial of the emulated lab in which three robots turned by themselves at these rates."""
+    (trial,) = emulated_trials(1)
+    return with_verdict(trial, turn=rates, turn_std=(0.02,) * 3)
+
+
+def test_a_robot_that_turns_by_itself_has_no_confirmed_heading():
+    """Regression: a pose that turned slowly while its robot drove passed without a word."""
+    trial = turning_by(0.03, -0.1, 0.0)
+    (text,) = unconfirmed_headings([trial])[trial.log]
+    assert text.startswith("heading of blue not confirmed: it turned by -0.10 rad/s by itself")
+    setup = trial.experiment.setup
+    drove_mm = setup.speed[1] * setup.metres * 1000 * trial.result.duration_s
+    assert text.endswith(f"up to {0.1 * trial.result.duration_s * drove_mm / 2:.0f} mm off")
+
+
+def test_headings_of_robots_that_do_not_turn_are_confirmed():
+    assert not unconfirmed_headings([turning_by(0.03, -0.03, 0.0)] * 3)
+
+
+def test_robots_with_enough_trials_are_compared_instead():
+    """Wheels that differ turn a robot in each of its trials."""
+    trials = emulated_trials(8)
+    assert unconfirmed_headings(trials[:3])
+    assert not unconfirmed_headings(trials)
+    assert not turned_otherwise(trials)
 
 
 FALSE_TURNS = {3: [0.1, 0.0, 0.0], 7: [0.0, 0.0, 0.2], 9: [0.0, -0.15, 0.0]}

@@ -1,10 +1,16 @@
 """Which requests end the trial of a worker, and which its process."""
 
+import gc
 import os
 import subprocess
 import sys
+import weakref
 
 import pytest
+
+from tetractl.core.errors import AbortError
+from tetractl.run.executors import Here
+from tetractl.run.interrupt import Interrupt
 
 SOURCE = """
 import os, signal
@@ -25,3 +31,23 @@ def test_a_worker_whose_pool_broke_ends_without_the_log_of_its_trial():
     trials that "the user ended", which then were in the way of their repetition."""
     done = subprocess.run([sys.executable, "-c", SOURCE], capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (1, "")
+
+
+class Plant:
+    """What a trial has in memory."""
+
+
+def test_an_error_of_a_trial_does_not_keep_its_plant_in_memory(monkeypatch):
+    """Regression: a refused run kept all frames of the camera until the program ended."""
+    plants = []
+
+    def refused(*_):
+        plant = Plant()
+        plants.append(weakref.ref(plant))
+        raise AbortError("green is 76 mm from its start")
+
+    monkeypatch.setattr("tetractl.run.executors.run_task", refused)
+    ((_, error),) = Here(Interrupt()).run([None], lambda task: None)
+    gc.collect()
+    assert error.message == "green is 76 mm from its start"
+    assert plants[0]() is None

@@ -5,11 +5,15 @@ errors, the final poses and the entered obstacles with them. Everything else is 
 digests alone, and the digests are made to fit here.
 """
 
+from dataclasses import replace
+
 import pytest
 from support.lab_logs import lab_log
 from support.tampering import score
 
 from tetractl.log.format import channels
+from tetractl.log.read.reader import read_trial
+from tetractl.replay.result_check import result_differences
 from tetractl.replay.verify import verify
 
 pytestmark = pytest.mark.system
@@ -40,6 +44,25 @@ SMALL = (  # 5 Hz, few steps and a small swarm
     "controller.deadline=0.15",
     "controller.optimizer={type: pso, particles: 6, iterations: 14}",
 )
+
+
+def test_a_changed_turn_of_a_lab_is_noticed(tmp_path):
+    """Regression: any rate at which robots turn by themselves was accepted, and `stats` flags
+    trials by it."""
+    log = read_trial(lab_log(tmp_path, ("controller.time_limit=3", *SMALL[1:])))
+    verdict = log.result.verdict
+    assert list(result_differences(log, log.result)) == []
+    robots = len(verdict.turn)
+    assert robots
+    for changes, field in [
+        ({"turn": (5.0,) * robots}, "result.turn.0"),
+        ({"turn_std": (1e-6,) * robots}, "result.turn_std.0"),
+        ({"turn_std": (-1.0,) * robots}, "result.turn_std.0"),
+        ({"turn": (), "turn_std": ()}, "result.turn"),
+    ]:
+        changed = replace(log.result, verdict=replace(verdict, **changes))
+        fields = [difference.field for difference in result_differences(log, changed)]
+        assert field in fields, changes
 
 
 def test_a_changed_decision_error_or_final_pose_of_a_lab_is_noticed(tmp_path):

@@ -1,7 +1,6 @@
-"""Sets up stdout and stderr, so that a reader that is slow or gone holds up no robot, and what a
-plug-in prints spoils no result.
+"""Sets up stdout and stderr, so that a reader that is slow or gone holds up no robot.
 
-No message raises, no signal waits for a reader, and lines of plug-ins are marked and bounded.
+No message raises, and no signal waits for a reader.
 
 Text waits for the reader of its stream, as in any program. In real time, that holds up the thread
 of the observers only (`run.spec_trial.ObserverRelay`): if it lasts, the trial ends and robots stop.
@@ -16,10 +15,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from types import FrameType
 from typing import TYPE_CHECKING
-
-from tetractl.core.registry import SPEAKERS
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -28,8 +24,6 @@ STDOUT = 1
 STDERR = 2
 READERS_LOOK_MS = 200
 """Time between two looks at whether a run has ended whose readers are watched."""
-LINE_BYTES = 4096
-"""Most that is kept of a line that a plug-in has not ended."""
 GONE = sum(getattr(select, name, 0) for name in ("POLLERR", "POLLHUP", "POLLNVAL"))
 """What `poll` says of a closed stream; Windows has no `poll`."""
 
@@ -58,72 +52,9 @@ class Messages(io.FileIO):
         return len(piece)
 
 
-class PluginWords:
-    """What plug-ins print in this process: lines on stderr, each printable and marked, so that the
-    results on stdout stay as they are. At most LINES_MAX are shown.
-    """
-
-    def __init__(self) -> None:
-        self._unended = dict[str, str]()  # of each plug-in, the line that it has not ended
-        self._shown = 0
-
-    def add(self, who: str, text: str) -> None:
-        """Show the lines that a text of a plug-in ends."""
-        *lines, rest = (self._unended.get(who, "") + text).split("\n")
-        self._unended[who] = rest[:LINE_BYTES]
-        for line in lines:
-            self._show(who, line)
-
-    def end(self) -> None:
-        """Show the lines that were not ended."""
-        lines = self._unended
-        self._unended = {}  # first, since a thread of a plug-in may print meanwhile
-        for who, line in lines.items():
-            self._show(who, line)
-
-    def _show(self, who: str, line: str) -> None:
-        from tetractl.tools.children import LINES_MAX, shown_lines  # slow to import
-
-        for text in shown_lines(line.encode(errors="replace")):
-            self._shown += 1
-            if self._shown <= LINES_MAX:
-                print(f"{who}: {text}", file=sys.stderr)
-            elif self._shown == LINES_MAX + 1:
-                print(f"{who}: says more, which is not shown", file=sys.stderr)
-
-
-WORDS = PluginWords()
-
-
-class MarkedStream(io.TextIOWrapper):
-    """A standard stream that passes a plug-in's text to WORDS."""
-
-    def write(self, text: str, /) -> int:
-        """Write a text, or pass it on."""
-        who = _speaker(sys._getframe(1))
-        if who:
-            WORDS.add(who, text)
-            return len(text)
-        return super().write(text)
-
-
-def _speaker(frame: FrameType | None) -> str:
-    """Return which plug-in's code writes, by the calls that lead to `frame`; "" if it is tetractl's
-    own, or that of rich, which draws for it.
-    """
-    while frame is not None and SPEAKERS:
-        top = frame.f_globals.get("__name__", "").partition(".")[0]
-        if top in ("tetractl", "rich"):
-            return ""
-        if top in SPEAKERS:
-            return SPEAKERS[top]
-        frame = frame.f_back
-    return ""
-
-
 def open_streams() -> None:
-    """Replace `sys.stderr` by a stream of `Messages`, and let both streams mark what plug-ins print
-    and escape the characters that their encoding lacks.
+    """Replace `sys.stderr` by a stream of `Messages`, and let both streams escape the characters
+    that their encoding lacks.
 
     A closed standard descriptor is opened on the null device, so that no log gets its number.
     """
@@ -138,14 +69,13 @@ def open_streams() -> None:
     else:  # the descriptor was closed
         binary = os.fdopen(STDOUT, "wb", closefd=False)
         by_line = False
-    sys.stdout = MarkedStream(binary, encoding, escapes, line_buffering=by_line)
-    sys.stderr = MarkedStream(Messages(), encoding, escapes, line_buffering=True)
+    sys.stdout = io.TextIOWrapper(binary, encoding, escapes, line_buffering=by_line)
+    sys.stderr = io.TextIOWrapper(Messages(), encoding, escapes, line_buffering=True)
 
 
 def close_stdout() -> None:
     """Write the rest of the results; if that fails, lose them, so that the interpreter, which
     writes them again as it ends, does not fail too."""
-    WORDS.end()
     try:
         sys.stdout.flush()
     except (OSError, ValueError):

@@ -12,11 +12,6 @@ from typing import Any
 
 from tetractl.core.errors import UsageError
 
-SPEAKERS: dict[str, str] = {}
-"""Who prints, such as "camera 'csv-camera'": by the top module of each package of which a kind was
-loaded, and "" for a package that adds a command, whose words are the command's.
-"""
-
 
 class PluginError(UsageError):
     """A kind that another package provides cannot be used."""
@@ -54,7 +49,6 @@ class Registry:
         self.builtin = dict(builtin)
         self.base = base
         self.what = group.removeprefix("tetractl.").removesuffix("s").replace("_", " ")
-        self.of_commands = self.what.endswith("command")
 
     def names(self) -> tuple[str, ...]:
         """Return the names of all kinds, the built-in ones first."""
@@ -82,8 +76,6 @@ class Registry:
         if name in self.builtin:
             return _builtin(self.builtin[name])
         point = self._installed[name]
-        top = point.module.partition(".")[0]
-        SPEAKERS.setdefault(top, "" if self.of_commands else f"{self.what} '{name}'")
         try:
             loaded = point.load()
         except Exception as error:  # a module of another package may raise anything

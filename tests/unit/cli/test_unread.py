@@ -2,21 +2,8 @@ import os
 import sys
 import threading
 from contextlib import contextmanager
-from io import BytesIO
 
-import pytest
-
-from tetractl.cli import unread
-from tetractl.cli.unread import (
-    MarkedStream,
-    Messages,
-    PluginWords,
-    close_stdout,
-    give_up_unread,
-    say_at_once,
-)
-from tetractl.core.registry import SPEAKERS
-from tetractl.tools.children import LINES_MAX, SHOWN_LINE_MAX
+from tetractl.cli.unread import Messages, close_stdout, give_up_unread, say_at_once
 
 STDOUT = 1
 STDERR = 2
@@ -90,59 +77,3 @@ def test_results_that_cannot_be_written_are_lost_before_the_interpreter_ends(mon
         os.dup2(real, STDOUT)
         os.close(real)
         os.close(full)
-
-
-@pytest.fixture
-def plugin(monkeypatch):
-    """Returns a function of a plug-in's module that prints."""
-    monkeypatch.setitem(SPEAKERS, "chatty", "camera 'chatty'")
-    module = {"__name__": "chatty.inside"}
-    exec("import sys\ndef say(text, **how): print(text, **how)", module)
-    return module["say"]
-
-
-def streams(monkeypatch):
-    """Let both standard streams be marked ones; returns what they have written, by name."""
-    written = {name: BytesIO() for name in ("stdout", "stderr")}
-    for name, file in written.items():
-        stream = MarkedStream(file, encoding="utf-8", write_through=True)
-        monkeypatch.setattr(sys, name, stream)
-    monkeypatch.setattr(unread, "WORDS", PluginWords())
-    return written
-
-
-def test_what_a_plug_in_prints_is_marked_and_leaves_the_results_alone(monkeypatch, plugin):
-    """Regression: it stood, with its escape sequences, in the JSON of a command."""
-    with monkeypatch.context() as patched:
-        written = streams(patched)
-        plugin("a \x1b[2Jscreen")
-        print('{"ours": 1}')
-        plugin("to stderr", file=sys.stderr)
-        plugin("not ended", end="")
-        unread.WORDS.end()
-        out, err = (file.getvalue().decode() for file in written.values())
-    assert out == '{"ours": 1}\n'
-    assert err.splitlines() == [
-        r"camera 'chatty': a \x1b[2Jscreen",
-        "camera 'chatty': to stderr",
-        "camera 'chatty': not ended",
-    ]
-
-
-def test_a_plug_in_that_prints_without_end_is_cut_short(monkeypatch, plugin):
-    with monkeypatch.context() as patched:
-        written = streams(patched)
-        for _ in range(1000):
-            plugin("x" * 10_000)
-        lines = written["stderr"].getvalue().decode().splitlines()
-    assert len(lines) == LINES_MAX + 1
-    assert lines[-1] == "camera 'chatty': says more, which is not shown"
-    assert max(map(len, lines)) < SHOWN_LINE_MAX + 50
-
-
-def test_a_package_with_a_command_prints_its_results(monkeypatch, plugin):
-    with monkeypatch.context() as patched:
-        written = streams(patched)
-        patched.setitem(SPEAKERS, "chatty", "")
-        plugin("result")
-        assert written["stdout"].getvalue() == b"result\n"

@@ -21,7 +21,7 @@ from tetractl.core.errors import Exit, TetractlError, UsageError, text_of
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS
 from tetractl.core.registry import PluginError, Registry
 from tetractl.experiment.packages import not_installed
-from tetractl.tools.plugin_fault import UNIX_MODULES, FaultyPluginError, plugins_blamed
+from tetractl.tools.plugin_fault import UNIX_MODULES, PluginTrialError
 
 EXTRAS = {
     "dask_jobqueue": ("dask-jobqueue", "dask"),
@@ -170,8 +170,7 @@ def run_app() -> int:
     if "" in sys.argv[1:]:  # as a path, it would be the present folder
         return complain(Exit.USAGE, "an argument is empty", "is a variable of the shell not set?")
     try:
-        with plugins_blamed(spared=(TyperException, typer.Abort)):
-            code = app(standalone_mode=False)
+        code = app(standalone_mode=False)
         sys.stdout.flush()  # here, so that an error of stdout is handled below
     except (Exception, KeyboardInterrupt, SystemExit) as error:
         exit_code = _complain_of(error)
@@ -188,7 +187,7 @@ def _complain_of(error: BaseException) -> Exit | None:
     The first case that fits is taken: OSError comes after its kinds.
     """
     match error:
-        case FaultyPluginError() if sys.flags.dev_mode:
+        case PluginTrialError() if sys.flags.dev_mode:
             return None
         case TetractlError():
             return complain(error.exit, error.message, error.hint)

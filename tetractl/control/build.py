@@ -7,7 +7,7 @@ from collections.abc import Callable
 from tetractl.experiment.experiment import Experiment, packages
 from tetractl.experiment.section_abilities import Modelled, Searches
 from tetractl.tools.cache import compiling
-from tetractl.tools.plugin_fault import plugins_blamed
+from tetractl.tools.plugin_fault import plugins_named
 
 AGAIN_S = 10.0  # time after which a message says that code is still being compiled [s]
 
@@ -38,7 +38,7 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
     compiling.append(say)
     gc.disable()
     try:
-        with plugins_blamed(packages(experiment)):
+        with plugins_named(packages(experiment)):
             experiment.controller.warm_up(experiment.setup)
     finally:
         compiling.remove(say)

@@ -94,13 +94,10 @@ class AbortError(TetractlError):
 
 
 class WrongValueError(TetractlError):
-    """`who`, an object of the class of `giver`, returned `what`, which cannot be sent or logged."""
+    """`who` returned `what`, which cannot be sent or logged."""
 
-    def __init__(self, giver: object, who: str, what: str) -> None:
+    def __init__(self, who: str, what: str) -> None:
         super().__init__(f"{who} returned {what}")
-        self.giver = giver
-        self.who = who
-        self.what = what
 
 
 class WireError(ValueError):

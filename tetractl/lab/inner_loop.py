@@ -44,7 +44,6 @@ from tetractl.lab.device_abilities import HearsDirections
 from tetractl.lab.frames import FrameBuffer
 from tetractl.lab.guard import Guard, GuardState, Ruling
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.tools.plugin_fault import plugin_fault
 from tetractl.tools.worker import WAITING_MAX, drained
 
 IDLE_S = 0.01
@@ -249,9 +248,6 @@ class InnerLoop:
             if self._stops_left:  # here, as the next step may fail before its stop
                 with suppress(Exception, SystemExit):
                     self._repeat_stop(now)
-            fault = plugin_fault(error)  # slow, so after the stop
-            if fault and self.guard.reason == reason:
-                self.guard.reason = fault.message
             return None
 
     def _check_and_transmit(self) -> Transmission | None:
@@ -263,7 +259,7 @@ class InnerLoop:
         self._obey_operator(now)
         failure: object = self._actuator.failure
         if not isinstance(failure, str | None):
-            raise WrongValueError(self._actuator, "an actuator", "a failure that is no text")
+            raise WrongValueError("an actuator", "a failure that is no text")
         ruling = self.guard.decide(now, self._camera.damaged, failure)
         self._warnings.extend((now, warning) for warning in ruling.warnings)
         if ruling.state is GuardState.ABORT:
@@ -282,7 +278,7 @@ class InnerLoop:
         for frame in self._camera.frames():
             fault = frame_fault(frame, len(self.guard.rules.names))
             if fault:
-                raise WrongValueError(self._camera, "a camera", fault)
+                raise WrongValueError("a camera", fault)
             accepted = self.guard.check_frame(frame)
             if accepted is not None:
                 self.frames.append(accepted)
@@ -364,7 +360,7 @@ class InnerLoop:
         """Keep a transmission, and let camera and guard know of it."""
         fault = transmission_fault(sent, len(self.guard.rules.names), self._clock.now())
         if fault:
-            raise WrongValueError(self._actuator, "an actuator", fault)
+            raise WrongValueError("an actuator", fault)
         self.last = sent
         if sent.speed.any() or sent.turning.any():
             self.driven_ns = sent.sent_ns

@@ -94,7 +94,7 @@ class SimCamera:
                 return NEVER
             if not delayed_ns >= exposed_ns:  # NaN, too
                 what = f"the arrival of a frame before its exposure: {delayed_ns} ns"
-                raise WrongValueError(self, "a disturbance", what)
+                raise WrongValueError("a disturbance", what)
             arrival_ns = delayed_ns
         self._last_arrival_ns = max(self._last_arrival_ns, arrival_ns)
         return self._last_arrival_ns
@@ -108,7 +108,7 @@ class SimCamera:
         for disturbance in self._measuring:
             poses, tracked = disturbance.measured(poses, tracked, exposed_ns / SECOND)
         if not (np.abs(poses.array()[tracked]) <= POSE_MAX).all():
-            raise WrongValueError(self, "a disturbance", "a measured pose that no log can hold")
+            raise WrongValueError("a disturbance", "a measured pose that no log can hold")
         if self._last_shown is not None and not tracked.all():
             shown_array = np.where(tracked[:, None], poses.array(), self._last_shown.array())
             poses = Poses.of(shown_array)

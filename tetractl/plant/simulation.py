@@ -252,6 +252,6 @@ class SimPlant:
         )
         if not 0 <= planning_s < NEVER / SECOND:  # NaN, too
             what = f"a planning time of {planning_s} s"
-            raise WrongValueError(self, "a disturbance", what)
+            raise WrongValueError("a disturbance", what)
         self.clock.sleep_until(now_ns + round(planning_s * SECOND))
         self._catch_up()

@@ -36,6 +36,7 @@ from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller
 from tetractl.core.trial import Step
 from tetractl.experiment.controller import Host, OptimizerSection
+from tetractl.experiment.experiment import packages
 from tetractl.log.format.codec import DRAWN_PRECISION, drawn
 from tetractl.log.read.limits import FACTOR, seconds_limit
 from tetractl.log.read.trial_log import TrialLog, frame_gaps
@@ -49,7 +50,7 @@ from tetractl.replay.comparison import (
 from tetractl.run.checked_controller import CheckedController
 from tetractl.run.spec_trial import trial_seeds
 from tetractl.tools.kernels.kernel_cache import computing_s
-from tetractl.tools.plugin_fault import plugins_blamed
+from tetractl.tools.plugin_fault import plugins_named
 
 TOLERANCE = 1e-9
 """Relative tolerance of re-evaluation."""
@@ -160,7 +161,7 @@ def plan_again(
     controller: Controller, log: TrialLog, last: Step | None, observation: Observation
 ) -> Decision:
     """Return a controller's decision on an observation that follows the control step `last` of a
-    log, or on the first observation if `last` is None. FaultyPluginError if a plug-in fails.
+    log, or on the first observation if `last` is None. PluginTrialError if a plug-in fails.
     """
     command = None
     earlier: list[Observation] = []
@@ -169,7 +170,7 @@ def plan_again(
         after = log.mocap_ns > last.observation.sampled_ns
         between = np.flatnonzero(after & (log.mocap_ns < observation.sampled_ns))
         earlier = [log.sample(int(row)).observation for row in between]
-    with plugins_blamed():
+    with plugins_named(packages(log.experiment)):
         return controller.plan(observation, command, earlier)
 
 

@@ -60,7 +60,7 @@ class CheckedController:
         except ValueError as error:
             text = f"a {type(decision).__name__} that cannot be used: {error}"
             who = f"controller '{self._section.type}'"
-            raise WrongValueError(self._section, who, text) from None
+            raise WrongValueError(who, text) from None
 
     def _checked(self, decision: Any) -> Decision:
         if isinstance(decision, Outcome):

@@ -80,7 +80,7 @@ from tetractl.core.trial import Note, Result, Start, Step, Verdict
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.model_changes import ModelMonitor, StatedModel
 from tetractl.run.motion_at_rest import RestMonitor
-from tetractl.tools.plugin_fault import FaultyPluginError, plugin_fault
+from tetractl.tools.plugin_fault import PluginTrialError, naming_plugins
 
 AT_ONCE = "stopped at once by a second interruption"
 STEP_FINISHED = "interrupted; the step was finished"
@@ -213,10 +213,10 @@ class Halt:
 
 
 def how_it_ended(
-    loop: LoopEnd, halt: Halt, fault: FaultyPluginError | None, dead: str
+    loop: LoopEnd, halt: Halt, fault: PluginTrialError | None, dead: str
 ) -> tuple[Outcome, str]:
-    """Return outcome and reason of a trial, by the list at the head of this module. `fault` is a
-    plug-in's part in the first error, `dead` which robots do not move, "" for none."""
+    """Return outcome and reason of a trial, by the list at the head of this module. `fault` is
+    the first error if the spec uses plug-ins, `dead` which robots do not move, "" for none."""
     error = loop.error or halt.error
     if error is not None:
         why = fault.message if fault else message_of(error)
@@ -425,7 +425,7 @@ class Trial:
         """Stop the robots, find how the trial has ended, and notify the observers of it."""
         halt = self._halt()
         error = loop.error or halt.error
-        fault = plugin_fault(error, self._start.packages) if error is not None else None
+        fault = naming_plugins(error, self._start.packages) if error is not None else None
         dead = told_dead(self._start.setup.names, self._measure.stood)
         outcome, reason = how_it_ended(loop, halt, fault, dead)
         result = self._result(outcome, reason, halt, opened_ns)

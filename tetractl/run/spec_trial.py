@@ -33,7 +33,7 @@ from tetractl.run.checked_controller import build_controller
 from tetractl.run.control_loop import Trial, abandon
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.model_changes import stated_model
-from tetractl.tools.plugin_fault import plugins_blamed
+from tetractl.tools.plugin_fault import plugins_named
 from tetractl.tools.worker import Relay, Worker
 
 QUEUED_CALLS_MAX = 2000
@@ -145,7 +145,7 @@ def ready_trial(
     start_unix_ns = _unix_ns() if section.real_time else EPOCH_NS
     key, seed = trial_seeds(spec.experiment.trials.seed, trial)
     supervisor = supervision or _own_supervision(writers, interrupt)
-    with plugins_blamed(packages(spec.experiment)), ExitStack() as relays:
+    with plugins_named(packages(spec.experiment)), ExitStack() as relays:
         if section.real_time:
             observers = [
                 relays.enter_context(closing(ObserverRelay(observer))) for observer in observers

@@ -1,91 +1,82 @@
-"""Says which plug-in raised an unexpected error, for the code that calls the kinds of a spec.
+"""Reports an unexpected error of a trial whose spec uses plug-ins in one line that names them.
 
-The plug-in is that of the innermost call whose code a package with kinds brought. An error of no
-such code may come of a value that a plug-in returned: then all packages of the spec are named.
+Which of them is at fault is not guessed: the calls that led to the error are kept for the log.
 """
 
 import errno
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
 from traceback import extract_tb
 from typing import TextIO
 
-from tetractl.core.errors import TetractlError, WrongValueError, printable, text_of
-from tetractl.core.registries import COMMANDS, LAB_COMMANDS, REGISTRIES
+from tetractl.core.errors import TetractlError, text_of
 
-TRACEBACK_HINT = "PYTHONDEVMODE=1 prints its traceback"
-CHECK = "tetractl kinds --check MODULE:NAME --spec SPEC tests a kind"
+HINT = (
+    "PYTHONDEVMODE=1 prints the traceback; tetractl kinds --check MODULE:NAME --spec SPEC tests "
+    "a kind"
+)
 UNIX_MODULES = {"fcntl", "termios", "tty", "pty", "resource", "pwd", "grp"}
 """Modules of Python that Windows does not have; the lab needs them."""
 COMPUTERS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ENFILE, errno.EMFILE}
 """Errors of the computer, such as a full disk."""
 CALLS_MAX = 20
-"""Most calls of a traceback that are kept."""
+"""Maximum number of calls of a traceback that are kept."""
 
 
-class FaultyPluginError(TetractlError):
-    """A plug-in raised an exception; `calls` are the calls that led to it, one line each."""
+class PluginTrialError(TetractlError):
+    """An unexpected error in a trial whose spec uses plug-ins.
+
+    Attributes:
+        calls: The calls that led to the error, one line each.
+    """
 
     calls: tuple[str, ...] = ()
 
 
 @contextmanager
-def plugins_blamed(
-    packages: Mapping[str, str] | None = None, spared: tuple[type[Exception], ...] = ()
-) -> Iterator[None]:
-    """Raise FaultyPluginError for an unexpected error of a plug-in, such as `sys.exit`, inside the
-    `with` block, by `plugin_fault`; errors of the types `spared` pass."""
+def plugins_named(packages: Mapping[str, str]) -> Iterator[None]:
+    """Raise PluginTrialError for an unexpected error, such as `sys.exit`, inside the `with` block.
+
+    Args:
+        packages: Version of each package whose kinds the spec uses. If there is none, an
+            unexpected error is our own and passes unchanged.
+    """
     try:
         yield
-    except (KeyboardInterrupt, *spared):
+    except KeyboardInterrupt:
         raise
     except BaseException as error:
-        fault = plugin_fault(error, packages)
-        if fault:
-            raise fault from error
+        named = naming_plugins(error, packages)
+        if named:
+            raise named from error
         raise
 
 
-def plugin_fault(
-    error: BaseException, packages: Mapping[str, str] | None = None
-) -> FaultyPluginError | None:
-    """Return an error that names the plug-in whose code raised `error`, called what raised it, or
-    returned a wrong value; None if there is no such plug-in, for another TetractlError, and for an
-    error of the computer, such as a full disk or a module that its system has not.
+def naming_plugins(error: BaseException, packages: Mapping[str, str]) -> PluginTrialError | None:
+    """Return an error that also names the plug-ins of a spec.
 
-    If none is found, but `packages`, name and version, provide kinds, these are named.
+    Args:
+        error: What was raised in a trial.
+        packages: Version of each package whose kinds the spec uses.
+
+    Returns:
+        None if the spec uses no plug-in, for a TetractlError, and for an error of the computer,
+        such as a full disk.
     """
-    if isinstance(error, WrongValueError):
-        owner = _owner(_file(type(error.giver).__module__))
-        if owner is not None:
-            kinds = error.who if error.who in owner.kinds else owner.kinds  # the one of several
-            text = f"plug-in {kinds} ({owner.package}) returned {error.what}"
-            return FaultyPluginError(text, CHECK)
-    elif isinstance(error, TetractlError) or _of_computer(error):
-        return None
-    what = text_of(error).removeprefix("WrongValueError: ")
-    calls = extract_tb(error.__traceback__)
-    for call in reversed(calls):
-        owner = _owner(Path(call.filename).absolute())
-        if owner is not None:
-            place = f"{owner.package}, {call.filename}:{call.lineno}"
-            text = f"plug-in {owner.kinds} ({place}) raised {printable(what, 300)}"
-            fault = FaultyPluginError(text, TRACEBACK_HINT)
-            fault.calls = tuple(
-                f"{c.filename}:{c.lineno} in {c.name}: {c.line}" for c in calls[-CALLS_MAX:]
-            )
-            return fault
-    if not packages:
+    if not packages or isinstance(error, TetractlError) or _of_computer(error):
         return None
     used = ", ".join(f"{name} {version}" for name, version in packages.items())
-    return FaultyPluginError(f"{what}; the spec uses plug-ins of {used}", CHECK)
+    named = PluginTrialError(f"{text_of(error)}; the spec uses plug-ins of {used}", HINT)
+    named.calls = tuple(
+        f"{call.filename}:{call.lineno} in {call.name}: {call.line}"
+        for call in extract_tb(error.__traceback__)[-CALLS_MAX:]
+    )
+    return named
 
 
 def _of_computer(error: BaseException) -> bool:
-    """Return whether an error is of the computer or its system, in whichever code it occurs."""
+    """Tell whether an error comes from the computer or its system, whichever code it occurs in."""
     match error:
         case SystemExit(__context__=BrokenPipeError()):
             return True  # of rich, whose output has no reader any more
@@ -99,45 +90,9 @@ def _of_computer(error: BaseException) -> bool:
 
 
 def _has_no_reader(stream: TextIO) -> bool:
-    """Return whether what is written to a stream has no reader any more."""
+    """Tell whether nobody reads any more what is written to a stream."""
     try:
         stream.flush()
     except BrokenPipeError:
         return True
     return False
-
-
-@dataclass(frozen=True, slots=True)
-class _Owner:
-    """The plug-in that brought a file: its kinds, and its package with the version."""
-
-    kinds: str
-    package: str
-
-
-def _owner(file: Path) -> _Owner | None:
-    """Return the plug-in that defines a kind in a file or, failing that, the one in whose package
-    the file is; None for a file of no plug-in."""
-    kinds_of_file: dict[str, list[str]] = {}  # by their package
-    kinds_around: dict[str, list[str]] = {}
-    for registry in (*REGISTRIES, COMMANDS, LAB_COMMANDS):
-        for kind in registry.kinds():
-            if not kind.package:
-                continue
-            module = kind.code.partition(":")[0]
-            top = module.partition(".")[0]
-            package = f"{kind.package} {kind.version}"
-            name = f"{registry.what} '{kind.name}'"
-            if _file(module) == file:
-                kinds_of_file.setdefault(package, []).append(name)
-            elif top != module and _file(top).parent in file.parents:
-                kinds_around.setdefault(package, []).append(name)
-    for package, kinds in (kinds_of_file or kinds_around).items():
-        return _Owner(" or ".join(kinds), package)
-    return None
-
-
-def _file(module: str) -> Path:
-    """Return the file of an imported module, and one that does not exist for another module."""
-    imported = sys.modules.get(module)
-    return Path((imported and imported.__file__) or "/nowhere/nowhere")

@@ -610,6 +610,8 @@ def play_page(spec: Spec, *, file: str | Path | None = None) -> "FramedPage":
     from tetractl.run.undisturbed import undisturbed_spec
     from tetractl.tools.files import save_whole
 
+    if file is not None and not Path(file).absolute().parent.is_dir():
+        raise UsageError(f"{file}: there is no folder {Path(file).parent}")
     undisturbed = undisturbed_spec(_spec(spec))
     directed_spec(undisturbed)  # refuses what cannot be steered by hand
     page.refuse_unknown_motion(undisturbed)

@@ -15,7 +15,6 @@ from support.running import TETRACTL, first_of
 pytestmark = pytest.mark.slow
 
 REFERENCE = {"source": "section V", "n": 20, "mean": 648.6, "std": 225.1}
-SCALE = {"name": "T. pyriformis", "unit": "um", "speed": 300, "body_length": 50}
 
 PLANT = {"type": "sim", "heading_noise": 0.05}
 
@@ -27,7 +26,7 @@ def stats(*args, cwd):
 def write(folder, count, first=0, **fields):
     """Logs of trials whose total errors are 300, 310, ... mm."""
     folder.mkdir(exist_ok=True)
-    fields = {"reference": REFERENCE, "scale": SCALE, "plant": PLANT} | fields
+    fields = {"reference": REFERENCE, "plant": PLANT} | fields
     for i in range(first, first + count):
         trial = random_trials.trial(i + 1, index=i, steps=3, frames=2, **fields)
         errors = (100.0, 100.0, 100.0 + 10 * i)

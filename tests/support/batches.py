@@ -17,7 +17,6 @@ from tetractl.results.open_batch import Batch, Damaged
 
 REFERENCE = {"source": "Figure 5", "n": 20, "mean": 648.6, "std": 225.1}
 DISTURBED = {"type": "sim", "heading_noise": 0.05}
-SCALE = {"name": "T. pyriformis", "unit": "um", "speed": 300, "body_length": 50}
 
 
 def experiment(robots: int = 3, **fields: Any) -> Experiment:

@@ -202,19 +202,6 @@ class Reference(Model):
     """Standard deviation (n - 1) of the total error [length unit]."""
 
 
-class Scale(Model):
-    """The paper's scaling of errors to robots of another kind, by the ratio of speeds (page 6)."""
-
-    name: str = Field(min_length=1, max_length=100)
-    """Name of the robots that the error is scaled to, for instance `T. pyriformis`."""
-    unit: Literal["um", "mm", "cm", "m"] = "um"
-    """Length unit of this section's numbers."""
-    speed: Length = Field(gt=0)
-    """Speed of the robots that the error is scaled to [unit/s]."""
-    body_length: Length = Field(gt=0)
-    """Body length of the robots that the error is scaled to [unit]."""
-
-
 _Listed = Annotated[tuple[Robot, ...], Field(min_length=1, max_length=1000)]
 _PLANT = KindSection(PLANTS, PlantSection, default="sim")
 DEFAULT_CONTROLLER = "mpc"
@@ -289,8 +276,6 @@ class Experiment(Model):
     trials are far off. The default is 10 times the batch's median."""
     reference: Reference | None = None
     """A published result to compare with."""
-    scale: Scale | None = None
-    """Another kind of robot, to which the error is scaled."""
 
     def __repr_args__(self) -> Iterator[tuple[str, object]]:
         yield from (("name", self.name), ("plant", self.plant.type), ("trials", self.trials.count))

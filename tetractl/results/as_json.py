@@ -8,7 +8,7 @@ rounded; unknown ones are NaN or None, which JSON writes as null.
 from typing import Any
 
 from tetractl.log.read.trial_log import Origin
-from tetractl.results.describe import BatchComparison, BatchStatistics, Contrast, ScaledError
+from tetractl.results.describe import BatchComparison, BatchStatistics, Contrast
 from tetractl.results.flagged import flagged
 from tetractl.results.statistic import trial_items
 from tetractl.results.trial_tables import trials_table
@@ -59,7 +59,6 @@ def batch_items(group: BatchStatistics) -> dict[str, Any]:
         "n_trials": len(batch.trials),
         "n_counted": group.counted,
         "reference": _reference(group),
-        "scaled": group.scaled and _scaled(group.scaled),
         **statistics,
         "n_attempts": group.attempts,
         "damaged": batch.lost,
@@ -84,18 +83,6 @@ def _reference(group: BatchStatistics) -> dict[str, Any] | None:
         "std": published.std,
         "comparable": group.origin.comparable,
         **group.from_published.as_dict(),
-    }
-
-
-def _scaled(scaled: ScaledError) -> dict[str, Any]:
-    return {
-        "name": scaled.scale.name,
-        "unit": scaled.scale.unit,
-        "mean": scaled.mean,
-        "ci95": scaled.ci95.ends,
-        "body_lengths": scaled.body_lengths,
-        "published_mean": scaled.published_mean,
-        "published_body_lengths": scaled.published_body_lengths,
     }
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.shown import Shown
-from tetractl.experiment.experiment import CHANGES_NO_TRIAL, Experiment, Scale
+from tetractl.experiment.experiment import CHANGES_NO_TRIAL, Experiment
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results import mean_difference
 from tetractl.results.estimate import CONFIDENCE, Distribution, Interval, distributions
@@ -32,38 +32,11 @@ from tetractl.results.statistic import Figure, statistics
 ENOUGH = 8
 """Least number of pairs or, without pairs, of trials on each side, for a verdict."""
 NO_PAIRS: Floats = np.zeros(0)
-_NOT_THE_WORLD = CHANGES_NO_TRIAL | {"controller", "name", "reference", "scale", "lab"}
+_NOT_THE_WORLD = CHANGES_NO_TRIAL | {"controller", "name", "reference", "lab"}
 """Fields of a spec that do not change the disturbances of a trial."""
 
 
 # ---- One batch ----
-
-
-@dataclass(frozen=True, slots=True)
-class ScaledError:
-    """The mean error of one robot, scaled to robots of another kind by the ratio of speeds.
-
-    With total error E and speeds v_i of N robots it is (mean of E / N) (scale.speed / mean of v_i),
-    hence the mean of E times scale.speed / sum of v_i, in the unit of `scale`; NaN if every speed
-    is 0.
-    """
-
-    scale: Scale
-    """The robot of another kind: its speed and body length."""
-    mean: float
-    ci95: Interval
-    published_mean: float
-    """The published mean error, scaled by the same factor; NaN if none was published."""
-
-    @property
-    def body_lengths(self) -> float:
-        """The mean in body lengths."""
-        return self.mean / self.scale.body_length
-
-    @property
-    def published_body_lengths(self) -> float:
-        """The published mean in body lengths."""
-        return self.published_mean / self.scale.body_length
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +60,6 @@ class BatchStatistics(Shown):
     """How the errors of each robot are distributed, N of them."""
     from_published: MeanDifference | None = field(repr=False)
     """The mean total error minus the published one; None if the spec names no published result."""
-    scaled: ScaledError | None = field(repr=False)
-    """The error of a robot of another kind; None if the spec names no such robot."""
     figures: tuple[Figure, ...] = field(repr=False)
     """The figures of all registered statistics, over all trials."""
 
@@ -134,7 +105,6 @@ def describe(batch: Batch, name: str = "") -> BatchStatistics:
         total=total,
         robots=tuple(distributions(errors.T)),
         from_published=_from_published(experiment, total, origin),
-        scaled=_scaled(experiment, total, origin),
         figures=tuple(figures),
     )
 
@@ -142,8 +112,10 @@ def describe(batch: Batch, name: str = "") -> BatchStatistics:
 def _from_published(
     experiment: Experiment, total: Distribution, origin: Origin
 ) -> MeanDifference | None:
-    """Return the measured mean minus the published mean, tested by Welch's t test; unknown for an
-    undisturbed simulation and an emulated lab. None if nothing was published.
+    """Compare the mean with the published mean of real robots by Welch's t test.
+
+    Only trials of a real lab are compared. The difference of a simulation or an emulated lab is
+    unknown, because it would say nothing about real robots. None if nothing was published.
     """
     published = experiment.reference
     if published is None:
@@ -152,25 +124,6 @@ def _from_published(
         return MeanDifference.untested(math.nan, "not compared")
     return mean_difference.welch(
         total.n, total.mean, total.std, published.n, published.mean, published.std
-    )
-
-
-def _scaled(experiment: Experiment, total: Distribution, origin: Origin) -> ScaledError | None:
-    """Return the error of a robot of another kind; None if the spec names none, or the trials
-    cannot be compared with those of real robots.
-    """
-    scale = experiment.scale
-    if scale is None or not origin.comparable:
-        return None
-    sum_of_speeds = sum(robot.speed for robot in experiment.robots)
-    factor = scale.speed / sum_of_speeds if sum_of_speeds > 0 else math.nan
-    ci95 = total.ci95
-    published = experiment.reference
-    return ScaledError(
-        scale=scale,
-        mean=total.mean * factor,
-        ci95=Interval(ci95.low * factor, ci95.high * factor, reason=ci95.reason),
-        published_mean=published.mean * factor if published else math.nan,
     )
 
 

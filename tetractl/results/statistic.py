@@ -142,7 +142,6 @@ def trial_items(trial: ResultSummary) -> dict[str, Any]:
         "outcome": result.outcome.value,
         "reason": result.reason,
         "warnings": trial.warnings,
-        "processor": trial.processor,
     }
     for statistic in statistics():
         items |= statistic.of_trial(trial)

@@ -8,28 +8,25 @@ trials_listed  the trials of a batch, on the report page and in a notebook
 """
 
 import math
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.built_in_statistics import MEANINGS
-from tetractl.results.describe import BatchComparison, BatchStatistics, Contrast, ScaledError
+from tetractl.results.describe import BatchComparison, BatchStatistics, Contrast
 from tetractl.results.estimate import Distribution, Interval, known_distribution
 from tetractl.results.flagged import flagged, unsafe
 from tetractl.results.mean_difference import MeanDifference
 from tetractl.results.statistic import Figure
-from tetractl.tools.table.table import NONE, Column, Table, digits, fixed, lengths, listing, p_value
+from tetractl.tools.table.table import NONE, Column, Table, fixed, lengths, listing, p_value
 from tetractl.tools.table.terminal_table import LISTED_MAX
 
 DECIMALS_MAX = 9
 """Most decimals of an error."""
 SIDE_BY_SIDE = 3
 """Most batches in one table of trials: more columns of words are too wide."""
-PROCESSORS_NAMED = 4
-"""Most types of processor that a note names."""
 PUBLISHED = "difference from published"
 """Label of the difference from the published result."""
 TINY = 1e-6
@@ -56,8 +53,6 @@ def summary(comparison: BatchComparison) -> list[Table]:
     if len(groups) == 1 and published is not None and first.origin.comparable and first.counted:
         notes.append(f"{PUBLISHED}: {published_text(published, first)}")
     notes += _unusual(groups)
-    if errors.note:
-        notes.append(errors.note)
     with_notes = replace(errors, note="\n".join(notes))
     if len(groups) <= 2:
         return [with_notes]
@@ -137,8 +132,6 @@ def figures_of(group: BatchStatistics) -> Iterator[Figure]:
     if group.counted and group.from_published is not None:
         text = published_text(group.from_published, group)
         yield Figure(PUBLISHED, text, unusual=False)
-    if group.counted and group.scaled is not None:
-        yield from _scaled(group.scaled)
     yield from (figure for figure in group.figures if figure.label)
     lost = len(group.batch.lost)
     yield Figure("earlier attempts, excluded", str(group.attempts), unusual=group.attempts > 0)
@@ -165,24 +158,6 @@ def published_text(difference: MeanDifference, group: BatchStatistics) -> str:
         return f"{NONE} (not real robots)"
     text = difference.text(group.unit, lengths(difference.value), difference.p_value)
     return f"{text} (Welch's t)"
-
-
-def _scaled(scaled: ScaledError) -> Iterator[Figure]:
-    """Yield the error of a robot of another kind, and the published one."""
-    scale = scaled.scale
-    show = lengths(scaled.mean)
-    texts = {
-        f"robot error scaled to {scale.name} [{scale.unit}]": show(scaled.mean),
-        f"  its 95 % interval [{scale.unit}]": scaled.ci95.text(show),
-        "  in body lengths": digits(scaled.body_lengths),
-    }
-    published = scaled.published_mean
-    if math.isfinite(published):
-        bodies = digits(scaled.published_body_lengths)
-        text = f"{lengths(published)(published)} ({bodies} body lengths)"
-        texts[f"  published error scaled [{scale.unit}]"] = text
-    for label, text in texts.items():
-        yield Figure(label, text, unusual=False)
 
 
 # ---- Every table ----
@@ -288,15 +263,13 @@ def error_table(
 def _errors(groups: Sequence[BatchStatistics], named: Sequence[tuple[str, Distribution]]) -> Table:
     """Return the table of the `named` errors of batches, in the format for the least total."""
     first = groups[0]
-    errors = error_table(
+    return error_table(
         _errors_title(groups),
         named,
         first.unit,
         least=min((group.total.mean for group in groups if group.counted), default=math.nan),
         decimals_most=decimals_shown(first.experiment),
     )
-    simulated = (trial for group in groups for trial in group.batch.trials if trial.simulated)
-    return replace(errors, note=processors_note(trial.processor for trial in simulated))
 
 
 def _totals(groups: Sequence[BatchStatistics]) -> list[tuple[str, Distribution]]:
@@ -329,22 +302,6 @@ def _errors_title(groups: Sequence[BatchStatistics]) -> str:
     if any(group.origin is Origin.DISTURBED for group in groups):
         title += " (disturbances assumed)"
     return title
-
-
-def processors_note(types: Iterable[str]) -> str:
-    """Return a note if trials were simulated on several types of processor, otherwise "".
-
-    Sums round differently on two types, and a trial with disturbances may then take another course.
-    """
-    counts = Counter(filter(None, types))
-    if len(counts) < 2:
-        return ""
-    most = counts.most_common(PROCESSORS_NAMED)
-    named = ", ".join(f"{name} ({count})" for name, count in most)
-    unnamed = len(counts) - len(most)
-    more = f" and {unnamed} more" if unnamed else ""
-    what = "types of processor, on which the same seed may give another trial"
-    return f"trials of {len(counts)} {what}: {named}{more}"
 
 
 # ---- Comparisons ----

@@ -12,7 +12,7 @@ from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.estimate import ArmErrors, numeric
 from tetractl.results.flagged import SAFETY, unsafe
 from tetractl.results.open_batch import Batch, counts
-from tetractl.results.tables import GIVEN_DIRECTIONS, error_table, processors_note
+from tetractl.results.tables import GIVEN_DIRECTIONS, error_table
 from tetractl.results.trial_tables import trials_table
 from tetractl.run.store import Store
 from tetractl.study.load_study import Arm, LoadedStudy, as_yaml, shown
@@ -148,7 +148,7 @@ def arms_table(loaded: LoadedStudy, store: Store) -> Table:
         columns.append(Column(tails[0].label, [tail.text() for tail in tails]))
     columns.append(Column("aborted", [aborted[arm.name] for arm in arms]))
     columns.append(Column("plant", [str(plant) for plant in plants], words=True))
-    notes = [processors_note(trial.processor for _, trial in trials), given_note(arms)]
+    notes = [given_note(arms)]
     if Origin.DISTURBED in plants:
         notes.append("disturbances are assumed in the spec, not measured")
     if len(loaded.arms) > LISTED:

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result, trial
+from support.batches import DISTURBED, REFERENCE, batch, experiment, group, result, trial
 
 from tetractl.core.plan import Outcome
 from tetractl.results.as_json import comparison_items
@@ -13,7 +13,7 @@ from tetractl.tools.table.table_files import json_text
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
 
-SPEC = experiment(reference=REFERENCE, scale=SCALE, plant=DISTURBED)
+SPEC = experiment(reference=REFERENCE, plant=DISTURBED)
 
 
 def as_json(described):
@@ -46,7 +46,7 @@ def test_json_says_what_a_usual_batch_is():
     assert items["disturbed"] is True
     assert items["arrived"] is None
     assert items["outcomes"]["sequence completed"] == 20
-    assert items["reference"]["comparable"]
+    assert not items["reference"]["comparable"]
     for count in ("obstacle_violations", "aborted", "deadline_misses", "n_attempts"):
         assert items[count] == 0
     assert items["attempts"] == []
@@ -56,7 +56,6 @@ def test_json_says_what_a_usual_batch_is():
 def test_json_without_a_reference_or_enough_trials_says_null():
     items = as_json(group(batch(ERRORS[:1])))
     assert items["reference"] is None
-    assert items["scaled"] is None
     assert items["total_error"]["std"] is None
     assert items["total_error"]["ci95"] is None
     assert items["total_error"]["ci95_reason"] == "one value has no spread"

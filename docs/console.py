@@ -9,16 +9,16 @@ of that name there. Below a command stands what it prints, stdout and stderr tog
 it only has to succeed. `...` stands for what varies from run to run, such as a time: alone on a
 line for any lines, within a line for anything there. Everything else is compared to the last digit.
 
-But another processor, or another version of a library, rounds differently, and a trial then goes
-another way: a search follows another particle. So the last line of a page whose numbers come from
-trials says what they were printed on. Anywhere else only nine in ten of the words, in their order,
-must come; `--write` there replaces every output, so that all numbers of a page come from one
-place.
+A trial is the same on every x86-64 processor. But another version of a library, or another kind of
+processor, may round differently, and a trial then goes another way: a search follows another
+particle. So the last line of a page whose numbers come from trials says what they were printed on.
+Anywhere else only nine in ten of the words, in their order, must come; `--write` there replaces
+every output, so that all numbers of a page come from one place.
 """
 
 import argparse
-import hashlib
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -98,13 +98,9 @@ def run(page: str) -> list[tuple[Example, str, int]]:
 
 @cache
 def here() -> str:
-    """Return what decides how numbers are rounded: processor, its features, and libraries."""
-    from llvmlite import binding
-
-    features = binding.get_host_cpu_features().flatten()
-    digest = hashlib.sha256(features.encode()).hexdigest()[:8]
+    """Return what decides how numbers are rounded: kind of processor, and libraries."""
     versions = (f"{name} {metadata.version(name)}" for name in _ROUNDING)
-    return ", ".join([f"{binding.get_host_cpu_name()} ({digest})", *versions])
+    return ", ".join([platform.machine(), *versions])
 
 
 def printed_on(page: str) -> str:

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
@@ -99,8 +100,8 @@ def _rates(heading: Floats, u: Floats, parameters: Floats, seconds: float) -> Fl
         return turning(c, s, cu, su, robot, seconds)[0]
 
     rates = np.vectorize(rate)
-    toward = np.cos(u), np.sin(u)
-    return rates(np.cos(heading), np.sin(heading), *toward, *parameters.T)
+    toward = elementwise.cos(u), elementwise.sin(u)
+    return rates(elementwise.cos(heading), elementwise.sin(heading), *toward, *parameters.T)
 
 
 def evaluate(problem: Problem, signals: Floats) -> Costs:
@@ -117,9 +118,9 @@ def costs_along(problem: Problem, path: Floats) -> Costs:
     x = path[..., 0]
     y = path[..., 1]
     if problem.within is None:
-        miss = np.hypot(x[-1] - problem.targets[:, 0], y[-1] - problem.targets[:, 1])
+        miss = elementwise.hypot(x[-1] - problem.targets[:, 0], y[-1] - problem.targets[:, 1])
     else:
-        away = np.hypot(x[1:] - problem.targets[:, 0], y[1:] - problem.targets[:, 1])
+        away = elementwise.hypot(x[1:] - problem.targets[:, 0], y[1:] - problem.targets[:, 1])
         beyond = away / problem.within - 1
         miss = problem.within * np.where(beyond > 0, 1 + STRAY * beyond, 0.0).mean(axis=0)
     target = miss.sum(axis=-1)  # (8)
@@ -132,7 +133,7 @@ def costs_along(problem: Problem, path: Floats) -> Costs:
         i, k = np.triu_indices(x.shape[-1], 1)  # the pairs of robots
         dx = x[1:, :, i] - x[1:, :, k]
         dy = y[1:, :, i] - y[1:, :, k]
-        obstacle += (dx * dx + dy * dy <= problem.separation**2).sum(axis=(0, 2))
+        obstacle += (dx * dx + dy * dy <= np.square(problem.separation)).sum(axis=(0, 2))
     total = target + problem.obstacle_weight * obstacle  # (7)
     require_finite(total)
     return Costs(total, target, obstacle)

@@ -16,6 +16,7 @@ import numpy as np
 from tetractl.control.evaluate import compiled_drive
 from tetractl.control.kernels import clearance
 from tetractl.control.kernels.obstacles import arrays_of
+from tetractl.core import elementwise
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
@@ -61,6 +62,6 @@ class Discs:
         to_obstacles = to_each.min(axis=0, initial=np.inf)
         nearest = to_obstacles.reshape(x.shape).min(axis=-1)
         i, k = np.triu_indices(x.shape[-1], 1)  # the pairs of robots
-        between = np.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
+        between = elementwise.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
         to_robots = between.min(axis=-1, initial=np.inf)
         return np.minimum(nearest - self._radius, to_robots - separation)

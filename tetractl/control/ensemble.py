@@ -19,6 +19,7 @@ from pydantic import Field
 from tetractl.control.cost import foreseen_along, predict
 from tetractl.control.fixed_sequence import given_search, make_plan
 from tetractl.control.plain import PlainController, PlainSection
+from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff
 from tetractl.core.plan import Outcome, Plan, Problem
@@ -125,9 +126,9 @@ class Ensemble(PlainController):
         """Rotate the field by one step; if it is off, begin at the robots' mean heading."""
         if self._field is None:
             heading = problem.poses.heading
-            east = np.cos(heading).sum()
-            north = np.sin(heading).sum()
-            self._field = float(np.arctan2(north, east))
+            east = elementwise.cos(heading).sum()
+            north = elementwise.sin(heading).sum()
+            self._field = float(elementwise.atan2(north, east))
         step_rad = self.section.rate * float(problem.a.min()) * self.section.period
         self._field = float(np.remainder(self._field + step_rad + np.pi, 2 * np.pi) - np.pi)
         self._turned_rad += step_rad

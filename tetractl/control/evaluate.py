@@ -7,6 +7,7 @@ from threading import get_ident
 import numpy as np
 
 from tetractl.control.cost import Foreseen, require_finite
+from tetractl.core import elementwise
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 
@@ -49,8 +50,8 @@ def compiled_branches(
     directions = (towards[:, None] + bias).ravel()
     held = flat._replace(
         robots=np.tile(flat.robots, (copies, 1)),
-        bias_cos=np.cos(directions),
-        bias_sin=np.sin(directions),
+        bias_cos=elementwise.cos(directions),
+        bias_sin=elementwise.sin(directions),
         flow=np.tile(flat.flow, (copies, 1)),
         first_period=seconds,
         period=seconds,

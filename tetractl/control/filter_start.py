@@ -44,6 +44,8 @@ from tetractl.control.kernels.filter_state import (
     Y,
 )
 from tetractl.control.prior import Prior
+from tetractl.core import elementwise
+from tetractl.core.elementary import log
 from tetractl.core.poses import Bools, Floats, Integers
 from tetractl.model.motion.motion import in_rows
 
@@ -166,7 +168,7 @@ def _noise(prior: Prior) -> Floats:
     noise[:2] = position or POSITION_NOISE_S * np.maximum(prior.speed, LEAST_SPEED)
     noise[2] = prior.heading_noise or HEADING_NOISE
     spread = np.array(prior.spread)
-    return np.hypot(noise, spread[:, None])
+    return elementwise.hypot(noise, spread[:, None])
 
 
 # ---- the banks ----
@@ -177,7 +179,7 @@ def first_bank(prior: Prior) -> Bank:
     dead_times_s = _dead_times(prior)
     std = first_std(prior)
     tried = tried_state(prior)
-    first_values = [math.log(f) for f in FREQUENCIES] if prior.swims else [0.0]
+    first_values = [log(f) for f in FREQUENCIES] if prior.swims else [0.0]
     groups: list[Bank] = []
     for number, value in enumerate(first_values):
         mean = np.zeros((len(dead_times_s), len(prior.a), STATES))
@@ -214,7 +216,7 @@ def reopened_bank(
     groups = [unchanged]
     if not heading_fits:
         for number, saturation in enumerate(SATURATIONS, 1):
-            groups.append(_saturating(unchanged, number, math.log(saturation), std))
+            groups.append(_saturating(unchanged, number, log(saturation), std))
     return Bank.joined(groups)
 
 
@@ -244,7 +246,7 @@ def _around_likeliest(
     group.cov[:, :, FIRST_SLOT] = bank.cov[likeliest]
     group.noise_scale[:] = bank.noise_scale[filters, robots]
     difference_s = group.dead_time_s - bank.dead_time_s[filters, robots]
-    group.score[:] = -((difference_s / CHANGE_STD_S) ** 2) / 2
+    group.score[:] = -np.square(difference_s / CHANGE_STD_S) / 2
     return group
 
 
@@ -270,4 +272,4 @@ def _set_uncertain(bank: Bank, state: int, std: Floats | float) -> None:
     """Let a state have a standard deviation, (N,) or that of all robots, and depend on no other."""
     bank.cov[..., state, :] = 0.0
     bank.cov[..., state] = 0.0
-    bank.cov[:, :, FIRST_SLOT, state, state] = std**2
+    bank.cov[:, :, FIRST_SLOT, state, state] = np.square(std)

@@ -8,6 +8,7 @@ import numpy as np
 
 from tetractl.control.cost import Foreseen, foresee
 from tetractl.control.evaluate import compiled_drive
+from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Plan, Problem, Search, StopReason
 from tetractl.core.poses import Floats
@@ -46,7 +47,7 @@ def least_error(problem: Problem, period_s: float) -> float:
     would be left if every robot drove straight to its target."""
     speed = problem.speed
     if problem.flow is not None:
-        speed = speed + np.hypot(problem.flow[:, 0], problem.flow[:, 1])
+        speed = speed + elementwise.hypot(problem.flow[:, 0], problem.flow[:, 1])
     return float((problem.poses.distances(problem.targets) - period_s * speed).sum())
 
 
@@ -62,7 +63,9 @@ def best_stop(
     delays = np.arange(moments, dtype=np.float64) * (period_s / moments)
     path = compiled_drive(problem, direction, delays)
     targets = problem.targets
-    errors = np.hypot(path[..., 0] - targets[:, 0], path[..., 1] - targets[:, 1]).sum(axis=1)
+    errors = elementwise.hypot(path[..., 0] - targets[:, 0], path[..., 1] - targets[:, 1]).sum(
+        axis=1
+    )
     best = int(np.argmin(errors))
     delay_ns = round(float(delays[best]) * SECOND)
     return delay_ns, float(errors[best])

@@ -65,21 +65,23 @@ class CircleSearch(OptimizerSection):
             sequences = np.vstack([_extended(warm, length), sequences])
         sequences = wrap(sequences)
         progress.add(sequences.T, evaluate(problem, sequences).total)
+        spread = self.spread
         for z in range(self.rounds):
             progress.ended = progress.limit_before(self.samples)
             if progress.ended is not None:
                 break
-            sequences = wrap(progress.best + self._changes(key, z, length))
+            sequences = wrap(progress.best + self._changes(key, z, length, spread))
+            spread *= self.shrink
             progress.add(sequences.T, evaluate(problem, sequences).total)
         return progress.search()
 
-    def _changes(self, key: int, z: int, length: int) -> Floats:
-        """Return the random changes of round z [rad], (samples, length)."""
+    def _changes(self, key: int, z: int, length: int, spread: float) -> Floats:
+        """Return the random changes of round z [rad], (samples, length), of deviation `spread`."""
         draws = self.samples * length
         changes = normal(key, z * draws, draws).reshape(-1, length)
         accumulating = changes[::2]  # every other sequence
         np.cumsum(self.adding * accumulating, axis=1, out=accumulating)
-        return self.spread * self.shrink**z * changes
+        return spread * changes
 
 
 def _extended(plan: Floats, length: int) -> Floats:

@@ -7,8 +7,7 @@ taken for places so far apart (`parted`), each about as far from its target as t
 end there, near their targets, and do not try again and again for what they cannot keep.
 """
 
-import numpy as np
-
+from tetractl.core import elementwise
 from tetractl.core.poses import Floats
 from tetractl.experiment.section_abilities import Clearance
 
@@ -42,7 +41,7 @@ def parted(targets: Floats, least: float) -> Floats:
         for i in range(1, len(places)):
             for k in range(i):
                 way = places[i] - places[k]
-                distance = float(np.hypot(*way))
+                distance = float(elementwise.hypot(*way))
                 if 0 < distance < least:
                     change = (least / distance - 1) / 2 * way
                     places[i] += change

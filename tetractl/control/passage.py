@@ -31,6 +31,7 @@ import numpy as np
 from tetractl.control.discs import gaps
 from tetractl.control.evaluate import compiled_branches
 from tetractl.control.rng import uniform
+from tetractl.core import elementwise
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Bools, Floats, Integers, wrap
 from tetractl.core.setup import Bounds
@@ -162,7 +163,7 @@ class Squares:
         passable = free[starts] & free[ends]
         starts = starts[passable]
         ends = ends[passable]
-        length = np.hypot(*(self.centres[starts] - self.centres[ends]).T)
+        length = elementwise.hypot(*(self.centres[starts] - self.centres[ends]).T)
         cells = len(free)
         graph = coo_array((length, (starts, ends)), shape=(cells, cells)).tocsr()
         return dijkstra(graph, directed=False, indices=self.cells(targets)).ravel()
@@ -217,7 +218,7 @@ def _best_branches(problem: Problem, path: Floats, ways_left: Floats, nodes_max:
     """Return the branches grown last, with poses path (T, B, N, 3), whose ends become nodes: up to
     `nodes_max`, the best first. Clearances take time, so only those of the best are computed.
     """
-    squares = (ways_left[-1] ** 2).sum(axis=1)
+    squares = np.square(ways_left[-1]).sum(axis=1)
     order = np.argsort(squares, kind="stable")
     reaches = np.isfinite(ways_left.sum(axis=(0, 2)))  # no robot is cut off from its target
     best = order[reaches[order]][: NODES_COMPUTED * nodes_max]
@@ -231,7 +232,7 @@ def _keep_clear(problem: Problem, xy: Floats) -> Bools:
     x = xy[..., 0].copy()
     y = xy[..., 1].copy()
     i, k = np.triu_indices(xy.shape[2], 1)  # the pairs of robots
-    between = np.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
+    between = elementwise.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
     apart = (between > problem.separation).all(axis=-1)  # (T, B)
     to_obstacles = gaps(problem.obstacles, x.ravel(), y.ravel())
     outside = (to_obstacles > 0).all(axis=0)

@@ -15,7 +15,6 @@ Nothing of the truth goes in: poses are those that the camera measured, of a rob
 tracked the last ones.
 """
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Annotated, Literal
 
@@ -24,7 +23,9 @@ from pydantic import Field
 
 from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.plain import PlainController, PlainSection
+from tetractl.core import elementwise
 from tetractl.core.commands import Command
+from tetractl.core.elementary import atan2, cos, sin
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Decision, Plan, Problem
 from tetractl.core.poses import Floats, Observation
@@ -50,15 +51,15 @@ def features(setup: Setup, observation: Observation, last_direction: float | Non
     side = max(setup.arena.width, setup.arena.height)
     gaps = (setup.targets - observation.poses.xy) / side
     heading = observation.poses.heading
-    headings = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    headings = np.stack([elementwise.cos(heading), elementwise.sin(heading)], axis=1)
     sent = [0.0, 0.0]
     if last_direction is not None:
-        sent = [math.cos(last_direction), math.sin(last_direction)]
+        sent = [cos(last_direction), sin(last_direction)]
     return np.concatenate([gaps.ravel(), headings.ravel(), sent])
 
 
 ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {
-    "tanh": np.tanh,
+    "tanh": elementwise.tanh,
     "relu": lambda values: np.maximum(values, 0.0),
 }
 """What may stand between two layers, by its name in a spec."""
@@ -137,7 +138,7 @@ class PolicyController(PlainController):
                 "its weights are too large, or a pose is no number",
             )
         along_x, along_y = np.clip(outputs, -1.0, 1.0)
-        direction = math.atan2(along_y, along_x)
+        direction = atan2(along_y, along_x)
         return given_plan(problem, np.array([direction]), step_key)
 
 
@@ -151,5 +152,5 @@ def forward(
         for number, (weights, bias) in enumerate(layers):
             if number > 0:
                 values = activation(values)
-            values = weights @ values + bias
+            values = np.einsum("oi,i->o", weights, values) + bias
     return values

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tetractl.core.elementary import hypot
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
@@ -66,7 +67,7 @@ class Prior(NamedTuple):
 
     def estimate(self) -> Estimate:
         """Return the prior's means as an estimate, with absolute standard deviations."""
-        std = math.hypot(self.heading_bias_std, self.marker_bias_std)
+        std = hypot(self.heading_bias_std, self.marker_bias_std)
         return Estimate(
             a=self.a,
             a_std=self.a_std * self.a,

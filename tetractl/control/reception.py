@@ -30,6 +30,7 @@ import math
 import numpy as np
 
 from tetractl.control.kernels.filter_state import FOLLOWS, LOSS_PROBABILITY, Bank, SentCommands
+from tetractl.core.elementary import log, log_of_sum
 from tetractl.core.poses import Floats, Integers
 
 SELDOM = 0.05
@@ -40,7 +41,7 @@ OFTEN = 0.75
 LN_SURE = 20.0
 """r above which the radio is shown to be sparse. A direction that is missed adds 2.7 at most, one
 that is heard takes off 1.3 at most. Chosen."""
-LN_SAYS = math.log(2)
+LN_SAYS = log(2)
 """Least absolute value of ln P with which a direction counts: else the frames hardly say whether it
 was heard. Chosen."""
 MISSED_IN_A_ROW = 3
@@ -98,9 +99,9 @@ class Reception:
             self._missed_in_a_row += 1
         if self._missed_in_a_row > MISSED_IN_A_ROW:
             return
-        ln_if_often = np.logaddexp(math.log(OFTEN), math.log(1 - OFTEN) + ln_product)
-        ln_if_seldom = np.logaddexp(math.log(SELDOM), math.log(1 - SELDOM) + ln_product)
-        self.ln_ratio = max(0.0, self.ln_ratio + float(ln_if_often - ln_if_seldom))
+        ln_if_often = log_of_sum(log(OFTEN), log(1 - OFTEN) + ln_product)
+        ln_if_seldom = log_of_sum(log(SELDOM), log(1 - SELDOM) + ln_product)
+        self.ln_ratio = max(0.0, self.ln_ratio + ln_if_often - ln_if_seldom)
         if self.ln_ratio > LN_SURE:
             self.ln_ratio = 0.0
             self.times_shown += 1
@@ -137,4 +138,4 @@ def ln_robot_ratio(bank: Bank, row: int, robot: int, direction: float) -> float:
             ln_missed = max(ln_missed, ln_weight)
     if math.isinf(ln_heard) or math.isinf(ln_missed):
         return 0.0
-    return math.log(LOSS_PROBABILITY) + float(np.logaddexp(0.0, ln_heard - ln_missed))
+    return log(LOSS_PROBABILITY) + log_of_sum(0.0, ln_heard - ln_missed)

@@ -8,6 +8,7 @@ in which particles are computed, and the compiled kernels draw the same numbers.
 import numpy as np
 from numpy.typing import NDArray
 
+from tetractl.core import elementwise
 from tetractl.core.poses import Floats
 
 Bits = NDArray[np.uint64]
@@ -58,4 +59,4 @@ def normal(key: int, first: int, count: int) -> Floats:
     that no number exceeds 6.6.
     """
     high, low = uniform_pair(key, first, count)
-    return np.sqrt(-2 * np.log(1 - high)) * np.cos(2 * np.pi * low)
+    return np.sqrt(-2 * elementwise.log(1 - high)) * elementwise.cos(2 * np.pi * low)

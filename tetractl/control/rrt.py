@@ -20,6 +20,7 @@ from tetractl.control.cost import foresee
 from tetractl.control.fixed_sequence import best_stop, given_plan
 from tetractl.control.plain import PlainController, PlainSection
 from tetractl.control.rng import uniform
+from tetractl.core import elementwise
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Decision, End, Outcome, Problem
 from tetractl.core.poses import Floats, Observation
@@ -99,7 +100,7 @@ class Rrt(PlainController):
         """
         place = problem.poses.xy[0]
         region = problem.obstacles
-        while len(self._path) > 1 and np.hypot(*(self._path[0] - place)) <= self._reach:
+        while len(self._path) > 1 and elementwise.hypot(*(self._path[0] - place)) <= self._reach:
             self._path = self._path[1:]
         blocked = bool(region.cross(place[0], place[1], self._path[0, 0], self._path[0, 1]))
         if blocked and not region.contain(place[0], place[1]):
@@ -108,17 +109,17 @@ class Rrt(PlainController):
             path = grow(region, self._arena, place, target, self._edge, draws)
             self._path = target[None] if path is None else path
         corner = self._path[0] - place
-        u = float(np.arctan2(corner[1], corner[0]))
+        u = float(elementwise.atan2(corner[1], corner[0]))
         heading = float(problem.poses.heading[0])
-        beside = len(self._path) == 1 and np.hypot(*corner) <= self._reach
-        return heading if beside and np.cos(u - heading) < self.section.ahead else u
+        beside = len(self._path) == 1 and elementwise.hypot(*corner) <= self._reach
+        return heading if beside and elementwise.cos(u - heading) < self.section.ahead else u
 
     def _passing(self, problem: Problem, signals: Floats, gap: float) -> Outcome | End | None:
         """Return the end of the trial for the moment when the robot passes its target, None if that
         does not happen in this step.
         """
         off = signals[0] - problem.poses.heading[0]
-        if len(self._path) > 1 or gap > self._reach or np.cos(off) < self.section.ahead:
+        if len(self._path) > 1 or gap > self._reach or elementwise.cos(off) < self.section.ahead:
             return None
         delay_ns, error = best_stop(problem, self.estimator.held_at_action, self.section.period)
         if error > foresee(problem, signals).target:
@@ -150,7 +151,7 @@ def grow(
     for share, *place in draws.tolist():
         point = target if share < RrtSection.goal_bias else low + size * place
         ways = point - nodes[:count]
-        far = np.hypot(ways[:, 0], ways[:, 1])
+        far = elementwise.hypot(ways[:, 0], ways[:, 1])
         nearest = int(np.argmin(far))
         root = nodes[nearest]
         long = float(far[nearest])
@@ -160,7 +161,7 @@ def grow(
         nodes[count] = node
         before[count] = nearest
         count += 1
-        distance = float(np.hypot(*(target - node)))
+        distance = float(elementwise.hypot(*(target - node)))
         if distance <= edge and not region.cross(node[0], node[1], target[0], target[1]):
             path = [target]
             i = count - 1

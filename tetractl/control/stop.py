@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from tetractl.core import elementwise
 from tetractl.core.plan import StopReason
 from tetractl.core.poses import Floats
 from tetractl.experiment.base import Model, Positive
@@ -79,6 +80,6 @@ def paper_criterion(history: Floats) -> bool:
         return False
     last = history[z - WINDOW :]
     with np.errstate(divide="ignore"):
-        c = np.log(last).sum() / 2
-        delta = np.log(last[:-1] - last[1:]).sum()
+        c = elementwise.log(last).sum() / 2
+        delta = elementwise.log(last[:-1] - last[1:]).sum()
     return bool(delta < c)

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tetractl.control.discs import Discs
+from tetractl.core import elementwise
 from tetractl.core.plan import Problem
 from tetractl.core.poses import wrap
 
@@ -66,7 +67,7 @@ def roomiest(problem: Problem, discs: Discs, apart: float) -> float:
     directions = np.linspace(-np.pi, np.pi, FACINGS, endpoint=False)
     seconds = AHEAD_S / MOMENTS * np.arange(1, MOMENTS + 1)
     way = seconds[:, None, None] * problem.speed  # (M, 1, N)
-    x = problem.poses.x + way * np.cos(directions)[:, None]  # (M, U, N)
-    y = problem.poses.y + way * np.sin(directions)[:, None]
+    x = problem.poses.x + way * elementwise.cos(directions)[:, None]  # (M, U, N)
+    y = problem.poses.y + way * elementwise.sin(directions)[:, None]
     clearances = discs.least_clearance(x, y, apart)
     return float(directions[np.argmax(clearances.mean(axis=0))])

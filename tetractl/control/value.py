@@ -18,6 +18,8 @@ no value: they are what is left if no plan is safe (`mpc`, and `turns` on the sp
 from dataclasses import dataclass
 from typing import ClassVar
 
+from tetractl.core.elementary import LN_2, exp
+
 PATIENCE_S = 80.0
 """Time in which `attempt` doubles [s]; docs/decisions/controller.md has trials with others."""
 
@@ -36,7 +38,7 @@ class Worth:
 
     def plan(self, error: float, length: int, new: bool, touches: bool = False) -> float:
         """Return the value of a plan of `length` signals that ends with the total `error`."""
-        attempt = 2 ** (self.spent_s / self.patience_s) if new else 0.0
+        attempt = exp(LN_2 * self.spent_s / self.patience_s) if new else 0.0
         price = self.price * self.period_s * length
         caution = self.touch if touches else 0.0
         return error + self.accept * (attempt + price + caution)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, Floats, Integers, Observation
 
@@ -64,7 +65,7 @@ class Standing:
         None if none moved."""
         self.due_ns = (frame.sampled_ns // LOSS_LOOK_NS + 1) * LOSS_LOOK_NS
         xy = frame.poses.xy
-        since_s = np.hypot(*(xy - self._moved_at).T) / self._speed
+        since_s = elementwise.hypot(*(xy - self._moved_at).T) / self._speed
         has_moved = frame.valid & ~(since_s < STRIDE_S)  # one seen for the first time has
         if not has_moved.any():
             return None

@@ -9,6 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.commands import Action, FieldOff, Steer, Stop, Turn
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.obstacles import Obstacles
@@ -67,7 +68,7 @@ class Problem:
         none = np.zeros(len(self.a))
         bias = none if self.bias is None else self.bias
         flow = (none, none) if self.flow is None else self.flow.T
-        return np.array([np.cos(bias), np.sin(bias), *flow])
+        return np.array([elementwise.cos(bias), elementwise.sin(bias), *flow])
 
     def seconds(self, length: int) -> float:
         """Return the duration of a sequence of `length` signals [s]."""

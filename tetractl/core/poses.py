@@ -21,7 +21,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
+from tetractl.core.elementary import hypot
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -50,7 +52,7 @@ class Pose:
 
     def distance_to(self, place: "Pose") -> float:
         """Return the distance between two positions [length unit]."""
-        return math.hypot(self.x - place.x, self.y - place.y)
+        return hypot(self.x - place.x, self.y - place.y)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +85,7 @@ class Poses:
 
     def distances(self, points: Floats) -> Floats:
         """Return the distances (N,) of the robots to `points` (N, 2), one point for each robot."""
-        return np.hypot(self.x - points[:, 0], self.y - points[:, 1])
+        return elementwise.hypot(self.x - points[:, 0], self.y - points[:, 1])
 
 
 def wrap(angles: Floats) -> Floats:
@@ -175,8 +177,8 @@ class Sight:
     def spread(self) -> tuple[float, float, float]:
         """Standard deviations of x, y [mm] and heading [rad], by noise and grid: the error of a
         grid is uniform, so that its variance is a twelfth of the step's square."""
-        mm = math.hypot(self.noise_mm, self.grid_mm / math.sqrt(12))
-        return mm, mm, math.hypot(self.noise_rad, self.grid_rad / math.sqrt(12))
+        mm = hypot(self.noise_mm, self.grid_mm / math.sqrt(12))
+        return mm, mm, hypot(self.noise_rad, self.grid_rad / math.sqrt(12))
 
 
 UNSTATED = Sight()

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.losses import LossRule
 from tetractl.core.poses import UNSTATED, Floats, Poses, Sight
 from tetractl.core.shape import Shape
@@ -125,4 +126,5 @@ class Setup:
 
     def distances(self, xy: Floats) -> Floats:
         """Return the distances (..., N) of positions (..., N, 2) to the targets."""
-        return np.linalg.norm(xy - self.targets, axis=-1)
+        off = xy - self.targets
+        return elementwise.hypot(off[..., 0], off[..., 1])

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.poses import Bools, Floats
 
 EDGES_AT_A_TIME = 8
@@ -81,8 +82,8 @@ class Shape:
         if self.radius == 0:
             return self.corners
         angle = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
-        away = np.column_stack([np.cos(angle), np.sin(angle)])
-        furthest = (away @ self.corners.T).argmax(axis=1)
+        away = np.column_stack([elementwise.cos(angle), elementwise.sin(angle)])
+        furthest = np.einsum("ak,ck->ac", away, self.corners).argmax(axis=1)
         return self.corners[furthest] + self.radius * away
 
     def _edges(self) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
@@ -121,4 +122,4 @@ def _to_segments(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Floats:
     length2 = ex * ex + ey * ey
     along = ((x - ax) * ex + (y - ay) * ey) / np.where(length2 > 0, length2, 1.0)
     along = np.clip(along, 0.0, 1.0)
-    return np.hypot(x - (ax + along * ex), y - (ay + along * ey))
+    return elementwise.hypot(x - (ax + along * ex), y - (ay + along * ey))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Point
@@ -210,6 +211,6 @@ def nearest(setup: Setup, points: Floats) -> Iterator[tuple[int, str, float]]:
     """Yield the index of each robot but the first, the name of the nearest of the earlier robots,
     and the distance to it [length unit], if each is at its one of `points` (N, 2)."""
     for i in range(1, len(points)):
-        gaps = np.hypot(*(points[:i] - points[i]).T)
+        gaps = elementwise.hypot(*(points[:i] - points[i]).T)
         k = int(gaps.argmin())
         yield i, setup.names[k], float(gaps[k])

@@ -29,8 +29,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Abort
+from tetractl.core.linear import inverse, product, solve
 from tetractl.core.poses import Floats, Pose
 from tetractl.core.protocols import GuardCheck
 from tetractl.lab.frames import TimedPose
@@ -98,7 +100,7 @@ ERRORS = np.zeros((3, len(PRIOR)))
 ERRORS[:, At.speed - 1] = (1, 1, 0)
 ERRORS[:, At.difference - 1] = (-1, 1, 0)
 ERRORS[:, At.heading - 1] = (0, 0, 1)
-LARGEST = np.array([500.0, 500.0, 5.0, 500.0, 500.0, 5.0, 5.0]) ** -2
+LARGEST = 1 / np.square([500.0, 500.0, 5.0, 500.0, 500.0, 5.0, 5.0])
 """Inverse variances of the columns `motion` [mm/s, rad/s, 1/s]."""
 LEAST_BLOCKS = 12
 """Younger changes are left to `motion_check`: lost packets make 7 blocks wrong alike."""
@@ -174,7 +176,7 @@ class DriftCheck(GuardCheck):
         self._share = rules.limits.wheel_error
         self._motion = motion
         self._radius = rules.wheel_radius * rules.mm
-        self._noise = np.hypot(NOISE, rules.sight.spread)
+        self._noise = elementwise.hypot(NOISE, rules.sight.spread)
         self._coarse = rules.sight.coarse
         self.commands = CommandHistory(2, robots)  # speeds [mm/s] and turning rates [rad/s]
         self.worst = 0.0
@@ -183,7 +185,7 @@ class DriftCheck(GuardCheck):
         # the fit: sums of products of the columns, the constants and their covariance
         self._sums = np.zeros((robots, At.width, At.width))
         self._fit = np.zeros((robots, len(PRIOR)))
-        self._spread = np.array([np.diag(PRIOR**2)] * robots)
+        self._spread = np.array([np.diag(np.square(PRIOR))] * robots)
         # the grid: sums at moments since which a change is looked for, by the blocks before each
         self._grid = {0: self._sums.copy()}
         # ways beyond CLIP, counted in the next blocks; a turn may be of a lost packet
@@ -287,7 +289,7 @@ class DriftCheck(GuardCheck):
         picture (3, 4) [mm/s, mm/s, rad/s, 1/s].
         """
         total = np.zeros((3, At.width))
-        variance = 2 * self._noise**2
+        variance = 2 * np.square(self._noise)
         for then, now in pairwise(poses):
             way = motion(then.pose, now.pose) * (self._mm, self._mm, 1.0)
             dt_ns = now.exposed_ns - then.exposed_ns
@@ -298,7 +300,7 @@ class DriftCheck(GuardCheck):
         regressors = total[:, At.constants]
         variance = variance + np.einsum("rp,pq,rq->r", regressors, self._spread[i], regressors)
         spread = np.sqrt(variance)
-        residual = total[:, At.residual] - regressors @ self._fit[i]
+        residual = total[:, At.residual] - np.einsum("rp,p->r", regressors, self._fit[i])
         return residual / spread, total[:, At.picture] / spread[:, None]
 
     # ---- the fit ----
@@ -341,7 +343,7 @@ class DriftCheck(GuardCheck):
         unlike = np.ptp(sent[:, :LATEST], axis=1)[:, [0, 0, 1]] * dt_s[:, None]
         before = np.abs(commanded[:, LATEST:] - sent[:, :1]).max(axis=1)[:, [0, 0, 1]]
         before = before * dt_s[:, None]
-        walk = SLIP**2 * dt_s[:, None] + (LOST * unlike) ** 2 + (LAGS * before) ** 2
+        walk = SLIP * SLIP * dt_s[:, None] + (LOST * unlike) ** 2 + (LAGS * before) ** 2
         return x, walk
 
     def _picture_moves(self, poses: Sequence[Pose], dt_s: Floats) -> Floats:
@@ -350,13 +352,13 @@ class DriftCheck(GuardCheck):
         px, py, heading = np.array([(pose.x, pose.y, pose.heading) for pose in poses]).T
         px = px * self._mm
         py = py * self._mm
-        cos = np.cos(heading)
-        sin = np.sin(heading)
+        cos = elementwise.cos(heading)
+        sin = elementwise.sin(heading)
         ones = np.ones_like(px)
         zero = np.zeros_like(px)
         moves = np.array([[ones, zero, -py, px], [zero, ones, px, py]])
         axes = np.array([[cos, sin], [-sin, cos]]).transpose(2, 0, 1)
-        return axes @ moves.transpose(2, 0, 1) * dt_s[:, None, None]
+        return product(axes, moves.transpose(2, 0, 1)) * dt_s[:, None, None]
 
     def _add(self, blocks: Sequence[MotionBlock]) -> None:
         """Add blocks of different robots to the sums, each clipped to what is expected of it."""
@@ -365,21 +367,22 @@ class DriftCheck(GuardCheck):
         robots = [block.robot for block in blocks]
         motions = np.array([block.motion for block in blocks]) + self._carried[robots]
         x, walk = self._regressors(blocks, motions)
-        spread = np.sqrt(2 * self._noise**2 + walk)
+        spread = np.sqrt(2 * np.square(self._noise) + walk)
         x /= spread[:, :, None]
         regressors = x[:, :, At.constants]
-        expected = (regressors @ self._fit[robots, :, None])[..., 0]
-        bound = CLIP * np.sqrt(1 + ((regressors @ self._spread[robots]) * regressors).sum(axis=2))
+        expected = product(regressors, self._fit[robots, :, None])[..., 0]
+        uncertain = product(regressors, self._spread[robots]) * regressors
+        bound = CLIP * np.sqrt(1 + uncertain.sum(axis=2))
         residual = x[:, :, At.residual].copy()
         x[:, :, At.residual] = np.clip(residual, expected - bound, expected + bound)
         self._carried[robots, :2] = ((residual - x[:, :, At.residual]) * spread)[:, :2]
-        self._sums[robots] += x.swapaxes(1, 2) @ x
+        self._sums[robots] += product(x.swapaxes(1, 2), x)
 
     def _fit_and_judge(self) -> Abort | None:
         """Fit the constants again, and add a moment to the grid if it is time; return what is
         wrong, None for nothing."""
         sums = self._sums
-        self._spread = np.linalg.inv(sums[:, At.constants, At.constants] + np.diag(PRIOR**-2.0))
+        self._spread = inverse(sums[:, At.constants, At.constants] + np.diag(1 / np.square(PRIOR)))
         self._fit = np.einsum("npq,nq->np", self._spread, sums[:, At.constants, At.residual])
         self.worst = 0.0
         change = self._find_worst_change()
@@ -407,7 +410,7 @@ class DriftCheck(GuardCheck):
         of_one = slice(0, 3)
         pulls = changes.pulls[..., of_one]
         own_squares = changes.squares[..., of_one, of_one] + np.diag(LARGEST[of_one])
-        velocity = np.linalg.solve(own_squares, pulls[..., None])[..., 0]
+        velocity = solve(own_squares, pulls[..., None])[..., 0]
         gain = (pulls * velocity).sum(axis=2)  # (G, N)
         gain /= np.maximum(1.0, (squares - gain) / count)  # noise above that assumed
         shift, gain_together = self._shift_of_all(changes)
@@ -429,8 +432,9 @@ class DriftCheck(GuardCheck):
         `squares` (N,) of `count` residuals are left over in all."""
         since = self._sums - old
         mixed = since[..., At.constants, At.motion]
-        unexplained = since[..., At.motion, At.motion] - mixed.swapaxes(2, 3) @ self._spread @ mixed
-        pulls = since[..., At.motion, At.residual] - (self._fit[:, None] @ mixed)[..., 0, :]
+        explained = product(product(mixed.swapaxes(2, 3), self._spread), mixed)
+        unexplained = since[..., At.motion, At.motion] - explained
+        pulls = since[..., At.motion, At.residual] - product(self._fit[:, None], mixed)[..., 0, :]
         noise = np.maximum(1.0, squares / count)[:, None]
         return Changes(unexplained, pulls, noise)
 
@@ -441,7 +445,7 @@ class DriftCheck(GuardCheck):
         total = (changes.pulls[..., picture] / changes.noise).sum(axis=1)
         squares = (changes.squares[..., picture, picture] / changes.noise[..., None]).sum(axis=1)
         squares = squares + np.diag(LARGEST[picture])
-        shift = np.linalg.solve(squares, total[..., None])[..., 0]
+        shift = solve(squares, total[..., None])[..., 0]
         if len(self._names) == 1:
             return shift, np.zeros(len(shift))
         return shift, (total * shift).sum(axis=1)
@@ -451,13 +455,14 @@ class DriftCheck(GuardCheck):
         picture = slice(3, 7)
         pulls = changes.pulls[g][:, picture]
         squares = changes.squares[g][:, picture, picture]
-        return (2 * pulls - squares @ shift) @ shift / changes.noise[:, 0]
+        rest = 2 * pulls - np.einsum("npq,q->np", squares, shift)
+        return np.einsum("np,p->n", rest, shift) / changes.noise[:, 0]
 
     # ---- wheels ----
 
     def _wrong_wheels(self) -> Abort | None:
         """Return which robot's wheels or heading are wrong by more than allowed."""
-        errors = self._fit @ ERRORS.T  # (N, 3)
+        errors = product(self._fit, ERRORS.T)  # (N, 3)
         variances = np.einsum("ep,npq,eq->ne", ERRORS, self._spread, ERRORS)
         beyond = np.abs(errors) - SURE_ERRORS * np.sqrt(variances) > self._share
         for i, name in enumerate(self._names):

@@ -23,7 +23,6 @@ from pathlib import Path
 from types import MappingProxyType
 
 from tetractl.core import __version__
-from tetractl.core.errors import printable
 from tetractl.core.registry import package_files
 from tetractl.tools.cache import compiler_settings
 from tetractl.tools.cache import digest as cache_name
@@ -46,9 +45,6 @@ VERSION_KEYS = frozenset(
     {"python", "tetractl", DECISION_CODE, CODE, "git_commit", "git_dirty", *PACKAGES}
 )
 """Keys of versions in a log."""
-
-LISTS = frozenset({"cpu_features", "numba_settings", "numpy_dispatch"})
-"""Keys of those facts of a host whose values are lists of words."""
 
 PLUGIN = "package."
 """Prefix of the key for a package that provides a kind used by the spec; the value is its version.
@@ -80,45 +76,22 @@ def now() -> str:
 
 @cache
 def host() -> Mapping[str, str]:
-    """Return name, system and processor of this machine, and the settings that select compiled
-    code.
-    """
-    # slow to import, but loaded anyway if anything is computed
-    from llvmlite import binding
-
-    # private, but numpy.show_config names levels such as X86_V3 only, not the sets in them
-    from numpy._core._multiarray_umath import __cpu_features__ as numpy_uses
-
+    """Return name, system and processor of this machine, and the settings of the compiler."""
     facts = {
         "host": socket.gethostname(),
         "os": platform.platform(),
+        "machine": machine(),
         "cpu": _cpu(),
-        "cpu_target": binding.get_host_cpu_name(),
-        "cpu_features": _present(binding.get_host_cpu_features()),  # more exact than the name
         "numba_settings": compiler_settings(),
-        "numpy_dispatch": _present(numpy_uses),
         "cpus": str(os.cpu_count() or 0),
     }
     return MappingProxyType(facts)
 
 
-def _present(features: Mapping[str, bool]) -> str:
-    return " ".join(sorted(name for name, present in features.items() if present))
-
-
-def processor(host: Mapping[str, str]) -> str:
-    """Return the type of a host's processor, such as `znver3-1a2b3c`; "" if it is not among the
-    facts in `host`.
-
-    It is LLVM's name and six digits that identify the instruction sets in use: results of code
-    compiled for two types differ in the last bits, from which other trials may follow.
-    """
-    name = host.get("cpu_target")
-    if not name:
-        return ""
-    sets = f"{host.get('cpu_features')} {host.get('numpy_dispatch')}"
-    digest = hashlib.sha256(sets.encode())
-    return f"{printable(name, 40)}-{digest.hexdigest()[:6]}"
+def machine() -> str:
+    """Return the kind of machine code, such as `x86_64`: on one kind a trial has the same bits."""
+    name = platform.machine()
+    return "x86_64" if name == "AMD64" else name  # as Windows calls it
 
 
 @cache

@@ -16,6 +16,7 @@ The bounds also hold for the Euler model (4)-(6) and held wheel speeds (24)-(25)
 import numpy as np
 from numpy.typing import NDArray
 
+from tetractl.core import elementwise
 from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
 
@@ -28,7 +29,7 @@ without the others, which could only raise it."""
 def reach(setup: Setup, seconds: float) -> Floats:
     """Return each robot's error (N,) after driving straight towards its target for `seconds`, 0 if
     it arrives [length unit]: as |w_i| <= t, no other way brings it nearer."""
-    gaps = np.linalg.norm(setup.targets - setup.starts.xy, axis=1)
+    gaps = setup.starts.distances(setup.targets)
     return np.maximum(gaps - setup.speed * seconds, 0.0)
 
 
@@ -60,12 +61,15 @@ def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
     """
     rate = (a_1 + a_2) / 2  # k
     relative = np.abs(a_1 - a_2) / rate  # 2d/s
-    slope = np.hypot(relative, turned)  # B
+    slope = elementwise.hypot(relative, turned)  # B
     # D = 2 is a quadratic equation in e^(k t), of which this is the solution
-    growth = (2 + np.sqrt(4 + relative**2)) / (turned + slope)
-    until = np.clip(np.log(growth) / rate, 0.0, seconds)
+    growth = (2 + np.sqrt(4 + np.square(relative))) / (turned + slope)
+    until = np.clip(elementwise.log(growth) / rate, 0.0, seconds)
     # the integral of D up to that time; from then on min(D, 2) is 2
-    grown = (turned * np.sinh(rate * until) + slope * (np.cosh(rate * until) - 1)) / rate
+    more = elementwise.expm1(rate * until)
+    less = more / (1 + more)
+    # sinh(k t) is (more + less)/2, and cosh(k t) - 1 is more less/2
+    grown = (turned * (more + less) + slope * more * less) / (2 * rate)
     bound = np.minimum(grown, 2 * until) + 2 * (seconds - until)
     return np.where(turned + slope > 0, bound, 0.0)
 
@@ -102,7 +106,7 @@ def _pair_bounds(setup: Setup, seconds: float) -> tuple[NDArray[np.int64], Float
     apart = drift(setup.a[i], setup.a[j], turned, seconds)
     speed = np.where(setup.speed > 0, setup.speed, 1)
     p = (setup.targets - setup.starts.xy) / speed[:, None]
-    gaps = np.linalg.norm(p[i] - p[j], axis=1) - apart
+    gaps = elementwise.hypot(*(p[i] - p[j]).T) - apart
     return np.column_stack([i, j]), np.minimum(setup.speed[i], setup.speed[j]) * gaps
 
 

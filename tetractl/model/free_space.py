@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from tetractl.core import elementwise
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
@@ -62,7 +63,7 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
         reached = connected(around(start), free)
         if reached.any() and not (reached & around(target)).any():
             rows, columns = np.nonzero(reached)
-            nearest = np.hypot(x[columns] - target[0], y[rows] - target[1]).min()
+            nearest = elementwise.hypot(x[columns] - target[0], y[rows] - target[1]).min()
             least[i] = max(nearest - side / math.sqrt(2), 0.0)
     return least
 

@@ -108,7 +108,7 @@ def separations(x: Floats, y: Floats) -> Floats:
     count = len(x)
     apart = np.full(count, np.inf)
     for i in range(count - 1):
-        squared = (x[i + 1 :] - x[i]) ** 2 + (y[i + 1 :] - y[i]) ** 2
+        squared = np.square(x[i + 1 :] - x[i]) + np.square(y[i + 1 :] - y[i])
         nearest = np.sqrt(np.fmin.reduce(squared, axis=1, initial=np.inf))
         apart[i + 1 :] = np.minimum(apart[i + 1 :], nearest)
         apart[i] = min(apart[i], nearest.min())

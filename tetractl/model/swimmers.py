@@ -12,6 +12,8 @@ from typing import Self
 
 import numpy as np
 
+from tetractl.core import elementwise
+from tetractl.core.elementary import exp
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Bounds, Setup
 from tetractl.model.motion import swimming
@@ -49,7 +51,7 @@ def speed_factor(celsius: float) -> float:
     if not 0.0 <= celsius <= 40.0:
         raise ValueError(f"cells do not swim at {celsius:g} C; use 0 to 40")
     inverse = 1 / (ZERO_C_K + WARM_C) - 1 / (ZERO_C_K + celsius)
-    return math.exp(ACTIVATION_EV / BOLTZMANN_EV_K * inverse)
+    return exp(ACTIVATION_EV / BOLTZMANN_EV_K * inverse)
 
 
 @dataclass
@@ -86,7 +88,7 @@ class Swimmers:
         def normal(mean: float, deviation: float) -> Floats:
             return np.clip(random.normal(mean, deviation, count), 0.5 * mean, 1.5 * mean)
 
-        a = A_RAD_S * np.exp(random.normal(0, A_LOG_SD, count))
+        a = A_RAD_S * elementwise.exp(random.normal(0, A_LOG_SD, count))
         a[count - unmagnetised :] = 0.0
         median = SPEED_UM_S * speed_factor(celsius)
         return cls(
@@ -97,7 +99,7 @@ class Swimmers:
             phase=random.uniform(0, 2 * math.pi, count),
             length=normal(*BODY_UM),
             width=normal(*WIDTH_UM),
-            speed=median * np.exp(random.normal(0, SPEED_LOG_SD, count)),
+            speed=median * elementwise.exp(random.normal(0, SPEED_LOG_SD, count)),
             helix_um=normal(*HELIX_UM),
             helix_hz=normal(*HELIX_HZ),
             a=a,
@@ -234,7 +236,7 @@ class Bodies:
 
 def to_the_left(heading: Floats, way: Floats) -> tuple[Floats, Floats]:
     """Return the displacement x, y by a `way` to the left of a heading [rad]."""
-    return -way * np.sin(heading), way * np.cos(heading)
+    return -way * elementwise.sin(heading), way * elementwise.cos(heading)
 
 
 def bodies(cells: Swimmers) -> Bodies:
@@ -242,14 +244,14 @@ def bodies(cells: Swimmers) -> Bodies:
 
     At the speed v on a helix of frequency f and radius r, the tilt is at most atan(2 pi f r / v).
     """
-    across = cells.helix_um * np.cos(cells.phase)  # to the left of the axis
-    deep = cells.helix_um * np.sin(cells.phase)
+    across = cells.helix_um * elementwise.cos(cells.phase)  # to the left of the axis
+    deep = cells.helix_um * elementwise.sin(cells.phase)
     turning = 2 * math.pi * cells.helix_hz
     left_x, left_y = to_the_left(cells.heading, across)
     return Bodies(
         x=cells.x + left_x,
         y=cells.y + left_y,
         height=cells.depth + deep,
-        axis=cells.heading - np.arctan2(turning * deep, cells.speed),
-        tilt=np.arctan2(turning * across, cells.speed),
+        axis=cells.heading - elementwise.atan2(turning * deep, cells.speed),
+        tilt=elementwise.atan2(turning * across, cells.speed),
     )

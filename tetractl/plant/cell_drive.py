@@ -9,7 +9,9 @@ import math
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.commands import Steer, Stop
+from tetractl.core.elementary import cos, sin
 from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand
@@ -60,8 +62,8 @@ class CellDrive:
         cells.walk = np.full(count, walk)
         cells.resting[:] = True
         flow_direction = self._random.uniform(-math.pi, math.pi)
-        flow_x_um_s = section.drift * math.cos(flow_direction)
-        flow_y_um_s = section.drift * math.sin(flow_direction)
+        flow_x_um_s = section.drift * cos(flow_direction)
+        flow_y_um_s = section.drift * sin(flow_direction)
         walls = None
         if section.walls:
             walls = walls_of(setup, rim_um=float(cells.helix_um.max()))
@@ -76,7 +78,7 @@ class CellDrive:
     def poses(self, poses: Poses) -> None:
         """Put each cell's axis where its body, at its present phase, has this pose."""
         cells = self.cells
-        to_the_left_um = cells.helix_um * np.cos(cells.phase)
+        to_the_left_um = cells.helix_um * elementwise.cos(cells.phase)
         x_um, y_um = to_the_left(poses.heading, to_the_left_um)
         cells.x[:] = poses.x * self._unit_um - x_um
         cells.y[:] = poses.y * self._unit_um - y_um
@@ -111,8 +113,8 @@ class CellDrive:
         field_x = 0.0
         field_y = 0.0
         if isinstance(command.action, Steer):
-            field_x = math.cos(command.action.direction)
-            field_y = math.sin(command.action.direction)
+            field_x = cos(command.action.direction)
+            field_y = sin(command.action.direction)
         self.cells.field_x[reached] = field_x
         self.cells.field_y[reached] = field_y
         self.cells.going[reached] = 0.0 if isinstance(command.action, Stop) else 1.0

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.commands import Command, FieldOff, Steer, Stop, Turn
 from tetractl.core.poses import Floats, Observation
@@ -116,7 +117,7 @@ class CommandSender:
             return None, None, None
         # the robots have wheels, but wheels are not simulated: the speeds of (24)-(25) are logged
         headings = answered.poses.heading
-        sine = np.sin(aim(self._held, headings) - headings)
+        sine = elementwise.sin(aim(self._held, headings) - headings)
         speed = np.zeros(headings.size) if isinstance(self._held, Turn) else setup.speed
         left_speed, right_speed = wheel_speeds(sine, setup.a, speed, setup.wheel_radius)
         return left_speed, right_speed, None

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import FieldOff, Steer, Stop, Turn
 from tetractl.core.poses import Bools, Floats, Poses, Times
@@ -99,6 +100,6 @@ class DirectDrive:
             answered = heading
             if self._motion.name == "arc" and command.headings is not None:
                 answered = command.headings
-            self._sine[reached] = np.sin(direction - answered)[reached]
+            self._sine[reached] = elementwise.sin(direction - answered)[reached]
             held.direction[reached] = direction[reached]
         held.turning = self._a * self._sine

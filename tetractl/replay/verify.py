@@ -32,11 +32,8 @@ from tetractl.replay.result_check import result_differences
 from tetractl.tools.table.terminal_table import LISTED_MAX
 
 DECIDES_BITS = (
-    "cpu",
-    "cpu_target",
-    "cpu_features",
+    "machine",
     "numba_settings",
-    "numpy_dispatch",
     "code",
     "python",
     "numpy",
@@ -244,12 +241,5 @@ def host_differences(log: TrialLog) -> tuple[str, ...]:
 
 
 def _difference(key: str, logged: str | None, present: str | None) -> str:
-    """Return a text on the fact `key`, which differs between the log's host and this one; of a
-    list, only the words that differ.
-    """
-    if logged is not None and present is not None and key in provenance.LISTS:
-        logged_words = set(logged.split())
-        present_words = set(present.split())
-        logged = " ".join(sorted(logged_words - present_words)) or "no more"
-        present = " ".join(sorted(present_words - logged_words)) or "no more"
+    """Say how the fact `key` of the log's host differs from this host's."""
     return f"{key}: {logged or 'unknown'} on the log's host, {present or 'unknown'} on this one"

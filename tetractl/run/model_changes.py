@@ -6,12 +6,12 @@ that the model does not explain, robots on which commands act late, and values o
 estimates contradict. When the model fits again, it reports what has changed in the meantime.
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from tetractl.core.clock import SECOND
+from tetractl.core.elementary import exp, expm1, hypot
 from tetractl.core.motion_estimate import OF_PLACES, OF_TURNING, Estimate
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
@@ -110,10 +110,10 @@ def describe_turning(estimate: Estimate, robot: int) -> str:
     saturation = estimate.saturation
     if side is not None and std is not None and abs(side[robot]) > CHANGE_STDS * std[robot]:
         faster_side = "left" if side[robot] > 0 else "right"
-        percent = 100 * math.expm1(2 * abs(side[robot]))
+        percent = 100 * expm1(2 * abs(side[robot]))
         parts.append(f"turns {percent:.0f} % faster to the {faster_side}")
     if saturation is not None and side is not None and saturation[robot] < 1:
-        max_rate = estimate.a[robot] * math.exp(abs(side[robot])) * saturation[robot]
+        max_rate = estimate.a[robot] * exp(abs(side[robot])) * saturation[robot]
         parts.append(f"turns at {max_rate:.2g} rad/s at most")
     return ", ".join(parts)
 
@@ -134,7 +134,7 @@ def differs(
     """
     if value is None or std is None or value_before is None or std_before is None:
         return False
-    return abs(value - value_before) > CHANGE_STDS * math.hypot(std, std_before)
+    return abs(value - value_before) > CHANGE_STDS * hypot(std, std_before)
 
 
 def describe_changes(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
@@ -242,7 +242,7 @@ class ModelMonitor:
         quickest = int(delays_s.argmin())
         for i, name in enumerate(setup.names):
             difference_s = delays_s[i] - delays_s[quickest]
-            significant_s = CHANGE_STDS * math.hypot(stds_s[i], stds_s[quickest])
+            significant_s = CHANGE_STDS * hypot(stds_s[i], stds_s[quickest])
             if difference_s <= max(LATE_ROBOT_S, significant_s):
                 continue
             self._late_since_ns[name] = since_ns_before.get(name, now_ns)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop
 from tetractl.core.plan import Plan
@@ -49,7 +50,7 @@ def speeds_at_rest(frames: Sequence[Observation]) -> Floats:
     times_s = np.array([frame.seconds for frame in window])
     first = positions[:half]
     second = positions[half:]
-    distances = np.hypot(*(second.mean(axis=0) - first.mean(axis=0)).T)
+    distances = elementwise.hypot(*(second.mean(axis=0) - first.mean(axis=0)).T)
     variance = first.var(axis=0, ddof=1) / len(first)
     variance += second.var(axis=0, ddof=1) / len(second)
     is_significant = distances > DISTANCE_STDS * np.sqrt(variance.sum(axis=1))

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from tetractl.control.near_targets import kept_apart
+from tetractl.core.elementary import expm1
 from tetractl.core.poses import Floats, turn_problem, wrap
 from tetractl.core.setup import Setup
 from tetractl.experiment.consistency import Findings, SpecFinding, nearest
@@ -118,9 +119,7 @@ class CheckContext:
 
     def to_target(self, i: int) -> str:
         """Return the distance from a robot's start to its target as text."""
-        return self.length_text(
-            float(np.linalg.norm(self.setup.targets[i] - self.setup.starts.xy[i]))
-        )
+        return self.length_text(float(self.setup.starts.distances(self.setup.targets)[i]))
 
     def driven(self, i: int, seconds: float) -> str:
         """Return how far robot i drives in a time [s] as text."""
@@ -198,7 +197,7 @@ def coarse_period(context: CheckContext) -> Findings:
         reason = "by equation (6) its heading overshoots a held direction further at each step"
     else:
         # a small angle to the direction falls by exp(-a T): the slowest of them turns least
-        percent = 100 * -math.expm1(-float(coarse.min()))
+        percent = 100 * -expm1(-float(coarse.min()))
         reason = f"{coarse.size} robots make {percent:.3g} % or more of a turn in T"
     quickest = int(rates.argmax())
     yield SpecFinding(

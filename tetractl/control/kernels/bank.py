@@ -18,6 +18,7 @@ import math
 
 import numpy as np
 
+from tetractl.control.kernels.elementary import exp, log
 from tetractl.control.kernels.filter import is_none, likeliest
 from tetractl.control.kernels.filter_motion import advance, parameters_of, rolled
 from tetractl.control.kernels.filter_state import (
@@ -60,12 +61,12 @@ def share(bank, common):
     density = np.empty(filters)
     for i in range(robots):
         for b in range(filters):
-            density[b] = math.exp(bank.score[b, i])
+            density[b] = exp(bank.score[b, i])
         for t in range(times):
             total = 0.0
             for b in range(filters):
                 total += common.near[t, b, i] * density[b]
-            ln_of_others[t, i] = math.log(total + LEAST)
+            ln_of_others[t, i] = log(total + LEAST)
     for t in range(times):
         ln_of_all = common.ln_prior[t]
         for i in range(robots):
@@ -88,11 +89,11 @@ def _multiply(bank, common, ln_of_others, i, density):
     for b in range(filters):
         density[b] = 0.0
     for t in range(times):
-        others = math.exp(ln_of_others[t, i] - most)
+        others = exp(ln_of_others[t, i] - most)
         for b in range(filters):
             density[b] += common.near[t, b, i] * others
     for b in range(filters):
-        bank.shared_score[b, i] = bank.score[b, i] + math.log(density[b] + LEAST)
+        bank.shared_score[b, i] = bank.score[b, i] + log(density[b] + LEAST)
 
 
 @compiled(**INLINE_FAST)
@@ -108,14 +109,14 @@ def _dead_time(bank, i, density):
     total = 0.0
     mean_s = 0.0
     for b in range(filters):
-        density[b] = math.exp(bank.shared_score[b, i] - most)
+        density[b] = exp(bank.shared_score[b, i] - most)
         total += density[b]
         mean_s += density[b] * bank.dead_time_s[b, i]
     mean_s /= total
     variance = 0.0
     for b in range(filters):
-        variance += density[b] / total * (bank.dead_time_s[b, i] - mean_s) ** 2
-    return mean_s, math.sqrt(variance + (bank.step_s[0, i] / 4) ** 2)
+        variance += density[b] / total * np.square(bank.dead_time_s[b, i] - mean_s)
+    return mean_s, math.sqrt(variance + np.square(bank.step_s[0, i] / 4))
 
 
 @compiled(**ENTRY_FAST)
@@ -331,7 +332,7 @@ def forecast(bank, model, commands, frame_s, sent_s, room):
         room.heading[i] = z[HEADING]
     mean_s /= robots
     for i in range(robots):
-        variance += (room.own_dead_time[i] - mean_s) ** 2
+        variance += np.square(room.own_dead_time[i] - mean_s)
     return mean_s, math.sqrt(variance / robots)
 
 
@@ -373,8 +374,8 @@ def _probability_of_stuck(ln_weight, slot):
     """Return the probability of the last hypothesis; `slot` is the likeliest one."""
     total = 0.0
     for s in range(ln_weight.size):
-        total += math.exp(ln_weight[s] - ln_weight[slot])
-    return math.exp(ln_weight[ln_weight.size - 1] - ln_weight[slot]) / total
+        total += exp(ln_weight[s] - ln_weight[slot])
+    return exp(ln_weight[ln_weight.size - 1] - ln_weight[slot]) / total
 
 
 @compiled(**INLINE_FAST)

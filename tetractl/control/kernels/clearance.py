@@ -8,6 +8,7 @@ and a path (M, N, 3) the x, y and heading of N robots at M moments, with straigh
 
 import math
 
+from tetractl.control.kernels.elementary import hypot
 from tetractl.control.kernels.obstacles import box, touches, wall_distance
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY, INLINE_EXACT
@@ -35,7 +36,7 @@ def _distance(obstacles, o, x, y):
         length2 = ex * ex + ey * ey
         along = ((x - ax) * ex + (y - ay) * ey) / (length2 if length2 > 0.0 else 1.0)
         along = max(0.0, min(along, 1.0))
-        least = min(least, math.hypot(x - (ax + along * ex), y - (ay + along * ey)))
+        least = min(least, hypot(x - (ax + along * ex), y - (ay + along * ey)))
         ax = bx
         ay = by
     return (-least if inside else least) - obstacles.radii[o]
@@ -83,7 +84,7 @@ def least_apart(x, y):
     least = math.inf
     for i in range(x.size):
         for k in range(i):
-            least = min(least, math.hypot(x[k] - x[i], y[k] - y[i]))
+            least = min(least, hypot(x[k] - x[i], y[k] - y[i]))
     return least
 
 
@@ -106,8 +107,8 @@ def _meets_another(i, radius, path):
     is nearer to it than at the first."""
     for m in range(1, path.shape[0]):
         for k in range(i):
-            before = math.hypot(path[0, k, 0] - path[0, i, 0], path[0, k, 1] - path[0, i, 1])
-            apart = math.hypot(path[m, k, 0] - path[m, i, 0], path[m, k, 1] - path[m, i, 1])
+            before = hypot(path[0, k, 0] - path[0, i, 0], path[0, k, 1] - path[0, i, 1])
+            apart = hypot(path[m, k, 0] - path[m, i, 0], path[m, k, 1] - path[m, i, 1])
             if apart < min(2 * radius, before):
                 return True
     return False

@@ -34,6 +34,7 @@ import math
 
 import numpy as np
 
+from tetractl.control.kernels.elementary import cos, exp, log, sin
 from tetractl.control.kernels.filter_measure import DEPENDS_ON, measure
 from tetractl.control.kernels.filter_motion import advance, parameters_of, stands, turn_rate
 from tetractl.control.kernels.filter_state import (
@@ -51,11 +52,9 @@ from tetractl.control.kernels.filter_state import (
     X,
     Y,
 )
-from tetractl.model.motion import exact
+from tetractl.core import elementary
 from tetractl.tools.kernels.kernel_cache import compiled
-from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
-
-_rates = inlined(exact.rates)
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 
 ALIKE = 0.1
 """Squared difference of the headings of two hypotheses that are one, over the variance."""
@@ -77,9 +76,9 @@ BLOCK_FRAMES = 8
 """Number of frames of a block of innovations."""
 MOST_SQUARE = 25.0
 """Largest mean square of a block, five standard deviations."""
-LN_HEARD = math.log(1 - LOSS_PROBABILITY)
+LN_HEARD = elementary.log(1 - LOSS_PROBABILITY)
 """ln of the probability that a robot hears a command."""
-LN_MISSED = math.log(LOSS_PROBABILITY)
+LN_MISSED = elementary.log(LOSS_PROBABILITY)
 """ln of the probability that it does not."""
 HEARD = 0
 """Row of the branches in which the robot heard a command."""
@@ -122,7 +121,7 @@ def _set_pose(bank, model, b, i, pose):
             for column in range(cov.shape[0]):
                 cov[row, column] = 0.0
                 cov[column, row] = 0.0
-            cov[row, row] = 4 * model.noise[row, i] ** 2
+            cov[row, row] = 4 * np.square(model.noise[row, i])
 
 
 @compiled(**INLINE_FAST)
@@ -349,7 +348,7 @@ def _branch_all(hypotheses, model, i, u, now_s, step_s):
         if twin != NO_SLOT:
             # ln(exp(w_twin) + exp(w))
             gap = ln_weight - hypotheses.ln_weight[twin]
-            hypotheses.ln_weight[twin] += math.log(1 + math.exp(gap))
+            hypotheses.ln_weight[twin] += log(1 + exp(gap))
         elif taken < driving:
             _copy_state(parents, parent, hypotheses, taken)
             hypotheses.ln_weight[taken] = ln_weight
@@ -408,7 +407,7 @@ def _find_twin(parents, parent, u, hypotheses, parent_of):
     variance = parents.cov[parent, HEADING, HEADING]
     for slot in range(parent_of.size):
         gap = parents.state[parent_of[slot], HEADING] - parents.state[parent, HEADING]
-        if gap**2 < ALIKE * variance and hypotheses.direction[slot] == u:
+        if gap * gap < ALIKE * variance and hypotheses.direction[slot] == u:
             return slot
     return NO_SLOT
 
@@ -443,11 +442,11 @@ def _hear(hypotheses, s, model, i, u_before, u, now_s, step_s):
     z = hypotheses.state[s]
     cov = hypotheses.cov[s]
     rate_change = _turning_rate(model, i, z, u) - _turning_rate(model, i, z, u_before)
-    cov[HEADING, HEADING] += (step_s * rate_change) ** 2 / 12
+    cov[HEADING, HEADING] += np.square(step_s * rate_change) / 12
     if stands(u_before) != stands(u):
         speed = parameters_of(model, i, z)[1]
-        cov[X, X] += (step_s * speed) ** 2 / 12
-        cov[Y, Y] += (step_s * speed) ** 2 / 12
+        cov[X, X] += np.square(step_s * speed) / 12
+        cov[Y, Y] += np.square(step_s * speed) / 12
 
 
 @compiled(**INLINE_FAST)
@@ -457,10 +456,10 @@ def _turning_rate(model, i, z, u):
         return 0.0
     parameters = parameters_of(model, i, z)
     goal = u + z[TURN_BIAS]
-    cosine = math.cos(z[HEADING])
-    sine = math.sin(z[HEADING])
-    a = turn_rate(cosine, sine, math.cos(goal), math.sin(goal), parameters, 0.0)[0]
-    return _rates(z[HEADING], goal, a, parameters[1])[2]
+    cosine = cos(z[HEADING])
+    sine = sin(z[HEADING])
+    a = turn_rate(cosine, sine, cos(goal), sin(goal), parameters, 0.0)[0]
+    return a * sin(goal - z[HEADING])  # (3)
 
 
 # ---- update ----
@@ -480,8 +479,8 @@ def _update(bank, model, b, i, pose, seconds, scratch):
     innovation = scratch.likeliest_innovation
     hypotheses = _hypotheses(bank, b, i)
     ln_likelihood = _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovation)
-    square_xy = innovation[ALONG] ** 2 + innovation[ACROSS] ** 2
-    square_heading = innovation[HEADING] ** 2
+    square_xy = np.square(innovation[ALONG]) + np.square(innovation[ACROSS])
+    square_heading = np.square(innovation[HEADING])
     if square_xy + square_heading <= GATE:
         bank.unfit_s[b, i] = 0.0
         noise_scale[POSITIONS] = _scale_after(noise_scale[POSITIONS], 0.5 * square_xy)
@@ -517,8 +516,8 @@ def _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovat
                     innovation[j] = scratch.innovation[j]
     total = 0.0
     for s in range(ln_weight.size):
-        total += math.exp(ln_weight[s] - largest)  # none is above 1: no sum overflows
-    ln_likelihood = largest + math.log(total)
+        total += exp(ln_weight[s] - largest)  # none is above 1: no sum overflows
+    ln_likelihood = largest + log(total)
     for s in range(ln_weight.size):
         if not is_none(ln_weight[s]):
             ln_weight[s] = max(ln_weight[s] - ln_likelihood, LEAST_LN_WEIGHT)
@@ -555,7 +554,7 @@ def _add_to_block(bank, b, i, innovation):
     if bank.block_frames[b, i] < BLOCK_FRAMES:
         return
     for j in range(3):
-        mean_square = block_sum[j] ** 2 / BLOCK_FRAMES
+        mean_square = np.square(block_sum[j]) / BLOCK_FRAMES
         bank.square_sum[b, i, j] += min(mean_square, MOST_SQUARE)
         block_sum[j] = 0.0
     bank.blocks[b, i] += 1
@@ -595,9 +594,9 @@ def _exchange_stuck(hypotheses, model, seconds, now_s):
     _stray(hypotheses.cov[stuck], model.sticks, seconds)
     p_free = min(0.5, seconds / model.sticks.for_s)
     p_stick = min(0.5, seconds / model.sticks.every_s)
-    ln_comes_free = ln_weight[stuck] + math.log(p_free)
-    ln_stays_stuck = ln_weight[stuck] + math.log(1 - p_free)
-    ln_gets_stuck = ln_weight[best] + math.log(p_stick)
+    ln_comes_free = ln_weight[stuck] + log(p_free)
+    ln_stays_stuck = ln_weight[stuck] + log(1 - p_free)
+    ln_gets_stuck = ln_weight[best] + log(p_stick)
     if ln_comes_free > ln_weight[best]:
         _copy_state(hypotheses, stuck, hypotheses, best)
         ln_weight[best] = ln_comes_free

@@ -18,6 +18,7 @@ import math
 
 import numpy as np
 
+from tetractl.control.kernels.elementary import atan, cos, exp, log, sin
 from tetractl.control.kernels.filter_motion import parameters_of
 from tetractl.control.kernels.filter_state import (
     ACROSS,
@@ -67,16 +68,16 @@ def _expect(model, i, z, expected, slopes):
         slopes[0, 1] = 0.0
         slopes[1, 1] = 0.0
         return SLOPES_OF_WHEELS
-    c = math.cos(z[HEADING])
-    s = math.sin(z[HEADING])
+    c = cos(z[HEADING])
+    s = sin(z[HEADING])
     sine = z[HELIX_SINE]
     speed = parameters_of(model, i, z)[1]
-    w_over_v = model.helix_rad_s * math.exp(z[LN_FREQUENCY]) / (speed + 1e-300)
+    w_over_v = model.helix_rad_s * exp(z[LN_FREQUENCY]) / (speed + 1e-300)
     sideways = w_over_v * z[HELIX_COSINE]  # sideways speed over v
     atan_slope = 1 / (1 + sideways * sideways)
     expected[0] = z[X] - s * sine
     expected[1] = z[Y] + c * sine
-    expected[2] = z[HEADING] + z[MARKER_BIAS] + math.atan(sideways)
+    expected[2] = z[HEADING] + z[MARKER_BIAS] + atan(sideways)
     slopes[0, 1] = -c * sine
     slopes[1, 1] = -s * sine
     slopes[0, 2] = -s
@@ -103,7 +104,7 @@ def measure(model, i, z, cov, noise_scale, pose, scratch):
     ln_likelihood = 0.0
     for j in range(3):
         total = _correct(z, cov, j, columns, scratch)
-        ln_likelihood -= 0.5 * (off[j] * off[j] / total + math.log(total))
+        ln_likelihood -= 0.5 * (off[j] * off[j] / total + log(total))
     for k in range(cov.shape[0]):
         for m in range(k):
             mean = 0.5 * (cov[k, m] + cov[m, k])
@@ -120,8 +121,8 @@ def _compare(model, i, z, cov, noise_scale, pose, columns, scratch):
     variance = scratch.variance
     slopes = scratch.slopes
     innovation = scratch.innovation
-    c = math.cos(z[HEADING])
-    s = math.sin(z[HEADING])
+    c = cos(z[HEADING])
+    s = sin(z[HEADING])
     distance2 = 0.0
     ln_variances = 0.0
     for j in range(3):
@@ -130,13 +131,13 @@ def _compare(model, i, z, cov, noise_scale, pose, columns, scratch):
         if j == HEADING:
             off[j] = wrapped(off[j])
             scale = noise_scale[HEADINGS]
-        variance[j] = model.noise[j, i] ** 2 * scale
+        variance[j] = np.square(model.noise[j, i]) * scale
         total = variance[j]
         for n in range(columns):
             for m in range(columns):
                 total += slopes[j, n] * cov[DEPENDS_ON[j, n], DEPENDS_ON[j, m]] * slopes[j, m]
         distance2 += off[j] * off[j] / total
-        ln_variances += math.log(total)
+        ln_variances += log(total)
         innovation[j] = off[j] / math.sqrt(total)
     along = c * innovation[X] + s * innovation[Y]
     across = c * innovation[Y] - s * innovation[X]

@@ -22,6 +22,7 @@ this turn and way, whose chord points to the heading in its middle.
 
 import math
 
+from tetractl.control.kernels.elementary import cos, exp, sin
 from tetractl.control.kernels.filter_state import (
     FLOW_X,
     FLOW_Y,
@@ -63,7 +64,7 @@ NO_CHANGE = (0.0, 0.0, 0.0)
 """Of x, y and the heading."""
 AT_REST = NO_CHANGE, (0.0, 0.0, 1.0), NO_CHANGE, (NO_CHANGE,) * len(RobotParameters._fields)
 """`Derivatives` of a robot at rest: it does not move, and keeps its heading."""
-UNKNOWN_HEADING = math.pi**2 / 3
+UNKNOWN_HEADING = math.pi * math.pi / 3
 """Variance of a heading that may be any [rad2]. Linearised, that of a robot that drives against its
 direction grows without bound, until rounding makes the covariance none."""
 
@@ -77,9 +78,9 @@ def stands(u):
 @compiled(**INLINE_FAST)
 def parameters_of(model, i, z):
     """Return a [rad/s], v [length unit/s], side and saturation of robot i in the state z."""
-    a = model.parameters[i, 0] * math.exp(z[LN_A])
-    speed = model.parameters[i, 1] * math.exp(z[LN_SPEED])
-    return a, speed, z[SIDE], math.exp(min(z[LN_SATURATION], 0.0))
+    a = model.parameters[i, 0] * exp(z[LN_A])
+    speed = model.parameters[i, 1] * exp(z[LN_SPEED])
+    return a, speed, z[SIDE], exp(min(z[LN_SATURATION], 0.0))
 
 
 @compiled(**INLINE_FAST)
@@ -95,12 +96,12 @@ def advance(model, i, z, cov, u, noise_scale, seconds, products):
     parameters = parameters_of(model, i, z)
     helix_rad_s = 0.0
     if model.helix_rad_s > 0:
-        helix_rad_s = model.helix_rad_s * math.exp(z[LN_FREQUENCY])
+        helix_rad_s = model.helix_rad_s * exp(z[LN_FREQUENCY])
     cos_u = 1.0
     sin_u = 0.0
     if drives:
-        cos_u = math.cos(u + z[TURN_BIAS])
-        sin_u = math.sin(u + z[TURN_BIAS])
+        cos_u = cos(u + z[TURN_BIAS])
+        sin_u = sin(u + z[TURN_BIAS])
     longest = max(SUBSTEP_S, seconds / SUBSTEPS_MAX)
     remaining = seconds
     while remaining > 0 and (drives or z[PACE] > 0):
@@ -126,8 +127,8 @@ def _step(model, z, drives, cos_u, sin_u, parameters, t):
     """Return the `Derivatives` of a short step; swing and pace of lagging wheels change."""
     lag = model.lag_s
     rest_heading = z[HEADING] + lag * parameters[0] * z[SWING]
-    c = math.cos(rest_heading)
-    s = math.sin(rest_heading)
+    c = cos(rest_heading)
+    s = sin(rest_heading)
     a, slopes = turn_rate(c, s, cos_u, sin_u, parameters, t)
     if model.hold[0] > 0:
         cos_phi = cos_u * c + sin_u * s
@@ -155,7 +156,7 @@ def _lagging(z, rest, rest_slopes, goal, parameters, lag, t):
     rest_turn = rest[0][2]
     keep = rest[1][2]
     wish = rest_turn / (a * t)
-    decay_half = math.exp(-0.5 * t / lag)
+    decay_half = exp(-0.5 * t / lag)
     decay = decay_half * decay_half
     turn_half = 0.5 * rest_turn + a * lag * (1 - decay_half) * (z[SWING] - wish)
     turn = rest_turn + a * lag * (1 - decay) * (z[SWING] - wish)
@@ -224,8 +225,8 @@ def _change(dz, derivatives, t):
 @compiled(**INLINE_FAST)
 def _turn_helix(z, angle):
     """Turn the helix: p' = p cos + q sin, q' = q cos - p sin."""
-    c = math.cos(angle)
-    s = math.sin(angle)
+    c = cos(angle)
+    s = sin(angle)
     sine = z[HELIX_SINE]
     cosine = z[HELIX_COSINE]
     z[HELIX_SINE] = c * sine + s * cosine
@@ -238,8 +239,8 @@ def _spread_helix(z, cov, products, angle):
 
     They change by the angle w t, whose slope by ln w is the angle.
     """
-    cos_less_1 = math.cos(angle) - 1
-    s = math.sin(angle)
+    cos_less_1 = cos(angle) - 1
+    s = sin(angle)
     sine_w = angle * z[HELIX_COSINE]
     cosine_w = -angle * z[HELIX_SINE]
     for k in range(cov.shape[0]):

@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.control.prior import Prior, Sticks
+from tetractl.core import elementwise
 from tetractl.core.motion_estimate import INNOVATIONS, Estimate
 from tetractl.core.poses import Bools, Floats, Poses
 
@@ -229,7 +230,7 @@ class Bank(NamedTuple):
         ln_weight = np.full(per_slot, -np.inf)
         ln_weight[..., 0] = 0.0
         cov = np.zeros((*per_slot, states, states))
-        cov[..., range(states), range(states)] = std[:, None] ** 2
+        cov[..., range(states), range(states)] = np.square(std[:, None])
         return cls(
             state=np.repeat(mean[:, :, None], follows + 1, axis=2),
             cov=cov,
@@ -332,10 +333,10 @@ class CommonTimes(NamedTuple):
         times_s = np.arange(0, float(bank.dead_time_s.max()) + FINEST_STEP_S, FINEST_STEP_S / 2)
         gaps_s = times_s[:, None, None] - bank.dead_time_s
         width_s = np.maximum(bank.step_s, FINEST_STEP_S) / 2
-        near = (1 - OWN_PROBABILITY) * np.exp(-((gaps_s / width_s) ** 2) / 2) / width_s
-        near += OWN_PROBABILITY * np.exp(-((gaps_s / OWN_STD_S) ** 2) / 2) / OWN_STD_S
+        near = (1 - OWN_PROBABILITY) * elementwise.exp(-np.square(gaps_s / width_s) / 2) / width_s
+        near += OWN_PROBABILITY * elementwise.exp(-np.square(gaps_s / OWN_STD_S) / 2) / OWN_STD_S
         deviations = (times_s - prior.dead_time) / (prior.dead_time_std or 1.0)
-        return cls(near=near, ln_prior=-(deviations**2) / 2)
+        return cls(near=near, ln_prior=-np.square(deviations) / 2)
 
 
 class NextFilters(NamedTuple):
@@ -450,4 +451,5 @@ def largest_square_sum(blocks: float) -> float:
     """Return the sum of a number of squares of standard normal numbers that chance exceeds once in
     a thousand times: chi-square by Wilson and Hilferty (1931)."""
     part = 2 / (9 * blocks)
-    return blocks * (1 - part + QUANTILE * math.sqrt(part)) ** 3
+    root = 1 - part + QUANTILE * math.sqrt(part)
+    return blocks * root * root * root

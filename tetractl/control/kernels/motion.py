@@ -15,6 +15,7 @@ import numpy as np
 from numba.extending import overload
 
 from tetractl.control.kernels.obstacles import ObstacleArrays, arrays_of
+from tetractl.core import elementwise
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
@@ -80,7 +81,7 @@ def flatten(problem: Problem) -> FlatProblem:
     robots = all_in_rows(problem)
     count = len(robots)
     kind: Any = MOTIONS.load(problem.motion).lanes
-    side_factor = np.exp(robots[:, 2])
+    side_factor = elementwise.exp(robots[:, 2])
     left_and_right = np.concatenate([robots[:, :2], robots[:, :2]])
     left_and_right[:count, 0] *= side_factor
     left_and_right[count:, 0] /= side_factor
@@ -91,8 +92,8 @@ def flatten(problem: Problem) -> FlatProblem:
     bias_cos, bias_sin, flow_x, flow_y = problem.drift
     return FlatProblem(
         poses=problem.poses.array(),
-        cos=np.cos(heading),
-        sin=np.sin(heading),
+        cos=elementwise.cos(heading),
+        sin=elementwise.sin(heading),
         targets=np.ascontiguousarray(problem.targets),
         robots=robots,
         drifts=problem.bias is not None or problem.flow is not None,

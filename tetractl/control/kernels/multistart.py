@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tetractl.control.kernels.elementary import atan2
 from tetractl.control.kernels.levenberg import (
     POLISH_STATE,
     Integers,
@@ -330,7 +331,7 @@ def _bearing(problem):
     for i in range(len(problem.robots)):
         east += problem.targets[i, 0] - problem.poses[i, 0]
         north += problem.targets[i, 1] - problem.poses[i, 1]
-    return math.atan2(north, east)
+    return atan2(north, east)
 
 
 @compiled(**INLINE_FAST)

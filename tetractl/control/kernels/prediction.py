@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from tetractl.control.kernels.clearance import crosses
+from tetractl.control.kernels.elementary import cos, sin
 from tetractl.control.kernels.motion import derivatives, robot_of
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
@@ -66,12 +67,12 @@ def _moved(problem, i, pose, u, t):
         return x, y, heading
     c = problem.bias_cos[i]
     s = problem.bias_sin[i]
-    cu = math.cos(u) * c - math.sin(u) * s
-    su = math.sin(u) * c + math.cos(u) * s
+    cu = cos(u) * c - sin(u) * s
+    su = sin(u) * c + cos(u) * s
     robot = robot_of(problem.robots, i)
-    cos = math.cos(heading)
-    sin = math.sin(heading)
-    dx, dy, turn = derivatives(problem.rest, cos, sin, cu, su, robot, t)[0]
+    ch = cos(heading)
+    sh = sin(heading)
+    dx, dy, turn = derivatives(problem.rest, ch, sh, cu, su, robot, t)[0]
     x = x + dx + t * problem.flow[i, X]
     y = y + dy + t * problem.flow[i, Y]
     return x, y, heading + turn

@@ -77,7 +77,7 @@ class Multistart(OptimizerSection):
 
     def growth(self, problem: Problem) -> float:
         """Return the factor by which `knots`, `steps` and `patience` are multiplied."""
-        return max(1.0, (len(problem.a) / 3) ** 2) if self.grows else 1.0
+        return max(1.0, np.square(len(problem.a) / 3)) if self.grows else 1.0
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits

@@ -23,6 +23,7 @@ from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
+from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import GREY, OBSTACLE, robot_colors
 from tetractl.core.errors import printable
@@ -39,7 +40,7 @@ _STRIP = LinePrimitive.LINE_STRIP
 _UPRIGHT = Quaternion(w=1.0)  # must be set: the default is a zero quaternion
 _SQUARE = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
 _ANGLES = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
-_RING = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+_RING = np.column_stack([elementwise.cos(_ANGLES), elementwise.sin(_ANGLES)])
 
 
 def frame_of(name: str) -> str:
@@ -99,7 +100,9 @@ class Scene:
         robots, rows = np.nonzero(has_pose.T)
         x, y, heading = frames.poses[rows, robots].T
         half_turn = heading / 2
-        numbers = (x * self._metres, y * self._metres, np.sin(half_turn), np.cos(half_turn))
+        z = elementwise.sin(half_turn)
+        w = elementwise.cos(half_turn)
+        numbers = (x * self._metres, y * self._metres, z, w)
         poses = self._rounded(np.transpose(numbers)).tolist()
         part_of_row = [index for index, part in enumerate(parts) for _ in part.numbers]
         names = [frame_of(name) for name in self._setup.names]

@@ -162,7 +162,6 @@ def result_of(contents: RawLog) -> ResultSummary:
         recovered=contents.damaged,
         digest=contents.stated_digests.content or None,
         warnings=contents.warnings,
-        processor=provenance.processor(contents.facts),
         code=contents.facts.get(provenance.CODE, ""),
         brief=contents.brief,
     )

@@ -45,7 +45,7 @@ class Origin(StrEnum):
     @property
     def comparable(self) -> bool:
         """Whether results may be compared with a published result of real robots."""
-        return self in (Origin.DISTURBED, Origin.LAB)
+        return self is Origin.LAB
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +186,6 @@ class ResultSummary(Shown):
     recovered: bool
     digest: str | None  # content digest that the log states
     warnings: int = 0  # number of warnings and errors among the operator messages
-    processor: str = ""  # type of processor, as by `provenance.processor`; "" if not stated
     code: str = ""  # hash of the code that ran the trial, `provenance.trial_code`; "" if not stated
     brief: bool = False  # whether the log holds the result only
 

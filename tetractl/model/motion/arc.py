@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.poses import Floats
 from tetractl.model.motion.motion import Derivatives, Held, Motion, PlainLanes, Time, XYHeading
 from tetractl.model.motion.polynomials import onwards, sincos, wrap
@@ -20,7 +21,7 @@ def step(
     x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
 ) -> XYHeading:
     """Advance along the arc that the wheel speeds of (24)-(25) drive."""
-    half = 0.5 * t * a * np.sin(u - heading)
+    half = 0.5 * t * a * elementwise.sin(u - heading)
     return _along(x, y, heading, half, t * v)
 
 
@@ -33,9 +34,15 @@ def hold(
 
 def _along(x: Floats, y: Floats, heading: Floats, half: Floats, way: Floats) -> XYHeading:
     """Advance on an arc of the length `way` by twice the angle `half`."""
-    chord = way * np.sinc(half / np.pi)
+    straight = np.abs(half) < FLAT_HALF_TURN_RAD
+    bent = np.where(straight, 1.0, half)
+    straight = np.abs(half) < FLAT_HALF_TURN_RAD
+    bent = np.where(straight, 1.0, half)
+    chord = way * np.where(straight, 1 - half * half / 6, elementwise.sin(bent) / bent)
     course = heading + half
-    return x + chord * np.cos(course), y + chord * np.sin(course), heading + 2 * half
+    x_after = x + chord * elementwise.cos(course)
+    y_after = y + chord * elementwise.sin(course)
+    return x_after, y_after, heading + 2 * half
 
 
 def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Derivatives:

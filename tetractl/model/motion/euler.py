@@ -5,8 +5,7 @@ The last direction of a sequence therefore cannot move the last position.
 
 from typing import Any
 
-import numpy as np
-
+from tetractl.core import elementwise
 from tetractl.core.poses import Floats
 from tetractl.model.motion.motion import Derivatives, Held, Motion, PlainLanes, Time, XYHeading
 from tetractl.model.motion.polynomials import onwards
@@ -17,9 +16,9 @@ def step(
 ) -> XYHeading:
     """Advance by (4)-(6)."""
     return (
-        x + t * v * np.cos(heading),  # (4)
-        y + t * v * np.sin(heading),  # (5)
-        heading + t * a * np.sin(u - heading),  # (6)
+        x + t * v * elementwise.cos(heading),  # (4)
+        y + t * v * elementwise.sin(heading),  # (5)
+        heading + t * a * elementwise.sin(u - heading),  # (6)
     )
 
 
@@ -30,8 +29,8 @@ def hold(
     chord = v * t
     half = 0.5 * held.turning * t
     return (
-        x + chord * np.cos(held.course),
-        y + chord * np.sin(held.course),
+        x + chord * elementwise.cos(held.course),
+        y + chord * elementwise.sin(held.course),
         heading + 2 * half,
     )
 

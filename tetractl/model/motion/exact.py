@@ -18,6 +18,8 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
+from tetractl.core import elementwise
+from tetractl.core.elementary import atan2, cos, exp, expm1, sin
 from tetractl.core.poses import Floats
 from tetractl.model.motion.motion import Derivatives, Held, Motion, Time, XYHeading
 from tetractl.model.motion.polynomials import alternating, arctan, decay, log_from_ratio, mantissa
@@ -33,9 +35,9 @@ ODD = 2 * np.arange(TERMS) + 1
 def rates(heading: Floats, u: Floats | float, a: Floats, v: Floats) -> XYHeading:
     """Return dx/dt, dy/dt [length unit/s] and dheading/dt [rad/s] of (1)-(3) as printed."""
     return (
-        v * np.cos(heading),  # (1)
-        v * np.sin(heading),  # (2)
-        a * np.sin(u - heading),  # (3)
+        v * elementwise.cos(heading),  # (1)
+        v * elementwise.sin(heading),  # (2)
+        a * elementwise.sin(u - heading),  # (3)
     )
 
 
@@ -47,18 +49,19 @@ def step(
     Half angles keep phi near pi exact, where 1 + cos(phi) would cancel.
     """
     half = (u - heading) / 2
-    c = np.cos(half)
-    s = np.sin(half)
-    decay = np.exp(-a * t)
-    turned = 2 * np.arctan2(-np.expm1(-a * t) * s * c, c * c + s * s * decay)  # phi - phi'
-    fall = s * s * np.expm1(-2 * a * t)  # h - 1; ln h by log1p near h = 1, by log near h = 0
-    log_h = np.where(
-        fall > -0.5, np.log1p(np.maximum(fall, -0.5)), np.log(c * c + (s * decay) ** 2)
-    )
+    c = elementwise.cos(half)
+    s = elementwise.sin(half)
+    decay = elementwise.exp(-a * t)
+    share = -elementwise.expm1(-a * t)
+    turned = 2 * elementwise.atan2(share * s * c, c * c + s * s * decay)  # phi - phi'
+    fall = s * s * elementwise.expm1(-2 * a * t)  # h - 1
+    # ln h by log1p near h = 1, by log near h = 0
+    by_log1p = elementwise.log1p(np.maximum(fall, -0.5))
+    log_h = np.where(fall > -0.5, by_log1p, elementwise.log(c * c + np.square(s * decay)))
     along = v * (t + log_h / a)
     right = v * turned / a
-    cos_u = np.cos(u)
-    sin_u = np.sin(u)
+    cos_u = elementwise.cos(u)
+    sin_u = elementwise.sin(u)
     return (
         x + along * cos_u + right * sin_u,
         y + along * sin_u - right * cos_u,
@@ -75,9 +78,9 @@ def hold(
 
 def turn(phi: float, a: float, t: float) -> float:
     """Return by how much a robot turns in a time t [s] under a direction at an angle phi."""
-    c = math.cos(phi / 2)
-    s = math.sin(phi / 2)
-    return 2 * math.atan2(-math.expm1(-a * t) * s * c, c * c + s * s * math.exp(-a * t))
+    c = cos(phi / 2)
+    s = sin(phi / 2)
+    return 2 * atan2(-expm1(-a * t) * s * c, c * c + s * s * exp(-a * t))
 
 
 def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Derivatives:
@@ -166,18 +169,20 @@ class ExactLanes(NamedTuple):
         largest_turn = float(a.max()) * t
         pieces = max(1, math.ceil(largest_turn / LARGEST_TURN))
         turn = a * t / pieces
-        middle = np.tanh(turn / 4)
-        end = np.tanh(turn / 2)
-        series = (4 * v / a)[:, None] * middle[:, None] ** ODD / ODD
+        middle = elementwise.tanh(turn / 4)
+        end = elementwise.tanh(turn / 2)
+        powers = np.repeat(np.square(middle)[:, None], TERMS, axis=1)
+        powers[:, 0] = middle
+        series = (4 * v / a)[:, None] * np.cumprod(powers, axis=1) / ODD
         sines, cosines = odd_multiples(TERMS)
-        right = series @ sines
-        along = series @ cosines
+        right = np.einsum("nk,kq->nq", series, sines)
+        along = np.einsum("nk,kq->nq", series, cosines)
         first_b = 4 + TERMS
         rows = np.empty((len(a), cls.size))
         rows[:, 0] = middle
-        rows[:, 1] = 1 - middle**2
+        rows[:, 1] = 1 - np.square(middle)
         rows[:, 2] = end
-        rows[:, 3] = 1 - end**2
+        rows[:, 3] = 1 - np.square(end)
         rows[:, 4:first_b] = right  # A(q) of `advance`
         rows[:, first_b:] = (right - along)[:, :-1]  # B(q)
         return cls(rows, pieces)

@@ -2,47 +2,77 @@
 
 They are plain functions of scalars: kernels compile them, and they also work without a compiler.
 
-Coefficients are computed at import, by interpolation at Chebyshev points in the squared argument.
-The degree gives an error below 1e-13 on the named range, since the errors of steps add up and a
-path must agree with the readable model to 1e-9.
+Coefficients are written out, lowest first, because computed ones would depend on the processor.
+They interpolate at Chebyshev points of the squared argument q. The degree gives an error below
+1e-13 on the named range: the errors of steps add up, and a path must agree with the readable model
+to 1e-9. `tetractl.core.elementary` has functions to the last digits, which take longer.
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 
-from tetractl.core.poses import Floats
+LOG_2 = 0.6931471805599453  # ln 2
+TAN_EIGHTH = math.sqrt(2.0) - 1.0  # tan of an eighth of a half turn
 
-LOG_2 = math.log(2.0)  # ln 2
-TAN_EIGHTH = math.tan(math.pi / 8)  # tan of an eighth of a half turn
-
-
-def fit(function: Callable[[Floats], Floats], top: float, degree: int) -> tuple[float, ...]:
-    """Return the coefficients, lowest first, of a polynomial for `function` on [0, top]."""
-    series = np.polynomial.Chebyshev.interpolate(function, degree, domain=[0.0, top])
-    return tuple(float(c) for c in series.convert(kind=np.polynomial.Polynomial).coef)
-
-
-def odd(function: Callable[[Floats], Floats]) -> Callable[[Floats], Floats]:
-    """Return f(t)/t of an odd function f, as a function of q = t^2."""
-
-    def ratio(q: Floats) -> Floats:
-        root = np.sqrt(q)
-        return function(root) / root
-
-    return ratio
-
-
-_QUARTER = (math.pi / 4) ** 2  # square of the largest angle
-SINE = fit(lambda q: np.sinc(np.sqrt(q) / np.pi), _QUARTER, 5)  # sin(t)/t of q = t^2
-COSINE = fit(lambda q: np.cos(np.sqrt(q)), _QUARTER, 5)  # cos t
-ATANH = fit(odd(np.arctanh), (math.sqrt(2) - 1) ** 4 * 1.01, 5)  # atanh(f)/f
-ATAN = fit(odd(np.arctan), TAN_EIGHTH**2 * 1.01, 9)  # atan(z)/z
-
-_HALF_STEP = (LOG_2 / 2) ** 2  # square of half a step of the exponent
-COSH = fit(lambda q: np.cosh(np.sqrt(q)), _HALF_STEP, 5)  # cosh t of q = t^2
-SINH = fit(odd(np.sinh), _HALF_STEP, 5)  # sinh(t)/t
+SINE = (
+    0.9999999999999948,
+    -0.1666666666661352,
+    0.008333333323660397,
+    -0.00019841263244918644,
+    2.75552675340755e-06,
+    -2.475654531922431e-08,
+)
+"""sin(t)/t of q = t^2, for t up to pi/4"""
+COSINE = (
+    0.9999999999999435,
+    -0.4999999999934735,
+    0.04166666654358041,
+    -0.0013888880382498289,
+    2.4798927129567507e-05,
+    -2.717334712576943e-07,
+)
+"""cos t"""
+ATANH = (
+    0.9999999999999711,
+    0.333333333401693,
+    0.19999997336009678,
+    0.14286094520176398,
+    0.11086637356391349,
+    0.09811287139631193,
+)
+"""atanh(f)/f of q = f^2, for f up to (sqrt(2) - 1)^2"""
+ATAN = (
+    1.0000000000000004,
+    -0.33333333333301446,
+    0.19999999986792955,
+    -0.14285713007974288,
+    0.11111055893215314,
+    -0.0908960530452157,
+    0.07673934282702476,
+    -0.06506596272543727,
+    0.05022113107122174,
+    -0.025229787642710978,
+)
+"""atan(z)/z of q = z^2, for z up to tan(pi/8)"""
+COSH = (
+    0.9999999999999993,
+    0.5000000000001344,
+    0.04166666666293897,
+    0.0013888889115936552,
+    2.4801755610263722e-05,
+    2.743549831678975e-07,
+)
+"""cosh t of q = t^2, for t up to ln(2)/2"""
+SINH = (
+    0.9999999999999991,
+    0.16666666666676203,
+    0.008333333331481268,
+    0.00019841268371201154,
+    2.756251300663744e-06,
+    2.2357657468102138e-08,
+)
+"""sinh(t)/t"""
 SHIFT = 1.5 * 2.0**52  # floats near it have the bits of integers
 ROOT_HALF_BITS = 0x3FE6A09E667F3BCD  # the bits of the float sqrt(1/2)
 DECAY_MAX = 230.0  # beyond, exp(-x) counts as exp(-230), which is 1e-100

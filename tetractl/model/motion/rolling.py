@@ -9,12 +9,12 @@ The emulated robots and the lab's actuator run the loops as they are, by the cla
 `model.wheels`; `plant.drive_kernels` compiles them for the simulation, with the same bits.
 """
 
-import math
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.elementary import cos, exp, expm1, sin
 from tetractl.core.poses import Bools, Floats, Times
 from tetractl.model.motion.exact import turn
 
@@ -53,9 +53,9 @@ def rolled(heading: float, angle: float, way: float) -> tuple[float, float]:
         square = angle * angle / 4
         sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
     else:
-        sinc = math.sin(half) / half
+        sinc = sin(half) / half
     chord = way * sinc
-    return chord * math.cos(heading + half), chord * math.sin(heading + half)
+    return chord * cos(heading + half), chord * sin(heading + half)
 
 
 class KnownRobots(NamedTuple):
@@ -126,7 +126,7 @@ def wish(
         ahead = headings_turned(heading, u, since_ns, acts_ns, robots.a)
     wished = np.empty((2, len(heading)))
     for i in range(len(heading)):
-        sine = math.sin(u[i] - ahead[i])
+        sine = sin(u[i] - ahead[i])
         wished[0, i], wished[1, i] = wheel_speeds(
             sine, robots.a[i], robots.speed[i], robots.radius[i]
         )
@@ -154,7 +154,7 @@ def headings_at_rest(
         theta + T w + integral of c from `since_ns` to `acts_ns`.
     """
     times_ns = sent.times_ns
-    share = math.exp(min(times_ns[0] - since_ns, 0) / SECOND / lag_s)  # that the lag has left
+    share = exp(min(times_ns[0] - since_ns, 0) / SECOND / lag_s)  # that the lag has left
     at_rest = np.empty(len(heading))
     for i in range(len(heading)):
         rate = sent.rates[0, i] + (sent.true_at_first[i] - sent.rates[0, i]) * share
@@ -175,7 +175,7 @@ def forget(sent: SentRates, now_ns: int, lag_s: float) -> None:
     rates = sent.rates
     true_rates = sent.true_at_first
     while times_ns[1] <= now_ns:
-        share = math.exp((times_ns[0] - times_ns[1]) / SECOND / lag_s)
+        share = exp((times_ns[0] - times_ns[1]) / SECOND / lag_s)
         for i in range(len(true_rates)):
             true_rates[i] = rates[0, i] + (true_rates[i] - rates[0, i]) * share
         for k in range(1, len(times_ns)):
@@ -262,7 +262,7 @@ def _step(body: Floats, seconds: float) -> None:
         left_target = body[LEFT_TARGET, i]
         right_target = body[RIGHT_TARGET, i]
         if i == 0 or lag != body[LAG, i - 1]:
-            share = 1.0 if lag == 0 else -math.expm1(seconds / -lag)
+            share = 1.0 if lag == 0 else -expm1(seconds / -lag)
         # the speeds approach their targets exponentially: how much is missing now, and then
         left_missing = body[LEFT, i] - left_target
         right_missing = body[RIGHT, i] - right_target

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from tetractl.core.clock import SECOND
+from tetractl.core.elementary import cos, sin
 from tetractl.core.poses import Floats, Times
 
 STEP_S = 0.005  # largest time step
@@ -82,9 +83,9 @@ def steps_until(since_ns: int, times_ns: Sequence[int]) -> int:
 def torque(dipole: float, across: float, up: float) -> tuple[float, float]:
     """Return the turning rate for a = 1 by equation (3), for a dipole's direction [rad] in the
     field (across, up), and its derivative by the direction."""
-    cos = math.cos(dipole)
-    sin = math.sin(dipole)
-    return up * cos - across * sin, -(up * sin + across * cos)
+    along = cos(dipole)
+    aside = sin(dipole)
+    return up * along - across * aside, -(up * aside + across * along)
 
 
 def step(cells: CellArrays, seconds: float, noise: Any) -> None:
@@ -120,8 +121,8 @@ def step(cells: CellArrays, seconds: float, noise: Any) -> None:
             # the heading in the middle of the step, which gives the way and the turn of all of it
             sine, _ = torque(theta + bias, field_x, field_y)
             half = theta + a * sine * dt / 2
-            x[i] += (speed * math.cos(half) + cells.flow_x[i]) * dt  # (1)
-            y[i] += (speed * math.sin(half) + cells.flow_y[i]) * dt  # (2)
+            x[i] += (speed * cos(half) + cells.flow_x[i]) * dt  # (1)
+            y[i] += (speed * sin(half) + cells.flow_y[i]) * dt  # (2)
             sine, _ = torque(half + bias, field_x, field_y)
             theta += a * sine * dt  # (3)
             theta += cells.walk[i] * going * root * swerves[i]
@@ -132,13 +133,13 @@ def step(cells: CellArrays, seconds: float, noise: Any) -> None:
             if x[i] < wall_left[i] or x[i] > wall_right[i]:
                 outwards = 1.0 if x[i] > wall_right[i] else -1.0
                 x[i] = wall_right[i] if x[i] > wall_right[i] else wall_left[i]
-                if math.cos(theta) * outwards > 0:
-                    theta = math.pi / 2 if math.sin(theta) >= 0 else -math.pi / 2
+                if cos(theta) * outwards > 0:
+                    theta = math.pi / 2 if sin(theta) >= 0 else -math.pi / 2
             if y[i] < wall_bottom[i] or y[i] > wall_top[i]:
                 outwards = 1.0 if y[i] > wall_top[i] else -1.0
                 y[i] = wall_top[i] if y[i] > wall_top[i] else wall_bottom[i]
-                if math.sin(theta) * outwards > 0:
-                    theta = 0.0 if math.cos(theta) >= 0 else math.pi
+                if sin(theta) * outwards > 0:
+                    theta = 0.0 if cos(theta) >= 0 else math.pi
             heading[i] = theta
 
 
@@ -160,7 +161,7 @@ def swim(
         since = times[k]
         for i in range(len(cells.x)):
             heading = cells.heading[i]
-            to_the_left = cells.helix_um[i] * math.cos(cells.phase[i])
-            path[k, 0, i] = (cells.x[i] - to_the_left * math.sin(heading)) / unit_um
-            path[k, 1, i] = (cells.y[i] + to_the_left * math.cos(heading)) / unit_um
+            to_the_left = cells.helix_um[i] * cos(cells.phase[i])
+            path[k, 0, i] = (cells.x[i] - to_the_left * sin(heading)) / unit_um
+            path[k, 1, i] = (cells.y[i] + to_the_left * cos(heading)) / unit_um
             path[k, 2, i] = heading

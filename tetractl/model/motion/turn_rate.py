@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tetractl.core.elementary import exp
 from tetractl.core.poses import Floats
 from tetractl.model.motion.motion import Derivatives
 from tetractl.model.motion.polynomials import sincos
@@ -48,7 +49,7 @@ def turning(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> A
     sin of heading and u, and `robot` is a `RobotParameters`."""
     a, _, side, saturation = robot
     sine = su * c - cu * s
-    factor = math.exp(side)
+    factor = exp(side)
     sign = 1.0 if sine >= 0 else -1.0  # 1 to the left
     rate = a * factor if sine >= 0 else a / factor
     if saturation >= 1:
@@ -77,8 +78,8 @@ def held(a: float, slopes: Any, c: float, s: float, hold: Any) -> Any:
     """
     rate = min(a, 1.0 / hold[0])  # beyond, the series says nothing
     first = rate * hold[0]
-    second = rate**2 * hold[1]
-    third = rate**3 * hold[2]
+    second = rate * rate * hold[1]
+    third = rate * rate * rate * hold[2]
     factor = 1 + first * c / 2 + second * (c * c / 3 - s * s / 12)
     factor += third * c * (c * c / 4 - s * s / 6)
     slope = first / 2 + second * c * 5 / 6 + third * (c * c * 13 / 12 - s * s / 6)

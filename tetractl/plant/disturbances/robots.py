@@ -4,6 +4,7 @@ from typing import Literal
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, NonNegative, Positive
@@ -123,11 +124,11 @@ class Wander(Disturbance):
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
         """Return turning rates and speeds with the errors at this time."""
-        correlation = np.exp(-(time_s - self._last_s) / self._correlation_s)
+        correlation = elementwise.exp(-(time_s - self._last_s) / self._correlation_s)
         self._last_s = time_s
         fresh = self._rng.standard_normal(self._state.shape)
-        self._state = correlation * self._state + np.sqrt(1 - correlation**2) * fresh
-        a_factor, speed_factor = np.exp(self._deviations * self._state)
+        self._state = correlation * self._state + np.sqrt(1 - np.square(correlation)) * fresh
+        a_factor, speed_factor = elementwise.exp(self._deviations * self._state)
         return a * a_factor, speed * speed_factor
 
 

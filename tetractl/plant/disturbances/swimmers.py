@@ -4,6 +4,7 @@ from typing import Literal
 
 import numpy as np
 
+from tetractl.core import elementwise
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, NonNegative, Positive
@@ -24,7 +25,7 @@ class FlowSection(DisturbanceSection):
         angle = rng.uniform(-np.pi, np.pi)  # drawn in any case: it is part of the result
         if self.direction is not None:
             angle = self.direction
-        return Flow(self.speed * np.array([np.cos(angle), np.sin(angle)]))
+        return Flow(self.speed * np.array([elementwise.cos(angle), elementwise.sin(angle)]))
 
 
 class Flow(Disturbance):
@@ -76,13 +77,13 @@ class Wobble(Disturbance):
         before = self._phase
         self._moving = moving
         self._phase = before + self._rate_rad_s * seconds * moving
-        across = self._radius * (np.sin(self._phase) - np.sin(before))
-        x = poses.x - across * np.sin(poses.heading)
-        y = poses.y + across * np.cos(poses.heading)
+        across = self._radius * (elementwise.sin(self._phase) - elementwise.sin(before))
+        x = poses.x - across * elementwise.sin(poses.heading)
+        y = poses.y + across * elementwise.cos(poses.heading)
         return Poses(x, y, poses.heading)
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
         """Return the poses with the headings of the bodies."""
-        sideways = self._radius * self._rate_rad_s * np.cos(self._phase) * self._moving
-        tilt = np.arctan2(sideways, np.maximum(self._speed, np.finfo(float).tiny))
+        sideways = self._radius * self._rate_rad_s * elementwise.cos(self._phase) * self._moving
+        tilt = elementwise.atan2(sideways, np.maximum(self._speed, np.finfo(float).tiny))
         return Poses(poses.x, poses.y, poses.heading + tilt), valid

@@ -8,6 +8,7 @@ from support.shapes import SHAPES
 
 from tetractl.control.kernels import clearance
 from tetractl.control.kernels.obstacles import arrays_of
+from tetractl.core import elementwise
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.setup import Bounds
 from tetractl.tools.kernels import kernel_options as options
@@ -36,7 +37,7 @@ def test_gaps_are_those_of_the_readable_region_to_the_last_bit(region, points):
 @given(PATHS)
 def test_the_least_distance_is_that_of_the_nearest_two(points):
     x, y = np.array(points).T.copy()
-    distances = np.hypot(x[:, None] - x, y[:, None] - y)
+    distances = elementwise.hypot(x[:, None] - x, y[:, None] - y)
     of_pairs = distances[np.triu_indices(len(x), 1)]
     assert clearance.least_apart(x, y) == of_pairs.min()
 

@@ -1,0 +1,108 @@
+"""Functions that give the same bits everywhere: how exact they are, and that all forms agree."""
+
+import math
+import random
+
+import numpy as np
+import pytest
+
+from tetractl.core import elementary, elementwise
+
+UNITS = 8  # in the last place
+
+RANGES = {
+    "sin": [(-8, 8), (-1e5, 1e5), (-1e-3, 1e-3)],
+    "cos": [(-8, 8), (-1e5, 1e5), (-1e-3, 1e-3)],
+    "exp": [(-700, 700), (-1, 1)],
+    "expm1": [(-40, 700), (-1, 1), (-1e-5, 1e-5)],
+    "log": [(0, 10), (0.9, 1.1), (0, 1e300), (0, 1e-300)],
+    "log1p": [(-0.99, 10), (-0.4, 0.4), (-1e-5, 1e-5)],
+    "tanh": [(-20, 20), (-1, 1), (-1e-5, 1e-5)],
+    "atan": [(-5, 5), (-1e3, 1e3), (-1e-5, 1e-5)],
+}
+
+
+def numbers(name):
+    draw = random.Random(name)
+    return [draw.uniform(*limits) for limits in RANGES[name] for _ in range(2000)]
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_a_function_is_right_to_the_last_digits(name):
+    function = getattr(elementary, name)
+    exact = getattr(math, name)
+    for x in numbers(name):
+        assert abs(function(x) - exact(x)) <= UNITS * math.ulp(exact(x)), x
+
+
+def test_the_angle_of_a_point_is_right_in_all_quadrants():
+    draw = random.Random(1)
+    for _ in range(5000):
+        x = draw.uniform(-5, 5)
+        y = draw.uniform(-5, 5)
+        exact = math.atan2(y, x)
+        assert abs(elementary.atan2(y, x) - exact) <= UNITS * math.ulp(exact), (x, y)
+    for y, x in ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 0)):
+        assert elementary.atan2(y, x) == math.atan2(y, x)
+
+
+def test_limits_and_what_is_no_number():
+    assert elementary.exp(-math.inf) == elementary.exp(-1000) == 0
+    assert elementary.exp(math.inf) == elementary.exp(1000) == math.inf
+    assert elementary.expm1(-math.inf) == elementary.expm1(-100) == -1
+    assert elementary.log(0) == -math.inf
+    assert elementary.log(math.inf) == math.inf
+    assert elementary.tanh(math.inf) == elementary.tanh(1000) == 1
+    assert elementary.tanh(-math.inf) == -1
+    for name in RANGES:
+        assert math.isnan(getattr(elementary, name)(math.nan)), name
+    for name in ("sin", "cos"):
+        assert math.isnan(getattr(elementary, name)(math.inf))
+    assert math.isnan(elementary.log(-1))
+    assert elementary.log_of_sum(-math.inf, -math.inf) == -math.inf
+    assert elementary.log_of_sum(0, -math.inf) == 0
+    assert elementary.log_of_sum(1000, 1000) == 1000 + math.log(2)
+
+
+@pytest.mark.parametrize("name", ["sin", "cos", "exp", "expm1", "log", "log1p", "tanh"])
+def test_arrays_have_the_bits_of_numbers(name):
+    function = getattr(elementary, name)
+    x = np.reshape(numbers(name)[:600], (3, -1))
+    expected = [[function(number) for number in row] for row in x.tolist()]
+    np.testing.assert_array_equal(getattr(elementwise, name)(x), expected)
+    assert isinstance(getattr(elementwise, name)(0.5), float)
+
+
+def test_shapes_broadcast():
+    angles = elementwise.atan2(np.ones((3, 1)), np.ones(2))
+    np.testing.assert_array_equal(angles, np.full((3, 2), math.pi / 4))
+
+
+def test_lengths_of_any_size():
+    x = [3.0, 0.0, 0.0, 3e200, -3e-200, math.inf, math.nan]
+    y = [4.0, 4.0, 0.0, -4e200, 4e-200, 1.0, 1.0]
+    expected = [5.0, 4.0, 0.0, 5e200, 5e-200, math.inf, math.nan]
+    np.testing.assert_allclose(elementwise.hypot(x, y), expected, rtol=1e-15)
+    np.testing.assert_array_equal(elementwise.hypot(x, y), list(map(elementary.hypot, x, y)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["sin", "cos", "exp", "log", "atan"])
+def test_kernels_have_the_bits_of_plain_python(name):
+    from numba import njit
+
+    from tetractl.control.kernels import elementary as compiled
+    from tetractl.tools.kernels.kernel_options import ENTRY_FAST
+
+    function = getattr(compiled, name)
+
+    @njit(**ENTRY_FAST)
+    def fill(x, values):
+        for i in range(x.size):
+            values[i] = function(x[i])
+
+    x = np.array(numbers(name))
+    values = np.empty_like(x)
+    fill(x, values)
+    plain = getattr(elementary, name)
+    np.testing.assert_array_equal(values, [plain(number) for number in x.tolist()])

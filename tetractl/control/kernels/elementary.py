@@ -1,0 +1,12 @@
+"""The functions of `tetractl.core.elementary` for kernels: the same bits as in plain Python."""
+
+from tetractl.core import elementary
+from tetractl.tools.kernels.kernel_options import exact
+
+sin = exact(elementary.sin)
+cos = exact(elementary.cos)
+exp = exact(elementary.exp)
+log = exact(elementary.log)
+atan = exact(elementary.atan)
+atan2 = exact(elementary.atan2)
+hypot = exact(elementary.hypot)

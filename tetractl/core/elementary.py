@@ -1,0 +1,253 @@
+"""Elementary functions of one number, with the same bits on every processor.
+
+The C library's `sin`, `exp` and `log` choose their code by the processor, and so do NumPy's; the
+results differ in the last bits, from which another plan and another trial may follow. The functions
+here use only what IEEE 754 rounds correctly everywhere: + - * /, square roots and powers of two.
+
+Kernels compile these functions, and plain Python code calls them as they are, with the same bits.
+`elementary_arrays` has the same functions for arrays. All are within 8 units in the last place.
+
+The series are Taylor's, on ranges to which the argument is reduced:
+
+    sin, cos     x - k pi/2 in [-pi/4, pi/4], for the nearest whole number k
+    exp, expm1   x - k ln 2 in [-ln(2)/2, ln(2)/2]
+    log          x = m 2^k with sqrt(1/2) <= m < sqrt(2); ln m = 2 atanh((m - 1)/(m + 1))
+    atan         the nearest of 0, pi/8, ..., pi/2 is taken off the angle: less than pi/16 is left
+"""
+
+import math
+
+# Tables of the reduction: a first part with few digits, whose product with k is exact, and the
+# rest.
+TWO_OVER_PI = 2 / math.pi
+HALF_PI_1 = float.fromhex("0x1.921fb544p+0")
+HALF_PI_2 = float.fromhex("0x1.0b4611a6p-34")
+HALF_PI_3 = float.fromhex("0x1.3198a2e037073p-69")
+ONE_OVER_LN_2 = float.fromhex("0x1.71547652b82fep+0")
+LN_2 = float.fromhex("0x1.62e42fefa39efp-1")
+LN_2_1 = float.fromhex("0x1.62e42feep-1")
+LN_2_2 = float.fromhex("0x1.a39ef35793c76p-33")
+ROOT_HALF = math.sqrt(0.5)
+TAN_EIGHTH_TURN = (0.0, math.sqrt(2.0) - 1.0, 1.0)
+"""tan(j pi/8), j = 0, 1, 2."""
+FIRST_LIMIT = float.fromhex("0x1.975f5e0553158p-3")
+"""tan(pi/16)."""
+SECOND_LIMIT = float.fromhex("0x1.561b82ab7f990p-1")
+"""tan(3 pi/16)."""
+
+ANGLE_MAX = 1e6
+"""Largest angle [rad] that is reduced by pi/2; whole turns are taken off larger ones before."""
+EXPONENT_MAX = 800.0
+"""exp(x) of a larger x is infinite, and exp(-x) is 0."""
+
+
+def sin(x):
+    """Compute the sine of an angle x [rad]."""
+    if not abs(x) < ANGLE_MAX:
+        if not abs(x) < math.inf:
+            return math.nan
+        x = x % math.tau
+    k = math.floor(x * TWO_OVER_PI + 0.5)
+    r = ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3
+    value = cos_near_0(r) if k & 1 else sin_near_0(r)
+    return -value if k & 2 else value
+
+
+def cos(x):
+    """Compute the cosine of an angle x [rad]."""
+    if not abs(x) < ANGLE_MAX:
+        if not abs(x) < math.inf:
+            return math.nan
+        x = x % math.tau
+    k = math.floor(x * TWO_OVER_PI + 0.5)
+    r = ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3
+    value = sin_near_0(r) if k & 1 else cos_near_0(r)
+    return -value if (k + 1) & 2 else value
+
+
+def sin_near_0(r):
+    """Compute sin r for |r| <= pi/4."""
+    square = r * r
+    series = 1 / 1307674368000
+    series = 1 / 6227020800 - square * series
+    series = 1 / 39916800 - square * series
+    series = 1 / 362880 - square * series
+    series = 1 / 5040 - square * series
+    series = 1 / 120 - square * series
+    series = 1 / 6 - square * series
+    return r - r * square * series
+
+
+def cos_near_0(r):
+    """Compute cos r for |r| <= pi/4."""
+    square = r * r
+    series = 1 / 20922789888000
+    series = 1 / 87178291200 - square * series
+    series = 1 / 479001600 - square * series
+    series = 1 / 3628800 - square * series
+    series = 1 / 40320 - square * series
+    series = 1 / 720 - square * series
+    series = 1 / 24 - square * series
+    return 1.0 - square * (0.5 - square * series)
+
+
+def exp(x):
+    """Compute e^x; infinite where it is too large for a float."""
+    if not abs(x) < EXPONENT_MAX:
+        return _exp_of_large(x)
+    k = math.floor(x * ONE_OVER_LN_2 + 0.5)
+    p = expm1_near_0((x - k * LN_2_1) - k * LN_2_2)
+    # in two steps, of which neither leaves the range of floats too early
+    return (1.0 + p) * power_of_2(k >> 1) * power_of_2(k - (k >> 1))
+
+
+def expm1(x):
+    """Compute e^x - 1, exact for small x as well."""
+    if not abs(x) < EXPONENT_MAX:
+        return _exp_of_large(x) - 1.0
+    k = math.floor(x * ONE_OVER_LN_2 + 0.5)
+    p = expm1_near_0((x - k * LN_2_1) - k * LN_2_2)
+    if k == 0:
+        return p
+    if k > 1000:  # less than a last place is neglected
+        return exp(x)
+    power = power_of_2(k) if k > -1000 else 0.0
+    return (power - 1.0) + power * p
+
+
+def _exp_of_large(x):
+    """Compute e^x beyond EXPONENT_MAX, and of NaN."""
+    if x > 0:
+        return math.inf
+    return 0.0 if x < 0 else math.nan
+
+
+def expm1_near_0(r):
+    """Compute e^r - 1 for |r| <= ln(2)/2."""
+    series = 1 / 87178291200
+    series = 1 / 6227020800 + r * series
+    series = 1 / 479001600 + r * series
+    series = 1 / 39916800 + r * series
+    series = 1 / 3628800 + r * series
+    series = 1 / 362880 + r * series
+    series = 1 / 40320 + r * series
+    series = 1 / 5040 + r * series
+    series = 1 / 720 + r * series
+    series = 1 / 120 + r * series
+    series = 1 / 24 + r * series
+    series = 1 / 6 + r * series
+    series = 1 / 2 + r * series
+    return r + r * r * series
+
+
+def power_of_2(k):
+    """Compute 2^k for a whole number k from -1022 to 1023."""
+    return math.ldexp(1.0, k)
+
+
+def log(x):
+    """Compute the natural logarithm; -infinite for 0, NaN for negative numbers."""
+    if not 0.0 < x < math.inf:
+        if x == 0.0:
+            return -math.inf
+        return x if x > 0.0 else math.nan
+    m, k = math.frexp(x)
+    if m < ROOT_HALF:
+        m = 2.0 * m
+        k -= 1
+    f = (m - 1.0) / (m + 1.0)
+    return k * LN_2_1 + (2.0 * artanh_near_0(f) + k * LN_2_2)
+
+
+def log1p(x):
+    """Compute ln(1 + x), exact for small x as well."""
+    whole = 1.0 + x
+    if not 0.0 < whole < math.inf:
+        return log(whole)
+    return log(whole) + (x - (whole - 1.0)) / whole
+
+
+def artanh_near_0(f):
+    """Compute artanh f for |f| < 0.172."""
+    square = f * f
+    series = 1 / 23
+    series = 1 / 21 + square * series
+    series = 1 / 19 + square * series
+    series = 1 / 17 + square * series
+    series = 1 / 15 + square * series
+    series = 1 / 13 + square * series
+    series = 1 / 11 + square * series
+    series = 1 / 9 + square * series
+    series = 1 / 7 + square * series
+    series = 1 / 5 + square * series
+    series = 1 / 3 + square * series
+    return f + f * square * series
+
+
+def tanh(x):
+    """Compute the hyperbolic tangent."""
+    rest = expm1(-2.0 * abs(x))
+    value = rest / (2.0 + rest)
+    return value if x < 0 else -value
+
+
+def atan(x):
+    """Compute the angle whose tangent is x [rad], from -pi/2 to pi/2."""
+    return atan2(x, 1.0)
+
+
+def atan2(y, x):
+    """Compute the angle of the point (x, y) [rad], from -pi to pi; 0 at the origin."""
+    total = abs(x) + abs(y)
+    if not total > 0.0:
+        return 0.0 if total == 0.0 else math.nan
+    low = min(abs(x), abs(y))
+    high = max(abs(x), abs(y))
+    j = 0
+    if low > SECOND_LIMIT * high:
+        j = 2
+    elif low > FIRST_LIMIT * high:
+        j = 1
+    tan = TAN_EIGHTH_TURN[j]
+    z = (low - tan * high) / (high + tan * low)
+    angle = j * (math.pi / 8) + arctan_near_0(z)
+    if abs(y) > abs(x):
+        angle = math.pi / 2 - angle
+    if x < 0:
+        angle = math.pi - angle
+    return -angle if y < 0 else angle
+
+
+def arctan_near_0(z):
+    """Compute arctan z for |z| < 0.2."""
+    square = z * z
+    series = 1 / 23
+    series = 1 / 21 - square * series
+    series = 1 / 19 - square * series
+    series = 1 / 17 - square * series
+    series = 1 / 15 - square * series
+    series = 1 / 13 - square * series
+    series = 1 / 11 - square * series
+    series = 1 / 9 - square * series
+    series = 1 / 7 - square * series
+    series = 1 / 5 - square * series
+    series = 1 / 3 - square * series
+    return z - z * square * series
+
+
+def hypot(x, y):
+    """Compute the length of the vector (x, y)."""
+    size = max(abs(x), abs(y))
+    if not 0.0 < size < math.inf:
+        return size
+    along = x / size  # else the squares of large lengths would overflow
+    across = y / size
+    return size * math.sqrt(along * along + across * across)
+
+
+def log_of_sum(ln_x, ln_y):
+    """Compute ln(x + y) from ln x and ln y."""
+    high = max(ln_x, ln_y)
+    if high == -math.inf:
+        return high
+    return high + log1p(exp(min(ln_x, ln_y) - high))

@@ -1,0 +1,44 @@
+"""Products and systems of small matrices, with the same bits on every processor.
+
+BLAS and LAPACK choose their code by the processor. Matrices are stacked as in NumPy: the last two
+axes of an array are rows and columns, and the axes before them broadcast.
+"""
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+
+
+def product(a: Floats, b: Floats) -> Floats:
+    """Compute the matrix products of a (..., n, k) and b (..., k, m)."""
+    return np.einsum("...nk,...km->...nm", a, b)
+
+
+def solve(a: Floats, b: Floats) -> Floats:
+    """Solve a x = b for symmetric, positive definite matrices.
+
+    Such matrices need no pivoting. A singular one gives numbers that are not finite.
+
+    Args:
+        a: Matrices, shape (..., n, n).
+        b: Right-hand sides, shape (..., n, m).
+
+    Returns:
+        The solutions x, shape (..., n, m).
+    """
+    size = a.shape[-1]
+    shape = np.broadcast_shapes(a.shape[:-2], b.shape[:-2])
+    left = np.broadcast_to(a, (*shape, size, size))
+    right = np.broadcast_to(b, (*shape, *b.shape[-2:]))
+    rows = np.concatenate([left, right], axis=-1)
+    for k in range(size):
+        rows[..., k, :] /= rows[..., k, k, None].copy()
+        factors = rows[..., k].copy()
+        factors[..., k] = 0.0
+        rows -= factors[..., None] * rows[..., k, None, :].copy()
+    return rows[..., size:]
+
+
+def inverse(a: Floats) -> Floats:
+    """Compute the inverses of symmetric, positive definite matrices (..., n, n)."""
+    return solve(a, np.eye(a.shape[-1]))

@@ -18,7 +18,14 @@ from tetractl.core.poses import Poses
 from tetractl.core.protocols import Controller
 from tetractl.core.registries import MOTIONS, OPTIMIZERS
 from tetractl.core.setup import MM, Setup
-from tetractl.experiment.base import Model, NonNegative, Positive, defaults
+from tetractl.experiment.base import (
+    Model,
+    NonNegative,
+    NonNegativeAngle,
+    Positive,
+    PositiveAngle,
+    defaults,
+)
 from tetractl.experiment.controller import ALONE, Host, OptimizerSection
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
@@ -64,7 +71,7 @@ class PriorSection(Model):
     """Relative standard deviation of each robot's speed."""
     dead_time: Positive = 0.1
     """Standard deviation of the dead time [s]."""
-    heading_bias: Positive = 0.05
+    heading_bias: PositiveAngle = 0.05
     """Standard deviation of the angle between the direction sent and the direction that a robot
     turns towards [rad]."""
     flow: NonNegative | None = None
@@ -72,7 +79,7 @@ class PriorSection(Model):
     [length unit/s]; by default a twentieth of the robots' mean speed."""
     position_noise: NonNegative = 0.0
     """Standard deviation of a measured position [length unit]; 0 if unknown."""
-    heading_noise: NonNegative = 0.0
+    heading_noise: NonNegativeAngle = 0.0
     """Standard deviation of a measured heading [rad]; 0 if unknown."""
 
     helix: NonNegative | None = None

@@ -69,6 +69,11 @@ stated."""
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 """A length in a published result, bounded so that squares do not overflow."""
+ANGLE = "angle [rad]"
+"""Marks the type of a field that is an angle, for the warning of angles in degrees."""
+Angle = Annotated[Finite, ANGLE]
+PositiveAngle = Annotated[Positive, ANGLE]
+NonNegativeAngle = Annotated[NonNegative, ANGLE]
 Fraction = Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)]
 Point = tuple[Finite, Finite]
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]*$")]

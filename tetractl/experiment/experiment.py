@@ -24,6 +24,7 @@ from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.core.shape import Shape
 from tetractl.core.tour import HoldTask
 from tetractl.experiment.base import (
+    Angle,
     Finite,
     Length,
     Model,
@@ -143,7 +144,7 @@ class Robot(Model):
     """
     start: Point
     """Start position [x, y] [length unit]."""
-    heading: Finite = 0.0
+    heading: Angle = 0.0
     """Start heading theta, anticlockwise from +x [rad]."""
     target: Point
     """Target position [x, y] [length unit]."""

@@ -19,7 +19,15 @@ from tetractl.core.poses import UNSTATED, Sight
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.registries import ACTUATORS, CAMERAS
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive, inconsistent
+from tetractl.experiment.base import (
+    Finite,
+    Model,
+    Name,
+    NonNegative,
+    Positive,
+    PositiveAngle,
+    inconsistent,
+)
 from tetractl.experiment.plant import Microscope, PlantSection
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.yaml.problems import Loc
@@ -176,7 +184,7 @@ class LabLimits(Model):
     rejected more than 40 mm above or below where it was at the start. Only for cameras that report
     heights.
     """
-    tilt: Positive = 0.5
+    tilt: PositiveAngle = 0.5
     """Largest tilt of a body's upward axis from the vertical [rad]; a greater tilt is rejected."""
     separation_mm: NonNegative = 110.0
     """Least distance between the centres of two robots [mm]; 0 disables the test."""
@@ -193,7 +201,7 @@ class LabLimits(Model):
     """A run does not start if frames are older than this on arrival [s]."""
     start_mm: Positive = 50.0
     """Largest distance from its start at which a robot may stand [mm]."""
-    start_heading: Positive = 0.3
+    start_heading: PositiveAngle = 0.3
     """Largest difference of a robot's heading from its start heading [rad]."""
     placing: NonNegative = 0.0
     """Longest time to wait for robots to be put on their starts [s], at least 1 s; for a run that a

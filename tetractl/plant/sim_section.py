@@ -14,7 +14,14 @@ from tetractl.core.clock import Clock, VirtualClock
 from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.registries import DISTURBANCES, MOTIONS
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Fraction, Model, NonNegative, Positive, inconsistent
+from tetractl.experiment.base import (
+    Fraction,
+    Model,
+    NonNegative,
+    NonNegativeAngle,
+    Positive,
+    inconsistent,
+)
 from tetractl.experiment.disturbance import DisturbanceSection
 from tetractl.experiment.plant import PlantSection
 from tetractl.experiment.registry_fields import KindName, KindSection
@@ -31,7 +38,7 @@ class MeasurementNoise(Model):
 
     position: NonNegative = 0.0
     """Standard deviation of x and of y [length unit]."""
-    heading: NonNegative = 0.0
+    heading: NonNegativeAngle = 0.0
     """Standard deviation of the heading [rad]."""
 
 
@@ -76,7 +83,7 @@ class CultureSection(Model):
     turn by the paper's equation (3), and `heading_noise` is the random walk of their heading.
     """
 
-    dipole: NonNegative = DIPOLE_SD_RAD
+    dipole: NonNegativeAngle = DIPOLE_SD_RAD
     """Standard deviation of the dipole's angle from a cell's axis [rad]."""
     drift: NonNegative = DRIFT_UM_S
     """Speed of the medium's flow [um/s]; its direction is drawn once per trial."""

@@ -17,6 +17,7 @@ from tetractl.control.near_targets import kept_apart
 from tetractl.core.elementary import expm1
 from tetractl.core.poses import Floats, turn_problem, wrap
 from tetractl.core.setup import Setup
+from tetractl.experiment.base import ANGLE
 from tetractl.experiment.consistency import Findings, SpecFinding, nearest
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.lab_section import LabSection
@@ -156,7 +157,7 @@ def robots_of_another_size(context: CheckContext) -> Findings:
 
 
 def _radians(part: BaseModel, where: Loc) -> Iterator[tuple[Loc, float]]:
-    """Yield location and value of each number in those fields of a section described in [rad]."""
+    """Yield location and value of each number in the fields of a section that are angles."""
     fields = type(part).model_fields
     for name, value in part:
         items = [((*where, name), value)]
@@ -165,7 +166,7 @@ def _radians(part: BaseModel, where: Loc) -> Iterator[tuple[Loc, float]]:
         for place, item in items:
             if isinstance(item, BaseModel):
                 yield from _radians(item, place)
-            elif isinstance(item, float) and "[rad]" in (fields[name].description or ""):
+            elif isinstance(item, float) and ANGLE in fields[name].metadata:
                 yield place, item
 
 

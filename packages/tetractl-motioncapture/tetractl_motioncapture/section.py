@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Finite, NonNegative, Point
+from tetractl.experiment.base import Angle, NonNegative, Point
 from tetractl.experiment.lab_section import CameraSection, entry, mismatches
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
@@ -27,7 +27,7 @@ class MotionCaptureSection(CameraSection):
     """The axis that points up."""
     origin: Point = (0.0, 0.0)
     """Position of the cameras' origin in the spec's coordinates [length unit]."""
-    rotation: Finite = 0.0
+    rotation: Angle = 0.0
     """Angle from the spec's x axis to the cameras' x axis [rad]."""
     latency: NonNegative = Field(default=0.01, le=0.2)
     """Time from an exposure until its poses arrive [s]."""

@@ -9,6 +9,8 @@ import yaml
 from support.bounded import best_plan, spec
 from support.paths import ROOT
 
+from tetractl.core.registries import REGISTRIES
+from tetractl.experiment.base import ANGLE, Model
 from tetractl.experiment.load import load_spec, parse_contents, parse_spec
 from tetractl.experiment.loaded_spec import resolved_yaml
 from tetractl.experiment.yaml.problems import InvalidSpecError
@@ -364,3 +366,27 @@ def test_an_absurd_number_in_any_field_ends_in_one_line_each(number):
         else:
             lines = list(map(str, find_warnings(loaded)))
         assert not any("\n" in line for line in lines), loc
+
+
+def sections(model):
+    """All section classes derived from `model`, at any depth."""
+    for section in model.__subclasses__():
+        yield section
+        yield from sections(section)
+
+
+def test_every_field_in_radians_is_marked_as_an_angle():
+    """A field without the mark would get no warning of an angle in degrees."""
+    for registry in REGISTRIES:
+        for name in registry.names():
+            registry.load(name)
+    unmarked = [
+        f"{section.__name__}.{name}"
+        for section in sections(Model)
+        for name, field in section.model_fields.items()
+        if "[rad]" in (field.description or "") and ANGLE not in field.metadata
+    ]
+    assert (
+        sorted(set(unmarked) - {"IdentifiedRobot.heading_bias", "IdentifiedRobot.heading_noise"})
+        == []
+    )

@@ -11,7 +11,7 @@ from pydantic import Field
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Fraction, NonNegative, Positive
+from tetractl.experiment.base import Fraction, NonNegativeAngle, Positive
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 from tetractl.plant.disturbances.spells import ByTurns, Spells, SpellsSection
 
@@ -171,7 +171,7 @@ class MarkerOffSection(DisturbanceSection):
     """Each robot's measured heading has an offset, whose sign is drawn once per trial."""
 
     type: Literal["marker-off"]
-    heading: NonNegative
+    heading: NonNegativeAngle
     """Size of the offset of the measured heading [rad]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "MarkerOff":

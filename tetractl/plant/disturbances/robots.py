@@ -7,7 +7,7 @@ import numpy as np
 from tetractl.core import elementwise
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Fraction, NonNegative, Positive
+from tetractl.experiment.base import Fraction, NonNegative, NonNegativeAngle, Positive
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 from tetractl.plant.disturbances.spells import ByTurns
 
@@ -138,7 +138,7 @@ class StartErrorSection(DisturbanceSection):
     type: Literal["start-error"]
     position: NonNegative = 0.0
     """Largest error of x and of y, uniformly distributed [length unit]."""
-    heading: NonNegative = 0.0
+    heading: NonNegativeAngle = 0.0
     """Largest error of the heading, uniformly distributed [rad]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StartError":

@@ -1,13 +1,13 @@
 """Disturbances of swimming cells: the flow that carries them, and their helical path."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from tetractl.core import elementwise
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Finite, NonNegative, Positive
+from tetractl.experiment.base import ANGLE, Finite, NonNegative, Positive
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 
 
@@ -17,7 +17,7 @@ class FlowSection(DisturbanceSection):
     type: Literal["flow"]
     speed: NonNegative
     """Speed of the flow [length unit/s]."""
-    direction: Finite | None = None
+    direction: Annotated[Finite | None, ANGLE] = None
     """Direction of the flow, anticlockwise from +x [rad]; by default drawn in every trial."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Flow":

@@ -11,7 +11,15 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Finite, Model, NonNegative, Point, Positive, inconsistent
+from tetractl.experiment.base import (
+    Angle,
+    Finite,
+    Model,
+    NonNegative,
+    Point,
+    Positive,
+    inconsistent,
+)
 from tetractl.experiment.lab_section import RobotPart, entry, mismatches
 from tetractl.experiment.yaml.problems import Loc
 from tetractl_microscope.pictures.picture_section import PictureSection
@@ -46,7 +54,7 @@ class RobotTag(RobotPart):
     """Side of the tag's black square [mm]."""
     height_mm: NonNegative
     """Height of the tag above the floor [mm]."""
-    heading_offset: Finite = 0.0
+    heading_offset: Angle = 0.0
     """Angle from the direction in which the upright tag is read, from left to right, to the robot's
     front [rad]. 0 if the tag's top edge is on the robot's left."""
 
@@ -60,7 +68,7 @@ class FloorTag(Model):
     """Centre of the tag in the spec's coordinates [length unit]."""
     size_mm: Positive
     """Side of the tag's black square [mm]."""
-    heading: Finite = 0.0
+    heading: Angle = 0.0
     """Direction in which the upright tag is read, from left to right, as an angle from the spec's x
     axis [rad]. 0 if the tag's top edge points along the spec's y axis."""
 

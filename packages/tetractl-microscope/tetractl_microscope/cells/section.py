@@ -7,7 +7,7 @@ from pydantic import Field
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.experiment.base import Finite, Point, Positive
+from tetractl.experiment.base import Angle, Point, Positive
 from tetractl.experiment.lab_section import Measured
 from tetractl.experiment.registry_fields import KindName
 from tetractl_microscope.pictures.picture_section import PictureSection
@@ -29,7 +29,7 @@ class CellsSection(PictureSection):
     """Micrometres per pixel, measured with a stage micrometer."""
     corner: Point = (0.0, 0.0)
     """Position of the picture's lower left corner in the spec's coordinates [length unit]."""
-    rotation: Finite = 0.0
+    rotation: Angle = 0.0
     """Angle from the spec's x axis to the picture's rows, anticlockwise [rad]."""
     mirrored: bool = False
     """Whether pictures are mirrored left to right; they are mirrored back before `rotation`."""

@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Finite, Model, NonNegative, Positive, inconsistent
+from tetractl.experiment.base import Angle, Finite, Model, NonNegative, Positive, inconsistent
 from tetractl.experiment.lab_section import ActuatorSection
 from tetractl.experiment.yaml.problems import Loc
 
@@ -56,7 +56,7 @@ class CoilsSection(Model):
     """The pair whose axis is the spec's x axis turned by `rotation`."""
     y: CoilPair
     """The coil pair whose axis is 90 degrees anticlockwise from that of pair x."""
-    rotation: Finite = 0.0
+    rotation: Angle = 0.0
     """Angle from the spec's x axis to the x pair's axis [rad]."""
 
     def reach(self, direction: float, current_max_a: float) -> float:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Finite, Point, Positive
+from tetractl.experiment.base import Angle, Point, Positive
 from tetractl.experiment.lab_section import CameraSection, RobotPart, entry, mismatches
 from tetractl.experiment.yaml.problems import Loc
 
@@ -37,7 +37,7 @@ class TrackedRobot(RobotPart):
 
     body: str | int
     """Name or id of the robot's rigid body in the camera system."""
-    heading_offset: Finite = 0.0
+    heading_offset: Angle = 0.0
     """Angle added to the rigid body's heading to give the robot's heading [rad]."""
 
 
@@ -66,7 +66,7 @@ class OptitrackSection(CameraSection):
     """The axis that points up; `auto` asks the server."""
     origin: Point = (0.0, 0.0)
     """Position of the cameras' origin in the spec's coordinates [length unit]."""
-    rotation: Finite = 0.0
+    rotation: Angle = 0.0
     """Angle from the spec's x axis to the cameras' x axis [rad]."""
     connect: Positive = 2.0
     """Longest wait for the server's answer, and then for its stream [s]."""

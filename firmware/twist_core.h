@@ -81,8 +81,7 @@ typedef struct {
 } twist_core;
 
 /* Power-up: stopped, silent, not latched; times count from it. `index` is the robot's number in
- * commands, `radius_mm`
- * the distance from a wheel to the robot's centre. */
+ * commands, `radius_mm` the distance from a wheel to the robot's centre. */
 void twist_init(twist_core *core, uint8_t index, uint16_t radius_mm);
 
 /* Take one byte from the radio. */

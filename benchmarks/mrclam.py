@@ -72,14 +72,15 @@ def main(folders: list[Path]) -> None:
     responses = [respond([track(*run)])[0] for run in runs]
     values = []  # of the runs, of each quantity
     widths = []
-    for name in UNITS:
+    units = {name: UNITS[name] for name in responses[0].quantities}
+    for name in units:
         intervals = [response.quantities[name] for response in responses]
         values.append(np.array([interval.value for interval in intervals]))
         widths.append(np.array([interval.high - interval.low for interval in intervals]))
     mean = [_mean(column) for column in values]
     columns = (
         Column(
-            "quantity", [f"{n.replace('_', ' ')} {u.format(unit='m')}" for n, u in UNITS.items()]
+            "quantity", [f"{n.replace('_', ' ')} {u.format(unit='m')}" for n, u in units.items()]
         ),
         Column("mean of runs", [*map(cell, mean)]),
         Column("deviation", [f"{column.std(ddof=1):.4f}" for column in values]),

@@ -116,9 +116,9 @@ def test_speeds_and_turning_rates_are_identified_from_tables(tmp_path):
     assert gain == pytest.approx(1.0, abs=0.1)
     assert by_speeds["dead_time"]["value"] == pytest.approx(0.1, abs=0.05)
     assert "turning gain" in identify("speeds").ok().stdout
+    assert "these data do not determine" in identify("even").ok().stdout
     for name, words, why in (
-        ("slow", (), "robot one drives in only 0 steps of 0.1 to 0.55 s"),
-        ("even", (), "robot one is sent one speed and turning rate only"),
+        ("slow", (), "robot one drives in only 0 steps between its poses"),
         ("speeds", ("-o", "out.yaml"), "--out: a spec has no place"),
     ):
         done = identify(name, *words)

@@ -16,12 +16,12 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
 from tetractl.core.protocols import LabSupervision
 from tetractl.lab.rig import Rig
-from tetractl.replay.identification.one_recording import EXPLAINED
-from tetractl.replay.identification.sent_directions import FieldAt, courses, turning_fit
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.dish_abilities import tracker_of
 from tetractl_microscope.choice.section import Choice
 from tetractl_microscope.choice.turn_field import manoeuvre, turn_field
+from tetractl_microscope.one_recording import EXPLAINED
+from tetractl_microscope.sent_directions import FieldAt, courses, turning_fit
 
 LEAST_CELLS = 3  # fewest cells that show a rotation
 SURE = 3.0  # standard deviations by which a rotation must differ from 0

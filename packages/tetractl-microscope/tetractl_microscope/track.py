@@ -69,14 +69,14 @@ def track(
 
     Example: tetractl track tracks.csv --field field.csv --scale 2.3 --rate 30 -o cells
     """
-    from tetractl.replay.identification.sent_directions import (
+    from tetractl_microscope.organisms import named
+    from tetractl_microscope.sent_directions import (
         AT_ONCE_S,
         check_directions,
         courses,
         image,
         other_readings,
     )
-    from tetractl_microscope.organisms import named
     from tetractl_microscope.tracks.cell_tables import cell_data, cell_tables
     from tetractl_microscope.tracks.field_file import clock_remarks, read_field, side_remarks
     from tetractl_microscope.tracks.foreign_tracks import spot_tracks

@@ -18,7 +18,6 @@ from tetractl.replay.identification.fit import WANDERS, FittedRobot, SampleInter
 from tetractl.replay.identification.identify import (
     Doubt,
     IdentifiedRobots,
-    clock_doubt,
     identify,
     tables,
     turn_uniformly,
@@ -285,24 +284,6 @@ def test_directions_that_turn_uniformly_are_noticed():
     assert turn_uniformly(turning(ROTATION))
     assert turn_uniformly(turning(np.angle(np.exp(1j * ROTATION))))  # wrapped
     assert turn_uniformly(turning(ROTATION, -ROTATION))
-
-
-@pytest.mark.parametrize(
-    ("dead_time", "says"),
-    [
-        (SampleInterval(1.6, 1.59, 1.61), "of one clock?"),
-        (SampleInterval(-0.1, -0.11, -0.09), "of two clocks"),
-        (SampleInterval(0.5, 0.4, 0.6), ""),
-        (SampleInterval(1.3, 0.0, np.inf), ""),
-        (SampleInterval(0.0, 0.0, 0.01), ""),
-        (SampleInterval(0.1, np.nan, np.nan), ""),
-    ],
-)
-def test_a_dead_time_as_of_two_clocks_is_said(dead_time, says):
-    """Regression: directions stamped 1.5 s early had a dead time of 1.6 s without a word, those
-    stamped late 0.000 (0.000 to 0.000)."""
-    assert says in clock_doubt(dead_time)
-    assert bool(says) == bool(clock_doubt(dead_time))
 
 
 @pytest.mark.long

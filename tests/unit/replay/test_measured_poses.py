@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from tetractl.core.errors import UsageError
 from tetractl.core.poses import wrap
 from tetractl.replay.identification.measured_poses import measured
-from tetractl.replay.identification.motion_angle import PoseSteps, check_angle
 
 RATE_HZ = 20
 SPEED_MM_S = 100.0
@@ -192,87 +190,14 @@ def test_right_poses_are_kept(case):
 # ---- The angle ----
 
 
-def check(times, poses, speed=SPEED_MM_S):
-    steps = PoseSteps.of(times, poses)
-    check_angle("p.csv", "r1", steps, speed * steps.duration_s)
-
-
-OFF = {
-    "a quarter turn more": ((1, 1, 1), np.pi / 2, "90 degrees to the right .* take 1.57"),
-    "a quarter turn less": ((1, 1, 1), -np.pi / 2, "90 degrees to the left .* add 1.57"),
-    "20 degrees more": ((1, 1, 1), 0.35, "20 degrees to the right .* take 0.3"),
-    "20 degrees less": ((1, 1, 1), -0.35, "20 degrees to the left .* add 0.3"),
-    "half a turn": ((1, 1, 1), np.pi, "against its heading .* half a turn"),
-    "y reversed": ((1, -1, 1), 0.0, "only with y reversed"),
-    "x reversed": ((-1, 1, 1), 0.0, "only with x reversed"),
-    "clockwise headings": ((1, 1, -1), 0.0, "only with y reversed .* or the headings"),
-    "a compass's headings": ((1, 1, -1), np.pi / 2, "x and y exchanged .* from a quarter turn"),
-}
-
-
-@pytest.mark.parametrize("noise", [0.0, 1.0])
-@pytest.mark.parametrize("case", OFF)
-def test_headings_off_the_motion_are_refused_with_the_remedy(case, noise):
-    signs, more, says = OFF[case]
-    times, poses = drive(noise=noise)
-    with pytest.raises(UsageError) as error:
-        check(times, poses * signs + (0, 0, more))
-    assert_matches(says, str(error.value))
-
-
-def assert_matches(says, text):
-    for part in says.split(" .* "):
-        assert part in text
-
-
-def test_a_robot_that_moves_across_its_heading_is_none_on_two_wheels():
+def test_poses_that_are_stamped_late_are_kept():
+    """Regression: two poses 1 ms apart were a jump, as of a robot that was carried."""
     times, poses = drive()
-    aside = np.repeat(np.random.default_rng(3).uniform(-80, 80, DRIVE_S), RATE_HZ) / RATE_HZ
-    moved = np.cumsum(aside * 1j * np.exp(1j * poses[:, 2]))
-    poses[:, 0] += moved.real
-    poses[:, 1] += moved.imag
-    with pytest.raises(UsageError, match="r1 moves across its heading in"):
-        check(times, poses)
+    late = np.arange(10, len(times) - 1, 30)
+    times[late] = times[late + 1] - 1e-3
+    assert measured(times, poses).all()
 
 
-def test_x_and_y_that_are_exchanged_are_named():
-    """Regression: "only with x reversed", which leaves a quarter turn."""
-    times, poses = drive()
-    with pytest.raises(UsageError, match="only with x and y exchanged"):
-        check(times, poses[:, [1, 0, 2]])
-
-
-def ahead_of_the_axle(poses):
-    """The tracked point is 60 mm ahead of the wheels' axle, and the robot turns left only."""
-    heading = poses[:, 2]
-    return poses + 60 * np.column_stack([np.cos(heading), np.sin(heading), 0 * heading])
-
-
-def test_right_headings_are_accepted():
-    check(*drive())
-    check(*drive(noise=0.0))
-    check(*drive(speed=3.0, noise=3.0), speed=3.0)
-    times, poses = drive()
-    check(times, ahead_of_the_axle(poses))
-    check(times, poses + np.array([0, 0, 0.05]))  # as markers stuck by hand
-    check(times, poses + np.array([0, 0, 6 * np.pi]))
-    drifting = poses.copy()
-    drifting[:, 2] += 0.001 * times  # 0.06 rad in all
-    check(times, drifting)
-
-
-@pytest.mark.parametrize("rad_s", [0.012, -0.02, 0.05])
-def test_headings_that_drift_are_said_to(rad_s):
-    """Regression: "take 0.302 rad off the headings", or "across its heading in 22% of its way"."""
-    times, poses = drive()
-    poses[:, 2] += rad_s * times
-    with pytest.raises(UsageError, match=r"the angle from the heading of r1 .* changes by"):
-        check(times, poses)
-
-
-def test_a_robot_that_drives_backwards_moves_along_its_heading():
-    """Regression: "only with y reversed"."""
-    times, poses = drive(speed=-SPEED_MM_S)
-    check(times, poses, speed=-SPEED_MM_S)
-    with pytest.raises(UsageError, match="against its heading"):
-        check(times, poses)
+def test_noise_as_large_as_the_distance_between_two_frames_makes_no_jump():
+    times, poses = drive(noise=30.0)
+    assert measured(times, poses).mean() > 0.99

@@ -193,6 +193,10 @@ REFUSED = {
     "another rotation": (PLAIN.replace("Quaternion", "Matrix"), "Rotation Type Matrix"),
     "markers alone": (PLAIN.replace("Rigid Body", "Marker"), "names no rigid body"),
     "no rotations": (PLAIN.replace("Rotation,", "Position,"), "lacks rotations or positions"),
+    "two bodies of one name": (
+        Export(bodies=("green", "green")).text(),
+        "two rigid bodies are named green",
+    ),
     "cut off in the header": ("\n".join(PLAIN.splitlines()[:4]), "no row begins with Frame"),
     "no numbers": ("\n".join(PLAIN.splitlines()[:7]), "has no rows"),
     "a word": (PLAIN.replace("\n3,", "\nthree,"), "line 11: three is not a number"),

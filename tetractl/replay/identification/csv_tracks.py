@@ -1,14 +1,15 @@
-"""Tracks from CSV files, of `tetractl export` or of other programs: poses in one file, the
-directions or speeds that robots were sent in another.
+"""Reads tracks from CSV files: poses in one file, the commands that robots were sent in another.
 
-Rows are read one by one into the `_Numbers` of their trial, which are put together to a
-`CsvRecording` of all robots; here files are refused that cannot be read or put together. Whether a
-recording can be what it says is checked by `csv_checks`.
+There is one format (docs/how-to/identify.md): a row per pose or command, and columns whose names
+end in their units. Instead of the file of poses, Motive's export is read. Rows are read one by one
+into the `_Numbers` of their trial, which are then put together to a `Track` of all robots. What
+cannot be read or put together is refused with the file, the line and the column. Whether the
+commands belong to the poses is asked when they are fitted (`explained`).
 """
 
 import math
 from array import array
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Bools, Floats
-from tetractl.replay.identification.csv_checks import CsvCommands, CsvRecording, judge, names_of
 from tetractl.replay.identification.measured_poses import measured
 from tetractl.replay.identification.tracks import Track
 from tetractl.tools.table.csv_rows import CsvRow
@@ -33,10 +33,8 @@ from tetractl.tools.table.quantities import (
     NumberColumn,
     earlier,
     find_column,
-    find_date,
     find_time,
     name_and_unit,
-    refuse_degrees,
     truth,
 )
 
@@ -61,32 +59,24 @@ FORMS = {
 first."""
 UNITS = {"rad": RADIANS, "rad_s": RADIANS_S, "mm": METRES, "mm_s": METRES_S}
 """The units in which a column may be instead of that in FORMS."""
-INSTEAD = {
-    ("time_s", "frame"): "time_s is the number of the frame over the pictures per second",
-    ("heading_rad", "theta"): "name theta heading_rad, or heading_deg",
-    ("heading_rad", "yaw"): "name yaw heading_rad, or heading_deg",
-    ("heading_rad", "qz"): "heading_rad is 2 atan2(qz, qw)",
-    ("x_mm", "x_px"): "multiply x_px and y_px by the size of a pixel, and name them x_mm and y_mm",
-    ("v_mm_s", "vx"): "name vx v_mm_s, or v_m_s",
-    ("v_mm_s", "v_km_h"): "divide v_km_h by 3.6, and name it v_m_s",
-    ("w_rad_s", "omega"): "name omega w_rad_s, or w_deg_s",
-    ("w_rad_s", "w_rpm"): "multiply w_rpm by 6, and name it w_deg_s",
-}
-"""What to do if a table lacks a column, and has another instead."""
 AGAIN = 0.1
 """Share of the time so far, from its begin, within which a time that falls starts again."""
 COLUMNS_SAID = 8
 """Largest number of columns that a message names."""
 BOTH_FILES = "name both files, such as poses.csv steps.csv of `tetractl export`"
-"""A hint."""
+FORMAT = "the format is in docs/how-to/identify.md"
+"""Hints."""
+PAUSE_MAX_S = 86_400.0
+"""Longest time without a pose in a recording [s]: a day."""
+APART_MAX_S = 2.0
+"""Maximum of the median time between two poses of a robot [s]."""
+NO_MEASUREMENT = 0.01
+"""Fraction of a robot's poses that are no measurement, above which a remark says so."""
 
 POSE_ROW = np.dtype([("time", float), ("robot", float), ("pose", float, 3)])
 """A row of a table of poses: `robot` is a number, and `pose` is x, y and heading."""
-DIRECTION_ROW = np.dtype(
-    [("time", float), ("direction", float), ("observed", float), ("line", float)]
-)
-"""A row of a table of directions: `observed` is when the poses were that a direction is for, and
-`line` where it is in the file."""
+DIRECTION_ROW = np.dtype([("time", float), ("direction", float), ("observed", float)])
+"""A row of a table of directions: `observed` is when the poses were that a direction is for."""
 TWIST_ROW = np.dtype([("time", float), ("speed", float), ("turning_rate", float)])
 """A row of a table of speeds."""
 
@@ -100,16 +90,15 @@ class _Numbers:
     """The numbers of a trial in CSV files, one after the other: of the POSE_ROWs of all `robots`,
     which are numbered, and of the DIRECTION_ROWs or TWIST_ROWs of each robot.
 
-    `direction_column` is that of directions, and `lag_s` the time constant of the wheels [s], 0 if
-    none is stated. A robot "" stands for all. NaN is an unknown number. `first` and `newest` are
-    the times [s] of what is in the files, by its column and robot. The paths are of the files.
+    `lag_s` is the time constant of the wheels [s], 0 if none is stated. A robot "" stands for all.
+    NaN is an unknown number. `first` and `newest` are the times [s] of what is in the files, by its
+    column and robot. The paths are of the files.
     """
 
     robots: dict[str, int] = field(default_factory=dict)
     poses: "array[float]" = field(default_factory=lambda: array("d"))
     poses_path: Path | None = None
     directions: "dict[str, array[float]]" = field(default_factory=dict)
-    direction_column: NumberColumn | None = None
     lag_s: float = 0.0
     twists: "dict[str, array[float]]" = field(default_factory=dict)
     commands_path: Path | None = None
@@ -185,8 +174,7 @@ def _add_direction(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
     robot = row.cells.get("robot", "")
     time = trial.take_time(columns.path, row, columns.time, ("directions", robot))
     of_robot = trial.directions.setdefault(robot, array("d"))
-    of_robot.extend((time, direction, observed, row.line))
-    trial.direction_column = columns.by_name["direction"]
+    of_robot.extend((time, direction, observed))
     lag = columns.by_name.get("lag")
     if lag is not None:
         trial.lag_s = lag.number(columns.path, row)
@@ -314,14 +302,17 @@ def _refuse_twice(paths: list[Path]) -> None:
 
 
 def _columns(path: Path, headers: Mapping[str, str]) -> _Columns:
-    """Return the columns of a file of poses or of commands, of its first row by `headers`;
-    UsageError if it is neither."""
-    named = {name_and_unit(header)[0] for header in headers}
-    time = find_date(headers) or find_time(path, headers)
+    """Find the columns of a file of poses or of commands, by its first row.
+
+    Raises:
+        UsageError: If it is neither, or if a column is in another unit or states none.
+    """
+    quantities_named = {name_and_unit(header)[0] for header in headers}
+    time = find_time(path, headers)
     present: dict[str, int] = {}
     for form, columns in FORMS.items():
         quantities = dict(map(name_and_unit, columns))
-        present[form] = len(named & quantities.keys())
+        present[form] = len(quantities_named & quantities.keys())
         if present[form] < len(columns) or time is None:
             continue
         if form == POSES:
@@ -341,26 +332,31 @@ def _columns(path: Path, headers: Mapping[str, str]) -> _Columns:
 
 
 def _incomplete(path: Path, headers: Collection[str], present: dict[str, int]) -> UsageError:
-    """Return the error that a table lacks columns of the form of which it has most, `present`."""
+    """Describe which columns a table lacks of the form of which it has most, `present`.
+
+    A column of a missing quantity whose unit is unknown is named, such as v_km_h.
+    """
     has = ", ".join(printable(header) for header in list(headers)[:COLUMNS_SAID])
     likeliest = max(reversed(present), key=lambda form: present[form])
-    said = "contains neither poses nor commands"
-    hint = (
-        "poses have the columns time_s, robot, x_mm, y_mm, heading_rad; commands time_s and "
-        "direction_rad, or time_s, v_mm_s and w_rad_s, or left_mm_s, right_mm_s and radius_mm"
+    named = {name_and_unit(header)[0] for header in headers}
+    lacks = [] if named & set(TIME_NAMES) else ["time_s"]
+    lacks += [column for column in FORMS[likeliest] if name_and_unit(column)[0] not in named]
+    for header in headers:
+        for column in lacks:
+            name, unit = name_and_unit(column)
+            if header.lower().startswith(f"{name}_"):
+                units = ", ".join(UNITS.get(unit, SECONDS))
+                return UsageError(
+                    f"{path}: column {printable(header)} is in none of the units {units}",
+                    f"convert it, and name it {column}",
+                )
+    if not present[likeliest]:
+        return UsageError(
+            f"{path}: contains neither poses nor commands: its columns are {has}", FORMAT
+        )
+    return UsageError(
+        f"{path}: contains {likeliest} without {' and '.join(lacks)}: its columns are {has}", FORMAT
     )
-    if present[likeliest]:
-        named = {name_and_unit(header)[0] for header in headers}
-        lacks = [] if named & set(TIME_NAMES) else ["time_s"]
-        lacks += [column for column in FORMS[likeliest] if name_and_unit(column)[0] not in named]
-        said = f"contains {likeliest} without {' and '.join(lacks)}"
-        remedies = [
-            remedy
-            for (lacked, instead), remedy in INSTEAD.items()
-            if lacked in lacks and instead in named
-        ]
-        hint = "; ".join(remedies) or hint
-    return UsageError(f"{path}: {said}: its columns are {has}", hint)
 
 
 def _required(
@@ -384,34 +380,18 @@ def _position_columns(
 
 
 def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: set[str]) -> Track:
-    """Return the track of a trial without some robots, its times counted from its first pose."""
-    recording = _recording(numbers, unit, idle, unseen)
-    remarks = judge(recording)
-    log, _ = name
-    return Track(
-        source=log or str(recording.poses_path),
-        origin=ORIGIN,
-        unit=unit,
-        names=recording.names,
-        time=recording.time,
-        poses=np.where(recording.measured[..., None], recording.poses, 0.0),
-        valid=recording.measured,
-        sent=recording.commands.when,
-        u=recording.commands.u,
-        until=recording.commands.until,
-        frame_age=recording.commands.frame_age,
-        lag=numbers.lag_s,
-        on_wheels=True,
-        all_commands=numbers.lag_s == 0,
-        rates_unstated=numbers.lag_s > 0 and not log,
-        twists=recording.commands.twists,
-        remarks=remarks,
-    )
+    """Put the numbers of a trial together to the track of all robots but some.
 
+    Args:
+        numbers: The numbers of the trial. Times in the track count from its first pose.
+        unit: The unit of lengths.
+        name: The log and the trial that the rows name.
+        idle: Robots that are sent nothing.
+        unseen: Robots without any pose.
 
-def _recording(numbers: _Numbers, unit: str, idle: set[str], unseen: set[str]) -> CsvRecording:
-    """Return what the numbers of a trial say of all robots but some; UsageError if a part is
-    missing, or parts contradict each other."""
+    Raises:
+        UsageError: If a part is missing, or parts contradict each other.
+    """
     poses_path = numbers.poses_path
     commands_path = numbers.commands_path
     if poses_path is None or commands_path is None:
@@ -429,32 +409,84 @@ def _recording(numbers: _Numbers, unit: str, idle: set[str], unseen: set[str]) -
         raise UsageError(f"{poses_path}: has no robot that is seen")
     names = tuple(robot or ONE_ROBOT for robot in robots)
     time, poses = _frames(poses_path, rows, len(names))
+    by_robot = [rows["time"][rows["robot"] == number] for number in robots.values()]
+    _refuse_times_apart(poses_path, begin, by_robot)
     if numbers.twists:
-        commands = _twists(numbers, list(robots), unit, begin)
+        commands = _twists(numbers, commands_path, list(robots), unit, begin)
     else:
         commands = _directions(numbers, commands_path, begin)
     if not len(commands.when):
         raise UsageError(f"{commands_path}: states no direction or speed")
-    is_stated = np.logical_not(np.isnan(poses.sum(axis=2)))
-    in_poses = set(numbers.robots)
-    never_seen = (unseen - idle) & in_poses
-    if "" not in in_poses:
-        never_seen |= set(numbers.twists) - in_poses - {""}
-    return CsvRecording(
-        poses_path=poses_path,
-        commands_path=commands_path,
+    if commands.until <= 0 or commands.when[0] >= time[-1]:
+        raise UsageError(
+            f"{commands_path}: none of its commands acts while the robots are seen: its times are "
+            f"{begin + commands.when[0]:.12g} to {begin + commands.when[-1]:.12g} s, those of "
+            f"{poses_path} {begin:.12g} to {begin + time[-1]:.12g} s",
+            "both files need times of one clock",
+        )
+    is_stated = np.asarray(np.isfinite(poses).all(axis=2))
+    is_measured = _measurements(time, poses, is_stated)
+    log, _ = name
+    never_seen = (unseen - idle) & set(numbers.robots)
+    if "" not in numbers.robots:
+        never_seen |= set(numbers.twists) - set(numbers.robots) - {""}
+    remarks: list[str] = []
+    for robot, stated, kept in zip(names, is_stated.T, is_measured.T, strict=True):
+        left_out = 1 - kept.sum() / max(stated.sum(), 1)
+        if left_out > NO_MEASUREMENT:
+            remarks.append(
+                f"{poses_path}: {left_out:.1%} of the poses of {printable(robot)} are left out: "
+                "they repeat the pose before, or jump away and back"
+            )
+    if idle & set(numbers.robots):
+        remarks.append(
+            f"{commands_path}: no command is for {names_of(idle & set(numbers.robots))}; commands "
+            f"are for {names_of(numbers.twists)}"
+        )
+    if never_seen:
+        remarks.append(f"{poses_path}: no pose is of {names_of(never_seen)}")
+    return Track(
+        source=log or str(poses_path),
+        origin=ORIGIN,
+        unit=unit,
         names=names,
-        begin=begin,
         time=time,
-        poses=poses,
-        is_stated=is_stated,
-        measured=_measurements(begin + time, poses, is_stated),
-        row_times=[rows["time"][rows["robot"] == number] for number in robots.values()],
-        commands=commands,
-        receivers=set(numbers.twists),
-        not_sent_to=idle & in_poses,
-        never_seen=never_seen,
+        poses=np.where(is_measured[..., None], poses, 0.0),
+        valid=is_measured,
+        sent=commands.when,
+        u=commands.u,
+        until=commands.until,
+        frame_age=commands.frame_age,
+        lag=numbers.lag_s,
+        on_wheels=True,
+        all_commands=numbers.lag_s == 0,
+        rates_unstated=numbers.lag_s > 0 and not log,
+        twists=commands.twists,
+        two_clocks=not log,
+        commands_source=str(commands_path),
+        remarks=tuple(remarks),
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Commands:
+    """What was sent at times `when` (C,) [s], as `u`, `twists` and `frame_age` of a `Track`."""
+
+    when: Floats
+    u: Floats
+    twists: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
+    frame_age: float | None = None
+
+    @property
+    def until(self) -> float:
+        """When the last command ends [s]: it acts for the median time between two commands."""
+        gaps = np.diff(self.when)
+        return float(self.when[-1] + (np.median(gaps) if gaps.size else 0.0))
+
+
+def names_of(robots: Collection[str]) -> str:
+    """Return the names of robots as text."""
+    return ", ".join(printable(robot) or "rows without a robot" for robot in sorted(robots))
 
 
 def _refuse_two_places(path: Path, rows: NDArray[np.void], names: list[str]) -> None:
@@ -475,6 +507,33 @@ def _refuse_two_places(path: Path, rows: NDArray[np.void], names: list[str]) -> 
         raise UsageError(
             f"{path}: {printable(name or ONE_ROBOT)} is at two places at {second['time']:.15g} s",
             hint,
+        )
+
+
+def _refuse_times_apart(path: Path, begin: float, by_robot: Sequence[Floats]) -> None:
+    """Raise UsageError if the times of each robot's poses are those of two days, or too far apart.
+
+    Args:
+        path: The file of the poses.
+        begin: What times count from [s].
+        by_robot: The times of each robot's poses, in order [s].
+    """
+    gaps = [np.diff(times) for times in by_robot if len(times) > 1]
+    if not gaps:
+        return
+    if max(gap.max() for gap in gaps) > PAUSE_MAX_S:
+        every = np.unique(np.concatenate(by_robot))
+        longest = int(np.diff(every).argmax())
+        pause = begin + every[longest : longest + 2]
+        raise UsageError(
+            f"{path}: between {pause[0]:.12g} and {pause[1]:.12g} s there is no pose",
+            "two recordings? number them in a column trial",
+        )
+    apart_s = min(float(np.median(gap)) for gap in gaps)
+    if apart_s > APART_MAX_S:
+        raise UsageError(
+            f"{path}: the poses of a robot are {apart_s:.3g} s apart",
+            f"they must be {APART_MAX_S:g} s apart at most: is the time in the unit it states?",
         )
 
 
@@ -499,31 +558,32 @@ def _measurements(times: Floats, poses: Floats, is_stated: Bools) -> Bools:
     return is_measured
 
 
-def _directions(numbers: _Numbers, path: Path, begin: float) -> CsvCommands:
+def _directions(numbers: _Numbers, path: Path, begin: float) -> _Commands:
     """Return the directions in order, their times counted from `begin`; UsageError if robots are
-    sent different ones, or they are in degrees."""
+    sent different ones."""
     rows = np.zeros(0, DIRECTION_ROW)
     for robot, of_robot in numbers.directions.items():
         before = rows
         rows = _rows(of_robot, DIRECTION_ROW)
+        _refuse_two_commands(path, robot, rows["time"], rows["direction"][:, None])
         if len(before) and not np.array_equal(before["direction"], rows["direction"]):
             raise UsageError(
                 f"{path}: {printable(robot)} is sent other directions than others",
                 "all robots are sent one direction: identify each by tables of its own",
             )
-    if numbers.direction_column is not None:
-        lines = rows["line"].astype(int).tolist()
-        refuse_degrees(path, numbers.direction_column, lines, rows["direction"])
     ages = (rows["time"] - rows["observed"])[1:]
     ages = ages[np.isfinite(ages)]
     frame_age = max(0.0, float(np.median(ages))) if ages.size else None
-    return CsvCommands(rows["time"] - begin, rows["direction"].copy(), frame_age=frame_age)
+    return _Commands(rows["time"] - begin, rows["direction"].copy(), frame_age=frame_age)
 
 
-def _twists(numbers: _Numbers, robots: list[str], unit: str, begin: float) -> CsvCommands:
+def _twists(numbers: _Numbers, path: Path, robots: list[str], unit: str, begin: float) -> _Commands:
     """Return the speeds and turning rates in order, their times counted from `begin`, with speeds
     in the unit of the poses."""
     of_robot = {robot: _rows(of_one, TWIST_ROW) for robot, of_one in numbers.twists.items()}
+    for robot, rows in of_robot.items():
+        twists = np.column_stack([rows["speed"], rows["turning_rate"]])
+        _refuse_two_commands(path, robot, rows["time"], twists)
     for_all = of_robot.get("", np.zeros(0, TWIST_ROW))
     if robots == [""] and len(of_robot) == 1:
         (for_all,) = of_robot.values()
@@ -534,4 +594,17 @@ def _twists(numbers: _Numbers, robots: list[str], unit: str, begin: float) -> Cs
         row_of = np.searchsorted(when, rows["time"])
         twists[row_of, i, 0] = rows["speed"] / METRES[unit]
         twists[row_of, i, 1] = rows["turning_rate"]
-    return CsvCommands(when - begin, np.full(len(when), np.nan), twists)
+    return _Commands(when - begin, np.full(len(when), np.nan), twists)
+
+
+def _refuse_two_commands(path: Path, robot: str, times: Floats, commands: Floats) -> None:
+    """Raise UsageError if a robot is sent two different commands (C, K) at one time, as where times
+    (C,) [s] are rounded."""
+    differs = (np.diff(commands, axis=0) != 0).any(axis=1)
+    twice = np.flatnonzero((np.diff(times) == 0) & differs)
+    if len(twice):
+        who = printable(robot or ONE_ROBOT)
+        raise UsageError(
+            f"{path}: {who} is sent different commands at one time, {times[twice[0]]:.15g} s",
+            "times must increase from one command of a robot to the next: are they rounded?",
+        )

@@ -76,7 +76,7 @@ NOISE_PRIOR_STD = 5.0
 """Prior standard deviation of the noise's parameters."""
 CERTAIN_STD = 1e-6
 """Prior standard deviation of a, speed and bias that are given."""
-BLOCK_S = 30.0
+BLOCK_S = 20.0
 BLOCKS_LEAST = 8
 """Duration of the blocks whose differences give the intervals [s]; and how many there are at least,
 shorter ones. Of 10 runs of real robots, deviations of gains by blocks of 2, 10, 20, 30 and 60 s are

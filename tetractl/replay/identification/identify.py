@@ -17,15 +17,25 @@ from tetractl.control.filter_start import LEAST_SPEED
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue
+from tetractl.replay.identification.explained import (
+    Explained,
+    explained,
+    refuse_contradicted,
+    windows_of,
+)
 from tetractl.replay.identification.fit import FittedRobot, SampleInterval, fit
 from tetractl.replay.identification.passes import TrackFrames, intervals_used, speeds
-from tetractl.replay.identification.standing import Stood, stands_of
-from tetractl.replay.identification.tracks import Track, require_same
+from tetractl.replay.identification.pose_steps import PoseSteps
+from tetractl.replay.identification.tracks import SETTLED_S, Track, require_same, rows_apart
+from tetractl.replay.identification.turns import GAP, GAP_S, Turns
+from tetractl.replay.identification.unusual import unusual_values
 from tetractl.replay.identification.wheel_lag import lag_may_turn
 from tetractl.tools.table.table import Column, Table
 
 INTERVALS_MIN = 20
 """Least number of intervals of a robot for a fit."""
+STEP_S = 0.1
+"""Minimum duration of the steps by which distances are compared [s]."""
 UNKNOWN_A = 3.0
 """Prior a if the log states no value [rad/s]."""
 QUANTITIES = {
@@ -44,9 +54,6 @@ TURN_LEAST = 1.0
 """By how much directions that turn uniformly turn at least [rad]."""
 UNIFORM_RATES = 1.1
 """Factor between the rates of tracks below which they are one."""
-LATE_S = 0.6
-"""Dead time from which it is asked whether times are of one clock [s]: those of robots that the
-pages name are .1 at most."""
 _ABREAST = 3
 """Largest number of robots in one table."""
 DECIMALS_MAX = 6
@@ -70,8 +77,9 @@ class IdentifiedRobots:
     the exposure of a frame to the sending of the direction decided on it, None if unknown.
     `strength` is that of the field in `strength_unit`, None if the logs do not state it.
     `may_lag` says that robots are on wheels whose lag nothing states and that would explain their
-    turns, `turns_uniformly` that all directions turn at one rate, `rates_unstated` is as in
-    `Track`; `stood` is when robots stood though they were sent directions.
+    turns, `turns_uniformly` that all directions turn at one rate, and `rates_unstated` is as in
+    `Track`. `turning_explained` and `distance_explained` have how much of the turning and of the
+    distance travelled of each robot the directions explain.
     """
 
     origin: str
@@ -86,7 +94,8 @@ class IdentifiedRobots:
     may_lag: bool = False
     turns_uniformly: bool = False
     rates_unstated: bool = False
-    stood: tuple[Stood, ...] = ()
+    turning_explained: tuple[Explained, ...] = ()
+    distance_explained: tuple[Explained, ...] = ()
 
     @property
     def doubt(self) -> Doubt | None:
@@ -129,9 +138,21 @@ def identify(
     shared_dead_time, robots = fit(frames, names, expected_a, speed, dead_time, all_commands)
 
     # what the user must know of the values
-    stood: list[Stood] = []
-    for robot in range(len(names)):
-        stood += stands_of(tracks, robot, shared_dead_time.value)
+    of_turning: list[Explained] = []
+    of_distance: list[Explained] = []
+    problems: list[tuple[str, str]] = []
+    for number, robot in enumerate(robots):
+        turning = _turning_explained(tracks, number, robot, shared_dead_time.value)
+        distance = _distance_explained(tracks, number, robot)
+        of_turning.append(turning)
+        of_distance.append(distance)
+        problem = [f"{turning} of the turning"] if turning.is_contradicted(True) else []
+        if distance.is_contradicted(True):
+            problem.append(f"{distance} of the distance travelled")
+        if problem:
+            problems.append((robot.name, " and ".join(problem)))
+    sources = dict.fromkeys(source for track in tracks for source in track.sources)
+    refuse_contradicted(tuple(sources), problems)
     no_lag_stated = any(track.on_wheels and track.lag == 0 for track in tracks)
     ages = [track.frame_age for track in tracks if track.frame_age is not None]
     return IdentifiedRobots(
@@ -147,8 +168,64 @@ def identify(
         may_lag=no_lag_stated and lag_may_turn(tracks, shared_dead_time.value),
         turns_uniformly=turn_uniformly(tracks),
         rates_unstated=any(track.rates_unstated for track in tracks),
-        stood=tuple(stood),
+        turning_explained=tuple(of_turning),
+        distance_explained=tuple(of_distance),
     )
+
+
+def _turning_explained(
+    tracks: Sequence[Track], number: int, robot: FittedRobot, dead_time_s: float
+) -> Explained:
+    """Compare the turns of a robot with those by its fitted values and a dead time [s]. The
+    directions ask for turns as large as their own changes."""
+    measured: list[Floats] = []
+    fitted: list[Floats] = []
+    asked: list[Floats] = []
+    begin_s: list[Floats] = []
+    end_s: list[Floats] = []
+    for track in tracks:
+        turns = Turns.of(track, number)
+        pull = turns.asked(track.lag, dead_time_s) * np.exp(1j * robot.heading_bias.value)
+        measured.append(turns.angle)
+        fitted.append(robot.a.value * pull.imag)
+        u = np.unwrap(track.u)
+        sent = [
+            u[np.maximum(np.searchsorted(track.sent, times - dead_time_s), 1) - 1]
+            for times in (turns.begin, turns.end)
+        ]
+        asked.append(sent[1] - sent[0])
+        begin_s.append(turns.begin)
+        end_s.append(turns.end)
+    return explained(
+        np.concatenate(measured),
+        np.concatenate(fitted),
+        np.concatenate(asked),
+        robot.heading_noise.value,
+        windows_of(np.concatenate(begin_s), np.concatenate(end_s)),
+    )
+
+
+def _distance_explained(tracks: Sequence[Track], number: int, robot: FittedRobot) -> Explained:
+    """Compare the distances that a robot travelled with those by its fitted speed."""
+    parts: list[PoseSteps] = []
+    begin_s: list[Floats] = []
+    for track in tracks:
+        times = track.exposed[:, number]
+        drives = (times >= track.sent[0] + SETTLED_S) & (times <= track.until)
+        rows = np.flatnonzero(drives & track.valid[:, number])
+        rows = rows[rows_apart(times[rows], STEP_S)]
+        if len(rows) > 1:
+            parts.append(PoseSteps.between(times[rows], track.poses[rows, number]))
+            begin_s.append(times[rows[:-1]])
+    if not parts:
+        return Explained(None, 0.0, 0.0)
+    steps = PoseSteps.together(parts)
+    begins = np.concatenate(begin_s)
+    is_seen = steps.duration_s < max(GAP_S, GAP * float(np.median(steps.duration_s)))
+    seen = steps.at(is_seen)
+    fitted = robot.speed.value * seen.duration_s
+    windows = windows_of(begins[is_seen], begins[is_seen] + seen.duration_s)
+    return explained(seen.moved, fitted, fitted, robot.position_noise.value, windows)
 
 
 def turn_uniformly(tracks: list[Track]) -> bool:
@@ -244,17 +321,31 @@ def tables(result: IdentifiedRobots) -> list[Table]:
         dead_time,
         _fit_text(result.robots),
         _WHY_NO_INTERVALS[result.doubt],
-        clock_doubt(result.dead_time),
-        *map(str, result.stood),
+        unusual_values(
+            [
+                ("all robots", {"dead_time": result.dead_time}),
+                *(
+                    (robot.name, {"a": robot.a, "heading_bias": robot.heading_bias})
+                    for robot in result.robots
+                ),
+            ]
+        ),
     ]
     note = "\n".join(text for text in notes if text)
-    labels = [*labels_of(QUANTITIES, result.unit), "lost"]
+    labels = [
+        *labels_of(QUANTITIES, result.unit),
+        "lost",
+        "turning explained",
+        "distance explained",
+    ]
     if result.strength is not None:
         labels.append(f"a per strength [rad/(s {result.strength_unit})]")
     abreast: list[Table] = []
     for start in range(0, len(result.robots), _ABREAST):
-        robots = result.robots[start : start + _ABREAST]
-        columns = [Column(robot.name, _entries(robot, result.strength)) for robot in robots]
+        columns = [
+            Column(result.robots[number].name, _entries(result, number))
+            for number in range(start, min(start + _ABREAST, len(result.robots)))
+        ]
         abreast.append(Table(title, (Column("quantity", labels), *columns), note))
     return abreast
 
@@ -268,26 +359,18 @@ def labels_of(quantities: Mapping[str, str], unit: str) -> list[str]:
     return labels
 
 
-def clock_doubt(dead_time: SampleInterval) -> str:
-    """Return what to say of a dead time as of poses and commands with two clocks, "" for others."""
-    least = dead_time.low
-    greatest = dead_time.high
-    if math.isnan(least):  # no interval is stated
-        least = greatest = dead_time.value
-    if greatest < 0:
-        return "a dead time below 0: times of poses and commands are of two clocks"
-    if least > LATE_S:
-        return f"a dead time above {LATE_S:g} s: are times of poses and commands of one clock?"
-    return ""
-
-
-def _entries(robot: FittedRobot, strength: float | None) -> list[str]:
-    """Return the entries of a robot's column, for the labels of `tables`; the last is alpha, the
-    turning rate per unit of the field's strength."""
+def _entries(result: IdentifiedRobots, number: int) -> list[str]:
+    """Return the entries of a robot's column, for the labels of `tables`. The last one is alpha,
+    the turning rate per unit of the field's strength."""
+    robot = result.robots[number]
     texts = [cell(getattr(robot, name)) for name in QUANTITIES]
     texts.append(str(robot.lost))
-    if strength is not None:
-        per = strength or math.nan
+    if result.turning_explained:
+        texts += [str(result.turning_explained[number]), str(result.distance_explained[number])]
+    else:
+        texts += ["-", "-"]
+    if result.strength is not None:
+        per = result.strength or math.nan
         alpha = SampleInterval(robot.a.value / per, robot.a.low / per, robot.a.high / per)
         texts.append(cell(alpha))
     return texts

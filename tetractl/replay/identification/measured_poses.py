@@ -32,6 +32,11 @@ USUAL = 0.6
 FAST = 0.9
 """Quantiles of turns and of ways that count as usual: two in five turns may be to and from a
 flipped heading."""
+MEDIAN_BEND = 1.442
+"""Median distance of a place from the middle of its neighbours, over the noise of each: 1.177
+sqrt(1.5)."""
+SURE_NOISE = 10.0
+"""Standard deviations of the noise that two places may be apart."""
 LEAST_WAY = 1e-9
 """Way below which nothing is a jump [length unit]."""
 
@@ -45,15 +50,6 @@ def measured(times: Floats, poses: Floats) -> Bools:
     is_measured = np.zeros(len(times), dtype=np.bool_)
     is_measured[without_repeats[chain]] = True
     return is_measured
-
-
-def jumps_of(times: Floats, poses: Floats) -> Integers:
-    """Return the measurements (K,) of those (M, 3) at `times` (M,) [s] after which a robot is
-    suddenly elsewhere, and stays there."""
-    if len(times) < 2:
-        return np.arange(0)
-    before = np.arange(len(times) - 1)
-    return np.flatnonzero(_Jumps.of(times, poses).between(before, before + 1))
 
 
 def _repeats(poses: Floats) -> Bools:
@@ -97,36 +93,49 @@ def _frozen(is_same: Bools, is_release: Bools) -> Bools:
 
 @dataclass(frozen=True, slots=True)
 class _Jumps:
-    """What is too far for a robot's motion: from one to another of its `poses` (M, 3) at `times`
-    (M,) [s], by its usual `speed` [length unit/s] and turning `rate` [rad/s].
+    """What is too far for a robot's motion from one of its poses to another.
+
+    Attributes:
+        times: Times of the poses, shape (M,) [s].
+        poses: Poses, shape (M, 3).
+        speed: The robot's usual speed [length unit/s].
+        rate: Its usual turning rate [rad/s].
+        usual_s: The usual time between two poses [s]. Poses may be stamped late by as much.
+        noise: Standard deviation of the positions by noise [length unit].
     """
 
     times: Floats
     poses: Floats
     speed: float
     rate: float
+    usual_s: float
+    noise: float
 
     @classmethod
     def of(cls, times: Floats, poses: Floats) -> "_Jumps":
-        """Return the jumps of a robot with two or more poses."""
-        apart_s = np.diff(times)
+        """Find what is usual for a robot with three or more poses."""
+        usual_s = float(np.median(np.diff(times)))
+        apart_s = np.maximum(np.diff(times), usual_s)
         ways = np.hypot(*np.diff(poses[:, :2], axis=0).T) / apart_s
         rates = np.abs(wrap(np.diff(poses[:, 2]))) / apart_s
         # a single pose at a wrong place makes two long ways, and no three
         driven = minimum_filter1d(ways[ways > 0], 3)
         speed = np.quantile(driven, FAST) if len(driven) else 0.0
         rate = max(TURN_RATE, 3 * np.quantile(rates, USUAL))
-        return cls(times, poses, float(speed), float(rate))
+        bends = np.diff(poses[:, :2], 2, axis=0) / 2
+        noise = float(np.median(np.hypot(bends[:, 0], bends[:, 1]))) / MEDIAN_BEND
+        return cls(times, poses, float(speed), float(rate), usual_s, noise)
 
     def between(self, first: Integers, second: Integers) -> Bools:
         """Return whether from the first to the second pose of each of K pairs is a jump (K,)."""
-        apart_s = self.times[second] - self.times[first]
+        apart_s = np.maximum(self.times[second] - self.times[first], self.usual_s)
         moved = self.poses[second] - self.poses[first]
         way = np.hypot(moved[:, 0], moved[:, 1])
         turn = np.abs(wrap(moved[:, 2]))
         most_turn = np.minimum(TURN + self.rate * apart_s, TURN_MOST)
         turns_away = (turn > most_turn) & (apart_s <= TURNS_S)
-        return turns_away | (way > LEAP * self.speed * apart_s + LEAST_WAY)
+        farthest = LEAP * self.speed * apart_s + SURE_NOISE * self.noise + LEAST_WAY
+        return turns_away | (way > farthest)
 
 
 def _longest_chain(times: Floats, poses: Floats) -> Integers:

@@ -1,30 +1,33 @@
-"""Fits how robots on two wheels follow commands of speed v and turning rate w: gains, lags, dead
-time and noise; says of which other unit a gain would be.
+"""Fits how robots on two wheels follow commands of speed v and turning rate w.
 
-**Model.** A command acts `dead_time` after it is sent; the speed p(t) and turning rate q(t) that it
+**Model.** A command acts `dead_time` after it is sent. The speed p(t) and turning rate q(t) that it
 leads to follow it with first-order lags of their own. From one pose to the next a robot
 
     turns by   turning_gain * integral of q  +  veer * integral of p  +  a random walk's step
     drives     speed_gain * integral of p    +  a term in q          +  a random walk's step
 
 along its heading. Poses are measured with white noise, which two neighbouring steps share with
-opposite signs: the covariance of the steps is tridiagonal.
+opposite signs: the covariance of the steps is tridiagonal. If the commands may be timed by another
+clock, its times run apart from those of the poses at the rate `clock_drift`, and the dead time is
+the one in the middle of the recording.
 
 **Fit.** For given `ResponseParameters` (dead time, lags, noise) the steps are linear in the gains,
-so that `_Whitened` has their restricted likelihood in closed form. `_delay` finds the delay after
-which commands explain most of the motion, whatever the clocks' difference; from a grid about it
-`_search` finds the likeliest parameters by Newton steps. Intervals are normal in dead time, gains
-and logarithms of the others, and as wide as the differences of blocks of BLOCK_S ask: gains of real
-robots wander over seconds, which no model of white noise and random walks knows.
+so that `_Whitened` has their restricted likelihood in closed form. The gains have a wide prior,
+which only matters where the data cannot tell two of them apart, as on circles. `_delay` finds the
+delay after which commands explain most of the motion, whatever the difference of the clocks. From a
+grid around this delay, `_search` finds the likeliest parameters. Intervals are
+normal in the dead time, the gains and the logarithms of the others, and as wide as the differences
+of blocks of BLOCK_S require: gains of real robots wander over seconds, which no model of white
+noise and random walks contains.
 
-**Checks.** Robots move along their headings (`motion_angle.check_angle`), and the commands
-explain their turns and ways, with the right sign and in the right units; else the fit would be of
-something else.
+**Check.** If the commands explain less than half of what a robot does, there are no values
+(`explained`). Unusual values are printed, and named below the table (`unusual`).
 
-**Data.** Steps last at least STEP_S. Left out are steps without a command, since a robot that has
-none stands, and steps FAR times further off than usual: a tracker that takes a body for another.
+**Data.** Steps last at least STEP_S. The fit leaves out steps in which no command acts, since a
+robot without commands stands still, and steps that are FAR times further off than usual, as where a
+tracker takes one body for another.
 
-Shapes: a robot has S steps in all its tracks, of which M are used; C commands are in one track.
+Shapes: a robot has S steps in all its tracks, of which the fit uses M; one track has C commands.
 Pairs of a motion's two integrals stand in columns: of p, then of q.
 """
 
@@ -37,9 +40,16 @@ from itertools import product
 import numpy as np
 from scipy.linalg import cholesky_banded, solve_banded
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.optimize import minimize
 
-from tetractl.core.errors import UsageError
+from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Bools, Floats, Integers
+from tetractl.replay.identification.explained import (
+    Explained,
+    explained,
+    refuse_contradicted,
+    windows_of,
+)
 from tetractl.replay.identification.fit import (
     NORMAL,
     UNLIKELY,
@@ -48,28 +58,30 @@ from tetractl.replay.identification.fit import (
     derivatives,
     wider_of_blocks,
 )
-from tetractl.replay.identification.identify import INTERVALS_MIN, cell, clock_doubt, labels_of
-from tetractl.replay.identification.motion_angle import PoseSteps, check_angle, robust_gains
-from tetractl.replay.identification.one_recording import (
-    EXPLAINED,
-    SURELY_MORE,
-    Reading,
-    check_explained,
-    refuse_drift,
-)
-from tetractl.replay.identification.standing import Stood, stands_of
+from tetractl.replay.identification.identify import INTERVALS_MIN, cell, labels_of
+from tetractl.replay.identification.pose_steps import Complex, PoseSteps, robust_gains
 from tetractl.replay.identification.tracks import Track, integrals_of_sent, rows_apart
+from tetractl.replay.identification.unusual import (
+    GAINS,
+    USUAL,
+    may_be_usual,
+    undetermined_values,
+    unusual_values,
+)
 from tetractl.tools.table.table import Column, Table
 
 STEP_S = 0.1
 """Least duration of a step [s]."""
 LONGEST_S = 0.55
-"""Duration from which a step is left out: the robot was not seen [s]. Tables whose poses are 0.5 s
-apart are read."""
+LONGEST = 2.2
+"""A step is left out, since the robot was not seen, if it lasts LONGEST_S [s] or more, and LONGEST
+times the median time between two poses."""
 FAR = 8.0
 """How far off a step is that is left out, in standard deviations."""
 NEIGHBOURS = 5
 """How many steps earlier or later commands may act than they seem to at first."""
+CLIP = 3.0
+"""Standard deviations at which residuals are clipped for a first estimate of the noise."""
 STD_OF_MEDIAN = 1.48
 """Standard deviation of normal numbers over the median of their magnitudes."""
 SAME_LAG_S = 0.02
@@ -86,10 +98,8 @@ AS_GOOD = 0.1
 REVERSED = 0.8
 """Share of the motion by which a delay nearer to the expected one may explain less; and that for
 which a delay counts if robots turn right where they are sent left."""
-THIRD_LEAST = 80
-"""Least number of steps of a third of a recording in which it is seen how late commands act."""
-USUAL = 0.02
-"""Share of rates to either side that are clipped."""
+CLIPPED = 0.02
+"""Fraction of the rates that is clipped at either end."""
 DEAD_TIME_UNIT_S = 0.05
 LAG_UNIT_S = 0.1
 HEADING_WALK_UNIT = 0.02
@@ -103,66 +113,64 @@ POSITION_NOISE_UNIT_S = 0.002
 LAG_LEAST_S = 1e-3
 LAG_MOST_S = 10.0
 """Shorter and longer lags are taken for these [s]."""
-ROUNDS = 60
-"""Newton steps at most."""
+GRADIENT = 1e-3
+"""Slope of ln of the posterior, per unit of the parameters, at which the search ends."""
 INTEGRALS_KEPT = 64
 """Number of integrals that are not computed again: most parameters do not change them."""
-DAMPED = (0.0, 1.0, 10.0, 100.0, 1e3, 1e4)
-"""Tried dampings of a step: curvatures added to those of the likelihood."""
-SETTLED = 0.02
-"""A step that ends the search, in standard deviations of the parameters."""
-LEAST_CHANGE = 0.005
-"""A step that ends the search whatever the deviations are: 0.25 ms of the dead time, 0.5 % of the
-others. Without noise, these deviations are 0."""
-GAIN_OF_BASE = (1.8, 2.2)
-"""Turning gains as of a distance between wheels that is taken for that to the centre."""
-UNIT_WITHIN = 1.5
-"""Factor about 1 within which gains are of robots that obey."""
-GAIN_MOST = 4.0
-"""Gain from which, and below its inverse, commands are not of the unit that they state."""
-NOT_THEIR_WAY = (
-    "are these turns of motors or wheels, not their way? give v and w, or left and right, as what "
-    "the robot was to drive"
-)
-TURN_UNITS = {
-    30 / math.pi: "is w in turns per minute? divide it by 9.549",
-    0.5 / math.pi: "is w in turns per second? multiply it by 6.283",
-    180 / math.pi: "is w in degrees per second? name its column w_deg_s",
-    math.pi / 180: "is w in rad/s, as its column does not say? name it w_rad_s",
-    1e3: "is w in mrad/s? divide it by 1000",
-    1e-3: "is w per millisecond? multiply it by 1000",
-    3600.0: "is w per hour? divide it by 3600",
-    1 / 3600.0: "is w in turns of another unit of time? multiply it by 3600",
-}
-LENGTHS = "are lengths of v and of positions of one unit?"
-SPEED_UNITS = {
-    1e3: f"{LENGTHS} divide v by 1000",
-    1e-3: f"{LENGTHS} multiply v by 1000",
-    100: f"{LENGTHS} divide v by 100",
-    0.01: f"{LENGTHS} multiply v by 100",
-    10: f"{LENGTHS} divide v by 10",
-    0.1: f"{LENGTHS} multiply v by 10",
-    3600.0: "is v per hour? divide it by 3600",
-    1 / 3600.0: "is v per second, as its column does not say? multiply it by 3600",
-}
-"""By what gains are to be multiplied if commands are of another unit, and what to do."""
-SEARCHED = 7
+UNIT_LEAST = 0.02
+UNIT_STDS = 3.0
+"""Unit of the parameters for the intervals: UNIT_STDS standard deviations, from UNIT_LEAST to 1 of
+the units of the search."""
+SEARCHED = 8
 """Number of the parameters that are searched; behind them in a vector come the gains."""
 PRIOR_STD = 5.0
 """Standard deviation of the prior of each parameter, in its units: hardly any prior."""
-LEAST_VARIANCE = 1e-18
-"""Added per second, so that the covariance of steps without noise can be inverted."""
+TURN_ERROR_RAD = 5e-4
+WAY_ERROR = 0.005
+"""Standard deviations by which the model errs in a turn [rad], and in a distance, relative to the
+usual one. Robots do not drive arcs, and wheels turn by whole counts."""
+GAIN_PRIOR_STD = 10.0
+"""Standard deviation of the prior of the gains around 1, or relative to gains above 1: hardly any
+prior."""
+OTHER_PRIOR_STD = 1.0
+"""Standard deviation of the prior of what the other integral adds to a motion, around 0, relative
+to the motion: hardly any prior."""
+ONE_RATIO = 0.999
+"""Squared correlation of the two integrals above which the data cannot tell them apart, as on
+circles. The motion is then taken for the robot's own."""
+NOTHING = 1e-6
+ONE_RATIO_STD = 0.3
+"""Factor on the deviation of the prior in this case; and the deviation of the gains then, relative
+to them."""
 UNKNOWN = 5.0
 """Half width of the interval of a logarithm from which the data do not bound the value."""
+UNKNOWN_S = 0.45
+"""Half width of the interval of the dead time that its prior alone makes, nearly [s]."""
+RESOLVED_S = 1e-3
+RESOLVED_GAIN = 1e-3
+"""Standard deviations of times [s] and of gains that no recording resolves: stamps are in ms, and a
+camera is calibrated to 0.1 % at best."""
+DRIFT_S = 0.1
+"""By how much two clocks run apart in a recording, from which it is said [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobotResponse:
     """How one robot follows its commands; see the fields of `FittedRobot` for the noise.
 
-    `veer` [rad/length unit] is by how much it turns on its way though w is 0, `intervals` the
-    number of steps used and `left_out` that of steps too far off. `stood` is when it stood though
-    it was sent commands.
+    Attributes:
+        name: The robot.
+        turning_gain: Turning rate, over the one that was sent.
+        speed_gain: Speed, over the one that was sent.
+        veer: How much the robot turns per distance travelled while w is 0 [rad/length unit].
+        heading_offset: Mean angle from the heading to the motion [rad], in the sense of v.
+        clock_drift: How fast the times of commands run apart from those of the poses [s/s]. None
+            if both are of one clock.
+        turning_explained: How much of the turning the commands explain.
+        distance_explained: How much of the distance travelled they explain.
+        duration_s: Duration of the recording, of the longest if there are several [s].
+        intervals: Number of steps used.
+        left_out: Number of steps left out because they are too far off.
     """
 
     name: str
@@ -172,18 +180,36 @@ class RobotResponse:
     turning_gain: SampleInterval
     speed_gain: SampleInterval
     veer: SampleInterval
+    heading_offset: SampleInterval
     heading_walk: SampleInterval
     heading_noise: SampleInterval
     way_walk: SampleInterval
     position_noise: SampleInterval
+    clock_drift: SampleInterval | None
+    turning_explained: Explained
+    distance_explained: Explained
+    duration_s: float
     intervals: int
     left_out: int
-    stood: tuple[Stood, ...] = ()
 
     @property
     def quantities(self) -> dict[str, SampleInterval]:
         """The values by name, in the order of a table's rows."""
-        return {name: getattr(self, name) for name in UNITS}
+        values = {name: getattr(self, name) for name in UNITS}
+        return {name: value for name, value in values.items() if value is not None}
+
+    @property
+    def problem(self) -> str:
+        """What contradicts the commands; "" if nothing does."""
+        turns = self.turning_explained.is_contradicted(
+            may_be_usual("turning_gain", self.turning_gain)
+        )
+        drives = self.distance_explained.is_contradicted(
+            may_be_usual("speed_gain", self.speed_gain)
+        )
+        of_turning = f"{self.turning_explained} of the turning" if turns else ""
+        of_distance = f"{self.distance_explained} of the distance travelled" if drives else ""
+        return " and ".join(filter(None, (of_turning, of_distance)))
 
 
 UNITS = {
@@ -193,25 +219,34 @@ UNITS = {
     "turning_gain": "",
     "speed_gain": "",
     "veer": "rad/{unit}",
+    "heading_offset": "rad",
     "heading_walk": "rad/sqrt(s)",
     "heading_noise": "rad",
     "way_walk": "{unit}/sqrt(s)",
     "position_noise": "{unit}",
+    "clock_drift": "s/s",
 }
 """The units of `quantities`; {unit} is the tracks' unit of length."""
 
 
 def respond(tracks: Sequence[Track], dead_time: float = 0.1) -> list[RobotResponse]:
-    """Return how each robot of the tracks follows its commands, for an expected dead time [s] if
-    several explain its motion; UsageError if it drives too little, or otherwise than it was sent.
+    """Fit how each robot of the tracks follows its commands.
+
+    Args:
+        tracks: Tracks of the same robots, with the speeds and turning rates that were sent.
+        dead_time: The expected dead time [s], which decides if several explain the motion.
+
+    Raises:
+        UsageError: If a robot drives too little, or if its commands explain less than half of what
+            it does.
     """
-    responses = []
+    responses: list[RobotResponse] = []
     for robot, name in enumerate(tracks[0].names):
         driven = [_driven_track(track, robot) for track in tracks]
-        steps = _usable_steps(tracks[0].source, name, driven, dead_time)
-        response = _response(tracks[0].source, name, steps)
-        stood = stands_of(tracks, robot, response.dead_time.value)
-        responses.append(replace(response, stood=stood))
+        responses.append(_response(name, _usable_steps(name, driven, dead_time)))
+    sources = dict.fromkeys(source for track in tracks for source in track.sources)
+    problems = [(response.name, response.problem) for response in responses if response.problem]
+    refuse_contradicted(tuple(sources), problems)
     return responses
 
 
@@ -221,14 +256,21 @@ def respond(tracks: Sequence[Track], dead_time: float = 0.1) -> list[RobotRespon
 @dataclass(frozen=True, slots=True)
 class _DrivenTrack:
     """One robot in one track: the `steps` between its poses at `pose_s` (S + 1,) [s], and the
-    `commands` (C, 2) of v and w that it was sent at `sent_s` (C,) [s]."""
+    `commands` (C, 2) of v and w that it was sent at `sent_s` (C,) [s]. `two_clocks` is as in
+    `Track`."""
 
     pose_s: Floats
     steps: PoseSteps
     sent_s: Floats
     commands: Floats
+    two_clocks: bool
 
-    def integrals(self, dead_time: float, lag: float) -> Floats:
+    @property
+    def duration_s(self) -> float:
+        """Time from the first pose to the last [s]."""
+        return float(self.pose_s[-1] - self.pose_s[0]) if len(self.pose_s) else 0.0
+
+    def integrals(self, dead_time: float, lag: float, drift: float = 0.0) -> Floats:
         """Return the integrals over each step (S, 2) of the rates r that follow the commands u.
 
         From lag dr/dt = u - r the integral of r is that of u less lag times the rise of r, hence
@@ -249,7 +291,8 @@ class _DrivenTrack:
         of_commands = np.cumsum(apart_s[:, None] * self.commands[:-1], axis=0)
         total = np.vstack([np.zeros((1, 2)), of_commands])
 
-        acting_s = self.pose_s - dead_time
+        middle_s = (self.pose_s[0] + self.pose_s[-1]) / 2
+        acting_s = self.pose_s - dead_time + drift * (self.pose_s - middle_s)
         newest = np.maximum(np.searchsorted(self.sent_s, acting_s, side="right") - 1, 0)
         command = self.commands[newest]
         since_s = (acting_s - self.sent_s[newest])[:, None]
@@ -275,94 +318,131 @@ def _driven_track(track: Track, robot: int) -> _DrivenTrack:
     commanded = np.isfinite(track.twists[:, robot]).all(axis=1)
     return _DrivenTrack(
         pose_s=times_s[frames],
-        steps=PoseSteps.of(times_s[frames], track.poses[frames, robot]),
+        steps=PoseSteps.between(times_s[frames], track.poses[frames, robot]),
         sent_s=track.sent[commanded],
         commands=track.twists[commanded, robot],
+        two_clocks=track.two_clocks,
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Steps:
-    """The M steps of a robot that the fit uses: `rows` (M,) of those of all `tracks`.
+    """The M steps of a robot that the fit uses.
 
-    `turned`, `way` and `duration_s` are (M,); `neighbours` (M - 1,) is where the next step begins
-    with the pose at which a step ends. `left_out` is the number of steps too far off, `dead_time`
-    [s] that from which the search starts.
+    Attributes:
+        tracks: All tracks of the robot.
+        rows: Which of the steps of all tracks are used, shape (M,).
+        turned: Turns, shape (M,) [rad].
+        moved: Distances along and across the heading, shape (M,), as in `PoseSteps`.
+        begin_s: Begin of each step, shape (M,) [s].
+        duration_s: Duration of each step, shape (M,) [s].
+        block: Number of the block in which each step is, shape (M,).
+        neighbours: Whether the next step begins with the pose at which a step ends, shape (M - 1,).
+        left_out: Number of steps left out because they are too far off.
+        dead_time: Dead time from which the search starts [s].
+        drift_unit: Usual drift of the clocks, in which it is searched; 0 for one clock.
+        in_one_ratio: Whether speed and turning rate are sent in one ratio.
     """
 
     tracks: list[_DrivenTrack]
     rows: Integers
     turned: Floats
-    way: Floats
+    moved: Complex
+    begin_s: Floats
     duration_s: Floats
     block: Integers
     neighbours: Bools
     left_out: int
     dead_time: float
+    drift_unit: float
+    in_one_ratio: bool
+
+    @property
+    def way(self) -> Floats:
+        """The distances along the heading (M,) [length unit]."""
+        return self.moved.real
 
     @property
     def speed(self) -> float:
         """The median speed [length unit/s]."""
-        return float(np.median(np.abs(self.way) / self.duration_s))
+        return max(float(np.median(np.abs(self.way) / self.duration_s)), 1e-12)
 
     def integrals(self, p: "ResponseParameters") -> Floats:
         """Return the integrals over each step (M, 2) of the speed and the turning rate, each with
         its lag."""
-        of_speed = self._with_lag(p.dead_time, p.speed_lag)
-        of_turning = self._with_lag(p.dead_time, p.turning_lag)
+        of_speed = self._with_lag(p.dead_time, p.speed_lag, p.clock_drift)
+        of_turning = self._with_lag(p.dead_time, p.turning_lag, p.clock_drift)
         return np.column_stack([of_speed[:, 0], of_turning[:, 1]])
 
     @lru_cache(INTEGRALS_KEPT)  # noqa: B019 few are kept
-    def _with_lag(self, dead_time: float, lag: float) -> Floats:
+    def _with_lag(self, dead_time: float, lag: float, drift: float) -> Floats:
         """Return the integrals over each step (M, 2), both with one lag."""
-        return _integrals(self.tracks, dead_time, lag)[self.rows]
+        return _integrals(self.tracks, dead_time, lag, drift)[self.rows]
 
 
-def _integrals(tracks: Sequence[_DrivenTrack], dead_time: float, lag: float) -> Floats:
+def _integrals(
+    tracks: Sequence[_DrivenTrack], dead_time: float, lag: float, drift: float = 0.0
+) -> Floats:
     """Return the integrals over all steps of some tracks (S, 2)."""
-    return np.concatenate([track.integrals(dead_time, lag) for track in tracks])
+    return np.concatenate([track.integrals(dead_time, lag, drift) for track in tracks])
 
 
-def _usable_steps(source: str, name: str, tracks: list[_DrivenTrack], expected_s: float) -> _Steps:
-    """Return the steps of a robot to use, for an expected dead time [s]; UsageError if they are too
-    few, too much alike, or not along its heading."""
+def _usable_steps(name: str, tracks: list[_DrivenTrack], expected_s: float) -> _Steps:
+    """Choose the steps of a robot to use, for an expected dead time [s]; UsageError if they are too
+    few."""
     steps = PoseSteps.together([track.steps for track in tracks])
-    drives = steps.duration_s < LONGEST_S
+    drives = steps.duration_s < _longest(steps)
     _require_enough(name, drives)
-    delay_s = _delay(tracks, steps, expected_s + LAG_UNIT_S)
-    _check_clock_rate(source, max(tracks, key=lambda track: len(track.pose_s)), delay_s)
-    dead_time = delay_s - LAG_UNIT_S
+    dead_time = _delay(tracks, steps, expected_s + LAG_UNIT_S) - LAG_UNIT_S
     driven = _integrals(tracks, dead_time, LAG_UNIT_S)
     acts = np.concatenate([track.acts(dead_time) for track in tracks])
     drives &= acts & (np.hypot(driven[:, 0], driven[:, 1]) > 1e-9)
     _require_enough(name, drives)
-    if np.linalg.matrix_rank(driven[drives]) < 2:
-        raise UsageError(f"robot {name} is sent one speed and turning rate only")
-    check_angle(source, name, steps.at(drives), driven[drives, 0])
     way = steps.moved.real
     turned = steps.turned
     far_off = _far_off(turned, driven, drives) | _far_off(way, driven, drives)
     rows = np.flatnonzero(drives & ~far_off)
     ends_of_tracks = np.cumsum([len(track.steps.turned) for track in tracks])[:-1]
+    begin_s = np.concatenate([track.pose_s[:-1] for track in tracks])
+    longest_s = max(track.duration_s for track in tracks)
+    has_two_clocks = any(track.two_clocks for track in tracks)
     return _Steps(
         tracks=tracks,
         rows=rows,
         turned=turned[rows],
-        way=way[rows],
+        moved=steps.moved[rows],
+        begin_s=begin_s[rows],
         duration_s=steps.duration_s[rows],
         block=block_numbers(steps.duration_s)[rows],
         neighbours=(np.diff(rows) == 1) & ~np.isin(rows[1:], ends_of_tracks),
         left_out=int((drives & far_off).sum()),
         dead_time=dead_time,
+        # the ends of the longest recording are off by the usual change of the dead time
+        drift_unit=2 * DEAD_TIME_UNIT_S / longest_s if has_two_clocks else 0.0,
+        in_one_ratio=_are_in_one_ratio(driven[rows]),
     )
+
+
+def _are_in_one_ratio(driven: Floats) -> bool:
+    """Decide whether two integrals (M, 2) are one, up to a factor."""
+    lengths = np.linalg.norm(driven, axis=0)
+    product = float(driven[:, 0] @ driven[:, 1])
+    return bool(lengths.all()) and product**2 > ONE_RATIO * float(np.prod(lengths)) ** 2
+
+
+def _longest(steps: PoseSteps) -> float:
+    """Return the duration from which a step is left out [s]."""
+    if not len(steps.duration_s):
+        return LONGEST_S
+    return max(LONGEST_S, LONGEST * float(np.median(steps.duration_s)))
 
 
 def _require_enough(name: str, drives: Bools) -> None:
     """Raise UsageError if a robot drives in too few steps (S,)."""
     if drives.sum() < INTERVALS_MIN:
         raise UsageError(
-            f"robot {name} drives in only {drives.sum()} steps of {STEP_S:g} to {LONGEST_S:g} s",
-            "leave it out of the tables, or give longer ones in which it is seen and drives",
+            f"robot {printable(name)} drives in only {drives.sum()} steps between its poses",
+            f"{INTERVALS_MIN} are needed: give longer recordings, or leave it out of the tables",
         )
 
 
@@ -371,51 +451,28 @@ def _delay(tracks: Sequence[_DrivenTrack], steps: PoseSteps, expected_s: float) 
     of several that explain AS_GOOD as much, that nearest to the expected one.
     """
     delays = expected_s + CLOCKS_S
-    (explained,) = _explained_after(delays, tracks, steps, [steps.duration_s < LONGEST_S])
-    is_peak = (explained == maximum_filter1d(explained, 2 * PEAK + 1)) & (
-        explained >= explained.max() - AS_GOOD
+    is_seen = steps.duration_s < _longest(steps)
+    motion = _usual_rates(steps.at(is_seen))
+    shares = np.zeros(len(delays))
+    for i, delay in enumerate(delays.tolist()):
+        sent = np.concatenate([track.sent(delay) for track in tracks]) / steps.duration_s[:, None]
+        shares[i] = _share(motion, sent[is_seen])
+    is_peak = (shares == maximum_filter1d(shares, 2 * PEAK + 1)) & (
+        shares >= shares.max() - AS_GOOD
     )
     peaks = delays[is_peak]
     return float(peaks[np.abs(peaks - expected_s).argmin()])
-
-
-def _explained_after(
-    delays: Floats, tracks: Sequence[_DrivenTrack], steps: PoseSteps, parts: Sequence[Bools]
-) -> Floats:
-    """Return the share of the motion in some parts of the steps (S,) that what was sent explains
-    after each of some delays [s] (P, D)."""
-    explained = np.zeros((len(parts), len(delays)))
-    motions = [_usual_rates(steps.at(part)) for part in parts]
-    for i, delay in enumerate(delays.tolist()):
-        sent = np.concatenate([track.sent(delay) for track in tracks]) / steps.duration_s[:, None]
-        for part, motion, of_part in zip(parts, motions, explained, strict=True):
-            of_part[i] = _explained(motion, sent[part])
-    return explained
-
-
-def _check_clock_rate(source: str, track: _DrivenTrack, delay_s: float) -> None:
-    """Raise UsageError if commands act later and later, whose delay is some [s] in all."""
-    steps = track.steps
-    is_seen = steps.duration_s < LONGEST_S
-    third_s = float(np.ptp(track.pose_s)) / 3
-    third = (track.pose_s[:-1] - track.pose_s[0]) // max(third_s, STEP_S)
-    thirds = [is_seen & (third == number) for number in range(3)]
-    if min(part.sum() for part in thirds) < THIRD_LEAST:
-        return
-    delays = delay_s + CLOCKS_S
-    shares = _explained_after(delays, [track], steps, thirds)
-    refuse_drift(source, shares, delays, 2 * third_s)
 
 
 def _usual_rates(steps: PoseSteps) -> Floats:
     """Return the turning rates and the speeds ahead and aside in some steps (3, S), clipped to
     those that are usual: a tracker may take a body for another."""
     motion = np.stack([steps.turned, steps.moved.real, steps.moved.imag]) / steps.duration_s
-    low, high = np.quantile(motion, (USUAL, 1 - USUAL), axis=1, keepdims=True)
+    low, high = np.quantile(motion, (CLIPPED, 1 - CLIPPED), axis=1, keepdims=True)
     return np.clip(motion, low, high)
 
 
-def _explained(motion: Floats, sent: Floats) -> float:
+def _share(motion: Floats, sent: Floats) -> float:
     """Return the share of a motion (3, S) that speeds and turning rates sent (S, 2) explain."""
     turn_rate, ahead, aside = motion
     speed, rate = sent.T
@@ -453,8 +510,9 @@ class ResponseParameters:
     """What is searched: dead time and lags [s], random walks per sqrt(s) and noises of the heading
     [rad] and of the way and positions [length unit].
 
-    A search has them as a vector (7,) in the order of the fields: the dead time less the expected
-    one, in DEAD_TIME_UNIT_S; of all others the logarithms over their units.
+    A search has them as a vector (8,) in the order of the fields: the dead time less the expected
+    one, in DEAD_TIME_UNIT_S; the drift of the clocks, in its unit; of all others the logarithms
+    over their units.
     """
 
     dead_time: float
@@ -464,9 +522,11 @@ class ResponseParameters:
     way_walk: float
     heading_noise: float
     position_noise: float
+    clock_drift: float
 
     def at(self, vector: Floats) -> "ResponseParameters":
-        """Return the parameters of a vector (7,), if these are of a vector of zeros."""
+        """Return the parameters of a vector (8,). `self` has the units; the dead time of a vector
+        of zeros is that of `self`, and there is no drift then."""
         factor = np.exp(vector)
         return ResponseParameters(
             dead_time=self.dead_time + DEAD_TIME_UNIT_S * vector[0],
@@ -476,6 +536,7 @@ class ResponseParameters:
             way_walk=self.way_walk * factor[4],
             heading_noise=self.heading_noise * factor[5],
             position_noise=self.position_noise * factor[6],
+            clock_drift=self.clock_drift * vector[7],
         )
 
 
@@ -486,16 +547,46 @@ def _lag(lag_s: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class _Whitened:
-    """Turns or ways `y` (M,) and integrals `x` (M, 2) divided by the Cholesky root L of the steps'
-    covariance: y - x gains is white. `ln_root` (M,) are the logarithms of L's diagonal."""
+    """Turns or distances with their integrals, divided by the Cholesky root of their covariance.
+
+    Attributes:
+        y: Whitened turns or distances, shape (M,): y - x gains is white.
+        x: Whitened integrals, shape (M, 2), of p and of q.
+        ln_root: Logarithms of the diagonal of the root, shape (M,).
+        own: Column of the integral that the motion follows: 0 for distances, 1 for turns.
+        own_only: Whether the other integral adds nothing.
+    """
 
     y: Floats
     x: Floats
     ln_root: Floats
+    own: int
+    own_only: bool
+
+    @property
+    def prior(self) -> tuple[Floats, Floats]:
+        """The mean (2,) of the prior of the gains, and the inverse of its variance (2,)."""
+        lengths = np.linalg.norm(self.x, axis=0)
+        scale = max(float(lengths[self.own]), float(np.linalg.norm(self.y)), 1e-12)
+        std = OTHER_PRIOR_STD * (NOTHING if self.own_only else 1.0)
+        weights = np.square(np.maximum(lengths, 1e-12) / (std * scale))
+        weights[self.own] = np.square(
+            max(float(lengths[self.own]), 1e-12) / (GAIN_PRIOR_STD * scale)
+        )
+        mean = np.zeros(2)
+        mean[self.own] = 1.0
+        return mean, weights
+
+    @property
+    def information(self) -> Floats:
+        """The information (2, 2) on the gains."""
+        return np.asarray(self.x.T @ self.x + np.diag(self.prior[1]), dtype=np.float64)
 
     def gains(self) -> Floats:
         """Return the likeliest gains (2,), of the integrals of p and of q."""
-        return np.asarray(np.linalg.solve(self.x.T @ self.x, self.x.T @ self.y), dtype=np.float64)
+        mean, weights = self.prior
+        gains = np.linalg.solve(self.information, self.x.T @ self.y + weights * mean)
+        return np.asarray(gains, dtype=np.float64)
 
     def likelihoods(self, gains: Floats) -> Floats:
         """Return ln of the likelihood of each step (M,) with some gains (2,)."""
@@ -503,38 +594,48 @@ class _Whitened:
 
     def restricted_likelihood(self) -> float:
         """Return ln of the likelihood whatever the gains are."""
-        _, ln_information = np.linalg.slogdet(self.x.T @ self.x)
+        _, ln_information = np.linalg.slogdet(self.information)
         likelihoods = self.likelihoods(self.gains())
         return float(likelihoods.sum() - ln_information / 2)
 
 
 def _whiten(
-    measured: Floats, integrals: Floats, steps: _Steps, walk: float, noise: float
+    measured: Floats,
+    own: int,
+    p: "ResponseParameters",
+    steps: _Steps,
+    walk: float,
+    noise: float,
+    error: float,
 ) -> _Whitened:
-    """Return turns or ways (M,) and integrals (M, 2) whitened: a step's variance is walk^2 times
-    its duration and twice noise^2, the covariance of neighbours -noise^2."""
+    """Whiten turns or distances (M,), with their integrals: the variance of a step is walk^2 times
+    its duration, error^2 and twice noise^2, the covariance of neighbours -noise^2."""
     covariance = np.zeros((2, len(measured)))  # its diagonal, and the one below
-    covariance[0] = (walk**2 + LEAST_VARIANCE) * steps.duration_s + 2 * noise**2
+    covariance[0] = walk**2 * steps.duration_s + error**2 + 2 * noise**2
     covariance[1, :-1] = np.where(steps.neighbours, -(noise**2), 0.0)
     root = cholesky_banded(covariance, lower=True)
-    whitened = solve_banded((1, 0), root, np.column_stack([measured, integrals]))
-    return _Whitened(whitened[:, 0], whitened[:, 1:], np.log(root[0]))
+    whitened = solve_banded((1, 0), root, np.column_stack([measured, steps.integrals(p)]))
+    return _Whitened(whitened[:, 0], whitened[:, 1:], np.log(root[0]), own, steps.in_one_ratio)
 
 
 def _turns(steps: _Steps, p: ResponseParameters) -> _Whitened:
-    return _whiten(steps.turned, steps.integrals(p), steps, p.heading_walk, p.heading_noise)
+    return _whiten(steps.turned, 1, p, steps, p.heading_walk, p.heading_noise, TURN_ERROR_RAD)
 
 
 def _ways(steps: _Steps, p: ResponseParameters) -> _Whitened:
-    return _whiten(steps.way, steps.integrals(p), steps, p.way_walk, p.position_noise)
+    error = WAY_ERROR * float(np.median(np.abs(steps.way))) + 1e-12
+    return _whiten(steps.way, 0, p, steps, p.way_walk, p.position_noise, error)
 
 
-def _search(name: str, steps: _Steps, units: ResponseParameters) -> Floats:
-    """Return the likeliest vector of parameters (7,), by Newton steps of which the best DAMPED one
-    is taken; UsageError if it does not settle."""
+def _search(steps: _Steps, units: ResponseParameters) -> tuple[Floats, Floats]:
+    """Find the likeliest vector of parameters (8,), from the best of a grid of starts.
+
+    Returns:
+        The vector, and about its standard deviations (8,).
+    """
 
     def posteriors(vectors: Floats) -> Floats:
-        """Return ln of the posterior (V,) of vectors (V, 7), with a normal prior around 0."""
+        """Return ln of the posterior (V,) of vectors (V, 8), with a normal prior around 0."""
         scores = np.zeros(len(vectors))
         for i, vector in enumerate(vectors):
             parameters = units.at(vector)
@@ -548,161 +649,106 @@ def _search(name: str, steps: _Steps, units: ResponseParameters) -> Floats:
     starts = np.zeros((len(grid), SEARCHED))
     starts[:, :2] = grid
     best = starts[posteriors(starts).argmax()]
-    for _ in range(ROUNDS):
-        at_best = best
-        slopes, curvatures = derivatives(
-            lambda changes, at=at_best: posteriors(at + changes[0])[None], SEARCHED
-        )
-        value, axes = np.linalg.eigh(curvatures[0])
-        value = np.maximum(np.abs(value), PRIOR_STD**-2)
-        along = axes.T @ slopes[0]
-        steps_tried = [np.clip(axes @ (along / (value + d)), -1.0, 1.0) for d in DAMPED]
-        tried = np.array([best, *(best + step for step in steps_tried)])
-        best = tried[posteriors(tried).argmax()]
-        std = np.sqrt(axes**2 @ (1 / value))
-        if (np.abs(best - at_best) < np.maximum(SETTLED * std, LEAST_CHANGE)).all():
-            return best
-    raise UsageError(
-        f"robot {name}: the search for its dead time and lags does not settle",
-        "give more or longer recordings, in which speed and turning rate change",
+    found = minimize(
+        lambda vector: -posteriors(vector[None])[0], best, method="BFGS", options={"gtol": GRADIENT}
     )
+    return found.x, np.sqrt(np.diag(found.hess_inv))
 
 
-def _response(source: str, name: str, steps: _Steps) -> RobotResponse:
+def _response(name: str, steps: _Steps) -> RobotResponse:
     """Fit one robot and return its values with their intervals."""
+    driven = _integrals(steps.tracks, steps.dead_time, LAG_UNIT_S)[steps.rows]
+    heading_noise = _noise(steps, steps.turned, driven)
+    position_noise = _noise(steps, steps.way, driven)
     units = ResponseParameters(  # of a vector of zeros
         dead_time=steps.dead_time,
         turning_lag=LAG_UNIT_S,
         speed_lag=LAG_UNIT_S,
         heading_walk=HEADING_WALK_UNIT,
         way_walk=WAY_WALK_UNIT * steps.speed,
-        heading_noise=HEADING_NOISE_UNIT,
-        position_noise=POSITION_NOISE_UNIT_S * steps.speed,
+        heading_noise=max(HEADING_NOISE_UNIT, heading_noise),
+        position_noise=max(POSITION_NOISE_UNIT_S * steps.speed, position_noise),
+        clock_drift=steps.drift_unit,
     )
-    vector = _search(name, steps, units)
+    vector, curvature_std = _search(steps, units)
     likeliest = units.at(vector)
-    _check_commands(source, name, steps, likeliest)
     turn_gains = _turns(steps, likeliest).gains()
     way_gains = _ways(steps, likeliest).gains()
-    std = _deviations(steps, units, np.concatenate([vector, turn_gains, way_gains]))
+    likeliest_all = np.concatenate([vector, turn_gains, way_gains])
+    std = _deviations(steps, units, likeliest_all, curvature_std)
     of_search = ResponseParameters(*std[:SEARCHED].tolist())  # in the units of the search
     veer_std, turning_std, speed_std = std[SEARCHED : SEARCHED + 3].tolist()
+    if steps.in_one_ratio:
+        veer_std = math.inf
+        turning_std = math.hypot(turning_std, ONE_RATIO_STD * turn_gains[1])
+        speed_std = math.hypot(speed_std, ONE_RATIO_STD * way_gains[0])
+
+    # how much of the motion the commands explain
+    driven = steps.integrals(likeliest)
+    sent = steps.integrals(replace(likeliest, turning_lag=LAG_LEAST_S, speed_lag=LAG_LEAST_S))
+    windows = windows_of(steps.begin_s, steps.begin_s + steps.duration_s)
+    turning_explained = explained(
+        steps.turned, driven @ turn_gains, sent[:, 1], likeliest.heading_noise, windows
+    )
+    distance_explained = explained(
+        steps.moved, driven @ way_gains, sent[:, 0], likeliest.position_noise, windows
+    )
+    clock_drift = None
+    if steps.drift_unit:
+        clock_drift = _normal(likeliest.clock_drift, steps.drift_unit * of_search.clock_drift)
     return RobotResponse(
         name=name,
-        dead_time=_normal(likeliest.dead_time, DEAD_TIME_UNIT_S * of_search.dead_time),
-        turning_lag=_log_normal(likeliest.turning_lag, of_search.turning_lag),
-        speed_lag=_log_normal(likeliest.speed_lag, of_search.speed_lag),
-        turning_gain=_normal(turn_gains[1], turning_std),
-        speed_gain=_normal(way_gains[0], speed_std),
+        dead_time=_dead_time(likeliest.dead_time, DEAD_TIME_UNIT_S * of_search.dead_time),
+        turning_lag=_lag_interval(likeliest.turning_lag, of_search.turning_lag),
+        speed_lag=_lag_interval(likeliest.speed_lag, of_search.speed_lag),
+        turning_gain=_normal(turn_gains[1], math.hypot(turning_std, RESOLVED_GAIN)),
+        speed_gain=_normal(way_gains[0], math.hypot(speed_std, RESOLVED_GAIN)),
         veer=_normal(turn_gains[0], veer_std),
+        heading_offset=_heading_offset(steps, driven[:, 0]),
         heading_walk=_log_normal(likeliest.heading_walk, of_search.heading_walk),
         heading_noise=_log_normal(likeliest.heading_noise, of_search.heading_noise),
         way_walk=_log_normal(likeliest.way_walk, of_search.way_walk),
         position_noise=_log_normal(likeliest.position_noise, of_search.position_noise),
+        clock_drift=clock_drift,
+        turning_explained=turning_explained,
+        distance_explained=distance_explained,
+        duration_s=max(track.duration_s for track in steps.tracks),
         intervals=len(steps.rows),
         left_out=steps.left_out,
     )
 
 
-def _check_commands(source: str, name: str, steps: _Steps, likeliest: ResponseParameters) -> None:
-    """Raise UsageError if the commands do not explain turns and ways as they are stated: v and w
-    exchanged, turns reversed, in other units, or not at all."""
-    turn_gains = _turns(steps, likeliest).gains()
-    way_gains = _ways(steps, likeliest).gains()
-    driven = steps.integrals(likeliest)
-    sent = steps.integrals(replace(likeliest, turning_lag=LAG_LEAST_S, speed_lag=LAG_LEAST_S))
-    turning = _Obeyed.of(steps.turned, driven @ turn_gains, turn_gains[1], sent[:, 1])
-    driving = _Obeyed.of(steps.way, driven @ way_gains, way_gains[0], sent[:, 0])
-    turns_v, turns_w = np.abs(turn_gains) * np.linalg.norm(driven, axis=0)
-    drives_v, drives_w = np.abs(way_gains) * np.linalg.norm(driven, axis=0)
-    exchanged = Reading(
-        driving.explained if drives_w > drives_v else 0.0,
-        f"{source}: {name} drives as w, not as v",
-        "are v and w exchanged?",
-    )
-    if turns_v > turns_w and min(turning.explained, exchanged.share) >= EXPLAINED:
-        raise UsageError(exchanged.said, exchanged.hint)
-    mirrored = Reading(
-        turning.share(-math.inf, 0.0),
-        f"{source}: {name} turns right where it is sent left",
-        "reverse w; or y and the headings, if the picture is mirrored",
-    )
-    one_way = Reading(
-        _share_of_sizes(steps.turned, sent[:, 1]),
-        f"{source}: {name} turns to both sides, and w is never below 0",
-        "has w lost its sign? it is below 0 to the right",
-    )
-    turn_units = turning.readings(f"{source}: the turning gain of {name}", TURN_UNITS)
-    turning.check(source, f"turns of {name}", [mirrored, one_way, *turn_units])
-    ahead = Reading(
-        _share_of_sizes(steps.way, sent[:, 0]),
-        f"{source}: {name} drives backwards, too, and v is never below 0",
-        "is v a speed without its sign? give it below 0 where the robot drives backwards",
-    )
-    speed_units = driving.readings(f"{source}: the speed gain of {name}", SPEED_UNITS)
-    driving.check(source, f"way of {name}", [exchanged, ahead, *speed_units])
+def _noise(steps: _Steps, measured: Floats, driven: Floats) -> float:
+    """Estimate the noise of poses by what two neighbouring steps share, of turns or distances (M,)
+    and the integrals (M, 2) that drive them."""
+    residuals = measured - driven @ robust_gains(measured, driven)
+    limit = CLIP * STD_OF_MEDIAN * float(np.median(np.abs(residuals)))
+    clipped = np.clip(residuals, -limit, limit)
+    products = (clipped[1:] * clipped[:-1])[steps.neighbours]
+    return math.sqrt(max(-float(products.mean()), 0.0)) if products.size else 0.0
 
 
-def _share_of_sizes(measured: Floats, sent: Floats) -> float:
-    """Return the share of turns or ways (M,) that those sent (M,) explain but for their signs; 0 if
-    some of these are below 0."""
-    squares = float(np.square(sent).sum())
-    total = float(np.square(measured).sum())
-    if sent.min() < 0 or not squares or not total:
-        return 0.0
-    product = float(np.abs(measured) @ sent)
-    return product**2 / (squares * total)
+def _heading_offset(steps: _Steps, driven: Floats) -> SampleInterval:
+    """Find the mean angle from the heading to the motion [rad], in the sense of the distances (M,)
+    that were sent, with the interval that the differences of blocks give."""
+    by_block = _sums(steps.block, np.sign(driven) * steps.moved)
+    total = by_block.sum()
+    if not abs(total):
+        return SampleInterval(0.0, -math.pi, math.pi)
+    angle = float(np.angle(total))
+    across = (by_block * np.exp(-1j * angle)).imag
+    return _normal(angle, min(float(np.linalg.norm(across) / abs(total)), math.pi))
 
 
-@dataclass(frozen=True, slots=True)
-class _Obeyed:
-    """What commands explain of turns or ways: the `gain`, the share `explained`, and that which
-    they would explain with a gain of 1, `if_obeyed`."""
-
-    gain: float
-    explained: float
-    if_obeyed: float
-
-    @classmethod
-    def of(cls, measured: Floats, fitted: Floats, gain: float, sent: Floats) -> "_Obeyed":
-        """Return what commands explain of measured turns or ways (M,), by those that the fit makes
-        of the commands (M,) and those that were sent (M,)."""
-        rest = float(np.square(measured - fitted).sum())
-        commanded = float(np.square(sent).sum())
-        total = float(np.square(measured).sum())
-        return cls(
-            gain=gain,
-            explained=1 - rest / total if total else 0.0,
-            if_obeyed=commanded / (commanded + rest) if commanded else 0.0,
-        )
-
-    def share(self, low: float, high: float) -> float:
-        """Return the share that commands explain with a gain between two."""
-        return self.explained if low < self.gain < high else 0.0
-
-    def readings(self, what: str, units: dict[float, str]) -> list[Reading]:
-        """Return what commands explain in other units, `what` being the gain's name."""
-        said = f"{what} is {self.gain:.3g}, as of a wrong unit"
-        readings = [
-            Reading(
-                self.share(1 / (UNIT_WITHIN * factor), UNIT_WITHIN / factor),
-                f"{said}; {self.gain * factor:.3g} otherwise",
-                hint,
-            )
-            for factor, hint in units.items()
-        ]
-        of_no_unit = max(self.share(0.0, 1 / GAIN_MOST), self.share(GAIN_MOST, math.inf))
-        return [*readings, Reading(of_no_unit, said, NOT_THEIR_WAY)]
-
-    def check(self, source: str, what: str, readings: Sequence[Reading]) -> None:
-        """Raise UsageError if commands do not explain `what` moves, though they are large enough,
-        or only by another reading."""
-        least = min(EXPLAINED, self.if_obeyed - SURELY_MORE)
-        check_explained(source, what, self.share(1 / GAIN_MOST, GAIN_MOST), least, readings)
+def _sums(block: Integers, steps: Complex) -> Complex:
+    """Add the steps (M,) of each block."""
+    return np.bincount(block, steps.real) + 1j * np.bincount(block, steps.imag)
 
 
-def _deviations(steps: _Steps, units: ResponseParameters, likeliest: Floats) -> Floats:
-    """Return the standard deviations (11,) of the likeliest vector, with the gains of turns and of
+def _deviations(
+    steps: _Steps, units: ResponseParameters, likeliest: Floats, curvature_std: Floats
+) -> Floats:
+    """Return the standard deviations (12,) of the likeliest vector, with the gains of turns and of
     ways behind it: the greater of the curvature's and of the jackknife's of blocks.
 
     With s_b and H_b the slope and curvature of ln of the likelihood of each of B blocks, and H that
@@ -710,12 +756,13 @@ def _deviations(steps: _Steps, units: ResponseParameters, likeliest: Floats) -> 
     """
     at_best = units.at(likeliest[:SEARCHED])
     unit = np.ones(len(likeliest))
+    unit[:SEARCHED] = np.clip(UNIT_STDS * curvature_std, UNIT_LEAST, 1.0)
     regressions = (_turns(steps, at_best), _ways(steps, at_best))
-    of_gains = [np.diag(np.linalg.inv(whitened.x.T @ whitened.x)) for whitened in regressions]
+    of_gains = [np.diag(np.linalg.inv(whitened.information)) for whitened in regressions]
     unit[SEARCHED:] = np.sqrt(np.concatenate(of_gains))
 
     def of_blocks(changes: Floats) -> Floats:
-        """Return ln of the likelihood of each block (B, V) after changes (1, V, 11) in units."""
+        """Return ln of the likelihood of each block (B, V) after changes (1, V, 12) in units."""
         of_changes = []
         for values in likeliest + unit * changes[0]:
             parameters = units.at(values[:SEARCHED])
@@ -724,15 +771,16 @@ def _deviations(steps: _Steps, units: ResponseParameters, likeliest: Floats) -> 
             of_changes.append(np.bincount(steps.block, turns + ways))
         return np.column_stack(of_changes)
 
-    slopes, curvatures = derivatives(of_blocks, len(likeliest))
+    size = len(likeliest)
+    slopes, curvatures = derivatives(of_blocks, size)
     curvature = curvatures.sum(axis=0)
-    without = [
-        _inverse(curvature - of_block) @ slope
-        for slope, of_block in zip(slopes, curvatures, strict=True)
-    ]
+    of_prior = np.concatenate([whitened.prior[1] for whitened in regressions])
+    curvature[range(SEARCHED, size), range(SEARCHED, size)] += of_prior * unit[SEARCHED:] ** 2
+    inverse = _inverse(curvature)
+    pulls = slopes @ inverse
     wider = wider_of_blocks(np.diagonal(curvatures, axis1=1, axis2=2))
-    spread = (len(without) - 1) * np.var(without, axis=0)
-    variance = np.diag(_inverse(curvature))
+    spread = len(pulls) * np.var(pulls, axis=0, ddof=1)
+    variance = np.diag(inverse)
     return unit * np.sqrt(np.maximum(variance, wider**2 * spread))
 
 
@@ -748,6 +796,19 @@ def _normal(value: float, std: float) -> SampleInterval:
     return SampleInterval(value, value - reach, value + reach)
 
 
+def _dead_time(value: float, std: float) -> SampleInterval:
+    """Return the dead time with its interval, without ends if the data do not bound it."""
+    if NORMAL * std > UNKNOWN_S:
+        return SampleInterval(value, -math.inf, math.inf)
+    return _normal(value, math.hypot(std, RESOLVED_S))
+
+
+def _lag_interval(value: float, std: float) -> SampleInterval:
+    """Return a lag with its interval, which begins at 0 for a lag that is at its minimum."""
+    interval = _log_normal(value, math.hypot(std, RESOLVED_S / value))
+    return replace(interval, low=0.0) if value <= 2 * LAG_LEAST_S else interval
+
+
 def _log_normal(value: float, std: float) -> SampleInterval:
     """Return a value with the interval of its logarithm."""
     reach = NORMAL * std
@@ -759,37 +820,40 @@ def _log_normal(value: float, std: float) -> SampleInterval:
 # ---- The table ----
 
 
+DETERMINED = ("dead_time", "turning_lag", "speed_lag", *GAINS, "veer")
+"""The values of which the table says whether the data determine them."""
+
+
 def response_table(responses: Sequence[RobotResponse], title: str, unit: str) -> Table:
     """Return a table of robots' values with their 95 % intervals; a row per value."""
-    columns = [Column("quantity", [*labels_of(UNITS, unit), "left out"])]
+    units = {name: UNITS[name] for name in responses[0].quantities}
+    labels = [*labels_of(units, unit), "turning explained", "distance explained", "left out"]
+    columns = [Column("quantity", labels)]
     for robot in responses:
         values = [cell(value) for value in robot.quantities.values()]
         left_out = f"{robot.left_out} of {robot.left_out + robot.intervals}"
-        columns.append(Column(robot.name, [*values, left_out]))
-    doubts = [clock_doubt(robot.dead_time) for robot in responses]
-    notes = [_lag_for_spec(responses), max(doubts, key=len)]
-    low, high = GAIN_OF_BASE
-    if any(low < robot.turning_gain.value < high for robot in responses):
-        notes.append(
-            "a turning gain near 2: is radius, or that of w, the distance between the wheels?"
-        )
-    gains = np.array([(robot.turning_gain.value, robot.speed_gain.value) for robot in responses])
-    is_of_unit = (gains > 1 / UNIT_WITHIN) & (gains < UNIT_WITHIN)
-    if not is_of_unit.any(axis=1).all():  # a robot that obeys turns or drives as it is sent
-        notes.append(
-            "gains far from 1: are commands speeds in their unit, not counts or shares of power?"
-        )
-    for robot in responses:
-        notes += map(str, robot.stood)
+        of_motion = [str(robot.turning_explained), str(robot.distance_explained)]
+        columns.append(Column(robot.name, [*values, *of_motion, left_out]))
+    by_name = [(robot.name, robot.quantities) for robot in responses]
+    drift = DRIFT_S / max(robot.duration_s for robot in responses)
+    usual = USUAL | {"clock_drift": (-drift, drift)}
+    notes = [
+        _lag_for_spec(responses),
+        undetermined_values(by_name, DETERMINED),
+        unusual_values(by_name, usual),
+    ]
     return Table(title, tuple(columns), "\n".join(text for text in notes if text))
 
 
 def _lag_for_spec(responses: Sequence[RobotResponse]) -> str:
-    """Return in words the lag of a spec that fits all robots: the mean of the lags of turning, by
-    which a host steers, weighted by their precision."""
+    """Describe the lag of a spec that fits all robots: the mean of the lags of turning, by which a
+    host steers, weighted by their precision. "" if it is not known well enough to be of use."""
     lags = np.array([robot.turning_lag.value for robot in responses])
-    widths = [robot.turning_lag.high - robot.turning_lag.low for robot in responses]
-    mean = float(np.average(lags, weights=1 / np.clip(widths, LAG_LEAST_S, LAG_MOST_S)))
+    widths = np.array([robot.turning_lag.high - robot.turning_lag.low for robot in responses])
+    weights = 1 / np.clip(widths, LAG_LEAST_S, LAG_MOST_S)
+    mean = float(np.average(lags, weights=weights))
+    if not (widths / 2 <= SAME_LAG_S).all():
+        return ""
     if not (abs(lags - mean) <= SAME_LAG_S).all():
         return f"no single lag fits all robots within {SAME_LAG_S:g} s"
     return f"the lag of turning for a spec: lab.lag={mean:.3f} (simulated: wheels.lag)"

@@ -35,6 +35,8 @@ class Track:
     (M, N) are those of robots' poses [s], `time` for all if it is empty. `all_commands` is False of
     lagging wheels that were sent others between these, and `rates_unstated` True of those of which
     nothing states whether they steer themselves, or a host sends them rates that foresee their lag.
+    `two_clocks` is True if the times of poses and commands may be of different clocks, as in tables
+    of other programs. `commands_source` is the file of the commands if it is not `source`.
     `remarks` are lines for the user on the data.
     """
 
@@ -58,7 +60,14 @@ class Track:
     own_times: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     all_commands: bool = True
     rates_unstated: bool = False
+    two_clocks: bool = False
+    commands_source: str = ""
     remarks: tuple[str, ...] = ()
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The files of the poses and of the commands."""
+        return tuple(filter(None, (self.source, self.commands_source)))
 
     @property
     def exposed(self) -> Floats:

@@ -11,12 +11,15 @@ Above the numbers stand a line of settings and rows that say what each column is
     ,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Mean Marker Error,...
     Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,,...
 
-Only rigid bodies are read. Cells are empty where a body was not tracked. Of two vertical axes that
-Motive may export, y or z, it is that along which bodies move less. A body is at (x, y) with z up,
-(x, -z) with y up; its heading is the direction of its own x axis, as of the camera `optitrack`.
+Only rigid bodies are read. Cells are empty where a body was not tracked. The vertical axis is y, as
+Motive has it by default, or z if bodies move much less along z than along y. A body is at (x, y)
+with z up, and at (x, -z) with y up. Its heading is the direction of its own x axis, as the camera
+`optitrack` has it.
 """
 
+import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
@@ -37,7 +40,9 @@ QUATERNION = "Quaternion"
 ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 """Orders of Euler angles."""
 HEADER_ROWS = 10
-"""Most lines above the numbers."""
+"""Maximum number of lines above the numbers."""
+Z_UP = 0.25
+"""Maximum variance along z if z is up, over the variance along y."""
 
 
 def table_rows(path: Path) -> Iterator[CsvRow]:
@@ -48,7 +53,49 @@ def table_rows(path: Path) -> Iterator[CsvRow]:
 
 
 def motive_rows(path: Path) -> Iterator[CsvRow]:
-    """Yield the poses of the rigid bodies in a file of Motive; UsageError if it has none."""
+    """Yield the poses of the rigid bodies in a file of Motive.
+
+    The file is read twice, line by line: first to find the vertical axis.
+
+    Raises:
+        UsageError: If the file has no rigid bodies, or two of one name.
+    """
+    take, _ = _open_take(path)
+    is_y_up = _is_y_up(path, take)
+    take, lines = _open_take(path)
+    keys = ("time_s", f"x_{take.unit}", f"y_{take.unit}", "heading_rad")
+    for number, entries in _numbers(path, take, lines):
+        for name, (rotation, position) in take.bodies.items():
+            x, y, z = entries[position]
+            ahead = _ahead(path, entries[rotation], take.rotation_type)
+            across = -z if is_y_up else y
+            aside = -ahead[2] if is_y_up else ahead[1]
+            pose = (entries[1], x, across, math.atan2(aside, ahead[0]))
+            texts = [repr(float(value)) for value in pose]
+            yield CsvRow(number, dict(zip(keys, texts, strict=True)) | {"robot": name})
+
+
+@dataclass(frozen=True, slots=True)
+class _Take:
+    """The header of a file of Motive.
+
+    Attributes:
+        unit: Unit of lengths.
+        rotation_type: QUATERNION, or one of ORDERS.
+        bodies: Columns of the rotation and of the position of each rigid body, by its name.
+        width: Number of columns.
+        separator: What separates the entries of a line.
+    """
+
+    unit: str
+    rotation_type: str
+    bodies: dict[str, tuple[list[int], list[int]]]
+    width: int
+    separator: str
+
+
+def _open_take(path: Path) -> tuple[_Take, Iterator[tuple[int, str]]]:
+    """Read the header of a file of Motive; return it with the lines below it."""
     lines = csv_lines(path)
     top = next(lines)[1]
     separator = top[len(FIRST)] if len(top) > len(FIRST) else ","
@@ -66,31 +113,23 @@ def motive_rows(path: Path) -> Iterator[CsvRow]:
         if header[-1][0] == "Frame" or len(header) > HEADER_ROWS:
             break
     bodies = _bodies(path, header, 4 if rotation_type == QUATERNION else 3)
-    width = len(header[-1])
-    rows: list[list[float]] = []
-    numbers: list[int] = []
+    return _Take(unit, rotation_type, bodies, len(header[-1]), separator), lines
+
+
+def _numbers(
+    path: Path, take: _Take, lines: Iterator[tuple[int, str]]
+) -> Iterator[tuple[int, Floats]]:
+    """Yield the number of each line with its entries (W,), NaN where one is empty; UsageError if
+    there are no lines."""
+    is_empty = True
     for number, line in lines:
-        entries = csv_entries(line, separator)
-        rows.append([_number(path, number, entry) for entry in entries[:width]])
-        rows[-1].extend([np.nan] * (width - len(entries)))
-        numbers.append(number)
-    if not rows:
+        is_empty = False
+        texts = csv_entries(line, take.separator)[: take.width]
+        entries = np.full(take.width, np.nan)
+        entries[: len(texts)] = [_number(path, number, text) for text in texts]
+        yield number, entries
+    if is_empty:
         raise UsageError(f"{path}: has no rows")
-    table = np.array(rows)
-    names = list(bodies)
-    places = np.stack([table[:, position] for _, position in bodies.values()])
-    axes = np.stack(
-        [_ahead(path, table[:, rotation], rotation_type) for rotation, _ in bodies.values()]
-    )
-    is_y_up = _is_y_up(places)
-    across = -places[..., 2] if is_y_up else places[..., 1]
-    headings = np.arctan2(-axes[..., 2] if is_y_up else axes[..., 1], axes[..., 0])
-    for frame, number in enumerate(numbers):
-        for body, name in enumerate(names):
-            pose = (places[body, frame, 0], across[body, frame], headings[body, frame])
-            texts = [repr(float(value)) for value in (table[frame, 1], *pose)]
-            keys = ("time_s", f"x_{unit}", f"y_{unit}", "heading_rad")
-            yield CsvRow(number, dict(zip(keys, texts, strict=True)) | {"robot": name})
 
 
 def _length_unit(path: Path, name: str) -> str:
@@ -120,10 +159,15 @@ def _bodies(
         )
     names = header[header.index(types) + 1]
     columns: dict[str, dict[tuple[str, str], int]] = {}
+    twice: set[str] = set()
     above = zip_longest(types, names, header[-2], header[-1], fillvalue="")
     for column, (kind, name, quantity, axis) in enumerate(above):
-        if kind == BODY:
-            columns.setdefault(name, {})[quantity, axis] = column
+        if kind != BODY:
+            continue
+        of_body = columns.setdefault(name, {})
+        if (quantity, axis) in of_body:
+            twice.add(name)
+        of_body[quantity, axis] = column
     rotation = [("Rotation", axis) for axis in "XYZW"[:angles]]
     position = [("Position", axis) for axis in "XYZ"]
     bodies: dict[str, tuple[list[int], list[int]]] = {}
@@ -132,6 +176,11 @@ def _bodies(
             raise UsageError(
                 f"{path}: rigid body {printable(name)} lacks rotations or positions",
                 f"export both, in the coordinate space {GLOBAL}",
+            )
+        if name in twice:
+            raise UsageError(
+                f"{path}: two rigid bodies are named {printable(name)}",
+                "name each rigid body differently in Motive, and export again",
             )
         bodies[name] = ([of_body[key] for key in rotation], [of_body[key] for key in position])
     return bodies
@@ -146,31 +195,48 @@ def _number(path: Path, line: int, entry: str) -> float:
     return float(entry)
 
 
-def _is_y_up(places: Floats) -> bool:
-    """Return whether bodies (N, M, 3) move less along y than along z."""
-    spread = np.zeros(3)
-    for of_body in places:
-        tracked = of_body[np.isfinite(of_body).all(axis=1)]
-        if len(tracked):
-            spread += tracked.var(axis=0)
-    return bool(spread[1] <= spread[2])
+def _is_y_up(path: Path, take: _Take) -> bool:
+    """Decide whether y is up, as Motive has it by default: unless bodies move much less along z
+    than along y."""
+    counts = np.zeros(len(take.bodies))
+    first = np.zeros((len(take.bodies), 3))
+    sums = np.zeros((len(take.bodies), 3))
+    squares = np.zeros((len(take.bodies), 3))
+    _, lines = _open_take(path)
+    for _, entries in _numbers(path, take, lines):
+        for body, (_, position) in enumerate(take.bodies.values()):
+            place = entries[position]
+            if not np.isfinite(place).all():
+                continue
+            if counts[body] == 0:
+                first[body] = place
+            counts[body] += 1
+            sums[body] += place - first[body]
+            squares[body] += (place - first[body]) ** 2
+    counts = np.maximum(counts, 1)[:, None]
+    spread = np.maximum(squares / counts - (sums / counts) ** 2, 0.0).sum(axis=0)
+    return bool(spread[2] >= Z_UP * spread[1])
 
 
 def _ahead(path: Path, turned: Floats, rotation_type: str) -> Floats:
-    """Return the directions (M, 3) of a body's x axis, NaN where it was not tracked, by its
-    quaternions x, y, z, w (M, 4) or Euler angles about X, Y, Z (M, 3) [degrees]."""
-    axis = np.full((len(turned), 3), np.nan)
-    tracked = np.isfinite(turned).all(axis=1)
-    if rotation_type == QUATERNION:
-        tracked &= np.abs(np.linalg.norm(turned, axis=1) - 1) < 0.01
-        rotations = Rotation.from_quat(turned[tracked])
-    elif rotation_type in ORDERS:
-        in_order = [turned[tracked, "XYZ".index(letter)] for letter in rotation_type]
-        rotations = Rotation.from_euler(rotation_type, np.column_stack(in_order), degrees=True)
-    else:
+    """Return the direction (3,) of a body's x axis, NaN where it was not tracked.
+
+    Args:
+        path: The file, for messages.
+        turned: A quaternion x, y, z, w, or Euler angles about X, Y, Z [degrees].
+        rotation_type: QUATERNION, or one of ORDERS.
+    """
+    if rotation_type != QUATERNION and rotation_type not in ORDERS:
         raise UsageError(
             f"{path}: Rotation Type {printable(rotation_type)}", "export quaternions, or XYZ"
         )
-    if tracked.any():
-        axis[tracked] = rotations.apply([1.0, 0.0, 0.0])
-    return axis
+    if not np.isfinite(turned).all():
+        return np.full(3, np.nan)
+    if rotation_type == QUATERNION:
+        x, y, z, w = turned.tolist()
+        if abs(math.hypot(x, y, z, w) - 1) >= 0.01:
+            return np.full(3, np.nan)
+        return np.array([1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)])
+    in_order = [turned["XYZ".index(letter)] for letter in rotation_type]
+    rotation = Rotation.from_euler(rotation_type, in_order, degrees=True)
+    return np.asarray(rotation.apply([1.0, 0.0, 0.0]))

@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -112,28 +111,6 @@ class NumberColumn:
         return value * self.factor
 
 
-@dataclass(frozen=True, slots=True)
-class DateColumn(NumberColumn):
-    """A column of dates, such as 2026-05-04T12:00:00.5, or times of day, as times since 1970 [s].
-
-    Without a time zone they are of one that does not change.
-    """
-
-    def optional(self, path: Path, row: CsvRow) -> float:
-        """Return the date in a row [s], NaN if it states none."""
-        text = row.cells[self.key]
-        if text.lower() in _UNKNOWN:
-            return math.nan
-        try:
-            date = datetime.fromisoformat(text if "-" in text else f"1970-01-01T{text}")
-        except ValueError:
-            raise UsageError(
-                f"{path}, line {row.line}: {printable(self.key)}: {text[:60]!r} is no date",
-                "write dates as 2026-05-04T12:00:00.5, or times in seconds",
-            ) from None
-        return date.replace(tzinfo=date.tzinfo or UTC).timestamp()
-
-
 def name_and_unit(header: str) -> tuple[str, str]:
     """Return the name of a column in lower case and its unit, "" if it states none."""
     words = header.strip().lower()
@@ -176,14 +153,6 @@ def find_column(
 def find_time(path: Path, headers: Collection[str]) -> NumberColumn | None:
     """Return the column of times [s], None if there is none."""
     return find_column(path, headers, TIME_NAMES, SECONDS)
-
-
-def find_date(cells: Mapping[str, str]) -> DateColumn | None:
-    """Return the column of times that has a date in a row's `cells`, None if there is none."""
-    for header, entry in cells.items():
-        if name_and_unit(header)[0] in TIME_NAMES and ":" in entry:
-            return DateColumn(header)
-    return None
 
 
 def refuse_degrees(path: Path, column: NumberColumn, lines: Sequence[int], angles: Floats) -> None:

@@ -9,9 +9,9 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
-from tetractl.replay.identification.sent_directions import SentDirections
 from tetractl.tools.worker import WAITING_MAX
 from tetractl_microscope.cells.helix import Piece
+from tetractl_microscope.sent_directions import SentDirections
 
 NO_FIELD_YET = (-math.inf, 0.0, 0.0)
 """Time [s], direction and strength of the field before the first direction."""

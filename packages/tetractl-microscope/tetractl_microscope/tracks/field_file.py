@@ -8,7 +8,6 @@ import numpy as np
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Floats
-from tetractl.replay.identification.one_recording import Span, clock_remark, refuse_times_apart
 from tetractl.tools.table.csv_rows import columns_of, read_csv
 from tetractl.tools.table.quantities import (
     RADIANS,
@@ -21,6 +20,7 @@ from tetractl.tools.table.quantities import (
 from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.cells.helix import Piece
 from tetractl_microscope.handedness import handedness, wrong_sides
+from tetractl_microscope.one_recording import Span, clock_remark, refuse_times_apart
 
 STRENGTH = "strength"
 STRONGEST = 100.0  # greatest strength of a field, relative to the reference field

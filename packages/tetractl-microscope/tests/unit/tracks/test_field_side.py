@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 from tetractl_microscope.handedness import handedness
-from tetractl_microscope.tracks.field_file import read_field, side_remarks
-
-from tetractl.core.errors import UsageError
-from tetractl.replay.identification.sent_directions import (
+from tetractl_microscope.sent_directions import (
     AT_ONCE_S,
     check_directions,
     courses,
     other_readings,
 )
+from tetractl_microscope.tracks.field_file import read_field, side_remarks
+
+from tetractl.core.errors import UsageError
 
 pytestmark = pytest.mark.slow
 

@@ -10,7 +10,6 @@ and is fitted to each robot by least squares. The share of the turning that this
 for the directions that acted, and near 0 for others, unless these hardly change.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,14 +18,11 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats
-from tetractl.replay.identification.one_recording import (
+from tetractl_microscope.one_recording import (
     EXPLAINED,
-    SURELY_MORE,
     Reading,
     check_explained,
-    refuse_drift,
 )
 
 GRID_S = 0.05  # time step of the analysis
@@ -36,29 +32,15 @@ SHORTEST_S = 2.0  # least duration of a piece of a path
 STILL = 0.1  # turning rate [rad/s] that counts as unexplained in any case
 TURNS = 0.3
 """Deviation of turning rates from which robots do turn [rad/s]."""
-FOLLOWED = 0.25
-"""Share of their turns that directions explain at least of robots that follow them: .7 or more of
-simulated ones, .4 with 8 of 10 directions lost; .12 or less of directions of another in 20 s."""
 DELAYS_S = np.arange(21) / 10
 """Dead times that are tried [s]: up to the longest that `identify` finds."""
 AT_ONCE_S = np.arange(3) / 10
 """Those of a field to which no dead time is fitted [s]."""
-USUAL_S = np.arange(7) / 10
-"""Dead times that are usual [s]: of longer ones `identify` asks whether they are of one clock."""
 SHIFTS_S = np.arange(-100, 101) / 10
 """Differences of two clocks that are tried [s]."""
-DRIFTS_S = np.arange(-60, 61) / 20
-"""Delays by which it is seen whether a clock is fast [s]."""
 ENOUGH_S = 8.0
 """Time for which robots are seen, all together, below which chance explains much of their turning
 [s]."""
-EIGHTH = math.pi / 4
-OFF_EIGHTH = 0.3
-"""An eighth of a turn; and the deviation from two to four of them, by dead time and by magnets, of
-robots all of which turn to a direction that far off those sent [rad]."""
-AS_GOOD = 0.05
-"""By how much less of the turning directions that are rotated may explain than those that were sent
-after a longer time than usual: in a regular cycle one step later is a rotation."""
 COURSES_MAX = 20
 """Number of courses, the longest, that are enough to see which directions act."""
 COURSE_S = 120.0
@@ -134,18 +116,6 @@ def courses(paths: Sequence[Floats]) -> list[TurnedCourse]:
     return turned
 
 
-def courses_of_headings(times: Floats, headings: Floats) -> list[TurnedCourse]:
-    """Return the courses of a robot from its headings (K,) [rad] at times (K,) [s]: by their means
-    over SMOOTH steps."""
-    turned: list[TurnedCourse] = []
-    for piece in _pieces(np.column_stack([times, np.unwrap(headings)])):
-        times = np.arange(piece[0, 0], piece[-1, 0], GRID_S)
-        angle = np.interp(times, piece[:, 0], piece[:, 1])
-        means = np.convolve(angle, np.ones(SMOOTH) / SMOOTH, "valid")
-        turned.append(_course(times, means))
-    return turned
-
-
 def _course(times: Floats, angle: Floats) -> TurnedCourse:
     """Return the course of angles (K - SMOOTH,) that are each of SMOOTH steps between times."""
     return TurnedCourse(times[SMOOTH // 2 : SMOOTH // 2 + len(angle)], angle)
@@ -189,63 +159,6 @@ def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:
     longest = [course.at(begin) for course in by_length[:COURSES_MAX]]
     seen_s = sum(len(course.times) for course in longest) * GRID_S
     return longest if seen_s >= ENOUGH_S else []
-
-
-def check_rotation(
-    poses_file: str, source: str, turned: Sequence[TurnedCourse], sent: SentDirections
-) -> None:
-    """Raise UsageError if all robots turn to a direction a quarter turn or more off those of the
-    file `source`, and not towards these after a usual dead time: no robots are built so."""
-    longest = _longest(turned)
-    if not longest:
-        return
-    as_stated, _ = _best_delay(longest, sent, USUAL_S, towards)
-    late, _ = _best_delay(longest, sent, DELAYS_S, towards)
-    share, delay_s = _best_delay(longest, sent, USUAL_S, rotated)
-    if share < max(EXPLAINED, as_stated + SURELY_MORE, late - AS_GOOD):
-        return
-    _, vectors = turning_fit(longest, replace(sent, times=sent.times + delay_s).at)
-    mean_vector = np.sign(vectors).mean()
-    mean = float(np.angle(mean_vector))
-    eighths = round(abs(mean) / EIGHTH)
-    off = math.copysign(eighths * EIGHTH, mean)
-    deviations = np.abs(np.angle(vectors * np.exp(-1j * off)))
-    if eighths < 2 or deviations.max() > OFF_EIGHTH:
-        return
-    side = "left" if off > 0 else "right"
-    remedy = "add {} to" if off > 0 else "take {} off"
-    raise UsageError(
-        f"{poses_file}: robots turn to directions {45 * eighths} degrees to the {side} of those "
-        f"of {source}",
-        "do directions or headings count from another axis than +x? "
-        f"{remedy.format(f'{abs(off):.3f} rad')} the directions",
-    )
-
-
-def check_clock_rate(source: str, turned: Sequence[TurnedCourse], sent: SentDirections) -> None:
-    """Raise UsageError if directions act later and later: the clock of their file is slow, or fast.
-
-    Of recordings in whose thirds robots are seen for less than ENOUGH_S nothing is known.
-    """
-    if not turned:
-        return
-    begin_s = min(float(course.times[0]) for course in turned)
-    third_s = (max(float(course.times[-1]) for course in turned) - begin_s) / 3
-    if third_s < ENOUGH_S:
-        return
-    shares = np.zeros((3, len(DRIFTS_S)))
-    for third, of_third in enumerate(shares):
-        from_s = begin_s + third * third_s
-        part = [
-            course.at((course.times >= from_s) & (course.times < from_s + third_s))
-            for course in turned
-        ]
-        long_enough = [course for course in part if len(course.times) > 2 * SMOOTH][:COURSES_MAX]
-        for i, delay_s in enumerate(DRIFTS_S.tolist()):
-            field = replace(sent, times=sent.times + delay_s).at
-            if long_enough:
-                of_third[i], _ = turning_fit(long_enough, field)
-    refuse_drift(source, shares, DRIFTS_S, 2 * third_s)
 
 
 def image(

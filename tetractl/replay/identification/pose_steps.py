@@ -1,0 +1,70 @@
+"""Steps between the measured poses of a robot, and regressions that outliers do not move."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tetractl.core.poses import Bools, Floats, wrap
+
+DEVIATIONS_ROUNDS = 20
+LEAST_DEVIATION = 1e-4
+"""Rounds of `robust_gains`, and the minimum deviation in them, relative to the mean measurement."""
+
+Complex = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSteps:
+    """The S steps from each pose of a robot to the next one.
+
+    Attributes:
+        duration_s: Duration of each step, shape (S,) [s].
+        moved: Distance travelled in each step, shape (S,) [length unit]. The real part points along
+            the mean heading of the step, the imaginary part to its left. The distance is that of an
+            arc that turns as far as the robot did.
+        turned: Change of the heading in each step, shape (S,) [rad].
+    """
+
+    duration_s: Floats
+    moved: Complex
+    turned: Floats
+
+    @classmethod
+    def between(cls, times: Floats, poses: Floats) -> "PoseSteps":
+        """Compute the steps between poses, shape (S + 1, 3), at times, shape (S + 1,) [s]."""
+        x, y, heading = poses.T
+        turned = np.asarray(wrap(np.diff(heading)), dtype=np.float64)
+        chord_of_arc = np.sinc(turned / (2 * np.pi))
+        moved = np.diff(x + 1j * y) * np.exp(-1j * (heading[:-1] + turned / 2)) / chord_of_arc
+        return cls(np.diff(times), moved, turned)
+
+    @classmethod
+    def together(cls, parts: Sequence["PoseSteps"]) -> "PoseSteps":
+        """Join the steps of several tracks, one after another."""
+        return cls(
+            np.concatenate([part.duration_s for part in parts]),
+            np.concatenate([part.moved for part in parts]),
+            np.concatenate([part.turned for part in parts]),
+        )
+
+    def at(self, rows: Bools) -> "PoseSteps":
+        """Select some of the steps."""
+        return PoseSteps(self.duration_s[rows], self.moved[rows], self.turned[rows])
+
+
+def robust_gains(measured: NDArray[np.inexact], causes: Floats) -> NDArray[np.inexact]:
+    """Fit measurements (S,) as a sum of causes (S, K) with the least sum of absolute deviations.
+
+    Returns:
+        The gains, shape (K,), found by least squares that are weighted again and again.
+    """
+    scale = np.abs(causes).sum(axis=0) + 1e-300
+    scaled = causes / scale
+    least = LEAST_DEVIATION * np.abs(measured).mean() + 1e-300
+    gains = np.linalg.lstsq(scaled, measured)[0]
+    for _ in range(DEVIATIONS_ROUNDS):
+        weight = np.maximum(np.abs(measured - scaled @ gains), least) ** -0.5
+        gains = np.linalg.lstsq(scaled * weight[:, None], measured * weight)[0]
+    return gains / scale

@@ -1,0 +1,98 @@
+"""How far robots turn between two poses, and how far the directions that were sent ask them to.
+
+Half of the poses give the turns, those between them the headings of the sine: noise that both had
+would look like a lag.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl.replay.identification.pose_steps import Complex
+from tetractl.replay.identification.tracks import SETTLED_S, Track, rows_apart
+
+GRID_S = 0.01
+"""Time step of the integrals [s]."""
+TURN_S = 0.05
+"""Minimum duration of a turn [s]."""
+GAP_S = 0.3
+GAP = 2.2
+"""A turn is left out, since the robot was not seen, if it lasts GAP_S [s] or more, and GAP times
+the median time between two of its poses."""
+
+
+@dataclass(frozen=True, slots=True)
+class Turns:
+    """The turns of a robot in a track.
+
+    Attributes:
+        begin: Begin of each turn, shape (K,) [s].
+        end: End of each turn, shape (K,) [s].
+        angle: Angle of each turn, shape (K,) [rad].
+        grid: Times from the first turn to the last, shape (G + 1,) [s].
+        heading: Headings at these times, shape (G + 1,) [rad].
+        when: Times at which directions were sent, shape (C,) [s].
+        u: These directions, shape (C,) [rad].
+    """
+
+    begin: Floats
+    end: Floats
+    angle: Floats
+    grid: Floats
+    heading: Floats
+    when: Floats
+    u: Floats
+
+    @classmethod
+    def of(cls, track: Track, robot: int) -> "Turns":
+        """Return the turns of a robot from where it drives until the stop."""
+        times = track.exposed[:, robot]
+        drives = (times >= track.sent[0] + SETTLED_S) & (times <= track.until)
+        is_used = drives & track.valid[:, robot]
+        times = times[is_used]
+        headings = np.unwrap(track.poses[is_used, robot, 2])
+        rows = rows_apart(times[::2], TURN_S)
+        ends = times[::2][rows]
+        turned = np.diff(headings[::2][rows])
+        is_seen = (
+            np.diff(ends) < max(GAP_S, GAP * float(np.median(np.diff(times[::2]))))
+            if len(ends) > 1
+            else np.zeros(0, dtype=np.bool_)
+        )
+        grid = np.arange(ends[0], ends[-1] + GRID_S, GRID_S) if len(ends) else np.zeros(1)
+        return cls(
+            begin=ends[:-1][is_seen],
+            end=ends[1:][is_seen],
+            angle=turned[is_seen],
+            grid=grid,
+            heading=np.interp(grid, times[1::2], headings[1::2]) if len(rows) > 1 else grid,
+            when=track.sent,
+            u=track.u,
+        )
+
+    def asked(self, lag_s: float, dead_time_s: float) -> Complex:
+        """Return the integrals of exp(i (u - h)) over the turns (K,), after a lag and dead time."""
+        middle = 0.5 * (self.heading[:-1] + self.heading[1:])
+        pull = np.diff(self._sent_until(self.grid - dead_time_s)) * np.exp(-1j * middle)
+        if lag_s > 0:  # wheels follow the pull, which is even within a step of the grid
+            from scipy.signal import lfilter  # slow to import, and only needed here
+
+            decay = np.exp(-GRID_S / lag_s)
+            share = (1 - decay) / 2
+            pull = lfilter([share, share], [1, -decay], pull)
+        pulled = np.concatenate([[0], np.cumsum(pull)])
+        until_end = np.interp(self.end, self.grid, pulled)
+        until_begin = np.interp(self.begin, self.grid, pulled)
+        return np.asarray(until_end - until_begin, dtype=np.complex128)
+
+    def _sent_until(self, times: Floats) -> Complex:
+        """Return the integrals of exp(i u) over what was sent until some times (G + 1,) [s].
+
+        Each direction counts until the next one, the first one before its time, too.
+        """
+        sent = np.exp(1j * self.u)
+        until_sent = np.concatenate([[0], np.cumsum(np.diff(self.when) * sent[:-1])])
+        newest = np.maximum(np.searchsorted(self.when, times, side="right") - 1, 0)
+        until_times = until_sent[newest] + (times - self.when[newest]) * sent[newest]
+        return np.asarray(until_times, dtype=np.complex128)

@@ -1,0 +1,92 @@
+"""What to say of fitted values that are outside the usual range, or that the data do not determine.
+
+Values are printed as they are. A sentence states which are unusual; it names no cause.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+
+from tetractl.core.errors import printable
+from tetractl.replay.identification.explained import CHECKLIST
+from tetractl.replay.identification.fit import SampleInterval
+
+USUAL = {
+    "dead_time": (0.0, 0.6),
+    "a": (0.05, 50.0),
+    "turning_gain": (0.5, 2.0),
+    "speed_gain": (0.5, 2.0),
+    "heading_bias": (-math.pi / 4, math.pi / 4),
+    "heading_offset": (-0.2, 0.2),
+}
+"""Usual ranges of values, in the units of the tables."""
+GAINS = ("turning_gain", "speed_gain")
+REACH_MOST = {"dead_time": 0.3, "turning_gain": 0.5, "speed_gain": 0.5}
+"""Half width of an interval above which the data do not determine the value; times the value if
+that is above 1."""
+
+Values = Mapping[str, SampleInterval]
+
+
+def is_determined(name: str, value: SampleInterval) -> bool:
+    """Decide whether the data determine a value: its interval has ends, not too far apart."""
+    if math.isnan(value.low):
+        return True  # its interval is not stated
+    reach = max(value.high - value.value, value.value - value.low)
+    most = REACH_MOST.get(name, math.inf) * max(1.0, abs(value.value))
+    return reach <= most and math.isfinite(reach)
+
+
+def may_be_usual(name: str, value: SampleInterval) -> bool:
+    """Decide whether the interval of a value contains usual values."""
+    low, high = USUAL[name]
+    return value.low <= high and value.high >= low
+
+
+def _is_unusual(name: str, value: SampleInterval, low: float, high: float) -> bool:
+    """Decide whether a value is outside a range: a gain by itself, others with their intervals."""
+    if name in GAINS or math.isnan(value.low):
+        return not low <= value.value <= high
+    return value.high < low or value.low > high
+
+
+def unusual_values(
+    robots: Sequence[tuple[str, Values]], usual: Mapping[str, tuple[float, float]] = USUAL
+) -> str:
+    """State in one sentence which values are outside their usual ranges; "" if none is.
+
+    Args:
+        robots: The values of each robot, by name.
+        usual: The usual ranges.
+    """
+    said: list[str] = []
+    for name, values in robots:
+        for quantity, (low, high) in usual.items():
+            value = values.get(quantity)
+            if value is None or not _is_unusual(quantity, value, low, high):
+                continue
+            if not is_determined(quantity, value):
+                continue
+            what = f"{quantity.replace('_', ' ')} of {printable(name)} is {value.value:.3g}"
+            said.append(f"{what} (usual: {low:.3g} to {high:.3g})")
+    return f"{'; '.join(said)}: {CHECKLIST}" if said else ""
+
+
+def undetermined_values(robots: Sequence[tuple[str, Values]], names: Sequence[str]) -> str:
+    """State in one sentence which values the data do not determine; "" if they determine all.
+
+    Args:
+        robots: The values of each robot, by name.
+        names: The values that are asked for.
+    """
+    said: list[str] = []
+    for robot, values in robots:
+        missing = [name for name in names if not is_determined(name, values[name])]
+        if missing:
+            listed = ", ".join(name.replace("_", " ") for name in missing)
+            said.append(f"{listed} of {printable(robot)}")
+    if not said:
+        return ""
+    return (
+        f"these data do not determine {'; '.join(said)}: change speed and turning rate often, and "
+        "turn to both sides"
+    )

@@ -1,8 +1,7 @@
 """Estimates the speed, the turning rate and the bias of each tracked cell, with 95 % intervals.
 
-The filter of `cells.helix` runs over each track, from the likeliest of some helices and headings.
-Newton steps find the likeliest noise of the cell. A second pass starts from the smoothed state of
-the first pass, if that is likelier.
+The filter of `cells.helix` runs over each track, from the likeliest of some helices and headings. A
+second pass starts from the smoothed state of the first pass, if that is likelier.
 """
 
 import math
@@ -14,14 +13,13 @@ from typing import Any, Self
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.replay.identification.fit import NORMAL, SampleInterval, newton_step
+from tetractl.replay.identification.fit import NORMAL, SampleInterval
 from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, Piece, new_cell
 from tetractl_microscope.cells.kernels.helix_path import likelihoods, smooth
 from tetractl_microscope.cells.kernels.helix_steps import (
     BIAS,
     DELAY,
-    EXACT,
     FLOW_X,
     FLOW_Y,
     HEADING,
@@ -47,12 +45,10 @@ START = 5  # minimum number of places for that
 RATES = (0.4, 0.6, 0.84, 1.12, 1.4)
 RATES_SD = 0.28
 ASIDE = (-0.6, 0.0, 0.6)
-# usual noise as a multiple of a live cell's: walk of the heading; noise of places; walks of the
-# speed, and of position and helix
-USUAL = np.array([1.0, 1.0, 4.0, 0.5])
+# noise as a multiple of a live cell's: walks of the speed, and of position and helix
+SPEED_WALK = 4.0
+PLACE_WALK = 0.5
 NO_AXIS = 1e3  # deviation of the body's axis, which a place does not show [rad]
-SPREAD = 1.0  # standard deviation of ln of the noise among cells
-ROUNDS = 3
 FROM_0 = [FLOW_X, FLOW_Y, DELAY, WAY]  # states that a second pass does not know beforehand
 ORDER = 6  # differences of so many successive places leave little of a track but its noise
 DIFFERENCED = math.comb(2 * ORDER, ORDER)  # their variance, over that of independent places
@@ -200,6 +196,9 @@ class _Measured:
         mean, covariance, model = new_cell(organism, field is not None)
         mean[[X, Y, HEADING, SPEED]] = x, y, math.atan2(vy, vx), math.hypot(vx, vy)
         covariance[[FLOW_X, FLOW_Y], [FLOW_X, FLOW_Y]] = NO_FLOW_UM_S**2
+        model[SPEED] *= SPEED_WALK
+        model[[X, Y, C, S]] *= PLACE_WALK
+        model[[A, BIAS]] = 0.0
         pieces_of = no_field if field is None else field.pieces
         pieces = list[Piece]()
         first = [0, 0]
@@ -209,23 +208,13 @@ class _Measured:
         field_of = np.array(pieces).reshape(-1, 3), np.array(first)
         return cls(values, deviations, *field_of, mean, covariance, model)
 
-    def models(self, noise: Floats) -> Floats:
-        """Return the numbers (V, 12) of models by ln of the noise (V, 4) over the usual one."""
-        models = np.tile(self.model, (len(noise), 1))
-        models[:, [HEADING, EXACT, SPEED]] *= (USUAL * np.exp(noise))[:, :3]
-        models[:, [X, Y, C, S]] *= (USUAL * np.exp(noise))[:, 3:]
-        models[:, [A, BIAS]] = 0.0
-        return models
-
-    def likelihood(self, noise: Floats, mean: Floats) -> Floats:
-        """Return ln of the likelihood (V,) of V variants of ln of the noise (V, 4) over the usual
-        one, and of the first state (V, n).
-        """
-        totals = np.empty(len(noise))
+    def likelihood(self, mean: Floats) -> Floats:
+        """Return ln of the likelihood (V,) of V variants of the first state (V, n)."""
+        totals = np.empty(len(mean))
         likelihoods(
             mean.copy(),
             self.covariance,
-            self.models(noise),
+            np.tile(self.model, (len(mean), 1)),
             self.values,
             self.deviations,
             self.pieces,
@@ -235,11 +224,10 @@ class _Measured:
         return totals
 
     def smoothed(
-        self, noise: Floats, mean: Floats, start: int = 0, end: int | None = None
+        self, mean: Floats, start: int = 0, end: int | None = None
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Return the last state (n,), its covariance (n, n), and all states (K, n) and bodies
-        (K, 3) given all images from `start` to `end`, for ln of the noise (4,) over the usual one
-        and a first state (n,).
+        (K, 3) given all images from `start` to `end`, for a first state (n,).
         """
         last = mean.copy()
         values = self.values[start:end]
@@ -250,7 +238,7 @@ class _Measured:
         covariance = smooth(
             last,
             self.covariance,
-            self.models(noise[None])[0],
+            self.model,
             values,
             self.deviations[start:end],
             self.pieces,
@@ -288,28 +276,20 @@ class _Fit:
         starts = np.tile(table.mean, (len(RATES) * len(ASIDE), 1))
         starts[:, RATE] *= np.repeat(RATES, len(ASIDE))
         starts[:, HEADING] += np.tile(ASIDE, len(RATES))
-        usual_noise = np.zeros((len(starts), len(USUAL)))
-        likely = table.likelihood(usual_noise, starts)
+        likely = table.likelihood(starts)
         likely -= ((starts[:, RATE] / table.mean[RATE] - 1) / RATES_SD) ** 2 / 2
         mean = starts[likely.argmax()]
-        noise = np.zeros((1, len(USUAL)))
-
-        def likelihood(tried: Floats) -> Floats:
-            return table.likelihood(tried[0], np.tile(mean, (tried.shape[1], 1)))[None]
-
-        for _ in range(ROUNDS):
-            noise, _ = newton_step(likelihood, noise, SPREAD)
-        second = table.smoothed(noise[0], mean)[2][0]
+        second = table.smoothed(mean)[2][0]
         second[FROM_0] = 0.0
         tried = np.array([mean, second])  # the second pass may lose a cell that turned by itself
-        mean = tried[table.likelihood(np.tile(noise, (2, 1)), tried).argmax()]
-        last, covariance, states, bodies = table.smoothed(noise[0], mean)
+        mean = tried[table.likelihood(tried).argmax()]
+        last, covariance, states, bodies = table.smoothed(mean)
         parts = max(1, int(table.pieces[:, 0].sum() / BLOCK_S))
         ends = np.linspace(0, len(states), parts + 1).astype(int)
         misfit = 0.0
         for start, end in pairwise(ends.tolist()):
             first_state = states[start] if start else mean
-            part, spread, _, _ = table.smoothed(noise[0], first_state, start, end)
+            part, spread, _, _ = table.smoothed(first_state, start, end)
             misfit += (part[A] - last[A]) ** 2 / spread[A, A]
         sd = np.sqrt(np.diagonal(covariance))
         return cls(last, sd, states, bodies, misfit, parts - 1)

@@ -8,28 +8,19 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from oracles import bank as oracle
-from oracles.filter import RobotFilter
 from support.built_disturbance import BuiltSection
 from support.paths import ROOT
 
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.filter import FilterBank
-from tetractl.control.kernels import filter as kernel
 from tetractl.control.kernels.filter_state import (
     FLOW_X,
     FLOW_Y,
-    FOLLOWS,
     HEADING,
-    LN_SATURATION,
-    LOG_FOLLOWS,
     TURN_BIAS,
-    Bank,
-    PoseFrames,
-    SentCommands,
     X,
     Y,
 )
-from tetractl.control.prior import Prior, Sticks
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer, Stop
 from tetractl.core.motion_estimate import Estimate
@@ -393,137 +384,6 @@ def test_a_single_wrong_pose_is_an_outlier_and_a_lasting_one_a_jump():
     estimate, plant, estimator = drive(NOISY, altered=jump)
     assert estimate.speed == pytest.approx(plant.setup.speed, rel=0.01)
     assert likely(estimator.filter)[:, X] == pytest.approx(plant.poses.x + 150, abs=5)
-
-
-DEAD_TIME_S = 0.1
-UNCERTAIN_S = 0.02
-"""Step of a grid of dead times, by which their time is uncertain."""
-
-
-def one_robot(lag, watchdog, helix_radius):
-    """The prior of a robot of which all is uncertain: on wheels, or a cell with a helix."""
-    return Prior(
-        a=np.array([4.0]),
-        speed=np.array([300.0]),
-        dead_time=DEAD_TIME_S,
-        a_std=0.2,
-        speed_std=0.15,
-        dead_time_std=1e-9,
-        heading_bias_std=0.05,
-        marker_bias_std=0.05,
-        flow_std=10,
-        position_noise=5,
-        heading_noise=0.05,
-        helix_frequency=1.5,
-        helix_radius=helix_radius,
-        lag=lag,
-        watchdog=watchdog,
-        side_std=0.1,
-        sticks=Sticks(every_s=6, for_s=1, strays=60, turns=1),
-    )
-
-
-def one_filter(filters, follows):
-    """The bank of a single filter of a robot, with `follows` hypotheses of one that drives: of a
-    cell whose helix has an unusual frequency, or of wheels that saturate."""
-    bank = filters.bank
-    if filters.prior.helix_radius == 0:
-        filter_row = [0]
-        bank.state[..., LN_SATURATION] = math.log(0.6)
-        bank.cov[..., LN_SATURATION, LN_SATURATION] = 0.3**2
-    else:
-        filter_row = [1]
-    bank = bank._make(column[filter_row] for column in bank)
-    if follows > FOLLOWS:
-        mean = bank.state[:, :, 0]
-        std = np.sqrt(bank.cov[0, :, 0].diagonal(axis1=1, axis2=2))
-        bank = Bank.start(bank.dead_time_s[:, 0], mean, std, bank.group[:, 0], follows)
-    bank.dead_time_s[:] = DEAD_TIME_S
-    return bank
-
-
-def advance_all(readable, seconds):
-    """Let all hypotheses of the readable filter go on."""
-    for hypothesis in filter(None, readable.slots):
-        readable.advance(hypothesis, seconds)
-
-
-def follow_readably(readable, let_act, commands, before_s, now_s):
-    """Let the readable filter go on from one frame to the next, and the commands act that act in
-    between by `let_act`, one of its methods."""
-    reached_s = before_s
-    for acts_s, direction in zip(commands.sent_s + DEAD_TIME_S, commands.directions, strict=True):
-        if before_s < acts_s <= now_s:
-            advance_all(readable, acts_s - reached_s)
-            let_act(float(direction), UNCERTAIN_S)
-            reached_s = acts_s
-    advance_all(readable, now_s - reached_s)
-
-
-def assert_hypotheses_agree(bank, readable):
-    """The bank's only filter has the hypotheses of the readable one."""
-    states = bank.cov.shape[-1]  # the readable filter has those of cells for wheels, too
-    for slot, hypothesis in enumerate(readable.slots):
-        weight = bank.ln_weight[0, 0, slot]
-        assert (hypothesis is None) == np.isneginf(weight)
-        if hypothesis is not None:
-            assert weight == pytest.approx(hypothesis.ln_weight, abs=1e-6)
-            assert bank.state[0, 0, slot] == pytest.approx(hypothesis.z, rel=1e-6, abs=1e-6)
-            cov = hypothesis.cov[:states, :states]
-            assert bank.cov[0, 0, slot] == pytest.approx(cov, rel=1e-5, abs=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("lag", "watchdog", "follows", "helix_radius"),
-    [
-        (0.0, math.inf, FOLLOWS, 8),
-        (0.04, math.inf, FOLLOWS, 8),
-        (0.04, 0.15, FOLLOWS, 8),
-        (0.0, math.inf, LOG_FOLLOWS, 8),
-        (0.0, math.inf, FOLLOWS, 0),
-        (0.04, math.inf, FOLLOWS, 0),
-    ],
-)
-def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog, follows, helix_radius):
-    """A pose that wanders, 30 times a second and not seen in each seventh frame, and five random
-    commands a second: weights, states and covariances agree after each frame."""
-    rng = np.random.default_rng(5)
-    filters = FilterBank(one_robot(lag, watchdog, helix_radius))
-    hold = (0.03, 1.2e-3, 6e-5) if lag else (0.0, 0.0, 0.0)
-    model = filters.model._replace(hold=hold, branch_all=follows == LOG_FOLLOWS)
-    bank = one_filter(filters, follows)
-    pose = np.array([10.0, 20.0, 3.1])
-    no_commands = SentCommands(np.empty(0), np.empty(0))
-    kernel.place(bank, model, no_commands, np.zeros(1), pose[None], np.array([True]))
-    readable = RobotFilter(model, 0, bank.state[0, 0, 0], bank.cov[0, 0, 0], follows)
-    let_act = readable.branch if follows > FOLLOWS else readable.switch
-
-    directions = rng.uniform(-2, 2, 8)
-    directions[5] = math.nan  # a stop
-    commands = SentCommands(sent_s=0.2 * np.arange(8) + 0.013, directions=directions)
-    before_s = 0.0
-    for frame in range(1, 50):
-        now_s = frame / 30
-        pose = pose + rng.normal(0, [4, 4, 0.03])
-        pose[HEADING] = math.remainder(pose[HEADING], math.tau)
-        is_seen = frame % 7 > 0
-
-        bank.score[:] = 0.0
-        frames = PoseFrames(
-            time_s=np.array([[before_s], [now_s]]),
-            poses=np.stack([0 * pose, pose])[:, None],
-            valid=np.array([[False], [is_seen]]),
-        )
-        kernel.follow(bank, model, commands, frames, False, UNCERTAIN_S)
-
-        follow_readably(readable, let_act, commands, before_s, now_s)
-        if is_seen:
-            assert math.isfinite(readable.weigh(pose))
-        readable.stick(now_s - before_s)
-
-        assert_hypotheses_agree(bank, readable)
-        before_s = now_s
-    assert bank.noise_scale[0, 0] == pytest.approx(readable.scale, rel=1e-6)
 
 
 @pytest.mark.parametrize("spec", [EXPERIMENT, CELLS])

@@ -1,4 +1,8 @@
-"""Compiled versions ("twins") of readable code in `control`; tests check that the two agree.
+"""Compiled code of `control`: searches and filters.
+
+Searches are written for speed and have a readable twin, and tests check that the two agree. The
+filters are written with the matrices of their equations, and tests compare each step with textbook
+formulas and integrated equations of motion.
 
 Particles are contiguous in memory: arrays of signals have shape (L, P), arrays of positions (N, P).
 A kernel is a loop over the particles of one robot that the compiler turns into vector instructions:

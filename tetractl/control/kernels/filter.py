@@ -27,7 +27,7 @@ and adds ln L to the filter's score, which is how well its tau does.
 Symbols: b is a filter, i a robot, s a slot, and f a frame; u is a direction [rad], NaN to stand. A
 time ends with `_s`: seconds on the clock of frames and commands, whose orders are those of their
 times. The arrays of the bank and its hypotheses are changed in place. Shapes and units are those of
-`filter_state`. `tests/oracles/filter.py` computes the same with whole matrices, to be read.
+`filter_state`.
 """
 
 import math
@@ -35,7 +35,7 @@ import math
 import numpy as np
 
 from tetractl.control.kernels.elementary import cos, exp, log, sin
-from tetractl.control.kernels.filter_measure import DEPENDS_ON, measure
+from tetractl.control.kernels.filter_measure import measure
 from tetractl.control.kernels.filter_motion import advance, parameters_of, stands, turn_rate
 from tetractl.control.kernels.filter_state import (
     ACROSS,
@@ -263,7 +263,7 @@ def _predict_one(hypotheses, s, model, i, noise_scale, begin_s, end_s, scratch):
     standing = (math.nan, end_s - stops_s)
     for u, seconds in (driving, standing):
         if seconds > 0:
-            advance(model, i, z, cov, u, noise_scale, seconds, scratch.products)
+            advance(model, i, z, cov, u, noise_scale, seconds, scratch)
 
 
 # ---- a command acts: hypotheses branch ----
@@ -693,12 +693,13 @@ def _least_likely(ln, count):
 def _scratch(states):
     """Return room for predictions and updates of hypotheses with some number of states."""
     return FilterScratch(
-        products=np.empty((3, states)),
+        jacobian=np.eye(states),
+        product=np.empty((states, states)),
         p_h=np.empty(states),
         expected=np.empty(3),
         off=np.empty(3),
         variance=np.empty(3),
-        slopes=np.zeros(DEPENDS_ON.shape),
+        slopes=np.zeros((3, states)),
         innovation=np.zeros(3),
         likeliest_innovation=np.zeros(3),
     )

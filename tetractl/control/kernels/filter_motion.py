@@ -2,11 +2,10 @@
 
 A robot that follows a direction u moves for a short time t [s] by
 
-    z <- f(z, u, t),    P <- F P F' + Q t,    F = df/dz = 1 + S,
+    z <- f(z, u, t),    P <- F P F' + Q t,    F = df/dz.
 
-where S has rows only for the states that move: x, y and the heading, and the helix of a cell. The
-motion's own step f and its slopes are those of the planner (`tetractl.model.motion.exact`), with
-the turning rate of `tetractl.model.motion.turn_rate`.
+The motion's own step f and its slopes are those of the planner (`tetractl.model.motion.exact`),
+with the turning rate of `tetractl.model.motion.turn_rate`.
 
 Wheels that lag by T have a swing r, their turning rate over a, and a pace g, their speed over v.
 They would come to rest in the heading theta + T a r. That heading follows (3), and in a short time
@@ -84,10 +83,18 @@ def parameters_of(model, i, z):
 
 
 @compiled(**INLINE_FAST)
-def advance(model, i, z, cov, u, noise_scale, seconds, products):
-    """Predict the state z and the covariance of robot i under the direction u [rad], NaN for none.
+def advance(model, i, z, cov, u, noise_scale, seconds, scratch):
+    """Predict the state z and the covariance P of robot i that follows the direction u.
 
-    Without a covariance, None, the compiler leaves out what it needs. `products` (3, n) is scratch.
+    Args:
+        model: What is assumed of the robots, a `FilterModel`.
+        i: The robot.
+        z: Its state (STATES,), which changes.
+        cov: P (n, n), which changes. With None, only the state is predicted.
+        u: The direction [rad]; NaN if the robot is to stand.
+        noise_scale: Ratios (2,) of the bank; None if `cov` is None.
+        seconds: How long the robot moves [s].
+        scratch: A `FilterScratch` whose `jacobian` began as the unit matrix; None if `cov` is None.
     """
     drives = not stands(u)
     if not drives and (model.lag_s == 0 or z[PACE] < STILL_PACE):
@@ -109,14 +116,12 @@ def advance(model, i, z, cov, u, noise_scale, seconds, products):
         remaining -= t
         derivatives = _step(model, z, drives, cos_u, sin_u, parameters, t)
         _move(z, derivatives, t)
-        if cov is not None:
-            _spread(cov, products, derivatives, t)
+        angle = t * helix_rad_s
         if helix_rad_s > 0:
-            angle = t * helix_rad_s
             _turn_helix(z, angle)
-            if cov is not None:
-                _spread_helix(z, cov, products, angle)
         if cov is not None:
+            _fill_jacobian(scratch.jacobian, derivatives, z, angle, t)
+            _propagate(cov, scratch.jacobian, scratch.product)
             _add_walk(model, i, cov, noise_scale, t)
             if cov[HEADING, HEADING] > UNKNOWN_HEADING:
                 _bound_heading(cov)
@@ -187,42 +192,6 @@ def _move(z, derivatives, t):
 
 
 @compiled(**INLINE_FAST)
-def _spread(cov, products, derivatives, t):
-    """Replace P by (1 + S) P (1 + S)', where S has rows for x, y and heading.
-
-    With M = S P this is P + M S' + M + M'. `products` (3, n) takes the rows of M.
-    """
-    for k in range(cov.shape[0]):
-        dx, dy, turn = _change(cov[:, k], derivatives, t)
-        products[X, k] = dx
-        products[Y, k] = dy
-        products[HEADING, k] = turn
-    for j in range(HEADING + 1):
-        dx, dy, turn = _change(products[j], derivatives, t)
-        cov[X, j] += dx
-        cov[Y, j] += dy
-        cov[HEADING, j] += turn
-    _add_with_transposed(cov, products, X, HEADING + 1)
-
-
-@compiled(**INLINE_FAST)
-def _change(dz, derivatives, t):
-    """Return the changes S dz of x, y and heading for a small change dz (n,) of the state."""
-    _, (x_heading, y_heading, _), (x_u, y_u, turn_u), by_parameters = derivatives
-    heading = dz[HEADING]
-    u = dz[TURN_BIAS]
-    dx = x_heading * heading + x_u * u
-    dy = y_heading * heading + y_u * u
-    turn = turn_u * (u - heading)
-    for p in range(len(by_parameters)):
-        x_p, y_p, turn_p = by_parameters[p]
-        dx += x_p * dz[LN_A + p]
-        dy += y_p * dz[LN_A + p]
-        turn += turn_p * dz[LN_A + p]
-    return dx + t * dz[FLOW_X], dy + t * dz[FLOW_Y], turn
-
-
-@compiled(**INLINE_FAST)
 def _turn_helix(z, angle):
     """Turn the helix: p' = p cos + q sin, q' = q cos - p sin."""
     c = cos(angle)
@@ -234,44 +203,48 @@ def _turn_helix(z, angle):
 
 
 @compiled(**INLINE_FAST)
-def _spread_helix(z, cov, products, angle):
-    """Replace P by (1 + S) P (1 + S)', where S has rows for the helix's sine and cosine.
+def _fill_jacobian(jacobian, derivatives, z, angle, t):
+    """Fill F = df/dz (n, n) of a step of t [s], given its `Derivatives` and the state z after it.
 
-    They change by the angle w t, whose slope by ln w is the angle.
+    The helix has turned by `angle` [rad], whose slope by ln w is the angle. Only entries that may
+    differ from those of the unit matrix are written.
     """
-    cos_less_1 = cos(angle) - 1
-    s = sin(angle)
-    sine_w = angle * z[HELIX_COSINE]
-    cosine_w = -angle * z[HELIX_SINE]
-    for k in range(cov.shape[0]):
-        p = cov[HELIX_SINE, k]
-        q = cov[HELIX_COSINE, k]
-        ln_w = cov[LN_FREQUENCY, k]
-        products[0, k] = cos_less_1 * p + s * q + sine_w * ln_w
-        products[1, k] = cos_less_1 * q - s * p + cosine_w * ln_w
-    for j in range(2):
-        p = products[j, HELIX_SINE]
-        q = products[j, HELIX_COSINE]
-        ln_w = products[j, LN_FREQUENCY]
-        cov[HELIX_SINE, HELIX_SINE + j] += cos_less_1 * p + s * q + sine_w * ln_w
-        cov[HELIX_COSINE, HELIX_SINE + j] += cos_less_1 * q - s * p + cosine_w * ln_w
-    _add_with_transposed(cov, products, HELIX_SINE, HELIX_COSINE + 1)
+    _, by_heading, by_u, by_parameters = derivatives
+    for row in range(HEADING + 1):  # x, y and the heading
+        jacobian[row, HEADING] = by_heading[row]
+        jacobian[row, TURN_BIAS] = by_u[row]
+        for p in range(len(by_parameters)):
+            jacobian[row, LN_A + p] = by_parameters[p][row]
+    jacobian[X, FLOW_X] = t
+    jacobian[Y, FLOW_Y] = t
+    if angle > 0:
+        c = cos(angle)
+        s = sin(angle)
+        jacobian[HELIX_SINE, HELIX_SINE] = c
+        jacobian[HELIX_SINE, HELIX_COSINE] = s
+        jacobian[HELIX_SINE, LN_FREQUENCY] = angle * z[HELIX_COSINE]
+        jacobian[HELIX_COSINE, HELIX_SINE] = -s
+        jacobian[HELIX_COSINE, HELIX_COSINE] = c
+        jacobian[HELIX_COSINE, LN_FREQUENCY] = -angle * z[HELIX_SINE]
 
 
 @compiled(**INLINE_FAST)
-def _add_with_transposed(cov, products, first, end):
-    """Add M + M' to P, where M has rows only for the states `first` to `end`, `products`; P stays
-    symmetric to the last bit."""
+def _propagate(cov, jacobian, product):
+    """Replace P by F P F', symmetric to the last bit. `product` (n, n) takes F P."""
     states = cov.shape[0]
-    for j in range(first, end):
+    for j in range(states):
         for k in range(states):
-            cov[j, k] += products[j - first, k]
-        for k in range(first, end):
-            cov[k, j] += products[j - first, k]
-    for j in range(first, end):
-        for k in range(states):
-            if k < first or k > j:
-                cov[k, j] = cov[j, k]
+            product[j, k] = 0.0
+        for m in range(states):
+            for k in range(states):
+                product[j, k] += jacobian[j, m] * cov[m, k]
+    for j in range(states):
+        for k in range(j + 1):
+            total = 0.0
+            for m in range(states):
+                total += product[j, m] * jacobian[k, m]
+            cov[j, k] = total
+            cov[k, j] = total
 
 
 @compiled(**INLINE_FAST)

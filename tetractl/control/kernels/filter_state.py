@@ -292,8 +292,10 @@ class Hypotheses(NamedTuple):
 class FilterScratch(NamedTuple):
     """Room for the numbers of one prediction and one update of a hypothesis."""
 
-    products: Floats
-    """(3, n) rows of a product with the covariance"""
+    jacobian: Floats
+    """(n, n) F, the slopes of a step"""
+    product: Floats
+    """(n, n) F P"""
     p_h: Floats
     """(n,) P H' of one measured number"""
     expected: Floats
@@ -303,7 +305,7 @@ class FilterScratch(NamedTuple):
     variance: Floats
     """(3,) variances of the measured numbers"""
     slopes: Floats
-    """(3, 5) slopes of the measured numbers"""
+    """(3, n) H, the slopes of the measured numbers"""
     innovation: Floats
     """(3,) of one hypothesis"""
     likeliest_innovation: Floats

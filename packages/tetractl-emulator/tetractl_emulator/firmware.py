@@ -108,12 +108,6 @@ def _build(codes: list[Path], path: Path) -> None:
         built.replace(path)  # atomic: other processes see the complete file or none
 
 
-KEPT_MS = 20
-"""How far ahead a copy of a core is asked for its speeds [ms]."""
-MUTE_MS = 1000
-"""How far ahead a copy of a core is asked for its reply [ms]."""
-
-
 class CoreEvent(IntEnum):
     """The result of reading a byte: the kind of frame that the byte completed, if any."""
 
@@ -125,16 +119,11 @@ class CoreEvent(IntEnum):
 
 
 class Core:
-    """A compiled core. Times are milliseconds on any clock, taken modulo 2^32.
-
-    Between two pushes, speeds change only once, to 0, and a reply waits until it is taken: what a
-    copy of the core does in a while, the core does until then.
-    """
+    """A compiled core. Times are milliseconds on any clock, taken modulo 2^32."""
 
     name: ClassVar[str]
     reply_size: ClassVar[int]
     number: ClassVar[type[Any]]  # type of the two numbers that `_pair` returns
-    _mute_ms = -1  # until when it has no reply, unless a byte comes
 
     def __init__(self, library: Library | None) -> None:
         self._library = library or load(self.name)
@@ -150,29 +139,20 @@ class Core:
         frame.
         """
         push = self._library["push"]
-        self._mute_ms = -1
         events = [CoreEvent(push(self._core, byte, now_ms)) for byte in data]
         return [event for event in events if event is not CoreEvent.NOTHING]
 
     def take_reply(self, now_ms: int) -> bytes:
         """Return the reply that is due now, b"" if none is; each reply is returned once."""
-        if now_ms <= self._mute_ms:
-            return b""
         size = self._call("take_reply", now_ms, self._reply)
-        if size:
-            return self._reply.raw[:size]
-        later_ms = now_ms + MUTE_MS
-        reply = ctypes.create_string_buffer(self.reply_size)
-        if not self._library["take_reply"](self._copy(), later_ms, reply):
-            self._mute_ms = later_ms
-        return b""
+        return self._reply.raw[:size] if size else b""
 
     def _call(self, function: str, *arguments: Any) -> Any:
         return self._library[function](self._core, *arguments)
 
-    def _pair(self, function: str, now_ms: int, copied: Any = None) -> tuple[int, int]:
-        """Return the two numbers that a function of the core, or of a copy of it, writes."""
-        self._library[function](copied or self._core, now_ms, *self._both)
+    def _pair(self, function: str, now_ms: int) -> tuple[int, int]:
+        """Return the two numbers that a function of the core writes."""
+        self._library[function](self._core, now_ms, *self._both)
         return self._one.value, self._two.value
 
     def _copy(self) -> Any:
@@ -183,27 +163,10 @@ class Core:
 class WheelsCore(Core):
     """The firmware core of a robot with two wheels."""
 
-    _stands = False  # whether its speeds are 0 until a byte comes
-    _known: tuple[int, Counts] = -1, (0, 0)  # the speeds, and until when they are known [ms]
-
-    def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
-        """As `Core.push`; the speeds may be others then."""
-        self._stands = False
-        self._known = (-1, (0, 0))
-        return super().push(data, now_ms)
-
     def wheels(self, now_ms: int) -> Counts:
         """Return the present counts, or speeds, of both wheels, which the watchdog may have set to
         0."""
-        if self._stands:
-            return 0, 0
-        if now_ms > self._known[0]:
-            now = self._pair("wheels", now_ms)
-            later_ms = now_ms + KEPT_MS
-            lasts = self._pair("wheels", later_ms, self._copy()) == now
-            self._known = (later_ms if lasts else now_ms, now)
-            self._stands = now == (0, 0)
-        return self._known[1]
+        return self._pair("wheels", now_ms)
 
     def status(self, now_ms: int) -> Status:
         """Return the status flags that a reply would have now; nothing changes in the core."""

@@ -188,6 +188,9 @@ def test_in_a_pause_nothing_moves_and_a_target_can_be_dragged(game):
     target = game.run("game.world.robots[1].target")
     assert target[0] < 690 and target[1] == pytest.approx(500, abs=1)
     game.key("Enter")
+    assert "Stop the robots first" in text(game, "message")
+    game.key(" ")
+    game.key("Enter")
     assert "original robots, targets and obstacles" in text(game, "message")
 
 
@@ -198,14 +201,14 @@ def test_a_run_through_an_obstacle_or_over_the_edge_is_lost(game):
     game.key("ArrowUp")
     advance(game, 4.0)
     assert "red drove into an obstacle" in text(game, "lost")
+    assert game.run("game.phase") == "ended"
     game.run("game.restore()")
     assert game.run("document.getElementById('lost').hidden")
     game.key("ArrowDown")
     advance(game, 5.0)
     assert "green drove over the edge" in text(game, "lost")
-    game.key(" ")
-    advance(game, 0.4)
-    assert "This try is lost" in text(game, "message")
+    assert "Lost: green drove over the edge" in text(game, "message")
+    assert "lost: green drove over the edge" in text(game, "results")
 
 
 @needs_chromium
@@ -217,6 +220,11 @@ def test_equal_robots_cannot_be_parted(game):
         game.key(key)
         advance(game, 0.6)
         assert game.run(gap) == pytest.approx([0, 200], abs=1e-9)
+    game.key(" ")
+    advance(game, 0.4)
+    assert "the gaps between them stay as they are" in text(game, "message")
+    game.key("Enter")  # the original robots, for which the controller's trial was computed
+    assert text(game, "robots").count("6") == 1
     game.run("game.restore()")
     for key in ("ArrowUp", "ArrowRight"):
         game.key(key)

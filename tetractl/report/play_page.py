@@ -40,7 +40,7 @@ def play_page(spec: LoadedSpec, log: TrialLog) -> FramedPage:
     world = json.dumps(_world(spec), ensure_ascii=False, allow_nan=False)
     trial = packed(_controllers_trial(log))
     body = (
-        f"<header><h1>{escape(experiment.name)}</h1>{THEME}</header>{asset('play.html')}"
+        f"<header><h1>Play: {escape(experiment.name)}</h1>{THEME}</header>{asset('play.html')}"
         f'<script type="application/json" id="world">{script_json(world)}</script>\n'
         f'<script type="text/plain" id="trial-data-0">{trial}</script>\n'
     )

@@ -98,6 +98,7 @@ class Game {
     this.watched = watched; // the controller's trial, as the report has it
     this.scene = new Scene(byId("scene"));
     this.scene.options.dotted = true;
+    this.scene.options.arrow = "direction";
     this.scene.overlay = (context) => this.preview(context);
     this.clock = new FrameClock((seconds) => this.advance(seconds));
     this.rate = 1;
@@ -110,7 +111,6 @@ class Game {
   restore() {
     this.world = structuredClone(this.original);
     this.changed = false;
-    this.rows();
     this.restart();
   }
 
@@ -128,9 +128,18 @@ class Game {
       steps: { t: [], u: [] },
       plan: [],
     };
+    this.rows();
     this.note();
     this.show();
-    this.say("Press an arrow: all robots turn to it as they drive, each at its own rate.");
+    this.say(this.areEqual
+      ? "All robots are equal now. Press an arrow, and try to change the gaps between them."
+      : "Press an arrow: all robots turn to it as they drive, each at its own rate.");
+  }
+
+  // Whether all robots turn and drive alike.
+  get areEqual() {
+    const { robots } = this.world, [first] = robots;
+    return robots.length > 1 && robots.every(({ a, speed }) => a === first.a && speed === first.speed);
   }
 
   // ---- Hands ----
@@ -216,12 +225,13 @@ class Game {
   // ---- The trial ----
 
   steer(u) {
-    if (this.phase === "ended" || this.phase === "watching") return;
+    if (this.phase === "ended" || this.phase === "watched") this.say("Press R for another try, or Enter for the controller.");
+    if (!["ready", "driving", "paused"].includes(this.phase)) return;
     this.wish = u;
     if (this.phase === "ready") {
       this.phase = "driving";
       this.begin();
-      this.say("Dots show where this direction leads. Stop when every robot is in its square.");
+      this.say("The dots show where this direction leads. Stop (space) when every robot is in its square.");
       this.clock.start();
     } else if (this.phase === "paused") this.show();
     else this.plan();
@@ -241,7 +251,7 @@ class Game {
       this.show();
     } else if (this.phase === "paused") {
       this.phase = "driving";
-      this.say("On it goes.");
+      this.say("The dots show where this direction leads. Stop (space) when every robot is in its square.");
       this.clock.start();
     }
   }
@@ -270,11 +280,13 @@ class Game {
       if (left < rest) {
         trial.move(trial.elapsed + left);
         left = 0;
+        if (trial.lost) this.end(`Lost: ${trial.lost}.`);
       } else {
         trial.finish();
         left -= rest;
         this.note();
-        if (trial.arrived) this.end("Arrived.");
+        if (trial.lost) this.end(`Lost: ${trial.lost}.`);
+        else if (trial.arrived) this.end("Arrived.");
         else if (this.stopping) this.end("You stopped the robots.");
         else if (trial.over) this.end("The time is over.");
         else this.begin();
@@ -300,22 +312,28 @@ class Game {
     this.phase = "ended";
     this.clock.stop();
     this.tries.push({ total: trial.total, seconds: trial.time, lost: trial.lost, changed: this.changed });
-    const lost = trial.lost ? ` This try is lost: ${trial.lost}.` : "";
-    this.say(`${why} Your error: ${this.length(trial.total)} after ${trial.time.toFixed(1)} s.${lost}`
-      + " Try again, or watch the controller.");
+    const lesson = this.areEqual
+      ? " All robots are equal, so the same direction moves them alike, and the gaps between them stay as they are."
+      : "";
+    this.say(`${why} Your error: ${this.length(trial.total)} after ${trial.time.toFixed(1)} s.${lesson}`
+      + " Try again (R), or watch the controller (Enter).");
     this.show();
   }
 
   // ---- The controller ----
 
   watch() {
-    if (this.phase === "driving") return;
+    if (this.phase === "driving" || this.phase === "paused") {
+      this.say("Stop the robots first (space). Then the controller has its try.");
+      return;
+    }
     if (this.phase === "watching") { this.finishWatching(); return; }
     this.phase = "watching";
     this.watchedOnce = true;
     this.time = 0;
-    const other = this.changed ? " It was computed for the original robots, targets and obstacles." : "";
-    this.say(`The controller, from the same start. Dots: its plan, made again at each step.${other}`);
+    this.rows();
+    const other = this.changed ? "The original robots, targets and obstacles, for which it was computed. " : "";
+    this.say(`The controller's turn. ${other}The dots are its plan, which it makes again at each step.`);
     this.clock.start();
   }
 
@@ -331,7 +349,8 @@ class Game {
     this.time = this.watched.end;
     this.phase = "watched";
     const best = this.best(), mine = best ? ` Your best of ${this.tries.length}: ${this.length(best.total)}.` : "";
-    this.say(`The controller: ${this.length(sum(this.watched.final.errors))} after ${this.time.toFixed(1)} s.${mine}`
+    const which = this.changed ? " (with the original robots)" : "";
+    this.say(`The controller${which}: ${this.length(sum(this.watched.final.errors))} after ${this.time.toFixed(1)} s.${mine}`
       + " All robots received the same directions. Because each turns at its own rate, every turn changes the gaps"
       + " between them, and the right turns in the right order bring each one home.");
     this.show();
@@ -340,11 +359,11 @@ class Game {
   // ---- What is changed ----
 
   rows() {
-    const { robots } = this.world, letters = robotLetters(robots);
+    const { robots } = this.watches ? this.original : this.world, letters = robotLetters(robots);
     byId("robots").replaceChildren(...robots.map((robot, r) => {
-      const row = robotRow(robot, letters[r], 3);
-      this.slider(row.children[2], robot, "a", this.original.robots[r].a, "turning rate");
-      this.slider(row.children[3], robot, "speed", this.original.robots[r].speed, "speed");
+      const row = robotRow(robot, letters[r], 2);
+      this.slider(row.children[1], robot, "a", "turning rate");
+      this.slider(row.children[2], robot, "speed", "speed");
       return row;
     }));
     byId("distances").replaceChildren(...robots.map((robot, r) => {
@@ -354,9 +373,12 @@ class Game {
     }));
   }
 
-  slider(cell, robot, field, middle, words) {
+  // A slider for a value of a robot; all robots' sliders have the same ends.
+  slider(cell, robot, field, words) {
     const input = document.createElement("input"), value = document.createElement("output");
-    Object.assign(input, { type: "range", min: 0.25 * middle, max: 2 * middle, step: 0.01 * middle });
+    const values = this.original.robots.map((one) => one[field]);
+    const min = 0.25 * Math.min(...values), max = 1.5 * Math.max(...values);
+    Object.assign(input, { type: "range", min, max, step: (max - min) / 200, disabled: this.watches });
     input.value = robot[field];
     input.setAttribute("aria-label", `${words} of ${robot.name}`);
     value.textContent = digits(robot[field]);
@@ -372,10 +394,13 @@ class Game {
     const { robots } = this.world, mean = (field) => sum(robots.map((robot) => robot[field])) / robots.length;
     const a = mean("a"), speed = mean("speed");
     for (const robot of robots) Object.assign(robot, { a, speed });
-    this.rows();
     this.change();
     this.restart();
-    this.say("All robots are equal now, and all receive the same direction. Can you change the gaps between them?");
+  }
+
+  // Whether the controller's trial is shown.
+  get watches() {
+    return this.phase === "watching" || this.phase === "watched";
   }
 
   // Another robot: the present step goes on from here, and the controller's trial is for others.
@@ -403,22 +428,21 @@ class Game {
   }
 
   show() {
-    const watching = this.phase === "watching" || this.phase === "watched";
+    const watching = this.watches;
     const time = watching ? this.time : this.trial.time;
     const picture = watching ? this.watched : this.picture;
     if (this.scene.trial !== picture) this.scene.show(picture, () => {});
     this.scene.options.plan = this.phase === "driving" || this.phase === "watching";
     this.scene.draw(time);
     const distances = watching ? distancesAt(this.watched, time) : this.trial.distances;
-    [...byId("robots").children].forEach((row, r) => { row.children[1].textContent = digits(distances[r]); });
     [...byId("distances").children].forEach((one, r) => { one.lastChild.data = digits(distances[r]); });
     byId("total").textContent = `${watching ? "controller's" : "total"} error ${this.length(sum(distances))}, ${time.toFixed(1)} s`;
     const lost = watching ? "" : this.trial.lost;
     byId("lost").textContent = lost && `Lost: ${lost}.`;
     byId("lost").hidden = !lost;
+    byId("pause").firstChild.data = this.phase === "paused" ? "Go on " : "Pause ";
     byId("pause").disabled = !["driving", "paused"].includes(this.phase);
     byId("stop").disabled = !["driving", "paused", "watching"].includes(this.phase);
-    byId("controller").disabled = this.phase === "driving";
     this.results();
   }
 

@@ -25,7 +25,7 @@ const PLACES = [[1, -1], [1, 1], [-1, -1], [-1, 1]]; // of a name: right or left
 class Scene {
   constructor(canvas) {
     this.canvas = canvas;
-    this.options = { plan: true, trail: true, follow: false, dotted: false };
+    this.options = { plan: true, trail: true, follow: false, dotted: false, arrow: "u" };
     this.overlay = undefined; // draws more on the arena, by a context
   }
 
@@ -285,10 +285,11 @@ class Scene {
     context.closePath();
     context.fill();
     context.restore();
-    context.font = "italic 13px serif";
-    context.textAlign = "center";
+    const name = this.options.arrow;
+    context.font = name.length > 1 ? "13px system-ui, sans-serif" : "italic 13px serif";
+    context.textAlign = "right";
     context.textBaseline = "middle";
-    context.fillText("u", x - 32, y);
+    context.fillText(name, x - 28, y);
   }
 }
 

@@ -2,8 +2,11 @@
 
 A shape is every point within the radius of a polygon: one corner is a disc, two are a capsule, four
 may be a rectangle. The polygon may be concave, but its edges do not cross. A shape grown by a
-margin has a larger radius: its edge is where the centre of a touching round robot is. The compiled
-twin of this geometry is `tetractl.control.kernels.obstacles`.
+margin has a larger radius: its edge is where the centre of a touching round robot is.
+
+The functions of segments below are the geometry of all obstacles. Their arguments are arrays that
+broadcast, or single numbers: kernels (`tetractl.control.kernels.obstacles`) compile the same
+functions.
 """
 
 from collections.abc import Iterator
@@ -51,12 +54,11 @@ class Shape:
         shape = np.broadcast(x, y).shape
         x, y = (a.ravel() for a in np.broadcast_arrays(x, y))
         inside = np.zeros(x.shape, dtype=np.bool_)
-        least = np.full(x.shape, np.inf)
+        least2 = np.full(x.shape, np.inf)
         for ax, ay, bx, by in self._edges():
-            eastwards = (turn(ax, ay, bx, by, x, y) > 0) == (by > ay)
-            crosses = eastwards & ((ay > y) != (by > y))
-            inside ^= np.logical_xor.reduce(crosses, axis=0)
-            least = np.minimum(least, _to_segments(x, y, ax, ay, bx, by).min(axis=0))
+            inside ^= np.logical_xor.reduce(ray_crosses(x, y, ax, ay, bx, by), axis=0)
+            least2 = np.minimum(least2, gap2(x, y, ax, ay, bx, by).min(axis=0))
+        least = np.sqrt(least2)
         return (np.where(inside, -least, least) - self.radius).reshape(shape)
 
     def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
@@ -70,12 +72,14 @@ class Shape:
         return near
 
     def _touched(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
-        """Return whether segments (M,) have an end inside, meet an edge or pass near a corner."""
-        touched = self.contain(x0, y0) | self.contain(x1, y1)
+        """Return whether segments (M,) begin inside, or come as near to an edge as the radius."""
+        touched = np.zeros(x0.shape, dtype=np.bool_)
+        inside = np.zeros(x0.shape, dtype=np.bool_)
         for ax, ay, bx, by in self._edges():
-            touched |= meet(x0, y0, x1, y1, ax, ay, bx, by).any(axis=0)
-            touched |= (_to_segments(ax, ay, x0, y0, x1, y1) <= self.radius).any(axis=0)
-        return touched
+            apart2 = segments_gap2(x0, y0, x1, y1, ax, ay, bx, by)
+            touched |= (apart2 <= self.radius**2).any(axis=0)
+            inside ^= np.logical_xor.reduce(ray_crosses(x0, y0, ax, ay, bx, by), axis=0)
+        return touched | inside
 
     def outline(self) -> Floats:
         """Return the corners (M, 2), anticlockwise, of a polygon with which to draw the shape."""
@@ -101,25 +105,48 @@ def turn(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any) -> Any:
 
 
 def meet(x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
-    """Return whether two segments have a point in common, ends included; arguments broadcast."""
+    """Return whether two segments have a point in common, ends included."""
     a = turn(x0, y0, x1, y1, ax, ay)
     b = turn(x0, y0, x1, y1, bx, by)
     c = turn(ax, ay, bx, by, x0, y0)
     d = turn(ax, ay, bx, by, x1, y1)
-    apart = np.maximum(x0, x1) < np.minimum(ax, bx)
-    apart |= np.maximum(ax, bx) < np.minimum(x0, x1)
-    apart |= np.maximum(y0, y1) < np.minimum(ay, by)
-    apart |= np.maximum(ay, by) < np.minimum(y0, y1)
-    # both ends on the same side of the other segment
-    apart |= ((a > 0) & (b > 0)) | ((a < 0) & (b < 0)) | ((c > 0) & (d > 0)) | ((c < 0) & (d < 0))
-    return ~apart
+    overlaps = np.maximum(x0, x1) >= np.minimum(ax, bx)
+    overlaps = overlaps & (np.maximum(ax, bx) >= np.minimum(x0, x1))
+    overlaps = overlaps & (np.maximum(y0, y1) >= np.minimum(ay, by))
+    overlaps = overlaps & (np.maximum(ay, by) >= np.minimum(y0, y1))
+    # not both ends on the same side of the other segment
+    across_one = ((a <= 0) | (b <= 0)) & ((a >= 0) | (b >= 0))
+    across_other = ((c <= 0) | (d <= 0)) & ((c >= 0) | (d >= 0))
+    return overlaps & across_one & across_other
 
 
-def _to_segments(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Floats:
-    """Return the distance of points to segments from (ax, ay) to (bx, by); arguments broadcast."""
+def offset(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> tuple[Any, Any]:
+    """Return the x and y by which a point is off the nearest point of a segment from a to b."""
     ex = bx - ax
     ey = by - ay
+    px = x - ax
+    py = y - ay
     length2 = ex * ex + ey * ey
-    along = ((x - ax) * ex + (y - ay) * ey) / np.where(length2 > 0, length2, 1.0)
-    along = np.clip(along, 0.0, 1.0)
-    return elementwise.hypot(x - (ax + along * ex), y - (ay + along * ey))
+    along = (px * ex + py * ey) / (length2 + (length2 == 0))
+    along = np.maximum(0.0, np.minimum(along, 1.0))
+    return px - along * ex, py - along * ey
+
+
+def gap2(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
+    """Return the squared distance of a point to a segment from a to b."""
+    off_x, off_y = offset(x, y, ax, ay, bx, by)
+    return off_x * off_x + off_y * off_y
+
+
+def segments_gap2(x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
+    """Return the squared distance of two segments, 0 if they meet."""
+    ends2 = np.minimum(gap2(x0, y0, ax, ay, bx, by), gap2(x1, y1, ax, ay, bx, by))
+    corners2 = np.minimum(gap2(ax, ay, x0, y0, x1, y1), gap2(bx, by, x0, y0, x1, y1))
+    are_apart = np.logical_not(meet(x0, y0, x1, y1, ax, ay, bx, by))
+    return np.minimum(ends2, corners2) * are_apart
+
+
+def ray_crosses(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
+    """Return whether the ray from a point along x crosses the edge from a to b of a polygon: a
+    point whose ray crosses an odd number of edges is inside."""
+    return ((ay > y) != (by > y)) & ((turn(ax, ay, bx, by, x, y) > 0) == (by > ay))

@@ -8,12 +8,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from numba import njit
 from pydantic import ValidationError
-from support.geometry import gap, meets
+from support.geometry import gap, meets, to_segment
 from support.shapes import GRID, L_SHAPE, SHAPES
 
 from tetractl.control.kernels import obstacles as kernel
 from tetractl.core.registries import SHAPES as REGISTRY
-from tetractl.core.shape import Shape
+from tetractl.core.shape import Shape, segments_gap2
 from tetractl.model.shapes import Polygon
 
 pytestmark = pytest.mark.slow
@@ -89,6 +89,18 @@ def test_a_segment_crosses_as_geometry_says_but_for_rounding(section, x0, y0, x1
         assert crosses(shape, *segment)
     if nearest > step + 1e-9:  # a sample is within half a step of every point of the segment
         assert not crosses(shape, *segment)
+
+
+@given(ENDS, ENDS, ENDS, ENDS, ENDS, ENDS, ENDS, ENDS)
+def test_two_segments_are_as_far_apart_as_their_nearest_points(x0, y0, x1, y1, ax, ay, bx, by):
+    points = 500
+    of_points = [
+        to_segment(x0 + t * (x1 - x0), y0 + t * (y1 - y0), ax, ay, bx, by)
+        for t in np.linspace(0, 1, points + 1)
+    ]
+    apart = math.sqrt(segments_gap2(x0, y0, x1, y1, ax, ay, bx, by))
+    step = math.dist((x0, y0), (x1, y1)) / points
+    assert min(of_points) - step - 1e-6 <= apart <= min(of_points) + 1e-6
 
 
 @given(SHAPES, PLACES, PLACES, PLACES, PLACES, MARGINS)

@@ -1,15 +1,15 @@
 """How far robots are from obstacles and from each other, and whether they touch on their way.
 
 Compiled, as a controller asks this at every control step, by `tetractl.control.margins` and
-`discs`. Distances [length unit] have the bits of `tetractl.core.obstacles`, which is the readable
-twin; obstacles are `ObstacleArrays`, of which obstacle o is a shape or a wall. x, y (P,) are points
-and a path (M, N, 3) the x, y and heading of N robots at M moments, with straight ways in between.
+`discs`. Distances [length unit] have the bits of `tetractl.core.obstacles`; obstacles are
+`ObstacleArrays`, of which obstacle o is a shape or a wall. x, y (P,) are points and a path
+(M, N, 3) the x, y and heading of N robots at M moments, with straight ways in between.
 """
 
 import math
 
 from tetractl.control.kernels.elementary import hypot
-from tetractl.control.kernels.obstacles import box, touches, wall_distance
+from tetractl.control.kernels.obstacles import box, nearest, touches, wall_distance
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY, INLINE_EXACT
 
@@ -21,25 +21,7 @@ def _distance(obstacles, o, x, y):
     if o >= shapes:
         return wall_distance(obstacles.walls, o - shapes, x, y)
     corners = obstacles.corners[o]
-    count = obstacles.corner_counts[o]
-    inside = False
-    least = math.inf
-    ax = corners[count - 1, 0]
-    ay = corners[count - 1, 1]
-    for k in range(count):
-        bx = corners[k, 0]
-        by = corners[k, 1]
-        ex = bx - ax
-        ey = by - ay
-        if (ay > y) != (by > y) and (ex * (y - ay) - ey * (x - ax) > 0) == (by > ay):
-            inside = not inside
-        length2 = ex * ex + ey * ey
-        along = ((x - ax) * ex + (y - ay) * ey) / (length2 if length2 > 0.0 else 1.0)
-        along = max(0.0, min(along, 1.0))
-        least = min(least, hypot(x - (ax + along * ex), y - (ay + along * ey)))
-        ax = bx
-        ay = by
-    return (-least if inside else least) - obstacles.radii[o]
+    return nearest(corners, obstacles.corner_counts[o], obstacles.radii[o], x, y)[0]
 
 
 @compiled(**INLINE_EXACT)

@@ -1,5 +1,6 @@
-"""Whether robots are in obstacles, and how deep: the compiled twin of `tetractl.core.shape`.
+"""Whether robots are in obstacles, and how deep.
 
+The geometry of segments is that of `tetractl.core.shape`, compiled.
 Kernels take obstacles as `ObstacleArrays`; obstacle o is shape o if o < M, else wall o - M, the
 walls being LEFT, BOTTOM, RIGHT and TOP. All shapes are polygons with a radius and run the same
 code. The `corners` of one shape are (K, 2), of which the first `count` are in use.
@@ -8,10 +9,15 @@ code. The `corners` of one shape are (K, 2), of which the first `count` are in u
 import math
 from typing import NamedTuple
 
+from tetractl.core import shape
 from tetractl.core.obstacles import BOTTOM, LEFT, RIGHT, TOP, Obstacles
 from tetractl.core.poses import Floats, Integers
 from tetractl.tools.kernels.kernel_cache import compiled
-from tetractl.tools.kernels.kernel_options import INLINE_FAST
+from tetractl.tools.kernels.kernel_options import INLINE_FAST, exact
+
+offset = exact(shape.offset)
+segments_gap2 = exact(shape.segments_gap2)
+ray_crosses = exact(shape.ray_crosses)
 
 HALF_MORE = 0.5000001
 """Half, and a little more than rounding takes: a box must not be too small."""
@@ -54,41 +60,18 @@ def box(obstacles, o):
 
 
 @compiled(**INLINE_FAST)
-def gap2(x, y, ex, ey):
-    """Return the squared distance of (x, y) to the segment from (0, 0) to (ex, ey)."""
-    length2 = ex * ex + ey * ey
-    along = max(0.0, min((x * ex + y * ey) / (length2 if length2 > 0.0 else 1.0), 1.0))
-    qx = x - along * ex
-    qy = y - along * ey
-    return qx * qx + qy * qy
-
-
-@compiled(**INLINE_FAST)
 def touches(corners, count, radius, x0, y0, x1, y1):
     """Return whether the segment from (x0, y0) to (x1, y1) touches a shape."""
     reach = radius * radius
     inside = False
-    dx = x1 - x0
-    dy = y1 - y0
     ax = corners[count - 1, 0]
     ay = corners[count - 1, 1]
     for k in range(count):
         bx = corners[k, 0]
         by = corners[k, 1]
-        ex = bx - ax
-        ey = by - ay
-        if gap2(x1 - ax, y1 - ay, ex, ey) <= reach or gap2(x0 - ax, y0 - ay, ex, ey) <= reach:
+        if segments_gap2(x0, y0, x1, y1, ax, ay, bx, by) <= reach:
             return True
-        if gap2(bx - x0, by - y0, dx, dy) <= reach:
-            return True
-        side_of_0 = ex * (y0 - ay) - ey * (x0 - ax)
-        side_of_1 = ex * (y1 - ay) - ey * (x1 - ax)
-        if (ay > y0) != (by > y0) and (side_of_0 > 0) == (by > ay):
-            inside = not inside
-        side_of_a = dx * (ay - y0) - dy * (ax - x0)
-        side_of_b = dx * (by - y0) - dy * (bx - x0)
-        if side_of_0 * side_of_1 < 0 and side_of_a * side_of_b < 0:
-            return True
+        inside = inside != ray_crosses(x0, y0, ax, ay, bx, by)
         ax = bx
         ay = by
     return inside
@@ -100,7 +83,7 @@ def nearest(corners, count, radius, x, y):
     grows; at an edge of the polygon, the edge's normal.
     """
     inside = False
-    least = math.inf
+    least2 = math.inf
     normal_x = 0.0
     normal_y = 0.0
     out_x = 1.0
@@ -110,25 +93,17 @@ def nearest(corners, count, radius, x, y):
     for k in range(count):
         bx = corners[k, 0]
         by = corners[k, 1]
-        ex = bx - ax
-        ey = by - ay
-        px = x - ax
-        py = y - ay
-        if (ay > y) != (by > y) and (ex * py - ey * px > 0) == (by > ay):
-            inside = not inside
-        length2 = ex * ex + ey * ey
-        along = max(0.0, min((px * ex + py * ey) / (length2 if length2 > 0.0 else 1.0), 1.0))
-        qx = px - along * ex
-        qy = py - along * ey
-        if qx * qx + qy * qy < least:
-            least = qx * qx + qy * qy
-            out_x = qx
-            out_y = qy
-            normal_x = ey
-            normal_y = -ex
+        inside = inside != ray_crosses(x, y, ax, ay, bx, by)
+        off_x, off_y = offset(x, y, ax, ay, bx, by)
+        if off_x * off_x + off_y * off_y < least2:
+            least2 = off_x * off_x + off_y * off_y
+            out_x = off_x
+            out_y = off_y
+            normal_x = by - ay
+            normal_y = ax - bx
         ax = bx
         ay = by
-    away = math.sqrt(least)
+    away = math.sqrt(least2)
     if not away > ON_EDGE * (abs(x) + abs(y)):
         out_x = normal_x
         out_y = normal_y

@@ -33,7 +33,7 @@ from tetractl_microscope.pictures.whole_pictures import PictureLog
 
 LEARNED = 15  # parts of the time to learn: the background is computed from a picture of each
 LEARNED_LEAST = 7  # pictures that suffice if they come slowly
-WIDER = 1.5  # deviations found in films, over the filter's: it fits no cell's noise
+WIDER = 1.5  # deviations found in drawn films, over the filter's: it fits no cell's noise
 MEAN_S = 2.0  # time in view from which a cell's speed is the mean over it [s]
 QUEUED_MOST = 1024  # messages kept until they are taken; the oldest are dropped beyond
 LEVEL_STEP = 8  # step between the pixels whose median is a picture's grey level

@@ -53,11 +53,9 @@ class SeenCell:
     state, with the standard deviations `sd` (16,). `probability` is the probability that this is
     the cell with the number `identity`. `has_blob`: the picture shows it; `merged`: its blob shows
     other cells, too.
-    `track` is the number of the cell's track. `measured` (6,) are x, y, axis of the cell's own blob
-    and their standard deviations; None if the cell has no blob of its own. `blob_um` (5,) are
-    x, y [um], axis [rad], length and width [um] of the blob, these NaN if the picture's edge cuts
-    it off; None if the cell has none. `sure` is whether a whole film leaves no doubt that this is
-    the cell that had the number at first. The defaults are those of a cell that no filter follows.
+    `track` is the number of the cell's track. `blob_um` (5,) are x, y [um], axis [rad], length and
+    width [um] of the blob, these NaN if the picture's edge cuts it off; None if the cell has none.
+    The defaults are those of a cell that no filter follows.
     """
 
     identity: int
@@ -73,9 +71,7 @@ class SeenCell:
     merged: bool = False
     long_um: float = math.nan
     wide_um: float = math.nan
-    measured: tuple[float, ...] | None = None
     blob_um: Floats | None = None
-    sure: bool = True
 
     def on_blob(self) -> "SeenCell":
         """Return the cell with its middle moved straight to the edge of the ellipse of its blob if
@@ -130,13 +126,10 @@ class CellAnswer:
 class Born:
     """A cell that appears on a new track.
 
-    `path` (M, 6) is the path by which it was recognised as a cell: time [s], x, y [um], axis [rad],
-    length and width [um], NaN for a blob cut off by the picture's edge.
     `divided` is the number of the cell from whose blob it separated, if no other cell had entered
     that blob; otherwise None.
     """
 
     identity: int
     track: int
-    path: Floats
     divided: int | None

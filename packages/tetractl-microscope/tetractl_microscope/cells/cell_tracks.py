@@ -35,8 +35,7 @@ class TrackBlob:
     (5,): x, y [um], axis [rad], length and width [um].
 
     `is_shared`: it shows other cells that are followed, too. `is_large`: it is the cell's own but
-    too large for one cell. `measured` (6,) are x, y, axis of the cell by a blob of its own, and
-    their standard deviations.
+    too large for one cell.
     """
 
     index: int
@@ -44,7 +43,6 @@ class TrackBlob:
     place: Floats
     is_shared: bool = False
     is_large: bool = False
-    measured: tuple[float, ...] | None = None
 
     @property
     def whole_place(self) -> Floats:

@@ -200,18 +200,6 @@ class HelixFilter:
         self.covariance[new, pose, pose] = self._new.covariance[pose, pose]
         return new
 
-    def mix(self, row: int, rows: np.ndarray, weights: Floats) -> None:
-        """Give a row the mean and covariance of a mixture of rows (K,) with weights (K,): a cell
-        is any of those with these probabilities.
-        """
-        off = self.mean[rows] - self.mean[row]
-        off[:, HEADING] -= math.tau * np.round(off[:, HEADING] / math.tau)
-        middle = weights @ off
-        off -= middle
-        self.covariance[row] = np.einsum("k,kij->ij", weights, self.covariance[rows])
-        self.covariance[row] += np.einsum("k,ki,kj->ij", weights, off, off)
-        self.mean[row] += middle
-
     def drop(self, row: int) -> None:
         """Free a row."""
         self.used[row] = False

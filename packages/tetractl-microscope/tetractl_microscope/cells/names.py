@@ -12,7 +12,6 @@ cell that it most probably shows, its *certainty* the probability of that number
   assignment of cells to tracks.
 - A question ends once one assignment is certain, or after a time (`Names.answer`).
 - A *doubt* multiplies the certainty of a track by a share about which nothing can be asked later.
-  In a film's table, a track of a certainty below ASSERTED gets a new number.
 
 Each row of the filter has one owner, which frees it: a track without an open question, a cell of a
 meeting, or an open question; a track's `row` then is one of its question's.
@@ -37,7 +36,7 @@ from tetractl_microscope.cells.cell_tracks import (
 from tetractl_microscope.cells.helix import HEADING, HelixFilter
 from tetractl_microscope.cells.meetings import ORDERED_MOST, PLACE_SD, Meetings
 
-# probability above which no question is asked, a name goes on in a film, and is called sure
+# probability above which no question is asked
 ASSERTED = 0.99
 FIRST_SD = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
 FAR = 25.0  # squared distance, in standard deviations, above which a cell is moved to its track
@@ -48,17 +47,15 @@ EITHER_OF_TWO = 0.5  # share of a track whose cell is one of two, of which nothi
 class Names:
     """Knows which tracks are together, and which questions are open.
 
-    `bank` is the filter, a cell is `body_um` long. If a film's table `splits` names, a track whose
-    cell is too uncertain when a question ends gets a new name instead of an asserted one.
+    `bank` is the filter, a cell is `body_um` long.
 
     In each picture, `meet` is called for each group of tracks that are not distinguished, then
     `part` and `answer` once; cells `appear` and are given up after that.
     """
 
-    def __init__(self, bank: HelixFilter, body_um: float, splits: bool) -> None:
+    def __init__(self, bank: HelixFilter, body_um: float) -> None:
         self._bank = bank
         self._body_um = body_um
-        self._splits = splits
         self._last_number = 0
         self._meetings = Meetings(bank, body_um)
         self._questions: list[WhichIsWhich] = []
@@ -201,17 +198,6 @@ class Names:
             if question.ends(seconds):
                 self._end(question)
 
-    def finish(self, seconds: float) -> None:
-        """End all meetings and questions: there are no pictures after this time [s]."""
-        for meeting in self._meetings.running:
-            shares = self._meetings.own_shares(meeting).tolist()
-            for track, share in zip(meeting.tracks, shares, strict=True):
-                if len(meeting.tracks) > 1 and track.together_s < seconds:
-                    self._doubt(track, share)
-            self._meetings.end(meeting)
-        for question in list(self._questions):
-            self._end(question)
-
     def probabilities(self, tracks: Sequence[CellTrack]) -> list[float]:
         """Return the probability, for each of some tracks, that it has the right name."""
         by_number: dict[int, float] = {}
@@ -281,11 +267,7 @@ class Names:
             track.question = None
             track.size = cell.size
             certainty = float(shares[t]) * cell.certainty
-            if self._splits and certainty < ASSERTED:
-                # the new number's cell is any of those asked about
-                has_cell = question.orders[:, t, None] == np.arange(len(question.members))
-                self._bank.mix(track.row, question.rows[t], probabilities @ has_cell)
-            self._set_certainty(track, certainty)
+            track.certainty = certainty
         kept_rows = {track.row for track in question.tracks}
         for row in question.rows.ravel().tolist():
             if row not in kept_rows:
@@ -297,15 +279,8 @@ class Names:
     def _doubt(self, track: CellTrack, share: float) -> None:
         """Lower the certainty of a track's name to a share, since it was last together."""
         name_before = track.identity
-        self._set_certainty(track, track.certainty * share)
+        track.certainty *= share
         self._tell([track], share, [name_before])
-
-    def _set_certainty(self, track: CellTrack, certainty: float) -> None:
-        """Set the certainty of a track's name; if a film's is too low, give it a new name."""
-        track.certainty = certainty
-        if self._splits and certainty < ASSERTED:
-            track.identity = self.take_number()
-            track.certainty = 1.0
 
     def _tell(self, tracks: Sequence[CellTrack], probability: float, met: Sequence[int]) -> None:
         """Add an answer: the names of tracks after the cells `met` could not be distinguished."""

@@ -17,7 +17,7 @@ from tetractl_microscope.cells.helix import HelixFilter
 from tetractl_microscope.cells.meetings import FROM_BLOB
 from tetractl_microscope.cells.names import Names
 from tetractl_microscope.cells.picture_now import PictureNow
-from tetractl_microscope.cells.readings import PATH, own_path
+from tetractl_microscope.cells.readings import PATH
 from tetractl_microscope.cells.specks import (
     BORN,
     Speck,
@@ -149,7 +149,6 @@ class Newcomers:
             Born(
                 identity=cell.identity,
                 track=cell.number,
-                path=own_path(path, cell.size, self._body_um),
                 divided=divided,
             )
         )

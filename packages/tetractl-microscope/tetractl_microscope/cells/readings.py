@@ -27,7 +27,6 @@ OFF_SHARE = 0.3  # deviation of a cell's position per excess length of its blob
 LONGER = 1.35  # ratio of blob to cell length above which it shows two cells in a row
 GROWN_S = 1.0  # time for which a blob has another size than its cell, which then is the cell's
 SHAPE_SHARE = 0.05  # weight of a new blob in a cell's usual size
-JUMP = 0.25  # change of a new cell's steps, less the usual step, above which it jumped [lengths]
 PATH = 15  # number of newest blobs of a track that are kept
 
 
@@ -63,7 +62,6 @@ def note_own_reading(reading: BlobReading) -> None:
     """Note what a cell's own blob said, and its size unless the blob is odd."""
     cell = reading.cell
     newest = reading.newest
-    newest.measured = (*reading.values, *reading.deviations)
     if not _is_odd(cell, newest):
         _, _, _, long, wide = newest.place.tolist()
         cell.size = BodySize(
@@ -77,17 +75,6 @@ def _is_odd(cell: CellTrack, newest: TrackBlob) -> bool:
     _, _, _, long, wide = newest.place.tolist()
     is_smaller = long * wide < cell.size.area_um2 / LARGE**2
     return newest.is_large or is_smaller or newest.blob.at_edge
-
-
-def own_path(path: Floats, size: BodySize, body_um: float) -> Floats:
-    """Return the path (M, 6) of a new cell of a size after the last blob that is too large for
-    it, or to which it jumped: another cell was in that blob. Cells are `body_um` long.
-    """
-    steps = np.diff(path[:, 1:3], axis=0)
-    usual_um = float(np.median(np.linalg.norm(steps, axis=1)))
-    is_other = path[:-1, 4:6].prod(axis=1) > LARGE * size.area_um2
-    is_other[1:] |= np.linalg.norm(np.diff(steps, axis=0), axis=1) > JUMP * body_um + usual_um
-    return path[int(np.flatnonzero(is_other).max(initial=-1)) + 1 :]
 
 
 def own_reading(

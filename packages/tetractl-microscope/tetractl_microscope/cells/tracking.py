@@ -68,8 +68,7 @@ class CellsInBlob:
 
 class CellTracker:
     """Follows the cells in pictures with the scale `um_px` [um/px]; `field_known`: whether the
-    field is known, `near_wall`: where a wall may turn cells, `organism`: which objects are cells,
-    `splits`: whether a cell whose name is too uncertain after a meeting gets a new name.
+    field is known, `near_wall`: where a wall may turn cells, `organism`: which objects are cells.
 
     Pictures must be given in order of time, after `finder` has learned the background. Positions
     are those of `picture_now`.
@@ -81,7 +80,6 @@ class CellTracker:
         field_known: bool,
         near_wall: NearWall = open_water,
         organism: Organism = TETRAHYMENA,
-        splits: bool = False,
     ) -> None:
         least_um2 = organism.wide_um[0] * organism.body_um[1]
         most_um2 = AREAS_MOST * organism.outline_um2[1]
@@ -89,7 +87,7 @@ class CellTracker:
         self.finder = BlobFinder(least_um2 / um_px**2, most_um2 / um_px**2)
         self.answers: Sequence[CellAnswer] = ()  # to questions that the newest picture decided
         self.bank = HelixFilter(field_known, near_wall, organism)
-        self._names = Names(self.bank, organism.body_um[0], splits)
+        self._names = Names(self.bank, organism.body_um[0])
         self._newcomers = Newcomers(self.bank, self._names, organism)
         self._cells = list[CellTrack]()  # in the order of their numbers
         self._seconds: float | None = None  # time of the newest picture
@@ -98,12 +96,6 @@ class CellTracker:
     def born(self) -> Sequence[Born]:
         """The cells recognised in the newest picture."""
         return self._newcomers.born
-
-    def take(self, finder: BlobFinder) -> None:
-        """Go on with a finder that has learned the background."""
-        finder.least_px2 = self.finder.least_px2
-        finder.most_px2 = self.finder.most_px2
-        self.finder = finder
 
     def see(self, picture: Grey, seconds: float, field: FieldPieces) -> list[SeenCell]:
         """Return the cells in a picture taken at a time [s]; `field` gives the field that acted
@@ -123,11 +115,6 @@ class CellTracker:
         self.answers = self._names.take_answers()
         hidden_s = max(HIDDEN_S, now.brief_s)
         return self._shown([cell for cell in self._cells if cell.missed_s < hidden_s], now)
-
-    def finish(self) -> None:
-        """Answer all questions of identity: there are no further pictures."""
-        self._names.finish(self._seconds or 0.0)
-        self.answers = self._names.take_answers()
 
     # ---- step 1: cells are predicted, and blobs found ----
 
@@ -299,8 +286,6 @@ class CellTracker:
         """Drop cells that have not been seen for long or have left the picture, and new ones that
         have not swum far in the time that the slowest need for it; note which others have swum so
         far that they are new no more.
-
-        What links of the film of Euglena say of new cells that stay is in docs/cells-explained.md.
         """
         organism = self.bank.organism
         slowest_s = NEW * organism.body_um[0] / organism.slowest_um_s
@@ -373,7 +358,6 @@ class CellTracker:
                     merged=shows_others,
                     long_um=cell.size.long,
                     wide_um=cell.size.wide,
-                    measured=None if newest is None else newest.measured,
                     blob_um=None if newest is None else newest.whole_place,
                 ).on_blob()
             )

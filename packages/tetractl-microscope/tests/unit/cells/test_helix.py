@@ -24,7 +24,6 @@ from tetractl_microscope.cells.kernels.helix_steps import (
     A,
     C,
     S,
-    X,
 )
 from tetractl_microscope.organisms import TETRAHYMENA
 
@@ -191,14 +190,3 @@ def test_the_smoother_is_that_of_rauch_tung_and_striebel():
     assert bodies[3] == pytest.approx(oracle.body(states[3], model[SLOWEST]))
     assert states[:, :SPEED] == pytest.approx(wanted[:, :SPEED], abs=2e-3)
     assert states[:, A] == pytest.approx(wanted[:, A], abs=2e-3)
-
-
-def test_a_row_may_be_any_of_several():
-    bank = HelixFilter(field_known=True)
-    rows = np.array([bank.add(x, 0.0, heading, 400.0) for x, heading in ((0.0, 0.1), (30.0, 6.3))])
-    width = bank.covariance[rows[0], 0, 0]
-    bank.mix(int(rows[0]), rows, np.array([2 / 3, 1 / 3]))
-    assert bank.mean[rows[0], X] == pytest.approx(10.0)
-    assert bank.covariance[rows[0], 0, 0] == pytest.approx(width + 30.0**2 * 2 / 9)
-    # both head to the right: angles a full turn apart are the same
-    assert bank.mean[rows[0], HEADING] == pytest.approx(0.1 + (6.3 - 2 * np.pi - 0.1) / 3)

@@ -42,8 +42,9 @@ def folder(tmp_path_factory):
 
 
 @pytest.mark.long
-@pytest.mark.xfail(reason="3 of 8 trials say that the heading of green does not fit the model")
 def test_no_trial_of_a_new_lab_is_flagged(folder):
+    """Regression: with turning rates of up to 6 rad/s, held from command to command for 50 ms, the
+    heading of green did not fit the model in 3 of 8 trials."""
     assert flagged_trials(folder / "cubes.yaml", folder / "silent") == []
 
 

@@ -730,14 +730,21 @@ def _noise(steps: _Steps, measured: Floats, driven: Floats) -> float:
 
 def _heading_offset(steps: _Steps, driven: Floats) -> SampleInterval:
     """Find the mean angle from the heading to the motion [rad], in the sense of the distances (M,)
-    that were sent, with the interval that the differences of blocks give."""
+    that were sent.
+
+    The interval comes from the differences of blocks. It also contains the angle that remains if a
+    tracked point ahead of the axle, which moves aside in turns, explains as much as it can.
+    """
     by_block = _sums(steps.block, np.sign(driven) * steps.moved)
     total = by_block.sum()
     if not abs(total):
         return SampleInterval(0.0, -math.pi, math.pi)
     angle = float(np.angle(total))
     across = (by_block * np.exp(-1j * angle)).imag
-    return _normal(angle, min(float(np.linalg.norm(across) / abs(total)), math.pi))
+    mean = _normal(angle, min(float(np.linalg.norm(across) / abs(total)), math.pi))
+    slope, _ = robust_gains(steps.moved.imag, np.column_stack([steps.way, steps.turned]))
+    beside = float(np.arctan(slope))
+    return SampleInterval(angle, min(mean.low, beside), max(mean.high, beside))
 
 
 def _sums(block: Integers, steps: Complex) -> Complex:

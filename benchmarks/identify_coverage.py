@@ -17,12 +17,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from tetractl_identify.identify import identify
+from tetractl_identify.tracks import track_of
 
 from tetractl import api
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.plant.simulation import SimPlant
-from tetractl.replay.identification.identify import identify
-from tetractl.replay.identification.tracks import track_of
 from tetractl.results.estimate import proportion_interval
 from tetractl.run.spec_trial import trial_seeds
 

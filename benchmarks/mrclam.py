@@ -12,14 +12,14 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from tetractl_identify.identify import cell
+from tetractl_identify.response import UNITS, respond
+from tetractl_identify.tracks import Track
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.replay.identification.fit import SampleInterval
-from tetractl.replay.identification.identify import cell
-from tetractl.replay.identification.response import UNITS, respond
-from tetractl.replay.identification.tracks import Track
 from tetractl.results.estimate import t_quantile
+from tetractl.tools.likelihood import SampleInterval
 from tetractl.tools.table.table import Column, Table
 from tetractl.tools.table.terminal_table import print_tables
 

@@ -51,7 +51,7 @@ def test_without_a_command_the_help_is_printed_and_no_error(tmp_path, words):
     assert "Usage:" in done.stdout
 
 
-LOG_COMMANDS = ["replay", "plot", "info", "recover", "verify", "stats", "rerun", "identify"]
+LOG_COMMANDS = ["replay", "plot", "info", "recover", "verify", "stats", "rerun"]
 LOG_COMMANDS += ["open", "report"]
 SPEC_COMMANDS = ["validate", "run", "lab check", "lab stop", "lab calibrate", "lab emulate"]
 

@@ -92,7 +92,7 @@ def test_tests_of_the_core_need_no_package():
     for path in files:
         assert set(TAKEN.findall(path.read_text("utf-8"))) <= of_the_core, path
     imports = re.compile(
-        r"^ *(from|import) (tetractl_(emulator|microscope|papers|toio)|cv2|tifffile)", re.M
+        r"^ *(from|import) (tetractl_(emulator|identify|microscope|papers|toio)|cv2|tifffile)", re.M
     )
     assert [path for path in files if imports.search(path.read_text("utf-8"))] == []
 
@@ -106,6 +106,7 @@ def test_tests_of_the_core_need_no_package():
         ("tetractl-emulator", ["run", "experiments/three_m3pi_lab.yaml", "--plant", "emulated"]),
         ("tetractl-microscope", ["track", "dish.avi"]),
         ("tetractl-papers", ["reproduce", "ou"]),
+        ("tetractl-identify", ["identify", "x.mcap"]),
         ("tetractl-microscope", ["validate", str(MICROSCOPE_EXAMPLES / "tetrahymena_dish.yaml")]),
         ("tetractl-microscope", ["init", "--example", "two_cells"]),
         ("tetractl-microscope", ["init", "x", "--lab", "--camera", "apriltag"]),

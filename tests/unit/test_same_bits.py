@@ -21,7 +21,7 @@ DRAWN = frozenset(["lognormal", "vonmises", "multivariate_normal"])
 FUNCTIONS = DRAWN.union(*map(str.split, (TRIGONOMETRIC, HYPERBOLIC, EXPONENTIAL, OTHER, LINEAR)))
 """Functions of the C library, of NumPy's own code for each processor, and of BLAS."""
 ALLOWED = {
-    "tools/table/motive.py": "reads a table of Motive: no part of a trial",
+    "tools/likelihood.py": "fits recordings, for packages: no part of a trial",
     "tools/table/table.py": "rounds what a table prints",
 }
 

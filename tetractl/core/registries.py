@@ -168,7 +168,6 @@ COMMANDS = Registry(
         "info": "tetractl.cli.info:info",
         "verify": "tetractl.cli.verify:verify",
         "recover": "tetractl.cli.verify:recover",
-        "identify": "tetractl.cli.identify:identify",
         "schema": "tetractl.cli.specs:schema",
         "kinds": "tetractl.cli.kinds:kinds",
     },

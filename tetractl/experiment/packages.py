@@ -9,6 +9,7 @@ EMULATOR = "tetractl-emulator"
 TOIO = "tetractl-toio"
 MOTION_CAPTURE = "tetractl-motioncapture"
 PAPERS = "tetractl-papers"
+IDENTIFY = "tetractl-identify"
 BRINGS = {
     ("tetractl.plants", "emulated"): EMULATOR,
     ("tetractl.lab_commands", "emulate"): EMULATOR,
@@ -17,6 +18,7 @@ BRINGS = {
     ("tetractl.lab_commands", "markers"): MICROSCOPE,
     ("tetractl.commands", "reproduce"): PAPERS,
     ("tetractl.commands", "track"): MICROSCOPE,
+    ("tetractl.commands", "identify"): IDENTIFY,
     ("tetractl.cameras", "apriltag"): MICROSCOPE,
     ("tetractl.cameras", "cells"): MICROSCOPE,
     ("tetractl.cameras", "toio"): TOIO,

@@ -2,11 +2,10 @@
 
 import pytest
 
-from tetractl.experiment.identified import Identified, merge
+from tetractl.experiment.identified import Identified, IdentifiedRobot, merge
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.yaml.document import parse_document
 from tetractl.experiment.yaml.problems import InvalidSpecError
-from tetractl.replay.identification.identify import QUANTITIES
 
 SPEC = """
 name: x
@@ -57,7 +56,9 @@ def test_what_cannot_be_is_one_clear_line(setting, says):
 
 def identified(strength):
     """Robots with a of 4 rad/s, identified from logs with this strength [mT]."""
-    values = {quantity: {"value": 1.0} for quantity in QUANTITIES} | {"a": {"value": 4.0}}
+    values = {quantity: {"value": 1.0} for quantity in IdentifiedRobot.model_fields} | {
+        "a": {"value": 4.0}
+    }
     return Identified.model_validate(
         {
             "identified": "",

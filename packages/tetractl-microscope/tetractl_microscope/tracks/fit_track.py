@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.replay.identification.fit import NORMAL, SampleInterval
+from tetractl.tools.likelihood import NORMAL, SampleInterval
 from tetractl_microscope.cells.field_record import FieldRecord
 from tetractl_microscope.cells.helix import A_ERROR, SPEED_ERROR, Piece, new_cell
 from tetractl_microscope.cells.kernels.helix_path import likelihoods, smooth

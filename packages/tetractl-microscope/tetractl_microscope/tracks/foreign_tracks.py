@@ -14,7 +14,6 @@ import numpy as np
 
 from tetractl.core.errors import AbortError, UsageError, printable
 from tetractl.core.poses import Floats
-from tetractl.replay.identification.csv_tracks import COLUMNS_SAID, POSES_MAX
 from tetractl.tools.table.csv_rows import is_number, read_csv
 from tetractl.tools.table.quantities import (
     SECONDS,
@@ -25,6 +24,10 @@ from tetractl.tools.table.quantities import (
     name_and_unit,
 )
 
+COLUMNS_SAID = 8
+"""Maximum number of columns that a message names."""
+POSES_MAX = 2_000_000
+"""Maximum number of positions that are read."""
 AXES = (("t", "time", "frame"), ("x",), ("y",))
 """Names of the axes of a graph of which no types are stated."""
 SPARSE = 10

@@ -7,8 +7,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from tetractl.core.errors import printable
-from tetractl.replay.identification.explained import CHECKLIST
-from tetractl.replay.identification.fit import SampleInterval
+from tetractl.tools.likelihood import SampleInterval
+from tetractl_identify.explained import CHECKLIST
 
 USUAL = {
     "dead_time": (0.0, 0.6),

@@ -15,9 +15,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.replay.identification.pose_steps import robust_gains
-from tetractl.replay.identification.tracks import Track
-from tetractl.replay.identification.turns import Turns
+from tetractl_identify.pose_steps import robust_gains
+from tetractl_identify.tracks import Track
+from tetractl_identify.turns import Turns
 
 LAG_S = 0.02
 """Lag of the wheels that is tried [s]. A host that foresees their lag makes robots turn as if a

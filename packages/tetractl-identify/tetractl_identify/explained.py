@@ -19,7 +19,7 @@ import numpy as np
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Floats, Integers
-from tetractl.replay.identification.pose_steps import Complex
+from tetractl_identify.pose_steps import Complex
 
 HALF = 0.5
 """Fraction of the motion below which the commands and the poses do not belong together."""

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tetractl_identify.response import respond, response_table
+from tetractl_identify.tracks import Track, rows_apart
+from tetractl_identify.unusual import USUAL
 
 from tetractl.core.errors import UsageError
-from tetractl.replay.identification.response import respond, response_table
-from tetractl.replay.identification.tracks import Track, rows_apart
-from tetractl.replay.identification.unusual import USUAL
 
 TRUE = {
     "dead_time": 0.12,  # [s], as both lags

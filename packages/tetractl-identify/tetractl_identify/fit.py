@@ -20,7 +20,7 @@ of the heading are not white, by the test of Ljung and Box ("On a measure of lac
 series models", Biometrika 65, 1978).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +28,8 @@ from scipy.special import chdtrc, stdtrit
 
 from tetractl.control.filter_start import HEADING_NOISE, POSITION_NOISE_S, SLIP, WALK
 from tetractl.core.poses import Floats, Integers
-from tetractl.replay.identification.passes import (
+from tetractl.tools.likelihood import NORMAL, SampleInterval, newton_step
+from tetractl_identify.passes import (
     WANDER_S,
     Belief,
     Passed,
@@ -84,12 +85,8 @@ as 0.7, 0.9, 1, 1.05 and 1.1."""
 DEAD_TIME = 7
 """Slot of the dead time behind a robot's other parameters: of the noise, then ln a, ln of the speed
 and bias."""
-NORMAL = 1.96
-"""Standard deviations to either end of a 95 % interval."""
 FAR = np.array([3.0, 1.0, 1.5])
 """Half widths from which ends of ln a, ln speed, bias are unknown."""
-UNLIKELY = -1e12
-"""ln of the likelihood of variants for which it cannot be computed."""
 LAGS = 5
 DOUBT = 0.001
 """Lags of the test of residuals, and its level."""
@@ -111,15 +108,6 @@ WANDERS = 0.03
 """Deviation of a robot's speeds over a second, over the speed, from which the model does not fit:
 of trials of the bench at most 0.010, of robots that slip by 20 % in half of a trial 0.095 or more
 (n = 36 each)."""
-
-
-@dataclass(frozen=True, slots=True)
-class SampleInterval:
-    """A value and its 95 % interval; an end is infinite if the data do not bound the value."""
-
-    value: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -419,56 +407,7 @@ def _is_correlated(residuals: Floats) -> list[bool]:
     return correlated
 
 
-# ---- Newton steps, and blocks ----
-
-
-DIFFERENCE = 0.1
-"""Steps of the parameters, for derivatives."""
-STEP_MOST = 1.0
-SHARES = np.array([0.0, 0.05, 0.2, 0.5, 1.0])
-"""Tried shares of a step."""
-
-
-def newton_step(
-    likelihood: Callable[[Floats], Floats], parameters: Floats, prior_std: float
-) -> tuple[Floats, Floats]:
-    """Return better parameters (N, P), and their standard deviations (N, P) by the curvature.
-
-    `likelihood` returns its logarithm (N, V) for V variants of the parameters (N, V, P); each
-    parameter has a normal prior around 0. Derivatives are differences.
-    """
-
-    def score(changes: Floats) -> Floats:
-        """Return ln of the posterior (N, V) after changes (N or 1, V, P) of the parameters."""
-        tried = parameters[:, None] + changes
-        scores = likelihood(tried) - np.square(tried).sum(axis=2) / (2 * prior_std**2)
-        return np.where(np.isfinite(scores), scores, UNLIKELY)
-
-    slope, curvature = derivatives(score, parameters.shape[1])
-    value, vector = np.linalg.eigh(curvature)
-    value = np.maximum(np.abs(value), prior_std**-2)  # a step uphill where the curve is hollow
-    step = np.einsum("nij,nj,nkj,nk->ni", vector, 1 / value, vector, slope)
-    step = np.clip(step, -STEP_MOST, STEP_MOST)
-    best = score(SHARES[:, None] * step[:, None]).argmax(axis=1)
-    std = np.sqrt(np.einsum("nij,nj->ni", vector**2, 1 / value))
-    return parameters + SHARES[best][:, None] * step, std
-
-
-def derivatives(score: Callable[[Floats], Floats], size: int) -> tuple[Floats, Floats]:
-    """Return the slope (N, P) of a score of P parameters and its negative curvature (N, P, P), from
-    the score where they are, with each raised and lowered, and with each two raised."""
-    raised = DIFFERENCE * np.eye(size)
-    row, column = np.triu_indices(size, 1)
-    changes = np.vstack([np.zeros(size), raised, -raised, raised[row] + raised[column]])
-    scores = score(changes[None])
-    base, up, down, two_up = np.split(scores, (1, 1 + size, 1 + 2 * size), axis=1)
-    slope = (up - down) / (2 * DIFFERENCE)
-    curvature = np.zeros((len(base), size, size))
-    curvature[:, range(size), range(size)] = (2 * base - up - down) / DIFFERENCE**2
-    mixed = (up[:, row] + up[:, column] - base - two_up) / DIFFERENCE**2
-    curvature[:, row, column] = mixed
-    curvature[:, column, row] = mixed
-    return slope, curvature
+# ---- Blocks ----
 
 
 def block_numbers(duration_s: Floats) -> Integers:

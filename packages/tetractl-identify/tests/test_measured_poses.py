@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from tetractl_identify.measured_poses import measured
 
 from tetractl.core.poses import wrap
-from tetractl.replay.identification.measured_poses import measured
 
 RATE_HZ = 20
 SPEED_MM_S = 100.0

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from tetractl_identify.motive import table_rows
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import wrap
 from tetractl.lab.cameras.optitrack.natnet import RigidBody, UpAxis, planar_pose
-from tetractl.tools.table.motive import table_rows
 
 TIMES_S = np.arange(40) / 20
 UNITS = {"Meters": ("m", 1.0), "Millimeters": ("mm", 1e3), "Centimeters": ("cm", 1e2)}

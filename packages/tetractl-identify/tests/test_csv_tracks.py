@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from tetractl_identify.csv_tracks import csv_tracks
 
 from tetractl.core.errors import UsageError
-from tetractl.replay.identification.csv_tracks import csv_tracks
 
 POSES = "time_s,robot,x_mm,y_mm,heading_rad,valid\n0,one,1,2,0.1,True\n0.1,one,3,2,0.2,False\n"
 COMMANDS = "time_s,direction_rad\n0,0.5\n0.2,0.7\n"

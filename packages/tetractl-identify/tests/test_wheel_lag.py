@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-from tetractl.replay.identification.tracks import Track
-from tetractl.replay.identification.wheel_lag import lag_may_turn
+from tetractl_identify.tracks import Track
+from tetractl_identify.wheel_lag import lag_may_turn
 
 A_RAD_S = 4.0
 DEAD_TIME_S = 0.1

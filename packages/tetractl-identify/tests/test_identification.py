@@ -7,15 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from support.paths import ROOT
-
-from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.core.commands import Steer
-from tetractl.core.errors import UsageError
-from tetractl.experiment.load import load_spec
-from tetractl.plant.simulation import SimPlant
-from tetractl.replay.identification import fit
-from tetractl.replay.identification.fit import WANDERS, FittedRobot, SampleInterval
-from tetractl.replay.identification.identify import (
+from tetractl_identify import fit
+from tetractl_identify.fit import WANDERS, FittedRobot
+from tetractl_identify.identify import (
     Doubt,
     IdentifiedRobots,
     identify,
@@ -23,8 +17,15 @@ from tetractl.replay.identification.identify import (
     turn_uniformly,
     without_unsure_intervals,
 )
-from tetractl.replay.identification.passes import TrackFrames, speed_wander
-from tetractl.replay.identification.tracks import Track
+from tetractl_identify.passes import TrackFrames, speed_wander
+from tetractl_identify.tracks import Track
+
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.commands import Steer
+from tetractl.core.errors import UsageError
+from tetractl.experiment.load import load_spec
+from tetractl.plant.simulation import SimPlant
+from tetractl.tools.likelihood import SampleInterval
 from tetractl.tools.table.table_files import json_text
 
 pytestmark = pytest.mark.slow

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.replay.identification.pose_steps import Complex
-from tetractl.replay.identification.tracks import SETTLED_S, Track, rows_apart
+from tetractl_identify.pose_steps import Complex
+from tetractl_identify.tracks import SETTLED_S, Track, rows_apart
 
 GRID_S = 0.01
 """Time step of the integrals [s]."""

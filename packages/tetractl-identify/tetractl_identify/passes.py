@@ -27,7 +27,7 @@ from tetractl.control.kernels.filter_state import (
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, Integers, wrap
 from tetractl.model.motion.motion import PARAMETERS
-from tetractl.replay.identification.tracks import Track, rows_apart
+from tetractl_identify.tracks import Track, rows_apart
 
 SHORTEST_S = 0.035
 """Shortest interval: a frame that follows sooner is left out."""

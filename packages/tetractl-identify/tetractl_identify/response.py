@@ -44,31 +44,25 @@ from scipy.optimize import minimize
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Bools, Floats, Integers
-from tetractl.replay.identification.explained import (
+from tetractl.tools.likelihood import NORMAL, UNLIKELY, SampleInterval, derivatives
+from tetractl.tools.table.table import Column, Table
+from tetractl_identify.explained import (
     Explained,
     explained,
     refuse_contradicted,
     windows_of,
 )
-from tetractl.replay.identification.fit import (
-    NORMAL,
-    UNLIKELY,
-    SampleInterval,
-    block_numbers,
-    derivatives,
-    wider_of_blocks,
-)
-from tetractl.replay.identification.identify import INTERVALS_MIN, cell, labels_of
-from tetractl.replay.identification.pose_steps import Complex, PoseSteps, robust_gains
-from tetractl.replay.identification.tracks import Track, integrals_of_sent, rows_apart
-from tetractl.replay.identification.unusual import (
+from tetractl_identify.fit import block_numbers, wider_of_blocks
+from tetractl_identify.identify import INTERVALS_MIN, cell, labels_of
+from tetractl_identify.pose_steps import Complex, PoseSteps, robust_gains
+from tetractl_identify.tracks import Track, integrals_of_sent, rows_apart
+from tetractl_identify.unusual import (
     GAINS,
     USUAL,
     may_be_usual,
     undetermined_values,
     unusual_values,
 )
-from tetractl.tools.table.table import Column, Table
 
 STEP_S = 0.1
 """Least duration of a step [s]."""

@@ -19,10 +19,7 @@ from numpy.typing import NDArray
 
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.poses import Bools, Floats
-from tetractl.replay.identification.measured_poses import measured
-from tetractl.replay.identification.tracks import Track
 from tetractl.tools.table.csv_rows import CsvRow
-from tetractl.tools.table.motive import table_rows
 from tetractl.tools.table.quantities import (
     METRES,
     METRES_S,
@@ -37,6 +34,9 @@ from tetractl.tools.table.quantities import (
     name_and_unit,
     truth,
 )
+from tetractl_identify.measured_poses import measured
+from tetractl_identify.motive import table_rows
+from tetractl_identify.tracks import Track
 
 POSES_MAX = 2_000_000  # largest number of poses of a trial
 ROBOTS_MAX = 1000

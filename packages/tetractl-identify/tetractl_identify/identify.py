@@ -17,20 +17,21 @@ from tetractl.control.filter_start import LEAST_SPEED
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue
-from tetractl.replay.identification.explained import (
+from tetractl.tools.likelihood import SampleInterval
+from tetractl.tools.table.table import Column, Table
+from tetractl_identify.explained import (
     Explained,
     explained,
     refuse_contradicted,
     windows_of,
 )
-from tetractl.replay.identification.fit import FittedRobot, SampleInterval, fit
-from tetractl.replay.identification.passes import TrackFrames, intervals_used, speeds
-from tetractl.replay.identification.pose_steps import PoseSteps
-from tetractl.replay.identification.tracks import SETTLED_S, Track, require_same, rows_apart
-from tetractl.replay.identification.turns import GAP, GAP_S, Turns
-from tetractl.replay.identification.unusual import unusual_values
-from tetractl.replay.identification.wheel_lag import lag_may_turn
-from tetractl.tools.table.table import Column, Table
+from tetractl_identify.fit import FittedRobot, fit
+from tetractl_identify.passes import TrackFrames, intervals_used, speeds
+from tetractl_identify.pose_steps import PoseSteps
+from tetractl_identify.tracks import SETTLED_S, Track, require_same, rows_apart
+from tetractl_identify.turns import GAP, GAP_S, Turns
+from tetractl_identify.unusual import unusual_values
+from tetractl_identify.wheel_lag import lag_may_turn
 
 INTERVALS_MIN = 20
 """Least number of intervals of a robot for a fit."""

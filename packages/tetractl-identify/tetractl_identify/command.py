@@ -13,8 +13,8 @@ from tetractl.tools.files import save_whole
 
 if TYPE_CHECKING:
     from tetractl.log.read.trial_log import TrialLog
-    from tetractl.replay.identification.identify import IdentifiedRobots
-    from tetractl.replay.identification.tracks import Track
+    from tetractl_identify.identify import IdentifiedRobots
+    from tetractl_identify.tracks import Track
 
 
 def identify(
@@ -64,8 +64,8 @@ def identify(
 
 def _identify_tables(tables: list[Path], out: Path | None, as_json: bool) -> int:
     """Identify robots by CSV files, which say themselves whether they are of speeds."""
-    from tetractl.replay.identification.csv_tracks import csv_tracks
-    from tetractl.replay.identification.identify import identify as identify_robots
+    from tetractl_identify.csv_tracks import csv_tracks
+    from tetractl_identify.identify import identify as identify_robots
 
     tracks = csv_tracks(tables)
     for track in tracks:
@@ -81,7 +81,7 @@ def _identify_tables(tables: list[Path], out: Path | None, as_json: bool) -> int
 
 def _identify_logs(paths: Sequence[Path], wheels: bool, out: Path | None, as_json: bool) -> int:
     """Identify robots by logs, of which the first states what was known of them."""
-    from tetractl.replay.identification.identify import identify as identify_robots
+    from tetractl_identify.identify import identify as identify_robots
 
     if wheels:
         _refuse_file_of_response(out)
@@ -110,7 +110,7 @@ def _read_logs(paths: Sequence[Path], wheels: bool) -> "tuple[list[Track], Trial
 
     With `wheels`, the tracks hold the speeds of wheels that were sent, not the directions.
     """
-    from tetractl.replay.identification.tracks import track_of, wheels_of
+    from tetractl_identify.tracks import track_of, wheels_of
 
     first: TrialLog | None = None
     tracks: list[Track] = []
@@ -132,8 +132,8 @@ def _read_logs(paths: Sequence[Path], wheels: bool) -> "tuple[list[Track], Trial
 
 def _show_response(tracks: "list[Track]", as_json: bool) -> None:
     """Print how robots follow speeds and turning rates."""
-    from tetractl.replay.identification.response import respond, response_table
-    from tetractl.replay.identification.tracks import require_same
+    from tetractl_identify.response import respond, response_table
+    from tetractl_identify.tracks import require_same
 
     require_same(tracks)
     responses = respond(tracks)
@@ -146,7 +146,7 @@ def _show_response(tracks: "list[Track]", as_json: bool) -> None:
 def _show_robots(robots: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
     """Print the identified values; if a file is named, write them to it for use in specs."""
     from tetractl.experiment.yaml.core_yaml import dump
-    from tetractl.replay.identification.identify import (
+    from tetractl_identify.identify import (
         spec_section,
         tables,
         without_unsure_intervals,

@@ -65,7 +65,7 @@ def everywhere(tmp_path_factory):
 @pytest.mark.parametrize(
     ("target", "passed"),
     [
-        ("Cortex-M0+", "Cortex-M0+: 4 programs passed"),
+        ("mbed and QEMU", "cortex-m0plus: 5 test programs passed"),
         ("the sketch", "field_driver: 0 failures"),
         ("Uno", "Uno: the sketch is linked"),
         ("MicroPython", "micropython: 76 checks, 0 failures"),
@@ -76,7 +76,7 @@ def test_the_programs_pass_their_tests_on_other_processors(everywhere, target, p
     for line in lines:
         if line.startswith(f"left out: {target}"):
             pytest.skip(line)
-    assert passed in lines
+    assert any(line.startswith(passed) for line in lines)
 
 
 def damaged(rng):

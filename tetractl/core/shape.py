@@ -77,7 +77,7 @@ class Shape:
         inside = np.zeros(x0.shape, dtype=np.bool_)
         for ax, ay, bx, by in self._edges():
             apart2 = segments_gap2(x0, y0, x1, y1, ax, ay, bx, by)
-            touched |= (apart2 <= self.radius**2).any(axis=0)
+            touched |= (apart2 <= self.radius * self.radius).any(axis=0)
             inside ^= np.logical_xor.reduce(ray_crosses(x0, y0, ax, ay, bx, by), axis=0)
         return touched | inside
 

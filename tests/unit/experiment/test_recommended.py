@@ -109,7 +109,7 @@ def lab_controller(*sets):
 
 
 def test_defaults_follow_the_robots_and_their_bodies():
-    controller = lab_controller()
+    controller = lab_controller("controller.collision={radius: 47}")
     assert controller.period == 0.05
     assert controller.time_limit == 160
     assert controller.arrival_tolerance == 0

@@ -152,6 +152,7 @@ class Renderer:
         self.strays: list[FloorTag] = []
         self._empty: tuple[frozenset[int], Shades] | None = None
         self._pictures = 0
+        self._corner = -1, -1  # of the last picture's noise, in the larger array
 
     def picture(self, poses_at: Callable[[int], Poses], exposed_ns: int) -> Grey:
         """Return the picture (height, width) whose exposure has its middle at `exposed_ns`.
@@ -247,9 +248,17 @@ class Renderer:
         return draw((self.optics.height + SPARE_PX, self.optics.width + SPARE_PX), np.float32)
 
     def _grain(self, height: int, width: int) -> Shades:
-        """Return standard normal noise (height, width), a random part of a larger array."""
+        """Return standard normal noise (height, width), a random part of a larger array.
+
+        The part differs from the part in the previous picture: a real camera never sends exactly
+        the same picture of standing robots twice.
+        """
         self._pictures += 1
-        x, y = np.random.default_rng((self.seed, self._pictures)).integers(0, SPARE_PX, 2)
+        draw = np.random.default_rng((self.seed, self._pictures))
+        x, y = draw.integers(0, SPARE_PX, 2).tolist()
+        if (x, y) == self._corner:
+            x = (x + 1) % SPARE_PX
+        self._corner = x, y
         return self._noise[x : x + height, y : y + width]
 
     @cached_property

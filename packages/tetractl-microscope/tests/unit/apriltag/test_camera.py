@@ -178,6 +178,15 @@ def test_what_is_wrong_is_named(tmp_path, scene, facing, changes, problems, warn
     assert any(line.startswith(warning) for line in warnings) or not warning
 
 
+def test_pictures_of_standing_robots_differ():
+    """Regression: a trial warned that a picture was not searched, because the emulated camera had
+    drawn the same noise twice in a row."""
+    same_noise_drawn_twice = 6658
+    renderer = rendered(seed=same_noise_drawn_twice)
+    first, second = (renderer.picture(standing, 0) for _ in range(2))
+    assert (first != second).any()
+
+
 def printed(tags):
     """Tags as of a page that was printed at 98 %."""
     return [tag.model_copy(update={"size_mm": 0.98 * tag.size_mm}) for tag in tags]

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tetractl_identify.response import respond, response_table
+from tetractl_identify.response import ResponseParameters, respond, response_table
 from tetractl_identify.tracks import Track, rows_apart
 from tetractl_identify.unusual import USUAL
 
@@ -297,3 +297,11 @@ def test_steps_of_poses_at_unix_times_are_not_longer_by_rounding():
     """Regression: at 20 Hz, steps of 0.1 s were 0.15 s."""
     times_s = 1_764_000_000.25 + np.arange(200) / 20
     assert np.diff(rows_apart(times_s - times_s[0], 0.1)).tolist() == [2] * 99
+
+
+def test_a_search_that_goes_far_astray_does_not_overflow():
+    """Regression: "array must not contain infs or NaNs" ended the command with a traceback."""
+    units = ResponseParameters(0.1, 0.1, 0.1, 0.02, 2.0, 0.003, 0.2, 0.0)
+    with np.errstate(all="raise"):
+        far = units.at(np.full(8, 1e6))
+    assert np.isfinite([far.heading_walk**2, far.way_walk**2, far.turning_lag]).all()

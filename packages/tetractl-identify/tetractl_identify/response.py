@@ -104,6 +104,8 @@ WAY_WALK_UNIT = 0.02
 """Of the speed times 1 sqrt(s)."""
 POSITION_NOISE_UNIT_S = 0.002
 """Of the speed: usual values of the parameters, in which they are searched."""
+LN_MOST = 25.0
+"""Maximum magnitude of the logarithm of a parameter over its unit: beyond it, numbers overflow."""
 LAG_LEAST_S = 1e-3
 LAG_MOST_S = 10.0
 """Shorter and longer lags are taken for these [s]."""
@@ -521,7 +523,7 @@ class ResponseParameters:
     def at(self, vector: Floats) -> "ResponseParameters":
         """Return the parameters of a vector (8,). `self` has the units; the dead time of a vector
         of zeros is that of `self`, and there is no drift then."""
-        factor = np.exp(vector)
+        factor = np.exp(np.clip(vector, -LN_MOST, LN_MOST))
         return ResponseParameters(
             dead_time=self.dead_time + DEAD_TIME_UNIT_S * vector[0],
             turning_lag=_lag(self.turning_lag * factor[1]),

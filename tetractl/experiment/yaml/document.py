@@ -133,7 +133,7 @@ def file_of_spec(folder: Path | None, key: str, name: str) -> Path:
 
 
 SPEC_TEXT = "a spec is YAML text"
-"""What a file is that `read_text` reads, unless it is told otherwise."""
+"""What `read_text` expects a file to be, unless its caller names something else."""
 
 
 def read_text(path: Path, max_bytes: int = MAX_BYTES, what: str = SPEC_TEXT) -> str:

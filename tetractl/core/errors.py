@@ -94,10 +94,16 @@ class AbortError(TetractlError):
 
 
 class WrongValueError(TetractlError):
-    """`who` returned `what`, which cannot be sent or logged."""
+    """A plug-in returned a value that cannot be sent or logged.
+
+    Args:
+        who: The plug-in, as the message names it.
+        what: The value, in words.
+    """
 
     def __init__(self, who: str, what: str) -> None:
         super().__init__(f"{who} returned {what}")
+        self.what = what
 
 
 class WireError(ValueError):

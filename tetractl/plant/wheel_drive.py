@@ -6,7 +6,7 @@ by the paper's (21)-(23), see `model.wheels`. Wheels lag, gains and radii differ
 
 import numpy as np
 
-from tetractl.core import elementwise
+from tetractl.core import elementary
 from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand
@@ -51,7 +51,7 @@ class WheelDrive(WheeledRobots):
         self.roll = roll
         self.host = host
         self.gains = host.gains * np.array([setup.wheel_radius / radii, np.ones(a.size)])
-        self.rest_s = wheels.lag * -elementwise.log(REST) + 1 / section.truth_rate
+        self.rest_s = wheels.lag * -elementary.log(REST) + 1 / section.truth_rate
         """Time until the wheels of a stopped robot stand [s]."""
         self._setup = setup
         self._walk_rad = section.heading_noise / np.sqrt(section.truth_rate)

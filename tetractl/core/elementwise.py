@@ -21,7 +21,9 @@ def _elementwise(function: Callable[..., float]) -> Callable[..., Floats]:
 
     def apply(*arguments: ArrayLike) -> Floats:
         floats = (np.asarray(argument, dtype=np.float64) for argument in arguments)
-        return np.asarray(ufunc(*floats), dtype=np.float64)[()]  # a number for numbers
+        with np.errstate(invalid="ignore"):  # NaN stands for what is unknown, and remains NaN
+            values = ufunc(*floats)
+        return np.asarray(values, dtype=np.float64)[()]  # a number for numbers
 
     apply.__doc__ = function.__doc__
     return apply

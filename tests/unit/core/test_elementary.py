@@ -106,3 +106,11 @@ def test_kernels_have_the_bits_of_plain_python(name):
     fill(x, values)
     plain = getattr(elementary, name)
     np.testing.assert_array_equal(values, [plain(number) for number in x.tolist()])
+
+
+@pytest.mark.parametrize("name", ["sin", "cos", "exp", "expm1", "log1p", "tanh"])
+def test_nan_stays_nan_without_a_warning(name):
+    """Regression: the pose of an unseen cell ended a trial by a RuntimeWarning of NumPy."""
+    values = getattr(elementwise, name)(np.array([np.nan, 0.5]))
+    assert np.isnan(values[0])
+    assert np.isfinite(values[1])

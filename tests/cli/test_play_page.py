@@ -155,6 +155,15 @@ def test_arrow_keys_steer_all_robots_and_space_stops_them(game):
 
 
 @needs_chromium
+def test_a_direction_exactly_behind_the_robots_is_explained(game):
+    game.run("game.world.robots.forEach((robot) => { robot.start[2] = 0; }); game.restart()")
+    game.key("ArrowLeft")
+    assert "exactly behind the robots" in text(game, "message")
+    advance(game, 0.5)
+    assert game.run("game.trial.poses[0][1]") == pytest.approx(300, abs=1e-6)
+
+
+@needs_chromium
 def test_a_drag_on_the_arena_sets_the_direction(game):
     x, y = game.run(
         "(() => { const box = document.getElementById('scene').getBoundingClientRect();"
@@ -200,13 +209,12 @@ def test_a_run_through_an_obstacle_or_over_the_edge_is_lost(game):
     game.run("game.restart()")
     game.key("ArrowUp")
     advance(game, 4.0)
-    assert "red drove into an obstacle" in text(game, "lost")
     assert game.run("game.phase") == "ended"
+    assert "Lost: red drove into an obstacle" in text(game, "message")
     game.run("game.restore()")
-    assert game.run("document.getElementById('lost').hidden")
+    assert "Lost" not in text(game, "message")
     game.key("ArrowDown")
     advance(game, 5.0)
-    assert "green drove over the edge" in text(game, "lost")
     assert "Lost: green drove over the edge" in text(game, "message")
     assert "lost: green drove over the edge" in text(game, "results")
 

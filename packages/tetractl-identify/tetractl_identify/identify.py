@@ -29,7 +29,7 @@ from tetractl_identify.fit import FittedRobot, fit
 from tetractl_identify.passes import TrackFrames, intervals_used, speeds
 from tetractl_identify.pose_steps import PoseSteps
 from tetractl_identify.tracks import SETTLED_S, Track, require_same, rows_apart
-from tetractl_identify.turns import GAP, GAP_S, Turns
+from tetractl_identify.turn_samples import GAP, GAP_S, Turns
 from tetractl_identify.unusual import unusual_values
 from tetractl_identify.wheel_lag import lag_may_turn
 

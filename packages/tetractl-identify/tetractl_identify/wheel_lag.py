@@ -17,7 +17,7 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl_identify.pose_steps import robust_gains
 from tetractl_identify.tracks import Track
-from tetractl_identify.turns import Turns
+from tetractl_identify.turn_samples import Turns
 
 LAG_S = 0.02
 """Lag of the wheels that is tried [s]. A host that foresees their lag makes robots turn as if a

@@ -61,6 +61,11 @@ class Trial {
     return positions;
   }
 
+  // Whether a direction is exactly behind every robot: then a sin(u - heading) is 0.
+  facesAway(u) {
+    return this.poses.every(([, , heading]) => Math.cos(u - heading) < -1 + 1e-12);
+  }
+
   get distances() { return gaps(this.world, this.poses); }
   get total() { return this.distances.reduce((sum, one) => sum + one, 0); }
   get arrived() {
@@ -231,7 +236,9 @@ class Game {
     if (this.phase === "ready") {
       this.phase = "driving";
       this.begin();
-      this.say("The dots show where this direction leads. Stop (space) when every robot is in its square.");
+      this.say(this.trial.facesAway(u)
+        ? "This direction is exactly behind the robots. Left and right are equally far, so they turn neither way and drive straight on."
+        : "The dots show where this direction leads. Stop (space) when every robot is in its square.");
       this.clock.start();
     } else if (this.phase === "paused") this.show();
     else this.plan();
@@ -329,7 +336,6 @@ class Game {
     }
     if (this.phase === "watching") { this.finishWatching(); return; }
     this.phase = "watching";
-    this.watchedOnce = true;
     this.time = 0;
     this.rows();
     const other = this.changed ? "The original robots, targets and obstacles, for which it was computed. " : "";
@@ -348,6 +354,7 @@ class Game {
     this.clock.stop();
     this.time = this.watched.end;
     this.phase = "watched";
+    this.watchedOnce = true;
     const best = this.best(), mine = best ? ` Your best of ${this.tries.length}: ${this.length(best.total)}.` : "";
     const which = this.changed ? " (with the original robots)" : "";
     this.say(`The controller${which}: ${this.length(sum(this.watched.final.errors))} after ${this.time.toFixed(1)} s.${mine}`
@@ -437,7 +444,7 @@ class Game {
     const distances = watching ? distancesAt(this.watched, time) : this.trial.distances;
     [...byId("distances").children].forEach((one, r) => { one.lastChild.data = digits(distances[r]); });
     byId("total").textContent = `${watching ? "controller's" : "total"} error ${this.length(sum(distances))}, ${time.toFixed(1)} s`;
-    const lost = watching ? "" : this.trial.lost;
+    const lost = this.phase === "driving" || this.phase === "paused" ? this.trial.lost : "";
     byId("lost").textContent = lost && `Lost: ${lost}.`;
     byId("lost").hidden = !lost;
     byId("pause").firstChild.data = this.phase === "paused" ? "Go on " : "Pause ";

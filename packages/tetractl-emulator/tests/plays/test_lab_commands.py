@@ -144,7 +144,7 @@ def test_stop_refuses_an_actuator_or_a_setting_that_is_wrong(lab, tmp_path, monk
 @pytest.mark.long
 def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
     """Regression: `rerun LABLOG </dev/null` set robots moving, as did `run --plant lab`."""
-    emulated = lab(replace_after=0.5)
+    emulated = lab(replace_after=6.0)
     sets = flags((*emulated.settings, "controller.time_limit=0.6", "lab.limits.placing=30"))
 
     def run(*words):
@@ -173,7 +173,7 @@ def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
 
 @pytest.mark.long
 def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tmp_path):
-    settings = lab(UNEVEN, replace_after=4).settings
+    settings = lab(UNEVEN, replace_after=6).settings
     tetractl(
         tmp_path, "lab", "calibrate", str(SPEC), "--robot", "green", "--yes", *flags(settings)
     ).ok()

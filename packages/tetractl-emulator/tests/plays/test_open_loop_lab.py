@@ -23,7 +23,7 @@ def test_a_sequence_is_driven_and_its_robots_are_identified(tmp_path):
 
     of_the_lab = (setting for setting in SMALL if not setting.startswith("controller."))
     sets = (*of_the_lab, SEQUENCE, "lab.limits.placing=30")
-    with virtual_lab(tmp_path, *sets, spec=SPEC, replace_after=0.2, ahead_s=0.5) as lab:
+    with virtual_lab(tmp_path, *sets, spec=SPEC, replace_after=6.0, ahead_s=0.5) as lab:
         run = ("run", SPEC, "--plant", "lab", "--yes", "--quiet", "--out", "driven")
         call(*run, *flags(lab.settings))
         log = read_trial(next((tmp_path / "driven").glob("*.mcap")))

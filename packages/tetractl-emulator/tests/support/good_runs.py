@@ -33,7 +33,7 @@ RUNS = {
             "lab.limits.placing=30",
             BEFORE_OBSTACLE,
         ),
-        3.0,  # longer than a rest within a trial, of 1 s of search on a host that may be slow
+        6.0,  # longer than the run watches the robots after a trial
     ),
     "version 2.9, z up, elsewhere": (
         "emulation: {camera: {version: '2.9'}}",

@@ -158,7 +158,7 @@ SCALED = {
     "w clockwise": ((1, -1), "turning gain of one is -0.9"),
     "v in m": ((1e-3, 1), "speed gain of one is 1.04e+03"),
     "v in cm": ((0.1, 1), "speed gain of one is 10.4"),
-    "v reversed": ((-1, 1), "heading offset of one is"),
+    "v reversed": ((-1, 1), "speed gain of one is -1"),
     "of wheels": ((1 / 15, 1 / 15), "turning gain of one is 1"),
     "40 %": ((2.5, 2.5), "turning gain of one is 0.37"),
 }

@@ -19,6 +19,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from support.random_trials import experiment, trial, write
 
+from tetractl.core import elementwise
 from tetractl.core.trial import EPOCH_NS
 from tetractl.log.format.codec import DRAWN_PRECISION, Frames
 from tetractl.log.format.scene import Scene, frame_of, stamp
@@ -113,8 +114,8 @@ def test_what_is_tracked_and_finite_is_drawn_of_any_poses_at_any_times(data, rob
         x, y, heading = poses[tracked, i].T
         x_m = x * setup.metres
         y_m = y * setup.metres
-        sine = np.sin(heading / 2)
-        cosine = np.cos(heading / 2)
+        sine = elementwise.sin(heading / 2)
+        cosine = elementwise.cos(heading / 2)
         for row, time_ns in enumerate(times[tracked].tolist()):
             transforms.transforms.add(
                 timestamp=stamp(time_ns),

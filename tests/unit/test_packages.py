@@ -19,7 +19,7 @@ HIDDEN = """
 import sys
 import importlib.metadata
 
-NAMES = {"emulator", "microscope", "motioncapture", "papers", "toio"}
+NAMES = {"emulator", "identify", "microscope", "motioncapture", "papers", "toio"}
 PACKAGES = {f"tetractl_{name}" for name in NAMES}
 OURS = {f"tetractl-{name}" for name in NAMES}
 

@@ -32,6 +32,7 @@ PLAYABLE = (
     "three_m3pi_lab",
     "three_m3pi_measured",
     "three_m3pi_paper",
+    "three_m3pi_paper_lab",
     "three_m3pi_paper_bench",
 )
 KEYS = [(0.0, "up"), (1.3, "right"), (2.05, "down"), (3.4, "left"), (4.45, "right"), (5.5, "space")]

@@ -29,7 +29,7 @@ sys.path.extend(map(str, ROOT.glob("packages/*/tests")))
 
 HANG_S = 120  # on a busy host a report takes half a minute
 FUZZED = [
-    "tetractl.experiment",
+    "tetractl.spec",
     "tetractl.lab",
     "tetractl.log",
     "yaml",

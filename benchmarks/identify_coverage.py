@@ -23,8 +23,8 @@ from tetractl_identify.tracks import track_of
 from tetractl import api
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.plant.simulation import SimPlant
-from tetractl.results.estimate import proportion_interval
 from tetractl.run.spec_trial import trial_seeds
+from tetractl.statistics.estimate import proportion_interval
 
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"
 SPEC = EXPERIMENTS / "three_m3pi.yaml"

@@ -27,12 +27,12 @@ import yaml
 from solverbench.problems import EXPERIMENTS
 from solverbench.report import progress
 
-from tetractl.control.mpc_section import RecommendedMpc
+from tetractl.control.methods.mpc_section import RecommendedMpc
 from tetractl.core.poses import Floats
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import load_spec
-from tetractl.results.estimate import distributions, proportion_interval
-from tetractl.results.mean_difference import paired_t
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.load import load_spec
+from tetractl.statistics.estimate import distributions, proportion_interval
+from tetractl.statistics.mean_difference import paired_t
 
 SETTING = Mapping[str, Any]
 OURS = "recommended"

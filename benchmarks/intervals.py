@@ -18,8 +18,8 @@ import numpy as np
 import scipy
 
 from tetractl.core.poses import Floats
-from tetractl.results.estimate import Interval, distributions
-from tetractl.results.mean_difference import (
+from tetractl.statistics.estimate import Interval, distributions
+from tetractl.statistics.mean_difference import (
     from_both_intervals,
     paired_t,
     rank_sum,

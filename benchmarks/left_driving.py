@@ -20,8 +20,8 @@ import numpy as np
 from tetractl_emulator.lab_rehearse import observed
 from tetractl_emulator.rehearsal.day import DayPlan, play
 
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.plants import on_plant
+from tetractl.spec.load import load_spec
+from tetractl.spec.plants import on_plant
 
 SPEC = Path(__file__).parents[1] / "experiments" / "three_m3pi_lab.yaml"
 SHORT = "controller.time_limit=3"

@@ -21,9 +21,9 @@ from support.fuzz import Original, fuzz  # noqa: E402
 from support.lab_logs import dish_log, lab_log  # noqa: E402
 from support.tampering import score, sim_log  # noqa: E402
 
-from tetractl.experiment.load import parse_spec  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
 from tetractl.run.spec_trial import log_path, run_logged  # noqa: E402
+from tetractl.spec.load import parse_spec  # noqa: E402
 
 SMALL = """
 name: small

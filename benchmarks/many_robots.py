@@ -11,8 +11,8 @@ import time
 import numpy as np
 from solverbench.report import load
 
-from tetractl.control.lengths import Searcher, least_length
-from tetractl.control.optimizers.multistart import Multistart
+from tetractl.control.methods.lengths import Searcher, least_length
+from tetractl.control.search.optimizers.multistart import Multistart
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Poses

@@ -18,7 +18,7 @@ from tetractl_identify.tracks import Track
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.results.estimate import t_quantile
+from tetractl.statistics.estimate import t_quantile
 from tetractl.tools.likelihood import SampleInterval
 from tetractl.tools.table.table import Column, Table
 from tetractl.tools.table.terminal_table import print_tables

@@ -15,7 +15,7 @@ from solverbench.report import load
 
 from tetractl.core.plan import Limits, Problem
 from tetractl.core.registries import OPTIMIZERS
-from tetractl.experiment.controller import OptimizerSection
+from tetractl.spec.controller import OptimizerSection
 
 
 def main() -> None:

@@ -36,7 +36,7 @@ from tetractl_microscope.tracks.field_file import no_field
 
 from tetractl.core.clock import VirtualClock
 from tetractl.core.errors import TetractlError
-from tetractl.results.estimate import proportion_interval
+from tetractl.statistics.estimate import proportion_interval
 
 LEARNING_S = 1.5  # the default of the camera's `learning` [s]
 LEARNED = 15  # images from which the background is computed

@@ -25,26 +25,18 @@ import numpy as np
 from solverbench.report import load, progress
 from worlds.trials import PAIRS_HEAD, Row, Task, extended, pair_lines
 
-from tetractl.control import (
-    filter,
-    filter_start,
-    lengths,
-    margins,
-    mpc,
-    near_targets,
-    passage,
-    reception,
-    turns,
-)
-from tetractl.control.filter import FilterBank
-from tetractl.control.fixed_sequence import best_stop
-from tetractl.control.kernels import filter_state
-from tetractl.control.lengths import Searcher
-from tetractl.control.mpc import Mpc
-from tetractl.control.mpc_section import PriorSection, RecommendedMpc
-from tetractl.control.prior import Sticks
-from tetractl.control.reception import Reception
-from tetractl.control.value import Worth
+from tetractl.control.estimation import filter, filter_start, reception
+from tetractl.control.estimation.filter import FilterBank
+from tetractl.control.estimation.kernels import filter_state
+from tetractl.control.estimation.prior import Sticks
+from tetractl.control.estimation.reception import Reception
+from tetractl.control.methods import lengths, mpc, passage, turns
+from tetractl.control.methods.fixed_sequence import best_stop
+from tetractl.control.methods.lengths import Searcher
+from tetractl.control.methods.mpc import Mpc
+from tetractl.control.methods.mpc_section import PriorSection, RecommendedMpc
+from tetractl.control.methods.value import Worth
+from tetractl.control.search import margins, near_targets
 
 COMMON = ("base", "bench", "base-5hz")
 WALLS = ("near-walls", "near-walls-5hz", "gap")
@@ -67,8 +59,8 @@ class Rule:
         for owner, name, replacement in self.parts:
             patch.object(owner, name, replacement).start()
         if self.assumed:
-            from tetractl.control.kernels import filter as kernel
-            from tetractl.control.kernels import filter_measure
+            from tetractl.control.estimation.kernels import filter as kernel
+            from tetractl.control.estimation.kernels import filter_measure
 
             for name, value in self.assumed:
                 for module in (kernel, filter_measure):
@@ -136,7 +128,7 @@ def _alone(bank: Any, prior: Any) -> Any:
 
 
 RULES = {
-    # what robots do: tetractl.control.mpc
+    # what robots do: tetractl.control.methods.mpc
     "polish before a stop near the time limit": Rule(
         ((Mpc, "_near_the_limit", _as_usual),),
         (
@@ -160,7 +152,7 @@ RULES = {
             f"{world} --set hold={{radius: 20, time: 10}}" for world in ("base", "bench", "sides")
         ),
     ),
-    # passages: tetractl.control.passage
+    # passages: tetractl.control.methods.passage
     "tree": Rule(((mpc, "ways", lambda *_: iter(())),), ("gap", "eight")),
     "thread": Rule(((Mpc, "_drive", lambda _, __, best: best),), ("gap",)),
     "rest where robots stray from a passage": Rule((_returns(Mpc, "_strays", False),), ("gap",)),
@@ -184,7 +176,7 @@ RULES = {
     # margins
     "margins for uncertain motion": Rule(((margins, "SIGMAS", 0.0),), WALLS),
     "margins for a lost command": Rule(((near_targets, "LOST_SHARE", 0.0),), WALLS),
-    # radio: tetractl.control.reception
+    # radio: tetractl.control.estimation.reception
     "radio test": Rule(
         ((FilterBank, "tests_radio", property(lambda _: False)),),
         ("sparse-radio", "lossy-radio", "silent"),

@@ -17,7 +17,7 @@ from tetractl_microscope.organisms import TETRAHYMENA
 from tetractl_microscope.tracks.fit_track import CellPath, CellSummary, fit_tracks
 
 from tetractl.model.swimmers import Swimmers, bodies
-from tetractl.results.estimate import proportion_interval
+from tetractl.statistics.estimate import proportion_interval
 
 SECONDS = 10.0
 STEP_HZ = 240  # steps of the simulation [1/s]

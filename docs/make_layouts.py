@@ -7,8 +7,8 @@ while they differ. Each log holds the layout of its own experiment.
 import json
 from pathlib import Path
 
-from tetractl.experiment.load import load_spec
 from tetractl.log.format.layout import layout
+from tetractl.spec.load import load_spec
 
 FOLDER = Path(__file__).parent / "layouts"
 EXPERIMENTS = Path(__file__).parent.parent / "experiments"

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.schema import alternatives, dereferenced, schema_of, tag
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.schema import alternatives, dereferenced, schema_of, tag
 
 SPEC = schema_of(Experiment)
 PAGE = Path(__file__).parent / "reference" / "spec.md"

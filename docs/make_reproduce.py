@@ -15,7 +15,7 @@ from tetractl_papers.registries import PAPERS
 from tetractl_papers.trials import run_arms
 
 from tetractl.api import run_batch
-from tetractl.experiment.examples import examples
+from tetractl.spec.examples import examples
 from tetractl.tools.table.terminal_table import markdown
 
 PAGE = Path(__file__).parents[1] / "packages/tetractl-papers/README.md"

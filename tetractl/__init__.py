@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from tetractl.core.plan import Outcome, Plan
     from tetractl.core.poses import Observation, Poses
     from tetractl.core.protocols import Actuator, Camera, Controller, Observer, Optimizer
-    from tetractl.experiment.experiment import Experiment
     from tetractl.log.read.trial_log import TrialLog
+    from tetractl.spec.experiment import Experiment
 
 __all__ = [
     "Actuator",
@@ -67,7 +67,7 @@ _TYPES = {
     "Actuator": "tetractl.core.protocols:Actuator",
     "Camera": "tetractl.core.protocols:Camera",
     "Controller": "tetractl.core.protocols:Controller",
-    "Experiment": "tetractl.experiment.experiment:Experiment",
+    "Experiment": "tetractl.spec.experiment:Experiment",
     "Observation": "tetractl.core.poses:Observation",
     "Observer": "tetractl.core.protocols:Observer",
     "Optimizer": "tetractl.core.protocols:Optimizer",

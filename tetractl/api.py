@@ -30,22 +30,22 @@ from tetractl.core.errors import UsageError, demand, whole_number
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import Result
-from tetractl.experiment import load
-from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.spec import load
+from tetractl.spec.loaded_spec import LoadedSpec
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-    from tetractl.replay.verify import Verification
     from tetractl.report.html_page import FramedPage
-    from tetractl.results.describe import BatchComparison, BatchStatistics
-    from tetractl.results.open_batch import Batch, Batches
     from tetractl.run.batch import Ending, RunObserver
     from tetractl.run.interrupt import Interrupt
     from tetractl.run.open_trial import OpenTrial
     from tetractl.run.task import Task
+    from tetractl.statistics.describe import BatchComparison, BatchStatistics
+    from tetractl.statistics.open_batch import Batch, Batches
+    from tetractl.verification.verify import Verification
     from tetractl.view.video import Video
 
 Strings = NDArray[np.str_]
@@ -75,8 +75,8 @@ def parse_spec(text: str | Mapping[str, Any], *sets: str) -> LoadedSpec:
 
 def experiment_schema() -> dict[str, Any]:
     """Return the JSON schema of a spec, with the kinds that installed packages add."""
-    from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.schema import schema_of
+    from tetractl.spec.experiment import Experiment
+    from tetractl.spec.schema import schema_of
 
     return schema_of(Experiment)
 
@@ -229,9 +229,9 @@ def run_study(
     A trial that fails does not stop the others; its error is raised at the end. `progress` and
     errors are those of `run_batch`.
     """
-    from tetractl.results.open_batch import Batches
     from tetractl.run import batch
     from tetractl.run.executors import on_this_machine
+    from tetractl.statistics.open_batch import Batches
     from tetractl.study import arm_table, figure, missing_trials
     from tetractl.study.load_study import load_study
     from tetractl.view.terminal.progress import progress_of_script
@@ -265,7 +265,7 @@ def run_study(
 def _check(spec: LoadedSpec, announce: Callable[[str], None]) -> None:
     """Check that a spec can be simulated, log its warnings, and compile its kernels, as `warm_up`
     announces."""
-    from tetractl.control.build import warm_up
+    from tetractl.control.methods.build import warm_up
     from tetractl.run.plausibility import find_warnings
 
     experiment = spec.experiment
@@ -346,7 +346,7 @@ def read_batch(*paths: str | Path) -> "Batch":
     The batch has `trials`, earlier `attempts` at them, and `damaged` logs. Raises UsageError for a
     path without a trial.
     """
-    from tetractl.results.open_batch import open_batch
+    from tetractl.statistics.open_batch import open_batch
 
     if not paths:
         raise UsageError("no log is given")
@@ -364,7 +364,7 @@ def _trial(trial: Trial) -> TrialLog:
 
 def _batch(batch: "Batch | str | Path | Sequence[str | Path]") -> "Batch":
     """Return a batch that is read, given as a folder, or as the paths of its logs."""
-    from tetractl.results.open_batch import Batch
+    from tetractl.statistics.open_batch import Batch
 
     if isinstance(batch, Batch):
         return batch
@@ -376,7 +376,7 @@ def _batch(batch: "Batch | str | Path | Sequence[str | Path]") -> "Batch":
 
 def _trials(data: "Trial | Sequence[Trial] | Batch") -> list[TrialLog]:
     """Return trials that are read, given as one, several, a batch or its folder."""
-    from tetractl.results.open_batch import Batch
+    from tetractl.statistics.open_batch import Batch
 
     if isinstance(data, str | Path) and Path(data).is_dir():
         data = read_batch(data)
@@ -453,7 +453,7 @@ def to_dataframe(data: "TrialLog | Batch | str | Path") -> "pandas.DataFrame":
             "a DataFrame needs pandas, which is not installed",
             "pip install pandas, or use to_arrays",
         ) from None
-    from tetractl.results.trial_tables import poses, trials_table
+    from tetractl.statistics.trial_tables import poses, trials_table
 
     if isinstance(data, str | Path):
         is_folder = Path(data).is_dir()
@@ -473,7 +473,7 @@ def verify(path: str | Path) -> "Verification":
     """Compute every decision in a log again, and check that the log's records agree with each
     other.
     """
-    from tetractl.replay import verify
+    from tetractl.verification import verify
 
     demand(path, str | Path, "verify reads the file of a log")
     if Path(path).is_dir():
@@ -492,7 +492,7 @@ def summarise(
     `name` is the batch's name in tables and figures. Raises UsageError if the trials are not of one
     experiment.
     """
-    from tetractl.results.describe import describe
+    from tetractl.statistics.describe import describe
 
     return describe(_batch(batch), name)
 
@@ -503,8 +503,8 @@ def compare(
     """Compare the total errors of every two batches; differences are the first batch minus the
     second. Batches have the names of their folders, others those of `summarise`.
     """
-    from tetractl.results.describe import BatchStatistics, contrast
-    from tetractl.results.open_batch import Batch
+    from tetractl.statistics.describe import BatchStatistics, contrast
+    from tetractl.statistics.open_batch import Batch
 
     compared = list[BatchStatistics]()
     for batch in batches:
@@ -549,7 +549,7 @@ def plot(
     trials, those of a batch or its folder too. Statistics and comparisons are shown by "batch",
     whatever `kind` is. "video" is a video of one trial (.mp4, .gif or .webp).
     """
-    from tetractl.results.describe import BatchComparison, BatchStatistics
+    from tetractl.statistics.describe import BatchComparison, BatchStatistics
     from tetractl.view import style
     from tetractl.view.figures.batch import batch_figure
     from tetractl.view.figures.draw import draw

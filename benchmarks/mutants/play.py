@@ -27,9 +27,9 @@ def play(folder, args):
     """Play days with the sources that are first in PYTHONPATH."""
     from tetractl_emulator.lab_rehearse import rehearsed
 
-    from tetractl.control.build import warm_up
-    from tetractl.experiment.load import load_spec
-    from tetractl.experiment.plants import on_plant
+    from tetractl.control.methods.build import warm_up
+    from tetractl.spec.load import load_spec
+    from tetractl.spec.plants import on_plant
 
     warm_up(on_plant(load_spec(SPEC, args.set), "emulated").experiment, print)
     for day in args.days:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tetractl.core.trial import Result
-from tetractl.experiment.experiment import Experiment
+from tetractl.spec.experiment import Experiment
 
 from . import shooting
 from .peers import available

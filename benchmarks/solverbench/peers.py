@@ -13,15 +13,15 @@ from typing import NoReturn
 
 import numpy as np
 
-from tetractl.control.cost import evaluate
-from tetractl.control.evaluate import compiled_costs
-from tetractl.control.optimizers.multistart import Multistart
-from tetractl.control.optimizers.pso import Pso, Swarm
-from tetractl.control.rng import mix
-from tetractl.control.stop import TargetStop
+from tetractl.control.search.cost import evaluate
+from tetractl.control.search.evaluate import compiled_costs
+from tetractl.control.search.optimizers.multistart import Multistart
+from tetractl.control.search.optimizers.pso import Pso, Swarm
+from tetractl.control.search.rng import mix
+from tetractl.control.search.stop import TargetStop
 from tetractl.core.plan import Limits, Problem
 from tetractl.core.poses import Floats
-from tetractl.experiment.controller import OptimizerSection
+from tetractl.spec.controller import OptimizerSection
 
 from .problems import PARTICLES
 

@@ -7,13 +7,13 @@ from tetractl.core.clock import VirtualClock
 from tetractl.core.plan import Problem
 from tetractl.core.protocols import LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import trial_seeds
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.load import load_spec
+from tetractl.spec.loaded_spec import LoadedSpec, start_of
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 PAPER = "three_m3pi_paper.yaml"

@@ -5,13 +5,13 @@ from typing import Any, ClassVar, NoReturn
 
 import numpy as np
 
-from tetractl.control.algorithm2 import Algorithm2
-from tetractl.control.cost import evaluate
-from tetractl.control.mpc_section import RecommendedMpc
+from tetractl.control.methods.algorithm2 import Algorithm2
+from tetractl.control.methods.mpc_section import RecommendedMpc
+from tetractl.control.search.cost import evaluate
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
-from tetractl.experiment.controller import OptimizerSection
-from tetractl.experiment.experiment import Experiment
+from tetractl.spec.controller import OptimizerSection
+from tetractl.spec.experiment import Experiment
 
 from .peers import Meter
 from .problems import LENGTH

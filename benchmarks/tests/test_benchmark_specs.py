@@ -5,8 +5,8 @@ import yaml
 from instances import controllers, published, study_text
 from support.paths import ROOT
 
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.spec.load import load_spec
+from tetractl.spec.yaml.problems import InvalidSpecError
 from tetractl.study.load_study import load_study
 
 FOLDER = ROOT / "experiments/benchmark"

@@ -4,7 +4,7 @@ import pytest
 from solverbench import loop, shooting
 from solverbench.problems import LENGTH, OURS, experiment
 
-from tetractl.control.optimizers.multistart import Multistart
+from tetractl.control.search.optimizers.multistart import Multistart
 from tetractl.core.plan import Outcome
 
 pytestmark = pytest.mark.slow

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 
-from tetractl.results.estimate import distributions
+from tetractl.statistics.estimate import distributions
 
 pytestmark = pytest.mark.system
 

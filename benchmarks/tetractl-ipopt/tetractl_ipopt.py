@@ -20,12 +20,12 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from tetractl.control.cost import evaluate, predict
-from tetractl.control.search_progress import Progress
+from tetractl.control.search.cost import evaluate, predict
+from tetractl.control.search.search_progress import Progress
 from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats, wrap
-from tetractl.experiment.base import Positive
-from tetractl.experiment.controller import OptimizerSection
+from tetractl.spec.base import Positive
+from tetractl.spec.controller import OptimizerSection
 
 BEND = 0.02  # units within which a box's corner is rounded
 SWEPT = 0.4  # of the way of a period: so much are obstacles grown, that no step cuts a corner

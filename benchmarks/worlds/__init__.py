@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from solverbench.problems import OURS, PAPER, experiment
 
-from tetractl.experiment.experiment import Experiment
+from tetractl.spec.experiment import Experiment
 
 from .disturbances import UnmodelledSection
 from .layouts import Random, anywhere, eight, near_a_wall, through_a_gap

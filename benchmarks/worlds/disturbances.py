@@ -12,8 +12,8 @@ import numpy as np
 from tetractl.core.commands import Steer
 from tetractl.core.poses import Floats, Poses, wrap
 from tetractl.core.setup import Setup
-from tetractl.experiment.disturbance import DelayedCommand, Disturbance, DisturbanceSection
 from tetractl.plant.disturbances.camera import FrozenCameraSection
+from tetractl.spec.disturbance import DelayedCommand, Disturbance, DisturbanceSection
 
 Random = np.random.Generator
 

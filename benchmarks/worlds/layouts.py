@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.experiment.experiment import Experiment
+from tetractl.spec.experiment import Experiment
 
 ARENA_MM = 2400.0
 EDGE_MM = 150.0

@@ -18,7 +18,7 @@ import numpy as np
 from solverbench.problems import played
 
 from tetractl.core.poses import Floats
-from tetractl.results.estimate import distributions
+from tetractl.statistics.estimate import distributions
 
 from . import WORLDS
 from .disturbances import Dead

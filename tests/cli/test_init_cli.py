@@ -9,8 +9,8 @@ import pytest
 from support import cli
 from support.paths import ROOT
 
-from tetractl.experiment.examples import examples
-from tetractl.experiment.load import load_spec
+from tetractl.spec.examples import examples
+from tetractl.spec.load import load_spec
 from tetractl.study.load_study import load_study
 
 pytestmark = pytest.mark.slow

@@ -13,7 +13,7 @@ from support.trials import three_robots
 import tetractl as package
 from tetractl import load_spec
 from tetractl.cli.play import _best, _error, _harder
-from tetractl.experiment.section_abilities import GivenDirections
+from tetractl.spec.section_abilities import GivenDirections
 
 pytestmark = pytest.mark.slow
 

@@ -10,11 +10,11 @@ from support.cli import tetractl
 from support.paths import ROOT
 
 import tetractl as package
-from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.report.play_page import play_page
 from tetractl.run.hand import HandController, run_by_hand
 from tetractl.run.open_trial import directed_spec
 from tetractl.run.undisturbed import undisturbed_spec
+from tetractl.spec.load import load_spec, parse_spec
 from tetractl.view.terminal.hand_keys import read_script
 
 pytestmark = pytest.mark.slow

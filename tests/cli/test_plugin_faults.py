@@ -24,7 +24,7 @@ import time
 from typing import Literal
 import numpy as np
 from tetractl.core.plan import Outcome, Plan, Search, StopReason
-from tetractl.experiment.controller import ALONE, ControllerSection
+from tetractl.spec.controller import ALONE, ControllerSection
 
 class East(ControllerSection):
     type: Literal["east"]
@@ -54,7 +54,7 @@ class Driver:
 ANCHOR = """
 from typing import Literal
 import numpy as np
-from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+from tetractl.spec.disturbance import Disturbance, DisturbanceSection
 
 class Anchor(DisturbanceSection):
     type: Literal["anchor"]

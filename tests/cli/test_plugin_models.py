@@ -19,14 +19,20 @@ PLAN = """
 import json, sys
 from pathlib import Path
 import numpy as np
-from tetractl.control.cost import evaluate, predict
-from tetractl.control.evaluate import compiled_costs
-from tetractl.control.kernels.levenberg import PolishSettings, room_for
-from tetractl.control.kernels.motion import flatten
-from tetractl.control.kernels.multistart import POLISH, UNLIMITED, SearchTask, rounds_for, search
-from tetractl.control.kernels.rollout import rollouts_of
+from tetractl.control.search.cost import evaluate, predict
+from tetractl.control.search.evaluate import compiled_costs
+from tetractl.control.search.kernels.levenberg import PolishSettings, room_for
+from tetractl.control.search.kernels.motion import flatten
+from tetractl.control.search.kernels.multistart import (
+    POLISH,
+    UNLIMITED,
+    SearchTask,
+    rounds_for,
+    search,
+)
+from tetractl.control.search.kernels.rollout import rollouts_of
 from tetractl.core.plan import Limits
-from tetractl.experiment.load import load_spec
+from tetractl.spec.load import load_spec
 
 spec = load_spec(Path("s.yaml")).experiment
 problem = spec.controller.problem(spec.setup)

@@ -25,8 +25,8 @@ from support.running import (
 )
 from support.studies import tetractl
 
-from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import content_digest, read_result, read_trial
+from tetractl.spec.load import load_spec
 
 pytestmark = pytest.mark.slow
 

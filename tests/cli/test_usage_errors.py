@@ -16,7 +16,7 @@ from support.running import QUICK
 from support.studies import SMALL, write
 
 from tetractl.cli.lab import save_calibration
-from tetractl.experiment.lab_section import Measured
+from tetractl.spec.lab_section import Measured
 
 pytestmark = pytest.mark.slow
 
@@ -114,7 +114,7 @@ kinds --check : | :: must be MODULE:NAME | such as pivot:PIVOT
 kinds --check json:dumps --set =3 | --set =3: must be FIELD=VALUE
 kinds --check json:dumps | json:dumps: there is no check for this kind
 kinds --check tetractl.model.shapes:Circle | Circle: center: is missing
-kinds --check tetractl.control.stop:PaperStop | PaperStop: there is no check for this kind
+kinds --check tetractl.control.search.stop:PaperStop | PaperStop: there is no check for this kind
 lab stop | give either a SPEC or --port
 lab stop --port x --baud 7 | --baud
 lab check spec.yaml | has no lab
@@ -286,7 +286,7 @@ def test_the_end_of_a_file_does_not_read_as_an_interruption(tmp_path, monkeypatc
     def cut(*_):
         raise EOFError("the pipe has ended")
 
-    monkeypatch.setattr("tetractl.experiment.yaml.document.read_document", cut)
+    monkeypatch.setattr("tetractl.spec.yaml.document.read_document", cut)
     done = tetractl(tmp_path, "lab", "check", "first.yaml")
     assert done.returncode == 1
     assert done.stderr.endswith("error: EOFError: the pipe has ended\n")

@@ -8,12 +8,12 @@ from support.cli import tetractl
 from support.mutate import rewrite
 from support.tampering import SIM
 
-from tetractl.experiment.load import parse_spec
-from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.log.format.channels import RESOLVED_SPEC
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.spec.load import parse_spec
+from tetractl.spec.loaded_spec import LoadedSpec
 
 pytestmark = pytest.mark.slow
 

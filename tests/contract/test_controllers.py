@@ -12,13 +12,13 @@ from support.trials import THREE_M3PI, experiment
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Outcome, Plan
-from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.log.read.reader import read_trial
-from tetractl.replay.recompute import recompute
-from tetractl.replay.verify import verify
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.spec.loaded_spec import LoadedSpec
+from tetractl.verification.recompute import recompute
+from tetractl.verification.verify import verify
 
 pytestmark = pytest.mark.slow
 

@@ -6,8 +6,8 @@ from support.controllers import CONTROLLERS, SMALL, straight
 from tetractl.cli.specs import template
 from tetractl.core import registries
 from tetractl.core.registries import DISTURBANCES, MOTIONS, OPTIMIZERS
-from tetractl.experiment.load import parse_spec
 from tetractl.model.shapes import Circle, Polygon, Rectangle
+from tetractl.spec.load import parse_spec
 from tetractl.testing import (
     check_controller,
     check_disturbance,

@@ -15,9 +15,9 @@ FOLDER = Path(__file__).parent
 sys.path.insert(0, str(FOLDER.parent))
 
 from support.random_trials import trial, write  # noqa: E402
+from tetractl.experiment.load import parse_spec  # noqa: E402
 
 from tetractl.core.trial import Step  # noqa: E402
-from tetractl.experiment.load import parse_spec  # noqa: E402
 from tetractl.log import provenance  # noqa: E402
 from tetractl.log.format.channels import FORMAT_VERSION  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402

@@ -1,11 +1,12 @@
-"""What a bank of filters says as a whole, in whole arrays: `control.kernels.bank`, to be read."""
+"""What a bank of filters says as a whole, in whole arrays: `control.estimation.kernels.bank`, to be
+read."""
 
 import math
 
 import numpy as np
 
-from tetractl.control.filter import FilterBank
-from tetractl.control.kernels.filter_state import (
+from tetractl.control.estimation.filter import FilterBank
+from tetractl.control.estimation.kernels.filter_state import (
     FINEST_STEP_S,
     LEAST_BLOCKS,
     LN_A,

@@ -10,10 +10,10 @@ from support.trials import THREE_M3PI
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.trial import PlantInfo, Result, Verdict
-from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin, ResultSummary
-from tetractl.results.describe import BatchStatistics, describe
-from tetractl.results.open_batch import Batch, Damaged
+from tetractl.spec.experiment import Experiment
+from tetractl.statistics.describe import BatchStatistics, describe
+from tetractl.statistics.open_batch import Batch, Damaged
 
 REFERENCE = {"source": "Figure 5", "n": 20, "mean": 648.6, "std": 225.1}
 DISTURBED = {"type": "sim", "heading_noise": 0.05}

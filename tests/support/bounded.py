@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.poses import Observation
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import parse_spec
 from tetractl.run.checked_controller import build_controller
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.load import parse_spec
 
 
 def spec(

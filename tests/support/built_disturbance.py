@@ -2,7 +2,7 @@
 
 from typing import Any, Literal
 
-from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+from tetractl.spec.disturbance import Disturbance, DisturbanceSection
 
 
 class BuiltSection(DisturbanceSection):

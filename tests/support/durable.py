@@ -21,7 +21,7 @@ import sys, time
 from contextlib import ExitStack
 from pathlib import Path
 from tetractl.core.clock import MonotonicClock
-from tetractl.control.build import warm_up
+from tetractl.control.methods.build import warm_up
 from tetractl.run.checked_controller import build_controller
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Start
 from tetractl.log.write.writer import LogWriter
@@ -29,8 +29,8 @@ from tetractl.core.protocols import LabSupervision
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import trial_seeds
 from tetractl.run.control_loop import Trial
-from tetractl.experiment.load import parse_spec
-from tetractl.experiment.loaded_spec import start_of
+from tetractl.spec.load import parse_spec
+from tetractl.spec.loaded_spec import start_of
 
 spec = parse_spec(sys.argv[1], "spec.yaml")
 warm_up(spec.experiment, print)

@@ -13,9 +13,9 @@ from tetractl.core.commands import Command, Steer, Stop, Turn
 from tetractl.core.plan import Outcome, Plan, Search
 from tetractl.core.poses import Observation, Poses, Sample
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Verdict
-from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
+from tetractl.spec.loaded_spec import LoadedSpec, start_of
 
 STARTS = np.array([[900.0, 800, 0], [900, 1200, 0], [900, 1600, 0]])
 FINAL = np.array([[1700.0, 510, 0], [1703, 1504, 0], [1700, 2000, 0]])  # misses by 10, 5, 0 mm

@@ -11,12 +11,12 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import Health, LabSupervision, RobotStatus
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.rig import Rig
 from tetractl.model.motion.exact import step as exact
 from tetractl.model.motion.rolling import wheel_speeds
 from tetractl.plant.lab_plant import LabPlant
+from tetractl.spec.lab_section import LabLimits
 
 STEP_NS = SECOND // 500
 CAMERA_HZ = 120.0

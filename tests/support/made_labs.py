@@ -8,9 +8,9 @@ from support.paths import ROOT
 
 from tetractl.core.plan import Outcome
 from tetractl.core.trial import HALTS, PlantInfo
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import read_trial
+from tetractl.spec.load import load_spec
+from tetractl.spec.plants import on_plant
 
 
 def lab_log(tmp_path, valid, speed_mm, halts, metres):

@@ -3,9 +3,9 @@
 from typing import ClassVar
 
 from tetractl.core.registries import TRIAL_ROBOTS
-from tetractl.experiment.experiment import Experiment, Robot
-from tetractl.experiment.plants import PreparedTrial
-from tetractl.experiment.trial_robots import StandIn, TrialRobots
+from tetractl.spec.experiment import Experiment, Robot
+from tetractl.spec.plants import PreparedTrial
+from tetractl.spec.trial_robots import StandIn, TrialRobots
 
 
 class MarkedRobots(TrialRobots):

@@ -13,9 +13,9 @@ from tetractl.core.clock import SECOND, Clock, VirtualClock
 from tetractl.core.commands import Steer
 from tetractl.core.poses import Floats
 from tetractl.core.protocols import Plant
-from tetractl.experiment.experiment import Experiment
 from tetractl.plant.sim_section import SimSection
 from tetractl.plant.simulation import SimPlant
+from tetractl.spec.experiment import Experiment
 
 PERIOD = SECOND // 5
 DIRECTIONS = np.random.default_rng(5).uniform(-np.pi, np.pi, 12).tolist()

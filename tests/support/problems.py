@@ -3,8 +3,8 @@
 import numpy as np
 from support.oracle import World
 
-from tetractl.control.cost import evaluate
-from tetractl.control.optimizers.pso import Pso, best_of
+from tetractl.control.search.cost import evaluate
+from tetractl.control.search.optimizers.pso import Pso, best_of
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Poses

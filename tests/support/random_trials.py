@@ -14,11 +14,11 @@ from tetractl.core.plan import Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Floats, Observation, Poses, Sample
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Result, Start, Step, Verdict
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.log import provenance
 from tetractl.log.format.codec import drawn
 from tetractl.log.write.writer import LogWriter
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.loaded_spec import LoadedSpec, start_of
 
 PERIOD_NS = SECOND // 5  # of a control step
 SPEC_TEXT = "# as somebody wrote it\nname: made-up   # with a comment, and an ü\n"

@@ -1,6 +1,6 @@
 """The errors that data out of YAML can cause in a pydantic schema."""
 
-from tetractl.experiment.explain_errors import MESSAGES
+from tetractl.spec.explain_errors import MESSAGES
 
 ERRORS = {  # of a schema, those that data out of YAML can cause in strict mode
     "int": {"int_type", "int_from_float"}

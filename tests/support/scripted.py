@@ -6,7 +6,7 @@ import numpy as np
 
 from tetractl.core.plan import Search, StopReason
 from tetractl.core.poses import Observation, Poses
-from tetractl.experiment.controller import Host
+from tetractl.spec.controller import Host
 
 STARTS = np.array([[900.0, 800, 0], [900, 1200, 0], [900, 1600, 0]])
 TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])

@@ -15,7 +15,6 @@ from mcap.records import Attachment
 from support.mutate import changed, places, rewrite
 
 from tetractl.core.errors import LogError
-from tetractl.experiment.load import parse_spec
 from tetractl.log.format.channels import (
     BACKGROUND,
     CHANNELS,
@@ -29,8 +28,9 @@ from tetractl.log.format.channels import (
 )
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
-from tetractl.replay.verify import verify
 from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.spec.load import parse_spec
+from tetractl.verification.verify import verify
 
 SIM = """
 name: tampered

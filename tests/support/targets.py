@@ -15,10 +15,6 @@ from support.device_replies import packed_reply
 from support.paths import ROOT
 
 from tetractl.core.errors import LogError, SpecError, UsageError, WireError
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import parse_spec
-from tetractl.experiment.plants import Calibration, calibrated, on_plant
-from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi import broadcast
 from tetractl.lab.actuators.wheel_commands import Reply, Status
@@ -29,6 +25,10 @@ from tetractl.log.read.overview import overview
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
 from tetractl.log.read.salvage import scan
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.load import parse_spec
+from tetractl.spec.plants import Calibration, calibrated, on_plant
+from tetractl.spec.yaml.core_yaml import dump
 
 UNKNOWN = 2  # status of an answer: the module has no such parameter
 LAB_SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"

@@ -8,12 +8,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tetractl.core.protocols import Observer
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import Damage, TrialLog
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.load import parse_spec
 
 FRAMES = 24  # camera frames in a control period
 

@@ -14,7 +14,7 @@ from support.paths import ROOT
 
 import tetractl
 from tetractl.core.errors import SpecError, UsageError
-from tetractl.experiment.plants import on_plant
+from tetractl.spec.plants import on_plant
 
 SPEC = """
 name: two
@@ -225,7 +225,7 @@ def test_a_batch_says_that_code_is_compiled(tmp_path, monkeypatch, capsys, progr
     def warm_up(experiment, announce):
         announce("compiling for pso-mpc")
 
-    monkeypatch.setattr("tetractl.control.build.warm_up", warm_up)
+    monkeypatch.setattr("tetractl.control.methods.build.warm_up", warm_up)
     spec = tetractl.parse_spec(SPEC, "trials.count=1")
     tetractl.run_batch(spec, tmp_path, progress=progress)
     assert capsys.readouterr().err == ("compiling for pso-mpc\n" if progress else "")
@@ -234,7 +234,7 @@ def test_a_batch_says_that_code_is_compiled(tmp_path, monkeypatch, capsys, progr
 def test_a_single_trial_says_that_code_is_compiled(monkeypatch, capsys):
     """Regression: the first trial in a notebook was silent for half a minute."""
     monkeypatch.setattr(
-        "tetractl.control.build.warm_up", lambda experiment, announce: announce("compiling")
+        "tetractl.control.methods.build.warm_up", lambda experiment, announce: announce("compiling")
     )
     tetractl.run_trial(tetractl.parse_spec(SPEC))
     tetractl.open_trial(tetractl.parse_spec(SPEC))

@@ -11,7 +11,7 @@ from support.paths import ROOT
 
 from tetractl.core import __version__
 from tetractl.core.registries import EXAMPLES
-from tetractl.experiment.packages import BRINGS
+from tetractl.spec.packages import BRINGS
 
 TAKEN = re.compile(r"^ *from support\.(\w+) import", re.M)
 PROJECTS = sorted((ROOT / "packages").glob("*/pyproject.toml"))

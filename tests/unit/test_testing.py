@@ -18,8 +18,8 @@ from support.cli import tetractl
 from support.paths import ROOT
 
 from tetractl.cli.specs import template
-from tetractl.control.optimizers.pso import Pso
-from tetractl.control.sequence import SequenceSection
+from tetractl.control.methods.sequence import SequenceSection
+from tetractl.control.search.optimizers.pso import Pso
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop, Transmission
 from tetractl.core.errors import UsageError
@@ -28,14 +28,14 @@ from tetractl.core.poses import Poses
 from tetractl.core.protocols import Health
 from tetractl.core.registries import MOTIONS
 from tetractl.core.shape import Shape
-from tetractl.experiment.base import Positive
-from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
-from tetractl.experiment.experiment import ShapeSection
-from tetractl.experiment.lab_section import ActuatorSection, CameraSection
-from tetractl.experiment.load import parse_spec
 from tetractl.lab.actuators.twist import line_ports
 from tetractl.lab.actuators.twist.section import TwistSection
 from tetractl.lab.serial_port import SerialPort
+from tetractl.spec.base import Positive
+from tetractl.spec.disturbance import Disturbance, DisturbanceSection
+from tetractl.spec.experiment import ShapeSection
+from tetractl.spec.lab_section import ActuatorSection, CameraSection
+from tetractl.spec.load import parse_spec
 from tetractl.testing import (
     check_actuator,
     check_camera,
@@ -392,7 +392,7 @@ def test_a_command_that_was_not_sent_when_it_says_is_found(later_s):
 
 def test_a_kind_is_checked_with_the_robots_of_a_spec(tmp_path):
     shutil.copy(ROOT / "experiments" / "single_cell.yaml", tmp_path / "one.yaml")
-    words = ("kinds", "--check", "tetractl.control.sequence:SequenceSection", "--json")
+    words = ("kinds", "--check", "tetractl.control.methods.sequence:SequenceSection", "--json")
     words += ("--set", "directions=[0.5]")
     done = tetractl(tmp_path, *words, "--spec", "one.yaml")
     assert done.returncode in (0, 1), done.stderr

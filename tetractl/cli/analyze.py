@@ -13,9 +13,9 @@ from tetractl.tools.table.table_files import json_text
 from tetractl.tools.table.terminal_table import open_console, print_tables
 
 if TYPE_CHECKING:
-    from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.run.batch import Report
     from tetractl.run.interrupt import Interrupt
+    from tetractl.spec.loaded_spec import LoadedSpec
 
 TRIALS = 20
 
@@ -38,11 +38,11 @@ def analyze(
 
     Example: tetractl analyze experiments/tetrahymena.yaml
     """
-    from tetractl.experiment.yaml.document import FieldValue
     from tetractl.reach.facts import facts_items, facts_table
-    from tetractl.results.as_json import batch_items
-    from tetractl.results.describe import contrast, describe
-    from tetractl.results.open_batch import open_batch
+    from tetractl.spec.yaml.document import FieldValue
+    from tetractl.statistics.as_json import batch_items
+    from tetractl.statistics.describe import contrast, describe
+    from tetractl.statistics.open_batch import open_batch
 
     of_spec = [
         FieldValue("trials.count", trials, "--trials"),

@@ -20,7 +20,7 @@ from tetractl.cli import ui
 from tetractl.core.errors import Exit, TetractlError, UsageError, text_of
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS
 from tetractl.core.registry import PluginError, Registry
-from tetractl.experiment.packages import not_installed
+from tetractl.spec.packages import not_installed
 from tetractl.tools.plugin_fault import UNIX_MODULES, PluginTrialError
 
 EXTRAS = {

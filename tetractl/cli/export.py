@@ -31,7 +31,7 @@ def export(
 
     Example: tetractl export logs/three-m3pi -o tables
     """
-    from tetractl.results.trial_tables import of_log
+    from tetractl.statistics.trial_tables import of_log
 
     table_paths = _table_paths(out, table)
     log_paths = find_logs(logs)
@@ -60,7 +60,7 @@ def export(
 
 def _table_paths(out: Path, table: str | None) -> dict[str, Path]:
     """Return the file of each table to write: in the folder `out`, or of one table `out` itself."""
-    from tetractl.results.trial_tables import TABLES
+    from tetractl.statistics.trial_tables import TABLES
 
     if table is not None and table not in TABLES:
         raise UsageError(f"there is no table {table!r}", f"there are {', '.join(TABLES)}")

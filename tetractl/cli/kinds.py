@@ -11,12 +11,12 @@ from tetractl.cli.specs import template
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.registries import all_registries
 from tetractl.core.registry import PluginError
-from tetractl.experiment.packages import BRINGS, missing
+from tetractl.spec.packages import BRINGS, missing
 from tetractl.tools.table.table_files import json_text
 
 if TYPE_CHECKING:
     from tetractl.core.registry import Kind, Registry
-    from tetractl.experiment.experiment import Experiment
+    from tetractl.spec.experiment import Experiment
 
 
 def kinds(
@@ -173,8 +173,8 @@ def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
 
 def _fields(sets: list[str]) -> dict[str, Any]:
     """Return the fields that --set gives, by name."""
-    from tetractl.experiment.base import with_tuples
-    from tetractl.experiment.yaml.document import parse_value
+    from tetractl.spec.base import with_tuples
+    from tetractl.spec.yaml.document import parse_value
 
     fields: dict[str, Any] = {}
     for setting in sets:
@@ -187,7 +187,7 @@ def _fields(sets: list[str]) -> dict[str, Any]:
 
 def _experiment(spec: Path | None) -> "Experiment":
     """Return the experiment whose robots and arena are used: a spec's, or that of `init`."""
-    from tetractl.experiment.load import parse_spec
+    from tetractl.spec.load import parse_spec
 
     if spec is not None:
         return ui.load(spec, None).experiment

@@ -25,11 +25,11 @@ from tetractl.view.terminal.keys import NO_KEY, STOP_HINT, StopKey
 if TYPE_CHECKING:
     from tetractl.core.protocols import LabSupervision
     from tetractl.core.setup import Setup
-    from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.lab_section import LabLimits, Measured
-    from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.lab.actuators.xbee.hardware import XbeeSection
     from tetractl.lab.rig import Rig
+    from tetractl.spec.experiment import Experiment
+    from tetractl.spec.lab_section import LabLimits, Measured
+    from tetractl.spec.loaded_spec import LoadedSpec
 
 
 def check(
@@ -49,7 +49,7 @@ def check(
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
-    from tetractl.control.build import warm_up
+    from tetractl.control.methods.build import warm_up
     from tetractl.lab.preflight import Preflight, look_over
     from tetractl.run.model_changes import LATENCY, stated_model
     from tetractl.run.practice import practise
@@ -138,10 +138,10 @@ def _stops(
 def _stops_of_spec(spec: Path, sets: list[str]) -> Callable[..., str]:
     """Return what stops every robot of a spec's real lab, without its calibration. If the spec is
     wrong elsewhere, its actuator alone stops them, and the errors are warnings."""
-    from tetractl.experiment.actuator_alone import actuator_alone
-    from tetractl.experiment.load import load_document
-    from tetractl.experiment.plants import lab_of, on_plant, settings_on
-    from tetractl.experiment.yaml.document import read_document, with_settings
+    from tetractl.spec.actuator_alone import actuator_alone
+    from tetractl.spec.load import load_document
+    from tetractl.spec.plants import lab_of, on_plant, settings_on
+    from tetractl.spec.yaml.document import read_document, with_settings
 
     document = read_document(spec)
     settings = settings_on(document, sets, "lab")
@@ -237,8 +237,8 @@ def watched_by_operator(supervision: "LabSupervision", real_robots: bool) -> Ite
 
 def save_calibration(out: Path, measured: "Measured") -> int:
     """Write a file for `lab.calibration`, and print what was measured; return the exit code."""
-    from tetractl.experiment.plants import Calibration
-    from tetractl.experiment.yaml.core_yaml import dump
+    from tetractl.spec.plants import Calibration
+    from tetractl.spec.yaml.core_yaml import dump
 
     calibration = Calibration(
         measured=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
@@ -259,9 +259,9 @@ def save_calibration(out: Path, measured: "Measured") -> int:
 
 def _loaded_on(spec: Path, sets: list[str] | None, plant: str) -> "LoadedSpec":
     """Return a spec in its lab, real or, as `plant` says, emulated."""
-    from tetractl.experiment.load import load_document
-    from tetractl.experiment.plants import on_plant, settings_on
-    from tetractl.experiment.yaml.document import read_document
+    from tetractl.spec.load import load_document
+    from tetractl.spec.plants import on_plant, settings_on
+    from tetractl.spec.yaml.document import read_document
 
     document = read_document(spec)
     loaded = load_document(document, settings_on(document, sets or [], plant))
@@ -272,8 +272,8 @@ def _xbee(port: str, baud: int) -> "XbeeSection":
     """Return the radio that --port and --baud describe; UsageError for a wrong value."""
     from pydantic import ValidationError
 
-    from tetractl.experiment.explain_errors import words
     from tetractl.lab.actuators.xbee.hardware import XbeeSection
+    from tetractl.spec.explain_errors import words
 
     try:
         return XbeeSection.model_validate({"port": port, "baud": baud})

@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from tetractl.core.plan import Plan
     from tetractl.core.protocols import LabSupervision, Observer, PlacementPrompt
     from tetractl.core.trial import Result
-    from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.run.hand import Ask, Pause
     from tetractl.run.interrupt import Interrupt
+    from tetractl.spec.experiment import Experiment
+    from tetractl.spec.loaded_spec import LoadedSpec
     from tetractl.view.terminal.hand_keys import HandKeys
     from tetractl.view.terminal.live_screen import LiveView
 
@@ -93,10 +93,10 @@ def play(
 
     Example: tetractl play experiments/three_m3pi.yaml
     """
-    from tetractl.control.build import warm_up
-    from tetractl.experiment.yaml.document import FieldValue
+    from tetractl.control.methods.build import warm_up
     from tetractl.run.folder_lock import locked
     from tetractl.run.open_trial import directed_spec
+    from tetractl.spec.yaml.document import FieldValue
     from tetractl.view.terminal.hand_keys import read_script
     from tetractl.view.terminal.screen import shows_pictures
 
@@ -384,7 +384,7 @@ def _conclude(game: Game) -> int:
 
 def _harder(experiment: "Experiment") -> list[str]:
     """Return lines on a spec with disturbances, if this one simulates none."""
-    from tetractl.experiment.examples import FOLDER
+    from tetractl.spec.examples import FOLDER
 
     if experiment.plant.disturbed or not experiment.plant.simulated:
         return []

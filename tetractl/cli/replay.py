@@ -14,7 +14,7 @@ from tetractl.tools.terminal import has_keys
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from tetractl.replay.player import Player, Recording
+    from tetractl.view.player import Player, Recording
 
 
 def replay(
@@ -97,7 +97,7 @@ class Playlist:
 
     def play(self, console: "Console", paused: bool) -> bool:
         """Play on the terminal's screen until q is pressed; return whether a signal ended it."""
-        from tetractl.replay.player import Player, span
+        from tetractl.view.player import Player, span
         from tetractl.view.terminal.replay_screen import play
 
         recording = self._open(self._paths[0])
@@ -113,7 +113,7 @@ class Playlist:
 
     def print_all(self) -> None:
         """Print each log as lines."""
-        from tetractl.replay.player import span
+        from tetractl.view.player import span
         from tetractl.view.terminal.replay_screen import print_lines
 
         for path in self._paths:
@@ -125,7 +125,7 @@ class Playlist:
 
     def _turn_to(self, index: int, player: "Player") -> "Player":
         """Return a player of another log, with the rate of `player` and paused like it."""
-        from tetractl.replay.player import Playback, Player
+        from tetractl.view.player import Playback, Player
 
         recording = self._open(self._paths[index], on_screen=True)
         return Player(
@@ -140,7 +140,7 @@ class Playlist:
     def _open(self, path: Path, on_screen: bool = False) -> "Recording":
         """Read a log; its damage is printed, unless the screen is open, which shows it."""
         from tetractl.log.read.reader import read_trial
-        from tetractl.replay.player import Recording
+        from tetractl.view.player import Recording
 
         log = read_trial(path) if on_screen else ui.open_trial(path)
         if log.damage is not None:

@@ -11,9 +11,9 @@ from tetractl.core.errors import Exit
 from tetractl.log.read.find import find_log
 
 if TYPE_CHECKING:
-    from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.log.read.raw_log import RawLog
     from tetractl.log.read.trial_log import TrialLog
+    from tetractl.spec.loaded_spec import LoadedSpec
 
 PLANT_NAMES = {"sim": "simulated", "lab": "of the lab"}
 """What a log is called by the kind of its plant."""
@@ -47,10 +47,10 @@ def rerun(
 
     Example: tetractl rerun logs/demo/trial-003.mcap
     """
-    from tetractl.experiment.load import parse_written
     from tetractl.log.read.reader import trial_of
     from tetractl.log.read.salvage import scan
     from tetractl.run.spec_trial import log_path
+    from tetractl.spec.load import parse_written
 
     raw = scan(find_log(log))
     trial = trial_of(raw)
@@ -83,8 +83,8 @@ def _on_plant(spec: "LoadedSpec", plant: str) -> "LoadedSpec":
 
     No calibration file is read of a log of the lab: its spec has the calibration's values.
     """
-    from tetractl.experiment.lab_section import LabSection
-    from tetractl.experiment.plants import lab_as, on_plant
+    from tetractl.spec.lab_section import LabSection
+    from tetractl.spec.plants import lab_as, on_plant
 
     experiment = spec.experiment
     lab = experiment.plant
@@ -113,8 +113,8 @@ def _compare(raw: "RawLog", trial: "TrialLog", raw_again: "RawLog") -> int:
     """Print whether two logs of a trial have the same content; return FAILED if they differ."""
     from tetractl.log.format.channels import RESOLVED_SPEC
     from tetractl.log.read.reader import result_of
-    from tetractl.replay.comparison import log_differences
-    from tetractl.replay.verify import host_differences
+    from tetractl.verification.comparison import log_differences
+    from tetractl.verification.verify import host_differences
 
     plant = trial.experiment.plant
     plant_again = result_of(raw_again).experiment.plant

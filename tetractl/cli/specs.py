@@ -13,15 +13,15 @@ from tetractl.cli import ui
 from tetractl.cli.options import AsJson, Sets, Strict, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError, printable
 from tetractl.core.registries import EXAMPLES
-from tetractl.experiment.packages import not_installed
-from tetractl.experiment.yaml.problems import InvalidSpecError, did_you_mean
+from tetractl.spec.packages import not_installed
+from tetractl.spec.yaml.problems import InvalidSpecError, did_you_mean
 from tetractl.tools.table.table_files import json_text
 from tetractl.tools.table.terminal_table import open_console
 
 if TYPE_CHECKING:
-    from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.run.plausibility import PlacedWarning
+    from tetractl.spec.experiment import Experiment
+    from tetractl.spec.loaded_spec import LoadedSpec
 
 NAMED = ("base", "identified")
 """Fields of a spec that name another file, relative to the spec's folder."""
@@ -33,8 +33,8 @@ def example_files(name: str) -> dict[str, str]:
 
     Raises UsageError if there is no such example, or its package is not installed.
     """
-    from tetractl.experiment.examples import FOLDER, examples
-    from tetractl.experiment.yaml.document import parse_document, read_text
+    from tetractl.spec.examples import FOLDER, examples
+    from tetractl.spec.yaml.document import parse_document, read_text
 
     files = examples()
     name = name.removesuffix(".yaml").removeprefix(f"{FOLDER}/")
@@ -126,7 +126,7 @@ def init(
 
 
 def _example(name: str) -> int:
-    from tetractl.experiment.examples import FOLDER
+    from tetractl.spec.examples import FOLDER
 
     files = example_files(name)
     for inner in files:
@@ -158,8 +158,8 @@ def template(
 ) -> str:
     """Return a commented spec of an experiment called `name`, to be kept in `file`; with a `lab` of
     these kinds of camera and robots if wanted."""
-    from tetractl.experiment.lab_template import OURS, lab_template
-    from tetractl.experiment.yaml.core_yaml import dump
+    from tetractl.spec.lab_template import OURS, lab_template
+    from tetractl.spec.yaml.core_yaml import dump
 
     if lab:
         text = lab_template(robots or "m3pi-xbee", camera)
@@ -207,8 +207,8 @@ class _Checked:
 
 def _check(path: Path, sets: list[str]) -> _Checked:
     """Check a spec, or a study and the specs of its arms; print its warnings."""
-    from tetractl.experiment.load import is_study, load_document
-    from tetractl.experiment.yaml.document import read_document
+    from tetractl.spec.load import is_study, load_document
+    from tetractl.spec.yaml.document import read_document
 
     file = printable(str(path))
     try:
@@ -295,7 +295,7 @@ def warm(
 
     Example: tetractl warm three-m3pi.yaml studies/slip.yaml
     """
-    from tetractl.control.build import compiled_for, warm_up
+    from tetractl.control.methods.build import compiled_for, warm_up
     from tetractl.tools.cache import cache_folder
 
     wanted: dict[str, list[Experiment]] = {}
@@ -316,8 +316,8 @@ def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
     """Yield the experiments to compile for: the specs, one arm per controller of each study, or,
     without files, the spec that `tetractl init` writes.
     """
-    from tetractl.experiment.load import is_study, load_document, parse_spec
-    from tetractl.experiment.yaml.document import read_document
+    from tetractl.spec.load import is_study, load_document, parse_spec
+    from tetractl.spec.yaml.document import read_document
     from tetractl.study.load_study import load_study
 
     if not files:
@@ -341,8 +341,8 @@ def schema(
 
     Example: tetractl schema -o experiment.schema.json
     """
-    from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.schema import schema_of
+    from tetractl.spec.experiment import Experiment
+    from tetractl.spec.schema import schema_of
     from tetractl.study.load_study import Study
 
     contents = schema_of(Study if study else Experiment)

@@ -11,8 +11,8 @@ from tetractl.tools.table.table_files import csv_text, json_text
 from tetractl.tools.table.terminal_table import TEXTS, print_tables
 
 if TYPE_CHECKING:
-    from tetractl.results.describe import BatchComparison, BatchStatistics
-    from tetractl.results.open_batch import Source
+    from tetractl.statistics.describe import BatchComparison, BatchStatistics
+    from tetractl.statistics.open_batch import Source
 
 Format = Literal["table", "json", "csv", "markdown", "latex", "html"]
 
@@ -63,8 +63,8 @@ def stats(
 
     Example: tetractl stats logs/slip
     """
-    from tetractl.results.describe import contrast
-    from tetractl.results.open_batch import one_source, sources
+    from tetractl.statistics.describe import contrast
+    from tetractl.statistics.open_batch import one_source, sources
 
     batches = sources(paths)
     if plot:
@@ -88,8 +88,8 @@ def stats(
 
 def show(comparison: "BatchComparison", form: str, full: bool = False) -> None:
     """Print batches and their comparisons to stdout, as a table in short or in `full`."""
-    from tetractl.results.as_json import comparison_items, data_table
-    from tetractl.results.tables import summary, tables
+    from tetractl.statistics.as_json import comparison_items, data_table
+    from tetractl.statistics.tables import summary, tables
 
     tables_of = tables if full else summary
     if form == "table":
@@ -104,7 +104,7 @@ def show(comparison: "BatchComparison", form: str, full: bool = False) -> None:
 
 def _described(batches: "Sequence[Source]") -> "list[BatchStatistics]":
     """Read and describe batches; print damaged logs and rows on stderr."""
-    from tetractl.results.describe import describe
+    from tetractl.statistics.describe import describe
 
     described: list[BatchStatistics] = []
     for source in batches:

@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from tetractl.core.protocols import Observer
-    from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.loaded_spec import LoadedSpec
-    from tetractl.experiment.yaml.document import FieldValue
     from tetractl.run.batch import Report, RunObserver
     from tetractl.run.executors import Executor
     from tetractl.run.store import Store
+    from tetractl.spec.experiment import Experiment
+    from tetractl.spec.loaded_spec import LoadedSpec
+    from tetractl.spec.yaml.document import FieldValue
 
 STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
 """Printed by the handler of the first signal."""
@@ -57,9 +57,9 @@ def load_to_run(
     warnings; with `strict`, raise UsageError if there are any. `values` are those of options for
     one field each, None of an option that is not given.
     """
-    from tetractl.experiment.load import load_document
-    from tetractl.experiment.plants import on_plant, settings_on
-    from tetractl.experiment.yaml.document import read_document
+    from tetractl.spec.load import load_document
+    from tetractl.spec.plants import on_plant, settings_on
+    from tetractl.spec.yaml.document import read_document
 
     document = read_document(spec)
     options = [value for value in values if value.value is not None]
@@ -146,8 +146,8 @@ def _print_plan(loaded: "LoadedSpec", folder: Path, planned: list[int]) -> None:
     """Print what a run would do: the resolved spec, then the rest in YAML comments, so that the
     whole text is a valid spec.
     """
-    from tetractl.experiment.loaded_spec import resolved_yaml
     from tetractl.run.spec_trial import log_path
+    from tetractl.spec.loaded_spec import resolved_yaml
 
     print(f"# {loaded.name} as it would be run; nothing is run or written")
     for line in resolved_yaml(loaded.experiment).removesuffix("\n").split("\n"):
@@ -206,7 +206,7 @@ def stoppable(
 
     In the lab, unless `unattended`, SIGHUP is sent once no process reads the output.
     """
-    from tetractl.control.build import warm_up
+    from tetractl.control.methods.build import warm_up
 
     lab = loaded.experiment.plant.real_time
     loaded.experiment.plant.require_devices()  # before compiling, which may take a minute
@@ -387,8 +387,8 @@ def _print_statistics(folder: Path, as_json: bool, logs_may_lack: bool) -> OSErr
     logs that cannot be described are no error: an aborted trial may leave none, or one without
     poses.
     """
-    from tetractl.results.describe import contrast, describe
-    from tetractl.results.open_batch import open_batch
+    from tetractl.statistics.describe import contrast, describe
+    from tetractl.statistics.open_batch import open_batch
 
     try:
         with interrupted_once():

@@ -18,12 +18,12 @@ from tetractl.tools.terminal import has_keys, is_terminal
 
 if TYPE_CHECKING:
     from tetractl.core.protocols import LabSupervision
-    from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.loaded_spec import LoadedSpec
     from tetractl.lab.rig import Rig
     from tetractl.log.read.trial_log import Damage, TrialLog
     from tetractl.plant.lab_plant import RigSection
     from tetractl.run.plausibility import PlacedWarning
+    from tetractl.spec.experiment import Experiment
+    from tetractl.spec.loaded_spec import LoadedSpec
 
 
 # ---- What is read ----
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 def load(path: Path, sets: Sequence[str] | None) -> "LoadedSpec":
     """Load a spec by its path, with `--set` applied."""
-    from tetractl.experiment.load import load_spec
+    from tetractl.spec.load import load_spec
 
     return load_spec(path, sets or [])
 

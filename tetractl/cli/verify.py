@@ -28,7 +28,7 @@ def verify(logs: Logs, as_json: AsJson = False) -> int:
 
     Example: tetractl verify logs/batch
     """
-    from tetractl.replay.verify import verify as check
+    from tetractl.verification.verify import verify as check
 
     checked: list[dict[str, Any]] = []
     for path in find_logs(logs):

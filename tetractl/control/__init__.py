@@ -1,1 +1,1 @@
-"""Controllers: model predictive control (Algorithm 2), its optimisers, and simpler methods."""
+"""Control: what estimates, what searches, and the methods that use both."""

@@ -1,7 +1,7 @@
 """What a controller has learnt of the robots' motion while they moved.
 
-The filters say it at every control step (`tetractl.control.filter`). Plans are made with it, logs
-keep it, and messages for the operator say what does not fit it.
+The filters say it at every control step (`tetractl.control.estimation.filter`). Plans are made with
+it, logs keep it, and messages for the operator say what does not fit it.
 """
 
 from collections.abc import Sequence
@@ -40,9 +40,10 @@ class Estimate:
     turns. `own_dead_time` (N,) [s] is the dead time of each robot, which no log has. None if they
     are not estimated.
 
-    A new number of the filters is a field here and of `Forecast` (`control/kernels/filter_state`),
-    which `kernels/bank` and its oracle compute; logs keep it as a field of the message in
-    `log/format/tetractl.proto`, written and read in `codec.py`.
+    A new number of the filters is a field here and of `Forecast`
+    (`control/estimation/kernels/filter_state`), which `kernels/bank` and its oracle compute; logs
+    keep it as a field of the message in `log/format/tetractl.proto`, written and read in
+    `codec.py`.
     """
 
     a: Floats

@@ -4,7 +4,7 @@
     obstacles.distance(x, y)  # of each point to the nearest obstacle, negative inside
 
 `Obstacles` keeps all shapes in a few arrays, which compiled kernels read: see
-`tetractl.control.kernels.obstacles`. The geometry of both is in `tetractl.core.shape`.
+`tetractl.control.search.kernels.obstacles`. The geometry of both is in `tetractl.core.shape`.
 """
 
 from collections.abc import Sequence

@@ -6,25 +6,25 @@ rest. Kinds are text, "module:attribute", so that `core` imports no package abov
 
 from tetractl.core.registry import Registry
 
-SECTION = "tetractl.experiment.base:Model"
+SECTION = "tetractl.spec.base:Model"
 
 OPTIMIZERS = Registry(
     "tetractl.optimizers",
     {
-        "pso": "tetractl.control.optimizers.pso:Pso",
-        "multistart": "tetractl.control.optimizers.multistart:Multistart",
+        "pso": "tetractl.control.search.optimizers.pso:Pso",
+        "multistart": "tetractl.control.search.optimizers.multistart:Multistart",
     },
     SECTION,
 )
 CONTROLLERS = Registry(
     "tetractl.controllers",
     {
-        "mpc": "tetractl.control.mpc_section:RecommendedMpc",
-        "pso-mpc": "tetractl.control.mpc_section:PsoMpc",
-        "sequence": "tetractl.control.sequence:SequenceSection",
-        "ensemble": "tetractl.control.ensemble:EnsembleSection",
-        "rrt": "tetractl.control.rrt:RrtSection",
-        "policy": "tetractl.control.policy:PolicySection",
+        "mpc": "tetractl.control.methods.mpc_section:RecommendedMpc",
+        "pso-mpc": "tetractl.control.methods.mpc_section:PsoMpc",
+        "sequence": "tetractl.control.methods.sequence:SequenceSection",
+        "ensemble": "tetractl.control.methods.ensemble:EnsembleSection",
+        "rrt": "tetractl.control.methods.rrt:RrtSection",
+        "policy": "tetractl.control.methods.policy:PolicySection",
     },
     SECTION,
 )
@@ -51,14 +51,14 @@ PLANTS = Registry(
         "sim": "tetractl.plant.sim_section:SimSection",
         "lab": "tetractl.plant.lab_plant:LabPlantSection",
     },
-    "tetractl.experiment.plant:PlantSection",
+    "tetractl.spec.plant:PlantSection",
 )
 CAMERAS = Registry(
     "tetractl.cameras",
     {
         "optitrack": "tetractl.lab.cameras.optitrack.section:OptitrackSection",
     },
-    "tetractl.experiment.lab_section:CameraSection",
+    "tetractl.spec.lab_section:CameraSection",
 )
 ACTUATORS = Registry(
     "tetractl.actuators",
@@ -66,7 +66,7 @@ ACTUATORS = Registry(
         "m3pi-xbee": "tetractl.lab.actuators.m3pi.section:M3piSection",
         "twist": "tetractl.lab.actuators.twist.section:TwistSection",
     },
-    "tetractl.experiment.lab_section:ActuatorSection",
+    "tetractl.spec.lab_section:ActuatorSection",
 )
 DISTURBANCES = Registry(
     "tetractl.disturbances",
@@ -88,9 +88,9 @@ DISTURBANCES = Registry(
         "wander": "tetractl.plant.disturbances.robots:WanderSection",
         "wobble": "tetractl.plant.disturbances.swimmers:WobbleSection",
     },
-    "tetractl.experiment.disturbance:DisturbanceSection",
+    "tetractl.spec.disturbance:DisturbanceSection",
 )
-TRIAL_ROBOTS = Registry("tetractl.trial_robots", {}, "tetractl.experiment.trial_robots:TrialRobots")
+TRIAL_ROBOTS = Registry("tetractl.trial_robots", {}, "tetractl.spec.trial_robots:TrialRobots")
 SPEC_REGISTRIES = (
     OPTIMIZERS,
     CONTROLLERS,
@@ -117,22 +117,22 @@ SWEEPS = Registry(
 STATISTICS = Registry(  # in the order in which tables show them
     "tetractl.statistics",
     {
-        "outcomes": "tetractl.results.built_in_statistics:OUTCOMES",
-        "arrived": "tetractl.results.built_in_statistics:ARRIVED",
-        "obstacle_violations": "tetractl.results.built_in_statistics:OBSTACLE_VIOLATIONS",
-        "left_arena": "tetractl.results.built_in_statistics:LEFT_ARENA",
-        "bodies_touch": "tetractl.results.built_in_statistics:TOUCHED",
-        "clearance": "tetractl.results.built_in_statistics:CLEARANCE",
-        "edge": "tetractl.results.built_in_statistics:EDGE",
-        "apart": "tetractl.results.built_in_statistics:APART",
-        "way_points": "tetractl.results.built_in_statistics:WAY_POINTS",
-        "time_inside": "tetractl.results.built_in_statistics:TIME_INSIDE",
-        "disc": "tetractl.results.built_in_statistics:DISC",
-        "lost": "tetractl.results.built_in_statistics:LOST",
-        "turn": "tetractl.results.built_in_statistics:TURN",
-        "recovered": "tetractl.results.built_in_statistics:RECOVERED",
-        "solve_ms": "tetractl.results.built_in_statistics:SOLVE_MS",
-        "deadline_misses": "tetractl.results.built_in_statistics:DEADLINE_MISSES",
+        "outcomes": "tetractl.statistics.built_in_statistics:OUTCOMES",
+        "arrived": "tetractl.statistics.built_in_statistics:ARRIVED",
+        "obstacle_violations": "tetractl.statistics.built_in_statistics:OBSTACLE_VIOLATIONS",
+        "left_arena": "tetractl.statistics.built_in_statistics:LEFT_ARENA",
+        "bodies_touch": "tetractl.statistics.built_in_statistics:TOUCHED",
+        "clearance": "tetractl.statistics.built_in_statistics:CLEARANCE",
+        "edge": "tetractl.statistics.built_in_statistics:EDGE",
+        "apart": "tetractl.statistics.built_in_statistics:APART",
+        "way_points": "tetractl.statistics.built_in_statistics:WAY_POINTS",
+        "time_inside": "tetractl.statistics.built_in_statistics:TIME_INSIDE",
+        "disc": "tetractl.statistics.built_in_statistics:DISC",
+        "lost": "tetractl.statistics.built_in_statistics:LOST",
+        "turn": "tetractl.statistics.built_in_statistics:TURN",
+        "recovered": "tetractl.statistics.built_in_statistics:RECOVERED",
+        "solve_ms": "tetractl.statistics.built_in_statistics:SOLVE_MS",
+        "deadline_misses": "tetractl.statistics.built_in_statistics:DEADLINE_MISSES",
     },
 )
 FIGURES = Registry(

@@ -5,7 +5,7 @@ may be a rectangle. The polygon may be concave, but its edges do not cross. A sh
 margin has a larger radius: its edge is where the centre of a touching round robot is.
 
 The functions of segments below are the geometry of all obstacles. Their arguments are arrays that
-broadcast, or single numbers: kernels (`tetractl.control.kernels.obstacles`) compile the same
+broadcast, or single numbers: kernels (`tetractl.control.search.kernels.obstacles`) compile the same
 functions.
 """
 

@@ -30,12 +30,12 @@ from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import LabLimits, LabSection, Measured
 from tetractl.lab.actuators.wheel_commands import WheeledActuator
 from tetractl.lab.actuators.wheeled_section import CalibratedSection, Found, FoundWheel
 from tetractl.lab.frames import AcceptedFrame, TimedPose, timed_poses
 from tetractl.lab.rig import Rig
 from tetractl.model.wheels import CountArray
+from tetractl.spec.lab_section import LabLimits, LabSection, Measured
 
 GAP_S = 0.06
 """Longest time without a frame, of cameras that are fast enough [s]: the guard's is longer."""

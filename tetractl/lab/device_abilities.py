@@ -10,7 +10,7 @@ from tetractl.core.guard_findings import Lose
 from tetractl.core.poses import FrameAddition
 from tetractl.core.setup import Setup
 from tetractl.core.trial import Note
-from tetractl.experiment.lab_section import LabLimits
+from tetractl.spec.lab_section import LabLimits
 
 
 @runtime_checkable

@@ -7,7 +7,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import UNSTATED, Sight
 from tetractl.core.setup import MM, Bounds, Setup
 from tetractl.core.shape import Shape
-from tetractl.experiment.lab_section import LabLimits
+from tetractl.spec.lab_section import LabLimits
 
 NOISE_MM = 2.0
 """Largest error of a pose [mm], in addition to that which the camera's section states."""

@@ -59,9 +59,9 @@ from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Finding, Moved, Refuse
 from tetractl.core.poses import Bools, Floats, Pose
 from tetractl.core.protocols import GuardCheck
-from tetractl.experiment.lab_section import UNTRACKED_STOP_S
 from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
+from tetractl.spec.lab_section import UNTRACKED_STOP_S
 
 ROOM = 256
 """Transmissions for which a history has room at first."""

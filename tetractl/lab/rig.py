@@ -11,11 +11,11 @@ from tetractl.core.clock import Clock, wait_for
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import Actuator, Camera, Health
 from tetractl.core.setup import MM, Setup
-from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.lab.guard import Guard
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.inner_loop import InnerLoop
+from tetractl.spec.lab_section import LabLimits, LabSection
 
 
 class Rig:

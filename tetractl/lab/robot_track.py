@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Finding
 from tetractl.core.poses import Pose
-from tetractl.experiment.lab_section import UNTRACKED_STOP_S
 from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
+from tetractl.spec.lab_section import UNTRACKED_STOP_S
 
 FORGIVEN = 0.25
 """Share of the time for which a robot is seen that is taken off the time for which it was not."""

@@ -16,8 +16,8 @@ import serial
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
-from tetractl.experiment.lab_section import STOPS
 from tetractl.lab.stop_all import send_stops
+from tetractl.spec.lab_section import STOPS
 
 WRITE_TIMEOUT_S = 0.02  # longest wait until a port takes what is written [s]
 UNREADABLE = (

@@ -6,7 +6,7 @@ from functools import partial
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS, ActuatorSection
+from tetractl.spec.lab_section import STOP_GAP_NS, STOPS, ActuatorSection
 
 
 def stop_all(section: ActuatorSection, setup: Setup, clock: Clock, alone: bool) -> str:

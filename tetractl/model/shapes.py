@@ -11,8 +11,8 @@ from pydantic import Field, model_validator
 
 from tetractl.core.poses import Floats
 from tetractl.core.shape import Shape, meet, turn
-from tetractl.experiment.base import Finite, Point, Positive, inconsistent
-from tetractl.experiment.experiment import ShapeSection
+from tetractl.spec.base import Finite, Point, Positive, inconsistent
+from tetractl.spec.experiment import ShapeSection
 
 
 class Rectangle(ShapeSection):

@@ -14,11 +14,11 @@ from tetractl.core.commands import Steer, Stop
 from tetractl.core.elementary import cos, sin
 from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.core.setup import Setup
-from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.motion.swimming import CellArrays, steps_until
 from tetractl.model.swimmers import Swimmers, to_the_left, walls_of
 from tetractl.plant.random_streams import RandomStream, generator
 from tetractl.plant.sim_section import CultureSection
+from tetractl.spec.disturbance import DelayedCommand
 
 
 class CellDrive:

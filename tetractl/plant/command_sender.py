@@ -9,13 +9,13 @@ from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.commands import Command, FieldOff, Steer, Stop, Turn
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
-from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
-from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.model.motion.rolling import wheel_speeds
 from tetractl.plant.direct import aim
 from tetractl.plant.sim_section import SimSection
 from tetractl.plant.transit import Transit
 from tetractl.plant.wheel_host import SimHost
+from tetractl.spec.disturbance import DelayedCommand, Disturbance, overriding
+from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
 
 STOPS_MAX = 3000
 """Largest number of stops sent until every robot has received one: those of one minute."""

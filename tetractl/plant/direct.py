@@ -6,8 +6,8 @@ from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import FieldOff, Steer, Stop, Turn
 from tetractl.core.poses import Bools, Floats, Poses, Times
-from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.motion.motion import Held, Motion
+from tetractl.spec.disturbance import DelayedCommand
 
 LEAST_A = 1e-12
 """Turning rate of a robot that is held still [rad/s]; not 0, as the closed form divides by it."""

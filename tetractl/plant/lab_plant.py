@@ -18,7 +18,6 @@ from tetractl.core.poses import FrameAddition, Observation, Poses, Sample
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.core.trial import HALTS, Note, PlantInfo, Verdict
-from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.culprit import CAMERA
 from tetractl.lab.device_abilities import AddsToFrames, RobotWatch, WatchesRobots
 from tetractl.lab.frames import AcceptedFrame
@@ -34,6 +33,7 @@ from tetractl.lab.rest_check import (
 )
 from tetractl.lab.rig import Rig, build_rig
 from tetractl.model.path_check import PathCheck
+from tetractl.spec.lab_section import LabSection
 from tetractl.tools.worker import WAITING_MAX
 
 

@@ -30,7 +30,7 @@ class RandomStream(IntEnum):
     DISTURBANCES = 4
     """The k-th disturbance of the spec, k = 0, 1, ..., 99, draws from stream 4 + k."""
     TRIAL_ROBOTS = 1000
-    """What finds the robots of a trial, see `tetractl.experiment.trial_robots`, once a trial."""
+    """What finds the robots of a trial, see `tetractl.spec.trial_robots`, once a trial."""
     BODIES = 2**32 - 1
     """What is constant in a trial and no parameter: of wheels gains, dead zones and radii; of cells
     all properties, then the noise of their swimming."""

@@ -8,8 +8,8 @@ import numpy as np
 from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.errors import WrongValueError
 from tetractl.core.poses import POSE_MAX, Bools, Floats, Observation, Poses, Sample, Times
-from tetractl.experiment.disturbance import Disturbance, overriding
 from tetractl.plant.sim_section import MeasurementNoise
+from tetractl.spec.disturbance import Disturbance, overriding
 
 
 class SimCamera:

@@ -14,7 +14,8 @@ from tetractl.core.clock import Clock, VirtualClock
 from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.registries import DISTURBANCES, MOTIONS
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import (
+from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S
+from tetractl.spec.base import (
     Fraction,
     Model,
     NonNegative,
@@ -22,11 +23,10 @@ from tetractl.experiment.base import (
     Positive,
     inconsistent,
 )
-from tetractl.experiment.disturbance import DisturbanceSection
-from tetractl.experiment.plant import PlantSection
-from tetractl.experiment.registry_fields import KindName, KindSection
-from tetractl.experiment.yaml.problems import Loc
-from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S
+from tetractl.spec.disturbance import DisturbanceSection
+from tetractl.spec.plant import PlantSection
+from tetractl.spec.registry_fields import KindName, KindSection
+from tetractl.spec.yaml.problems import Loc
 
 POSES_MAX = 2_000_000
 """Largest number of true poses in a control period, all robots together; they are kept in memory

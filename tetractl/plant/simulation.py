@@ -32,7 +32,6 @@ from tetractl.core.poses import Floats, Observation, Poses, Sample
 from tetractl.core.registries import MOTIONS
 from tetractl.core.setup import Setup
 from tetractl.core.trial import Note, PlantInfo, Verdict
-from tetractl.experiment.disturbance import Disturbance
 from tetractl.model.path_check import PathCheck
 from tetractl.plant.cell_drive import CellDrive
 from tetractl.plant.command_sender import CommandSender
@@ -44,6 +43,7 @@ from tetractl.plant.timetable import Timetable
 from tetractl.plant.transit import Transit, Watchdogs
 from tetractl.plant.true_motion import Drive, MotionDisturbances, TrueMotion
 from tetractl.plant.wheel_drive import WheelDrive
+from tetractl.spec.disturbance import Disturbance
 
 NO_FRAME_S = 60
 """A trial is given up if no frame arrives for so long after the stop [s]."""

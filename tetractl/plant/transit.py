@@ -9,7 +9,7 @@ import numpy as np
 
 from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.commands import Stop
-from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
+from tetractl.spec.disturbance import DelayedCommand, Disturbance, overriding
 
 
 class Transit:

@@ -20,13 +20,13 @@ from tetractl.core.commands import Command
 from tetractl.core.errors import WrongValueError
 from tetractl.core.poses import POSE_MAX, Bools, Floats, Poses, Times
 from tetractl.core.trial import Note, Verdict
-from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
 from tetractl.model.path_check import PathCheck
 from tetractl.plant.command_sender import CommandSender
 from tetractl.plant.sim_camera import SimCamera
 from tetractl.plant.timetable import DueTimes, Timetable
 from tetractl.plant.transit import Transit, Watchdogs
 from tetractl.plant.wheel_host import SimHost
+from tetractl.spec.disturbance import DelayedCommand, Disturbance, overriding
 
 UNCHECKED_MAX = 200
 """Number of parts of the path that are kept until they are checked together, which is quicker."""

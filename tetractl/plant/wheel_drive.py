@@ -9,12 +9,12 @@ import numpy as np
 from tetractl.core import elementary
 from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.core.setup import Setup
-from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.motion.rolling import MOVING
 from tetractl.model.wheels import NOTHING, WheeledRobots
 from tetractl.plant.random_streams import RandomStream, generator
 from tetractl.plant.sim_section import SimSection
 from tetractl.plant.wheel_host import SimHost
+from tetractl.spec.disturbance import DelayedCommand
 
 REST = 1e-10
 """Wheels slower than this fraction of the fastest robot's speed count as standing."""

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.experiment import Experiment
 from tetractl.reach.reach import reach
+from tetractl.spec.experiment import Experiment
 from tetractl.tools.table.table import Table, plural
 
 

@@ -21,9 +21,9 @@ import numpy as np
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.registries import MOTIONS
 from tetractl.core.setup import Setup
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.section_abilities import Modelled
 from tetractl.run.plausibility import OVERSHOOTING
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.section_abilities import Modelled
 
 SEQUENCES = 1000
 """Number of random sequences."""

@@ -20,11 +20,11 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.report.html_page import THEME, FramedPage, asset, html_page, script_json
 from tetractl.report.trial_data import packed, trial_data
-from tetractl.results.as_json import comparison_items
-from tetractl.results.describe import BatchComparison, BatchStatistics, contrast, describe
-from tetractl.results.flagged import SAFETY
-from tetractl.results.open_batch import Source, counts, sources
-from tetractl.results.tables import (
+from tetractl.statistics.as_json import comparison_items
+from tetractl.statistics.describe import BatchComparison, BatchStatistics, contrast, describe
+from tetractl.statistics.flagged import SAFETY
+from tetractl.statistics.open_batch import Source, counts, sources
+from tetractl.statistics.tables import (
     decimals_shown,
     differences_table,
     error_format,

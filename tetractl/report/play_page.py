@@ -11,11 +11,11 @@ from typing import Any
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import UsageError, unit_of
 from tetractl.core.setup import Setup
-from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.plant.sim_section import SimSection
 from tetractl.report.html_page import THEME, FramedPage, asset, html_page, script_json
 from tetractl.report.trial_data import packed, trial_data
+from tetractl.spec.loaded_spec import LoadedSpec
 from tetractl.tools.table.table import plural
 
 SCRIPTS = ("data.js", "clock.js", "legend.js", "scene.js", "motion.js", "play.js")

@@ -17,10 +17,10 @@ from tetractl.core.colors import robot_colors
 from tetractl.core.errors import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import SHOWN_HZ
-from tetractl.replay.dish_pictures import PICTURES_MAX, DishPictures
-from tetractl.replay.player import end_ns, first_seen
-from tetractl.results.built_in_statistics import MEANINGS
+from tetractl.statistics.built_in_statistics import MEANINGS
+from tetractl.verification.dish_pictures import PICTURES_MAX, DishPictures
 from tetractl.view.plan_words import doing, search_end
+from tetractl.view.player import end_ns, first_seen
 
 COARSER = 3
 """By how many decimals plans are coarser than what is shown in digits: a thousandth of the arena at

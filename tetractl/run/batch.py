@@ -11,10 +11,10 @@ from typing import Protocol
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
 from tetractl.core.trial import EMULATED_PLANT, Result
-from tetractl.experiment.plant import PlantSection
 from tetractl.run.executors import Executor
 from tetractl.run.store import Store
 from tetractl.run.task import Finished, OtherCodeError, Task
+from tetractl.spec.plant import PlantSection
 
 
 @dataclass(frozen=True, slots=True)

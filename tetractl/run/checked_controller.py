@@ -8,7 +8,7 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
-from tetractl.control.work_clock import WorkClock
+from tetractl.control.search.work_clock import WorkClock
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
 from tetractl.core.errors import WrongValueError, text_of
@@ -16,11 +16,11 @@ from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Decision, End, Outcome, Plan, Search, State, StopReason
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
-from tetractl.experiment.controller import ALONE, ControllerSection, Host
-from tetractl.experiment.experiment import Experiment
 from tetractl.log.format.codec import decode_stop_reason
 from tetractl.log.read.limits import CHUNK_MAX
 from tetractl.log.read.validate import check_actions, check_plan
+from tetractl.spec.controller import ALONE, ControllerSection, Host
+from tetractl.spec.experiment import Experiment
 
 NUMBERS_MAX = CHUNK_MAX // 32
 """Most numbers of a plan: they take a quarter of the largest chunk of a log that is read."""

@@ -15,8 +15,8 @@ What happens next, if
     a pose jumps           the plant's guard refuses it; the controller's newest frame has the pose
                            before, marked as old (`tetractl.lab.guard`)
     a plan fails           the controller decides what robots do instead: rest, turn, or end the
-                           trial by an outcome (`tetractl.control.mpc`); if it raises, the robots
-                           stop, and the trial is aborted by row 1 below
+                           trial by an outcome (`tetractl.control.methods.mpc`); if it raises, the
+                           robots stop, and the trial is aborted by row 1 below
     a plan takes long      it is sent late (in virtual time planning takes none); after more than a
                            period it counts as missed if robots drove; meanwhile these drive on
                            by the last direction, until a lab's guard aborts after the silence that

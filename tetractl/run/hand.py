@@ -19,22 +19,22 @@ from pathlib import Path
 
 import numpy as np
 
-from tetractl.control.fixed_sequence import given_plan
-from tetractl.control.plain import PlainController
-from tetractl.control.rng import mix
-from tetractl.control.sequence import SequenceSection
+from tetractl.control.methods.fixed_sequence import given_plan
+from tetractl.control.methods.plain import PlainController
+from tetractl.control.methods.sequence import SequenceSection
+from tetractl.control.search.rng import mix
 from tetractl.core.clock import Clock
 from tetractl.core.commands import Command
 from tetractl.core.plan import Outcome, Plan, Problem
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.trial import Result, Start, Step
-from tetractl.experiment.loaded_spec import LoadedSpec, start_of, with_controller
 from tetractl.log.write.sink import TRIAL_PART
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.folder_lock import make_folder
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path, ready_trial, trial_seeds
+from tetractl.spec.loaded_spec import LoadedSpec, start_of, with_controller
 from tetractl.tools.worker import Relay
 
 SAVING = ".saving"

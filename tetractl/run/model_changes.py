@@ -14,9 +14,9 @@ from tetractl.core.clock import SECOND
 from tetractl.core.elementary import exp, expm1, hypot
 from tetractl.core.motion_estimate import OF_PLACES, OF_TURNING, Estimate
 from tetractl.core.setup import Setup
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.lab_section import LabSection
-from tetractl.experiment.section_abilities import Accepting
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.lab_section import LabSection
+from tetractl.spec.section_abilities import Accepting
 
 CHANGE_STDS = 3.0
 """Minimum change of an estimate that is reported [standard deviations]."""

@@ -19,7 +19,7 @@ from queue import SimpleQueue
 
 import numpy as np
 
-from tetractl.control.sequence import SequenceController, SequenceSection
+from tetractl.control.methods.sequence import SequenceController, SequenceSection
 from tetractl.core.commands import Command
 from tetractl.core.errors import TetractlError, UsageError, demand, whole_number
 from tetractl.core.obstacles import Obstacles
@@ -28,13 +28,13 @@ from tetractl.core.poses import Observation, Poses, Sample
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.setup import Setup
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
-from tetractl.experiment.controller import ControllerSection
-from tetractl.experiment.load import parse_spec
-from tetractl.experiment.loaded_spec import LoadedSpec, start_of, with_controller, with_seed
 from tetractl.run import spec_trial
 from tetractl.run.control_loop import Trial
 from tetractl.run.folder_lock import make_folder
 from tetractl.run.interrupt import Interrupt
+from tetractl.spec.controller import ControllerSection
+from tetractl.spec.load import parse_spec
+from tetractl.spec.loaded_spec import LoadedSpec, start_of, with_controller, with_seed
 
 SIMULATED = PlantInfo("", True, 0.0, {})
 """What is known of the plant before it is open."""

@@ -2,7 +2,7 @@
 
 `RULES` is the list of all warnings. Each rule reads the numbers of a spec, gathered in a
 `CheckContext`, and yields its findings (where, text, hint); the first line of its docstring says
-when. docs/reference/warnings.md explains the warnings; `tetractl.experiment.consistency` has the
+when. docs/reference/warnings.md explains the warnings; `tetractl.spec.consistency` has the
 rules by which a spec is refused.
 """
 
@@ -13,16 +13,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import BaseModel
 
-from tetractl.control.near_targets import kept_apart
+from tetractl.control.search.near_targets import kept_apart
 from tetractl.core.elementary import expm1
 from tetractl.core.poses import Floats, turn_problem, wrap
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import ANGLE
-from tetractl.experiment.consistency import Findings, SpecFinding, nearest
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.lab_section import LabSection
-from tetractl.experiment.loaded_spec import LoadedSpec
-from tetractl.experiment.section_abilities import (
+from tetractl.model import bounds
+from tetractl.model.bounds import reach
+from tetractl.model.free_space import clearance, shut_out
+from tetractl.spec.base import ANGLE
+from tetractl.spec.consistency import Findings, SpecFinding, nearest
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.lab_section import LabSection
+from tetractl.spec.loaded_spec import LoadedSpec
+from tetractl.spec.section_abilities import (
     Accepting,
     CountsSteps,
     Delaying,
@@ -32,11 +35,8 @@ from tetractl.experiment.section_abilities import (
     Modelled,
     PlansSignals,
 )
-from tetractl.experiment.yaml.document import Document
-from tetractl.experiment.yaml.problems import Loc, SpecProblem, dotted
-from tetractl.model import bounds
-from tetractl.model.bounds import reach
-from tetractl.model.free_space import clearance, shut_out
+from tetractl.spec.yaml.document import Document
+from tetractl.spec.yaml.problems import Loc, SpecProblem, dotted
 
 COARSE = 2.0
 """Largest product of turning rate a and time per signal T: above it, headings computed by the

@@ -18,13 +18,13 @@ from tetractl.core.clock import SECOND, Clock, milliseconds
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import Step
-from tetractl.experiment.lab_section import LabLimits
-from tetractl.experiment.loaded_spec import LoadedSpec
-from tetractl.experiment.plants import on_plant
 from tetractl.lab.preflight import Preflight
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import ready_trial, trial_seeds
+from tetractl.spec.lab_section import LabLimits
+from tetractl.spec.loaded_spec import LoadedSpec
+from tetractl.spec.plants import on_plant
 
 PRACTICE_S = 3.0
 """Time for which control steps are practised [s]."""

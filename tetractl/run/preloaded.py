@@ -10,10 +10,10 @@ from typing import Any
 
 NEEDED = (
     "tetractl.run.task",
-    "tetractl.control.mpc",
-    "tetractl.control.kernels.bank",
-    "tetractl.control.kernels.multistart",
-    "tetractl.control.kernels.prediction",
+    "tetractl.control.methods.mpc",
+    "tetractl.control.estimation.kernels.bank",
+    "tetractl.control.search.kernels.multistart",
+    "tetractl.control.search.kernels.prediction",
     "tetractl.plant.simulation",
 )
 

@@ -24,15 +24,15 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Controller, LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Result, Start
-from tetractl.experiment.experiment import packages
-from tetractl.experiment.loaded_spec import LoadedSpec, start_of
-from tetractl.experiment.plants import Prepare
 from tetractl.log.write.brief import BriefLog
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.control_loop import Trial, abandon
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.model_changes import stated_model
+from tetractl.spec.experiment import packages
+from tetractl.spec.loaded_spec import LoadedSpec, start_of
+from tetractl.spec.plants import Prepare
 from tetractl.tools.plugin_fault import plugins_named
 from tetractl.tools.worker import Relay, Worker
 

@@ -13,15 +13,15 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from tetractl.control.build import warm_up
+from tetractl.control.methods.build import warm_up
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.trial import Result
-from tetractl.experiment.experiment import Experiment, packages
-from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.log.provenance import trial_code
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import run_briefly, run_logged
+from tetractl.spec.experiment import Experiment, packages
+from tetractl.spec.loaded_spec import LoadedSpec
 
 SPECS_KEPT = 64
 """Number of specs that a process keeps loaded and compiled, the latest ones."""

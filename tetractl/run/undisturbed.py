@@ -1,9 +1,9 @@
 """The experiment of a spec without its disturbances: robots do exactly what the model says."""
 
 from tetractl.core.errors import UsageError
-from tetractl.experiment.load import parse_spec
-from tetractl.experiment.loaded_spec import LoadedSpec
-from tetractl.experiment.yaml.core_yaml import dump
+from tetractl.spec.load import parse_spec
+from tetractl.spec.loaded_spec import LoadedSpec
+from tetractl.spec.yaml.core_yaml import dump
 
 MODEL_MOTION = "exact"
 """The motion of robots whose plant is not a simulation by one motion."""

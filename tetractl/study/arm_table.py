@@ -9,12 +9,12 @@ import numpy as np
 
 from tetractl.core.trial import PlantInfo
 from tetractl.log.read.trial_log import Origin, ResultSummary
-from tetractl.results.estimate import ArmErrors, numeric
-from tetractl.results.flagged import SAFETY, unsafe
-from tetractl.results.open_batch import Batch, counts
-from tetractl.results.tables import GIVEN_DIRECTIONS, error_table
-from tetractl.results.trial_tables import trials_table
 from tetractl.run.store import Store
+from tetractl.statistics.estimate import ArmErrors, numeric
+from tetractl.statistics.flagged import SAFETY, unsafe
+from tetractl.statistics.open_batch import Batch, counts
+from tetractl.statistics.tables import GIVEN_DIRECTIONS, error_table
+from tetractl.statistics.trial_tables import trials_table
 from tetractl.study.load_study import Arm, LoadedStudy, as_yaml, shown
 from tetractl.tools.table.table import Column, Table
 from tetractl.tools.table.table_files import table_files

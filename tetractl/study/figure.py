@@ -8,8 +8,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from tetractl.results.estimate import ArmErrors
 from tetractl.run.store import Store
+from tetractl.statistics.estimate import ArmErrors
 from tetractl.study.arm_table import LISTED, field_values, given_note, group_of, origins
 from tetractl.study.load_study import Arm, LoadedStudy
 from tetractl.view import style

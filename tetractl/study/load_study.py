@@ -25,20 +25,20 @@ from pydantic import Discriminator, Field, Tag
 
 from tetractl.core.errors import printable
 from tetractl.core.registries import SWEEPS
-from tetractl.experiment.base import Model, Name, validated
-from tetractl.experiment.experiment import Trials
-from tetractl.experiment.load import as_text, is_study, load_document, without_lines
-from tetractl.experiment.loaded_spec import LoadedSpec, arm_hash
-from tetractl.experiment.registry_fields import KindSection
-from tetractl.experiment.yaml.document import (
+from tetractl.run.store import BatchFolder, Store
+from tetractl.run.task import code_of
+from tetractl.spec.base import Model, Name, validated
+from tetractl.spec.experiment import Trials
+from tetractl.spec.load import as_text, is_study, load_document, without_lines
+from tetractl.spec.loaded_spec import LoadedSpec, arm_hash
+from tetractl.spec.registry_fields import KindSection
+from tetractl.spec.yaml.document import (
     Document,
     SpecSetting,
     parse_document,
     read_document,
 )
-from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted, near_files
-from tetractl.run.store import BatchFolder, Store
-from tetractl.run.task import code_of
+from tetractl.spec.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted, near_files
 from tetractl.study.sweep import FieldPath, Setting, Sweep
 
 MAX_ARMS = 100_000

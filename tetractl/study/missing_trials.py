@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from tetractl.control.build import warm_up
+from tetractl.control.methods.build import warm_up
 from tetractl.core.errors import TetractlError
 from tetractl.run.store import Store
 from tetractl.run.task import Task

@@ -15,8 +15,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from tetractl.core.poses import Floats
-from tetractl.experiment.base import Finite, Model, inconsistent
-from tetractl.experiment.yaml.problems import Loc
+from tetractl.spec.base import Finite, Model, inconsistent
+from tetractl.spec.yaml.problems import Loc
 
 FieldPath = Annotated[str, Field(min_length=1, max_length=200)]
 """The path of a field of a spec, as in `--set`, such as `controller.optimizer.rounds`."""

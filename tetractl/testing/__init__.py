@@ -15,13 +15,13 @@ from pydantic import ValidationError
 
 from tetractl.core.errors import UsageError, text_of
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Model
-from tetractl.experiment.controller import ControllerSection, OptimizerSection
-from tetractl.experiment.disturbance import DisturbanceSection
-from tetractl.experiment.experiment import ShapeSection
-from tetractl.experiment.explain_errors import words
-from tetractl.experiment.lab_section import ActuatorSection, CameraSection
 from tetractl.model.motion.motion import Motion
+from tetractl.spec.base import Model
+from tetractl.spec.controller import ControllerSection, OptimizerSection
+from tetractl.spec.disturbance import DisturbanceSection
+from tetractl.spec.experiment import ShapeSection
+from tetractl.spec.explain_errors import words
+from tetractl.spec.lab_section import ActuatorSection, CameraSection
 from tetractl.testing.control_checks import check_controller, check_optimizer
 from tetractl.testing.device_checks import MovedRobots, SeenRobots, check_actuator, check_camera
 from tetractl.testing.disturbance_checks import check_disturbance

@@ -23,9 +23,9 @@ from tetractl.core.plan import Limits, Outcome, Plan, Problem, Search, StopReaso
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.protocols import LabSupervision, Optimizer
 from tetractl.core.setup import Setup
-from tetractl.experiment.controller import ControllerSection, Host, OptimizerSection
 from tetractl.plant.sim_section import SimSection
 from tetractl.run.checked_controller import CheckedController
+from tetractl.spec.controller import ControllerSection, Host, OptimizerSection
 from tetractl.testing.expect import SEED, expect, near, random_watched, same, true
 
 STEPS_MAX = 3
@@ -73,7 +73,7 @@ def _check_search(
     optimizer: OptimizerSection, problem: Problem, length: int, start: Floats | None
 ) -> None:
     """Check the search for `length` signals, with a warm `start` if it is given."""
-    from tetractl.control.evaluate import compiled_costs
+    from tetractl.control.search.evaluate import compiled_costs
 
     what = f"{length} signals: "
     before = None if start is None else start.copy()

@@ -25,13 +25,13 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Floats, Pose
 from tetractl.core.protocols import Actuator, Camera, Device, Health
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import ActuatorSection, CameraSection, LabLimits
-from tetractl.experiment.section_abilities import OnPort
 from tetractl.lab.actuators.own_section import OwnSection
 from tetractl.lab.guard_checks import ChecksOf
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.serial_port import Ports, SerialPort
 from tetractl.model.motion.exact import rates
+from tetractl.spec.lab_section import ActuatorSection, CameraSection, LabLimits
+from tetractl.spec.section_abilities import OnPort
 from tetractl.testing.expect import expect, near, true
 
 EMULATED_S = 120.0

@@ -10,7 +10,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
-from tetractl.experiment.disturbance import (
+from tetractl.spec.disturbance import (
     DelayedCommand,
     Disturbance,
     DisturbanceSection,

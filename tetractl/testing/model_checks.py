@@ -11,9 +11,9 @@ import numpy as np
 from tetractl.core.poses import Bools, Floats, wrap
 from tetractl.core.setup import Setup
 from tetractl.core.shape import meet, turn
-from tetractl.experiment.experiment import ShapeSection
 from tetractl.model.motion.exact import rates
 from tetractl.model.motion.motion import PARAMETERS, Held, Motion, XYHeading
+from tetractl.spec.experiment import ShapeSection
 from tetractl.testing.expect import COUNT, NEAR, SEED, expect, near, same, true
 
 STEP = 1e-6

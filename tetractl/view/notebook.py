@@ -16,15 +16,21 @@ from PIL import Image
 
 from tetractl.core.errors import TetractlError, unit_of
 from tetractl.core.setup import Setup
-from tetractl.experiment.loaded_spec import LoadedSpec
 from tetractl.log.read.trial_log import ResultSummary, TrialLog
-from tetractl.replay.verify import Verification
-from tetractl.results.describe import BatchComparison, BatchStatistics, Contrast, contrast, describe
-from tetractl.results.open_batch import Batch, Batches
-from tetractl.results.tables import differences_table, summary, trials_listed
+from tetractl.spec.loaded_spec import LoadedSpec
+from tetractl.statistics.describe import (
+    BatchComparison,
+    BatchStatistics,
+    Contrast,
+    contrast,
+    describe,
+)
+from tetractl.statistics.open_batch import Batch, Batches
+from tetractl.statistics.tables import differences_table, summary, trials_listed
 from tetractl.tools.table.table import Column, Table, fixed, lengths
 from tetractl.tools.table.terminal_table import LISTED_MAX
 from tetractl.tools.table.terminal_table import html as html_of_tables
+from tetractl.verification.verify import Verification
 from tetractl.view import style
 from tetractl.view.figures.draw import draw
 from tetractl.view.figures.trajectory import arena_picture

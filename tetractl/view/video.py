@@ -30,11 +30,11 @@ from tetractl.core.errors import LogError, UsageError, unit_of
 from tetractl.core.setup import Bounds
 from tetractl.core.trial import Step
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.player import Moment, Recording
 from tetractl.tools.children import Child
 from tetractl.view import style
 from tetractl.view.figures.trajectory import DishGround, draw_scene
 from tetractl.view.figures.trials import NUMBERED, need_steps, robot_labels, unfinished
+from tetractl.view.player import Moment, Recording
 
 FORMATS = {"mp4": 25, "gif": 20, "webp": 25}
 """Pictures per second by format; a GIF can only state intervals in hundredths of a second."""

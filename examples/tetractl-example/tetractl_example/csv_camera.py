@@ -18,8 +18,8 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Positive
-from tetractl.experiment.lab_section import CameraSection
+from tetractl.spec.base import Positive
+from tetractl.spec.lab_section import CameraSection
 
 POSE = ("x", "y", "heading")
 Frame = tuple[float, tuple[Pose | None, ...]]

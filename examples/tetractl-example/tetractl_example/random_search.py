@@ -5,11 +5,11 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from tetractl.control.evaluate import compiled_costs
+from tetractl.control.search.evaluate import compiled_costs
 from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats, wrap
-from tetractl.experiment.base import Positive
-from tetractl.experiment.controller import OptimizerSection
+from tetractl.spec.base import Positive
+from tetractl.spec.controller import OptimizerSection
 
 
 class RandomSearch(OptimizerSection):

@@ -22,10 +22,10 @@ from tetractl.core.clock import SECOND, MonotonicClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Sight
 from tetractl.core.protocols import LabSupervision
-from tetractl.experiment.load import parse_spec
-from tetractl.experiment.plants import on_plant
-from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.lab.udp_port import UdpPort
+from tetractl.spec.load import parse_spec
+from tetractl.spec.plants import on_plant
+from tetractl.spec.yaml.problems import InvalidSpecError
 
 SPEC = (TEMPLATES / "robots" / "vw.yaml").read_text().replace("@NAME@", "name: vw")
 GREEN = '{name: green, address: "udp://127.0.0.1:9801"'

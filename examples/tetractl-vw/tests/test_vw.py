@@ -17,8 +17,8 @@ from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError, UsageError
 from tetractl.core.poses import Pose
-from tetractl.experiment.lab_template import lab_template
-from tetractl.experiment.load import load_spec
+from tetractl.spec.lab_template import lab_template
+from tetractl.spec.load import load_spec
 
 PACKAGE = ROOT / "examples" / "tetractl-vw"
 

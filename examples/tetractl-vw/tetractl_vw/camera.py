@@ -6,8 +6,8 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from tetractl.core.poses import Pose
-from tetractl.experiment.lab_section import CameraSection
 from tetractl.lab.cameras.port_camera import PortCamera
+from tetractl.spec.lab_section import CameraSection
 
 
 class JsonPosesSection(CameraSection):

@@ -7,8 +7,8 @@ import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.udp_port import SCHEME
+from tetractl.spec.lab_section import LabSection
 from tetractl.testing import MovedRobots, SeenRobots, check_actuator, check_camera
 from tetractl_emulator.m3pi.wheeled_side import PortedSide
 from tetractl_emulator.pose_stream import PoseStream

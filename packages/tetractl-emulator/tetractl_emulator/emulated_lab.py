@@ -16,7 +16,7 @@ from typing import Any, Self, TextIO
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import SpecError, TetractlError
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import LabSection
+from tetractl.spec.lab_section import LabSection
 from tetractl_emulator.faults import Fault, Injector
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.port import PluggedDevices

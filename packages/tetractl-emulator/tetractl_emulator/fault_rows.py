@@ -13,7 +13,7 @@ from random import Random
 from typing import Any
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import LabSection
+from tetractl.spec.lab_section import LabSection
 
 # regular expressions of reasons
 SIGHT = (

@@ -18,7 +18,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, create_model
 
 from tetractl.core.clock import SECOND
-from tetractl.experiment.base import Model, Name, NonNegative, Positive
+from tetractl.spec.base import Model, Name, NonNegative, Positive
 from tetractl_emulator.fault_rows import NAMES, FaultRow
 from tetractl_emulator.loop import Timeline
 

@@ -18,7 +18,7 @@ from tetractl.core.commands import Steer, Transmission, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import Actuator, Camera, Health, RobotStatus
-from tetractl.experiment.base import Model
+from tetractl.spec.base import Model
 from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.faults import Fault
 from tetractl_emulator.loop import Loop

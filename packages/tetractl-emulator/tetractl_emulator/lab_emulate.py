@@ -63,7 +63,7 @@ def emulate(
     import gc
     import signal
 
-    from tetractl.experiment.plants import lab_of
+    from tetractl.spec.plants import lab_of
     from tetractl_emulator.emulated_lab import EmulatedLab
     from tetractl_emulator.script import NOTHING, load_script
     from tetractl_emulator.sides import Options

@@ -28,8 +28,8 @@ DAYS_MAX = 1_000_000
 """Most days of a command: some weeks of computing."""
 
 if TYPE_CHECKING:
-    from tetractl.experiment.experiment import Experiment
-    from tetractl.experiment.lab_section import LabSection
+    from tetractl.spec.experiment import Experiment
+    from tetractl.spec.lab_section import LabSection
     from tetractl_emulator.rehearsal.day import Day
     from tetractl_emulator.rehearsal.summary import DayRow
     from tetractl_emulator.rehearsal.truth import Truth, Violation
@@ -62,13 +62,13 @@ def rehearse(
 
     Example: tetractl lab rehearse experiments/three_m3pi_lab.yaml --days 200 --jobs 2
     """
-    from tetractl.control.build import warm_up
+    from tetractl.control.methods.build import warm_up
     from tetractl.core.plan import Outcome
-    from tetractl.experiment.load import load_spec
-    from tetractl.experiment.plants import on_plant
     from tetractl.run.executors import called
     from tetractl.run.spec_trial import run_logged
     from tetractl.run.store import RecordStore
+    from tetractl.spec.load import load_spec
+    from tetractl.spec.plants import on_plant
     from tetractl_emulator.rehearsal.summary import FIELDS, reasons, summary, table
 
     loaded = on_plant(ui.load(spec, sets), "emulated")
@@ -134,10 +134,10 @@ def rehearsed(
     """Play a day, with faults if it is `bad`; return what is kept of it. The script of a day that
     broke a sentence is written to a `folder`.
     """
-    from tetractl.experiment.load import load_spec
-    from tetractl.experiment.plants import on_plant
-    from tetractl.experiment.yaml.core_yaml import dump
     from tetractl.plant.lab_plant import RigSection
+    from tetractl.spec.load import load_spec
+    from tetractl.spec.plants import on_plant
+    from tetractl.spec.yaml.core_yaml import dump
     from tetractl_emulator.rehearsal.day import plan_of_day, play
     from tetractl_emulator.rehearsal.summary import row_of
 

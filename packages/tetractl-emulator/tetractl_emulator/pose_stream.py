@@ -13,10 +13,10 @@ from pydantic import Field
 
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Model, NonNegative
-from tetractl.experiment.lab_section import LabSection
-from tetractl.experiment.section_abilities import Addressed
 from tetractl.lab.cameras.optitrack.natnet import RigidBody, UpAxis, planar_pose
+from tetractl.spec.base import Model, NonNegative
+from tetractl.spec.lab_section import LabSection
+from tetractl.spec.section_abilities import Addressed
 from tetractl_emulator.fault_rows import scale_of
 from tetractl_emulator.faults import Fault
 from tetractl_emulator.loop import Loop

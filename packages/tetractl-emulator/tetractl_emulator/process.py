@@ -17,9 +17,9 @@ from pydantic import Field
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import LabSupervision
-from tetractl.experiment.base import Positive
 from tetractl.lab.port_holder import holder
 from tetractl.lab.serial_port import Ports, SerialPort
+from tetractl.spec.base import Positive
 from tetractl_emulator.fault_rows import (
     CELLS,
     LATE,

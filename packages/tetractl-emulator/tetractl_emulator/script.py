@@ -12,10 +12,10 @@ from pydantic import Field, PlainValidator, ValidationError, ValidationInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from tetractl.core.errors import AbortError, SpecError
-from tetractl.experiment.base import Finite, Model, Name, Point, with_tuples
-from tetractl.experiment.explain_errors import list_of, words
-from tetractl.experiment.yaml.document import Document, parse_document, read_text
-from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean
+from tetractl.spec.base import Finite, Model, Name, Point, with_tuples
+from tetractl.spec.explain_errors import list_of, words
+from tetractl.spec.yaml.document import Document, parse_document, read_text
+from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean
 from tetractl_emulator.faults import MARK, Fault
 from tetractl_emulator.process import PROCESS_FAULTS
 from tetractl_emulator.registries import EMULATED_ACTUATORS, EMULATED_CAMERAS

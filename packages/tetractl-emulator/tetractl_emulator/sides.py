@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Model
-from tetractl.experiment.lab_section import LabSection
+from tetractl.spec.base import Model
+from tetractl.spec.lab_section import LabSection
 from tetractl_emulator.faults import ActingFaults, Fault
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.wires import Wires

@@ -16,7 +16,7 @@ from functools import partial
 from tetractl.core.clock import MILLISECOND, SECOND, MonotonicClock, VirtualClock
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import LabSection
+from tetractl.spec.lab_section import LabSection
 from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Loop, Timeline

@@ -67,7 +67,7 @@ class EmulatedPlantSection(RigSection):
 
     def with_files(self, folder: Path | None) -> Self:
         """Return the section with the script in place of its file's name."""
-        from tetractl.experiment.yaml.document import file_of_spec, read_document
+        from tetractl.spec.yaml.document import file_of_spec, read_document
         from tetractl_emulator.script import load_script
 
         if not isinstance(self.faults, str):
@@ -104,7 +104,7 @@ class EmulatedPlantSection(RigSection):
         """Return the rig of a new emulated lab. Trials with the same root seed have the same cells
         in the dish; the trial's `seed` gives everything else.
         """
-        from tetractl.experiment.yaml.core_yaml import dump
+        from tetractl.spec.yaml.core_yaml import dump
         from tetractl_emulator.half_real import Blind, MovedCamera, TwinActuator
         from tetractl_emulator.script import NOTHING, parse_script
         from tetractl_emulator.sides import Options

@@ -23,8 +23,8 @@ from tetractl_identify.tracks import Track
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
 from tetractl.core.errors import UsageError
-from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
+from tetractl.spec.load import load_spec
 from tetractl.tools.likelihood import SampleInterval
 from tetractl.tools.table.table_files import json_text
 

@@ -7,9 +7,9 @@ from support.paths import ROOT
 from tetractl_identify.identify import identify
 from tetractl_identify.tracks import track_of
 
-from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.spec.load import load_spec
 
 SLOW = ("controller.period=0.2", "controller.signal_periods=1")  # 5 Hz
 SILENT = (

@@ -1,5 +1,5 @@
 """Fits a dead time that all robots share, and each robot's turning rate a, speed, heading bias and
-noise, by maximising the likelihood of the controller's filter (`control.filter`).
+noise, by maximising the likelihood of the controller's filter (`control.estimation.filter`).
 
 A first pass of the filter over the longest track has a grid of dead times, and each of RATES as
 factors on the expected turning rates a. The fit starts from the likeliest. In each of ROUNDS
@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc, stdtrit
 
-from tetractl.control.filter_start import HEADING_NOISE, POSITION_NOISE_S, SLIP, WALK
+from tetractl.control.estimation.filter_start import HEADING_NOISE, POSITION_NOISE_S, SLIP, WALK
 from tetractl.core.poses import Floats, Integers
 from tetractl.tools.likelihood import NORMAL, SampleInterval, newton_step
 from tetractl_identify.passes import (

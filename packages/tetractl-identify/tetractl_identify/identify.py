@@ -13,10 +13,10 @@ from enum import Enum
 
 import numpy as np
 
-from tetractl.control.filter_start import LEAST_SPEED
+from tetractl.control.estimation.filter_start import LEAST_SPEED
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue
+from tetractl.spec.identified import Identified, IdentifiedRobot, IdentifiedValue
 from tetractl.tools.likelihood import SampleInterval
 from tetractl.tools.table.table import Column, Table
 from tetractl_identify.explained import (

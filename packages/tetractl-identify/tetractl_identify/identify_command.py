@@ -145,7 +145,7 @@ def _show_response(tracks: "list[Track]", as_json: bool) -> None:
 
 def _show_robots(robots: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
     """Print the identified values; if a file is named, write them to it for use in specs."""
-    from tetractl.experiment.yaml.core_yaml import dump
+    from tetractl.spec.yaml.core_yaml import dump
     from tetractl_identify.identify import (
         spec_section,
         tables,

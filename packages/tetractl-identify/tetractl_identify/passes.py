@@ -2,8 +2,9 @@
 
 This is the only module of a log's identification that knows the compiled filter. A pass has R rows,
 each a robot with assumed noise and walks, and a bank of B dead times. The filter is the one that
-the controller runs (`control.filter`), with its hypotheses of lost commands and of a stuck robot;
-turning rate a, speed and heading bias are constant states, and the noise is as assumed.
+the controller runs (`control.estimation.filter`), with its hypotheses of lost commands and of a
+stuck robot; turning rate a, speed and heading bias are constant states, and the noise is as
+assumed.
 """
 
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.control.kernels.filter_state import (
+from tetractl.control.estimation.kernels.filter_state import (
     LN_A,
     LN_SPEED,
     LOG_FOLLOWS,
@@ -332,7 +333,7 @@ def _run_track(
 ) -> None:
     """Run the filter over the frames of a track (F,), each in a `block` (F,), and add ln of their
     likelihood to that of its block (K, B, R)."""
-    from tetractl.control.kernels import filter as kernel
+    from tetractl.control.estimation.kernels import filter as kernel
 
     commands = SentCommands(track.when, track.u)
     times = track.time[:, rows]

@@ -61,7 +61,7 @@ def markers(
 
     Example: tetractl lab markers shelf.yaml -o markers.pdf
     """
-    from tetractl.experiment.plants import lab_of
+    from tetractl.spec.plants import lab_of
     from tetractl_microscope.apriltag.section import AprilTagSection
 
     if paper not in PAPERS:

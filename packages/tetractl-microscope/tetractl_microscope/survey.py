@@ -74,9 +74,9 @@ def survey(
     Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
     """
     from tetractl.core.protocols import LabSupervision
-    from tetractl.experiment.plants import lab_of, on_plant
-    from tetractl.experiment.yaml.core_yaml import dump
-    from tetractl.experiment.yaml.document import parse_document, with_settings
+    from tetractl.spec.plants import lab_of, on_plant
+    from tetractl.spec.yaml.core_yaml import dump
+    from tetractl.spec.yaml.document import parse_document, with_settings
     from tetractl_microscope.cells.section import CellsSection
     from tetractl_microscope.choice.closed_loop import Noise
     from tetractl_microscope.choice.first_plans import planner, tolerance
@@ -208,7 +208,7 @@ def _print_cells(
     """Print each cell with 95 % intervals, and the pairs of cells whose turning rates a are too
     similar to tell the cells apart.
     """
-    from tetractl.results.estimate import Z
+    from tetractl.statistics.estimate import Z
 
     for cell in cells:
         magnet = "" if cell.magnetised else ", does not respond to the field"

@@ -9,10 +9,10 @@ from tetractl.core.errors import printable
 from tetractl.core.poses import Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack.natnet import Placement, RigidBody, UpAxis
 from tetractl.lab.cameras.port_camera import PortCamera
 from tetractl.lab.serial_port import Ports, SerialPort
+from tetractl.spec.lab_section import entry
 from tetractl_motioncapture.process_port import ProcessPort
 from tetractl_motioncapture.section import MotionCaptureSection
 

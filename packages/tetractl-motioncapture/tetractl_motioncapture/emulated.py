@@ -11,9 +11,9 @@ from tetractl_emulator.pose_stream import PoseSettings, PoseStream, Shot
 from tetractl_emulator.sides import Body, Stage
 
 from tetractl.core.errors import UsageError
-from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack.natnet import UpAxis
 from tetractl.lab.udp_port import SCHEME
+from tetractl.spec.lab_section import entry
 from tetractl_motioncapture.section import MotionCaptureSection
 
 

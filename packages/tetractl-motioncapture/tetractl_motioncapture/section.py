@@ -6,10 +6,10 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Angle, NonNegative, Point
-from tetractl.experiment.lab_section import CameraSection, entry, mismatches
-from tetractl.experiment.yaml.problems import Loc
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
+from tetractl.spec.base import Angle, NonNegative, Point
+from tetractl.spec.lab_section import CameraSection, entry, mismatches
+from tetractl.spec.yaml.problems import Loc
 
 
 class MotionCaptureSection(CameraSection):

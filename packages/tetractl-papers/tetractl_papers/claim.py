@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.results.estimate import Interval, distributions, proportion_interval
+from tetractl.statistics.estimate import Interval, distributions, proportion_interval
 
 CONFIDENCE = 0.95
 """Of all intervals and tests here."""
@@ -68,7 +68,7 @@ class OurNumber:
 
 
 def mean_of(values: Floats) -> OurNumber:
-    """Return the mean of values (n,) with its interval (Student's t; `results.estimate`)."""
+    """Return the mean of values (n,) with its interval (Student's t; `statistics.estimate`)."""
     summary = distributions(values[None])[0]
     interval = summary.ci95 if summary.ci95.known else Interval(summary.mean, summary.mean)
     return OurNumber(NumberKind.MEAN, summary.mean, summary.n, interval.low, interval.high)

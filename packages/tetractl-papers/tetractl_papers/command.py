@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, argument, option, out_option, switch
 from tetractl.core.errors import Exit, UsageError
-from tetractl.experiment.yaml.problems import did_you_mean
+from tetractl.spec.yaml.problems import did_you_mean
 from tetractl.tools.table.table_files import json_text
 from tetractl.tools.table.terminal_table import print_tables
 from tetractl_papers.registries import PAPERS
@@ -32,7 +32,7 @@ def reproduce(
     Example: tetractl reproduce khalil-2013 --jobs 2
     """
     from tetractl.api import run_batch
-    from tetractl.experiment.examples import examples
+    from tetractl.spec.examples import examples
     from tetractl_papers.claim import assess
     from tetractl_papers.paper import Paper, items, table
     from tetractl_papers.trials import run_arms

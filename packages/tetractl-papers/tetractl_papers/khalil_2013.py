@@ -7,7 +7,7 @@ outcome. A disc of 23 um for 95 % of the time is out of the bacterium's reach at
 import json
 
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.results.built_in_statistics import discs
+from tetractl.statistics.built_in_statistics import discs
 from tetractl_papers.claim import Claim, Fate, at_most
 from tetractl_papers.paper import Paper, Runs
 

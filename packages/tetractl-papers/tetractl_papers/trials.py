@@ -4,12 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.loaded_spec import LoadedSpec
-from tetractl.experiment.yaml.document import FieldValue
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.run.spec_trial import log_path
+from tetractl.spec.load import load_spec
+from tetractl.spec.loaded_spec import LoadedSpec
+from tetractl.spec.yaml.document import FieldValue
 from tetractl_papers.paper import Paper, Runs, Work
 
 SEED = 20261128

@@ -9,10 +9,10 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.protocols import Health, RobotStatus
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_speed
 from tetractl.lab.serial_port import PortGroup, Ports, stop_all_at
 from tetractl.model.wheels import CountArray
+from tetractl.spec.lab_section import entry
 from tetractl_toio.cubes import HINT, SPEED, CubesLink, make_port
 from tetractl_toio.messages import (
     SPEED_MAX,

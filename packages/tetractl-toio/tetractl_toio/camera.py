@@ -12,9 +12,9 @@ from tetractl.core.errors import AbortError, WireError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import entry
 from tetractl.lab.serial_port import Ports
 from tetractl.lab.udp_port import SCHEME
+from tetractl.spec.lab_section import entry
 from tetractl_toio.cubes import HINT, UDP_HINT, CubesLink
 from tetractl_toio.messages import (
     NOTIFY_MISSED,

@@ -8,16 +8,16 @@ from pydantic import Field
 
 from tetractl.core.poses import Sight
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import NonNegative, Positive
-from tetractl.experiment.lab_section import (
+from tetractl.lab.actuators.wheeled_section import Found, wheel_gains
+from tetractl.spec.base import NonNegative, Positive
+from tetractl.spec.lab_section import (
     ActuatorSection,
     CameraSection,
     RobotPart,
     mismatches,
     too_fast,
 )
-from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.actuators.wheeled_section import Found, wheel_gains
+from tetractl.spec.yaml.problems import Loc
 from tetractl_toio.messages import MAT_MM, RADIUS_MM, WHEEL_MM_S
 
 MatPoint = tuple[Annotated[int, Field(ge=0, le=65_535)], Annotated[int, Field(ge=0, le=65_535)]]

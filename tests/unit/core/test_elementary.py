@@ -91,7 +91,7 @@ def test_lengths_of_any_size():
 def test_kernels_have_the_bits_of_plain_python(name):
     from numba import njit
 
-    from tetractl.control.kernels import elementary as compiled
+    from tetractl.control.search.kernels import elementary as compiled
     from tetractl.tools.kernels.kernel_options import ENTRY_FAST
 
     function = getattr(compiled, name)

@@ -3,7 +3,7 @@
 import pytest
 
 from tetractl.core.errors import UsageError, printable
-from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
+from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem
 
 
 @pytest.mark.parametrize(

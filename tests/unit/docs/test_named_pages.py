@@ -41,7 +41,7 @@ def missing(path, text):
 def test_every_page_that_a_source_names_exists():
     files = sources()
     assert ROOT / "experiments" / "tetrahymena.yaml" in files
-    assert ROOT / "tetractl" / "experiment" / "templates" / "robots.yaml" in files
+    assert ROOT / "tetractl" / "spec" / "templates" / "robots.yaml" in files
     named_wrongly = {
         f"{path.relative_to(ROOT)}: {page}"
         for path in files

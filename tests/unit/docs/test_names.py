@@ -9,7 +9,13 @@ import pytest
 from support.paths import ROOT, SOURCE_FOLDERS
 
 PACKAGES = (ROOT / "tetractl", *(ROOT / "packages").glob("*/tetractl_*"))
-NAMED_AFTER = ("cli", "control/kernels", "view/figures", "plant/disturbances")
+NAMED_AFTER = (
+    "cli",
+    "control/estimation/kernels",
+    "control/search/kernels",
+    "view/figures",
+    "plant/disturbances",
+)
 """Folders whose modules have the name of something else: a command's module that of what it runs, a
 kernel's of what it compiles, a figure's and a disturbance's the one that a user writes."""
 PARTS = {"actuator", "calibrate", "camera", "check", "core", "registries", "section", "side"}

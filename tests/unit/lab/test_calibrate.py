@@ -6,8 +6,8 @@ import pytest
 from support.lab_specs import SPEC
 
 from tetractl.core.errors import AbortError
-from tetractl.experiment.load import parse_spec
-from tetractl.experiment.plants import on_plant
+from tetractl.spec.load import parse_spec
+from tetractl.spec.plants import on_plant
 
 
 class SteeringActuator:

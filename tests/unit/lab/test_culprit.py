@@ -8,11 +8,11 @@ import pytest
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Bounds
-from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.culprit import CAMERA, RADIO, RECENT_NS, SWAPPED, Culprit
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import ANOTHER, DOES_NOT_MOVE, WRONG_WAY, motion
+from tetractl.spec.lab_section import LabLimits
 
 NAMES = ("green", "blue", "red")
 PAIR = NAMES[:2]

@@ -10,11 +10,11 @@ import pytest
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
-from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab import drift_check
 from tetractl.lab.drift_check import TOGETHER, DriftCheck
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import motion
+from tetractl.spec.lab_section import LabLimits
 
 NAMES = ("green", "blue", "red")
 SPEED = 180.0  # [mm/s]

@@ -18,13 +18,13 @@ from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import GuardCheck
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
-from tetractl.experiment.lab_section import REACTION_S, UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.frames import FrameBuffer
 from tetractl.lab.guard import BUSY, Guard, GuardState
 from tetractl.lab.guard_checks import robot_checks
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import PUSHED
+from tetractl.spec.lab_section import REACTION_S, UNTRACKED_STOP_S, LabLimits
 
 pytestmark = pytest.mark.slow
 

@@ -10,9 +10,9 @@ import pytest
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
-from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import DOES_NOT_MOVE, MotionCheck
+from tetractl.spec.lab_section import LabLimits
 
 pytestmark = pytest.mark.slow
 

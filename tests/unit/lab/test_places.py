@@ -7,9 +7,9 @@ import numpy as np
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
-from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.places import Keeps
+from tetractl.spec.lab_section import LabLimits
 
 DISC = Shape(np.array([[500.0, 500.0]]), 100.0)
 

@@ -13,9 +13,9 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
-from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.preflight import inspect
 from tetractl.lab.rest_check import LONGER, moving_robots, wait_for_rest
+from tetractl.spec.lab_section import LabLimits
 
 SETUP = experiment().setup
 

@@ -7,9 +7,9 @@ import pytest
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
-from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.robot_track import RobotTrack
+from tetractl.spec.lab_section import LabLimits
 
 RULES = GuardRules(
     names=("green",),

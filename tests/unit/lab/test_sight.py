@@ -13,13 +13,13 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose, Sight
 from tetractl.core.setup import Bounds
 from tetractl.core.trial import Note
-from tetractl.experiment.lab_section import LabLimits
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.plants import on_plant
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.guard import Guard, GuardState
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import REPEATS, SLACK_S
+from tetractl.spec.lab_section import LabLimits
+from tetractl.spec.load import load_spec
+from tetractl.spec.plants import on_plant
 
 MS = 1_000_000
 MAT = Sight(grid_mm=1.36, grid_rad=math.radians(1.0), rate_hz=100.0)

@@ -9,12 +9,12 @@ import pytest
 from tetractl.cli import lab
 from tetractl.core.clock import VirtualClock
 from tetractl.core.errors import AbortError, Exit
-from tetractl.experiment.lab_section import ActuatorSection
 from tetractl.lab.actuators import own_robots
 from tetractl.lab.actuators.own_section import OwnSection
 from tetractl.lab.actuators.twist import line_ports
 from tetractl.lab.actuators.twist.section import TwistSection
 from tetractl.lab.serial_port import PortHeldError
+from tetractl.spec.lab_section import ActuatorSection
 
 SETUP = SimpleNamespace(
     names=("green", "blue"),

@@ -11,10 +11,10 @@ import pytest
 
 from tetractl.core.clock import MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
-from tetractl.experiment.lab_section import STOPS
 from tetractl.lab.port_holder import holder
 from tetractl.lab.serial_port import PortHeldError, SerialPort, stop_all_at
 from tetractl.lab.udp_port import REFUSALS_MAX, UdpPort, address_of, lock_file, open_port
+from tetractl.spec.lab_section import STOPS
 
 PATIENCE_S = 60
 

@@ -14,7 +14,7 @@ from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.log.write.writer import LogWriter
-from tetractl.replay.comparison import first_difference
+from tetractl.verification.comparison import first_difference
 
 
 def assert_same_trial(log, random_trial):

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import tetractl
-from tetractl.control import cost, stop
-from tetractl.control.kernels import update
+from tetractl.control.search import cost, stop
+from tetractl.control.search.kernels import update
 from tetractl.model import wheels
 from tetractl.model.motion import euler, exact, rolling
 

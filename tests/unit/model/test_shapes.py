@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from support.geometry import gap, meets, to_segment
 from support.shapes import GRID, L_SHAPE, SHAPES
 
-from tetractl.control.kernels import obstacles as kernel
+from tetractl.control.search.kernels import obstacles as kernel
 from tetractl.core.registries import SHAPES as REGISTRY
 from tetractl.core.shape import Shape, segments_gap2
 from tetractl.model.shapes import Polygon

@@ -11,9 +11,9 @@ from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.plant.disturbances.robots import WanderSection
+from tetractl.spec.load import load_spec
+from tetractl.spec.yaml.problems import InvalidSpecError
 
 pytestmark = pytest.mark.slow
 

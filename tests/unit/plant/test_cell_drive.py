@@ -8,8 +8,6 @@ import pytest
 from tetractl.core.commands import FieldOff, Steer, Stop
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
-from tetractl.experiment.disturbance import DelayedCommand
-from tetractl.experiment.load import parse_spec
 from tetractl.model.motion import swimming
 from tetractl.model.swimmers import Swimmers
 from tetractl.plant import drive_kernels as kernel
@@ -17,6 +15,8 @@ from tetractl.plant.cell_drive import CellDrive
 from tetractl.plant.sim_section import CultureSection
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.spec.disturbance import DelayedCommand
+from tetractl.spec.load import parse_spec
 
 pytestmark = pytest.mark.slow
 

@@ -12,7 +12,7 @@ from support.trials import experiment
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.poses import Poses
-from tetractl.experiment.disturbance import Disturbance
+from tetractl.spec.disturbance import Disturbance
 
 pytestmark = pytest.mark.slow
 

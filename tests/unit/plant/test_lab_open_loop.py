@@ -4,13 +4,13 @@ import pytest
 from support.labs import fake_lab
 from support.trials import experiment
 
-from tetractl.control.sequence import SequenceSection
+from tetractl.control.methods.sequence import SequenceSection
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Outcome
 from tetractl.core.trial import EPOCH_NS, PlantInfo
-from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
+from tetractl.spec.loaded_spec import LoadedSpec, start_of
 
 pytestmark = pytest.mark.slow
 

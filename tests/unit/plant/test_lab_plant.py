@@ -13,8 +13,8 @@ from tetractl.core.guard_findings import Lose
 from tetractl.core.losses import LossRule
 from tetractl.core.protocols import Health
 from tetractl.core.trial import Note
-from tetractl.experiment.lab_section import STOPS, LabLimits
 from tetractl.lab.guard_checks import robot_checks
+from tetractl.spec.lab_section import STOPS, LabLimits
 
 pytestmark = pytest.mark.slow
 

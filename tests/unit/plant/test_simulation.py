@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from support.plants import DIRECTIONS, PERIOD, driven, sim, truths
 from support.trials import experiment
 
-from tetractl.control.cost import predict
+from tetractl.control.search.cost import predict
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.poses import Poses

@@ -10,9 +10,9 @@ from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
-from tetractl.experiment.plant import Wheels
 from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import body_velocity
+from tetractl.spec.plant import Wheels
 
 pytestmark = pytest.mark.slow
 

@@ -10,7 +10,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.errors import WrongValueError
 from tetractl.core.poses import Poses
-from tetractl.experiment.disturbance import Disturbance
+from tetractl.spec.disturbance import Disturbance
 
 pytestmark = pytest.mark.slow
 

@@ -17,8 +17,8 @@ from tetractl.core.plan import Outcome, State
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.report.page import errors_over_time, lean, logs_to_carry
 from tetractl.report.trial_data import packed, trial_data
-from tetractl.results.describe import describe
-from tetractl.results.open_batch import Batch
+from tetractl.statistics.describe import describe
+from tetractl.statistics.open_batch import Batch
 from tetractl.view.figures.draw import draw
 from tetractl.view.style import svg
 

@@ -6,10 +6,9 @@ from support import random_trials as made
 from support import studies
 from support.running import QUICK
 
-from tetractl.control.rng import mix
+from tetractl.control.search.rng import mix
 from tetractl.core.errors import AbortError
 from tetractl.core.plan import Outcome
-from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.run import executors
 from tetractl.run.batch import OnFailure, run_batch
@@ -18,6 +17,7 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path, run_logged, trial_seeds
 from tetractl.run.store import Store
 from tetractl.run.task import Finished, Task, batch_tasks
+from tetractl.spec.load import parse_spec
 
 SPEC = parse_spec(QUICK.replace("count: 3", "count: 4"), "quick.yaml")
 

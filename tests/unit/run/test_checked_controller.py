@@ -9,16 +9,16 @@ import pytest
 from support.random_trials import trial, write
 from support.trials import experiment
 
-from tetractl.control.optimizers.pso import Pso
+from tetractl.control.search.optimizers.pso import Pso
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop, Turn
 from tetractl.core.errors import WrongValueError
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import End, Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation, Poses
-from tetractl.experiment.controller import ControllerSection
 from tetractl.log.read.reader import read_trial
 from tetractl.run.checked_controller import NUMBERS_MAX, CheckedController
+from tetractl.spec.controller import ControllerSection
 
 SETUP = experiment().setup
 ROBOTS = len(SETUP.names)

@@ -10,12 +10,12 @@ from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Stop
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Observer
-from tetractl.experiment.load import parse_contents
 from tetractl.log.read.find import find_logs
 from tetractl.log.read.reader import content_digest
 from tetractl.run.hand import HandController, WallPace, run_by_hand
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.open_trial import directed_spec
+from tetractl.spec.load import parse_contents
 
 CONTENTS = {
     "name": "by-hand",

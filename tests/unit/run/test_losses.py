@@ -11,14 +11,14 @@ from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
 from tetractl.core.losses import Losses, LossRule
 from tetractl.core.poses import Observation, Poses
-from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.replay.verify import verify
-from tetractl.results.built_in_statistics import LOST
-from tetractl.results.flagged import trial_notes
 from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.spec.load import load_spec, parse_spec
+from tetractl.statistics.built_in_statistics import LOST
+from tetractl.statistics.flagged import trial_notes
+from tetractl.verification.verify import verify
 
 REST = """
 name: three

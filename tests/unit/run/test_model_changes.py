@@ -8,7 +8,6 @@ from support.paths import ROOT
 from support.trials import experiment
 
 from tetractl.core.motion_estimate import Estimate
-from tetractl.experiment.load import load_spec
 from tetractl.run.model_changes import (
     FITS_AGAIN_AFTER_S,
     HOST_DELAY,
@@ -18,6 +17,7 @@ from tetractl.run.model_changes import (
     StatedModel,
     stated_model,
 )
+from tetractl.spec.load import load_spec
 
 SETUP = experiment().setup
 ROBOTS = len(SETUP.names)

@@ -9,12 +9,12 @@ from support.paths import ROOT
 import tetractl
 from tetractl.core.errors import SpecError, UsageError
 from tetractl.core.plan import Outcome
-from tetractl.experiment.examples import examples
-from tetractl.experiment.load import parse_spec
-from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import content_digest
 from tetractl.run.open_trial import OpenTrial
 from tetractl.run.spec_trial import run_logged
+from tetractl.spec.examples import examples
+from tetractl.spec.load import parse_spec
+from tetractl.spec.plants import on_plant
 
 SPEC = {
     "name": "stepped",

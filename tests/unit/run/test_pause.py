@@ -7,12 +7,12 @@ from support.paths import ROOT
 from tetractl.core.commands import Turn
 from tetractl.core.plan import PAUSE_S, Outcome
 from tetractl.core.poses import wrap
-from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_trial
-from tetractl.replay.player import Recording
-from tetractl.replay.verify import verify
 from tetractl.report.trial_data import trial_data
 from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.spec.load import load_spec
+from tetractl.verification.verify import verify
+from tetractl.view.player import Recording
 from tetractl.view.terminal.replay_screen import step_line
 
 SLOW = ("controller.period=0.2", "controller.signal_periods=1")  # 5 Hz
@@ -61,7 +61,7 @@ def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(
     tmp_path, monkeypatch
 ):
     """Regression: the trial ended on searches that no log held, and `verify` failed it."""
-    monkeypatch.setattr("tetractl.control.mpc.next_facing", lambda *_: None)
+    monkeypatch.setattr("tetractl.control.methods.mpc.next_facing", lambda *_: None)
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", FACING)
     result = run_logged(spec, tmp_path, 3)
     log = read_trial(log_path(tmp_path, 3))

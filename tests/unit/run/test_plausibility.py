@@ -10,11 +10,11 @@ from support.bounded import best_plan, spec
 from support.paths import ROOT
 
 from tetractl.core.registries import REGISTRIES
-from tetractl.experiment.base import ANGLE, Model
-from tetractl.experiment.load import load_spec, parse_contents, parse_spec
-from tetractl.experiment.loaded_spec import resolved_yaml
-from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.run.plausibility import CheckContext, beyond_the_plan, find_warnings, out_of_reach
+from tetractl.spec.base import ANGLE, Model
+from tetractl.spec.load import load_spec, parse_contents, parse_spec
+from tetractl.spec.loaded_spec import resolved_yaml
+from tetractl.spec.yaml.problems import InvalidSpecError
 
 THREE = ROOT / "experiments" / "three_m3pi.yaml"
 LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"

@@ -4,10 +4,10 @@ import pytest
 from support.running import QUICK
 
 from tetractl.core.clock import MILLISECOND, SECOND, VirtualClock
-from tetractl.experiment.lab_section import LabLimits
-from tetractl.experiment.load import parse_spec
 from tetractl.lab.preflight import Preflight
 from tetractl.run.practice import FACT, PRACTICE_S, Practice, practise
+from tetractl.spec.lab_section import LabLimits
+from tetractl.spec.load import parse_spec
 
 SPEC = parse_spec(QUICK, "quick.yaml")
 PERIOD_NS = round(SPEC.experiment.controller.period * SECOND)

@@ -1,10 +1,10 @@
 import pytest
 from support.paths import ROOT
 
-from tetractl.experiment.load import load_spec
 from tetractl.plant.sim_section import SimSection
 from tetractl.run import spec_trial
 from tetractl.run.spec_trial import run_logged
+from tetractl.spec.load import load_spec
 
 
 class OpenPlant:

@@ -10,13 +10,13 @@ from tetractl.core.errors import SpecError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses, Sample
 from tetractl.core.tour import HoldTask, TourMeasure
-from tetractl.experiment.load import parse_spec
 from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.replay.verify import verify
-from tetractl.results.built_in_statistics import TIME_INSIDE
 from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.spec.load import parse_spec
+from tetractl.statistics.built_in_statistics import TIME_INSIDE
+from tetractl.verification.verify import verify
 
 MPC = """{type: mpc, period: 0.2, horizon_max: 30, time_limit: 40.2, accept_error: 20,
   estimate: false, optimizer: {type: multistart, tolerance: 1}}"""

@@ -3,11 +3,11 @@
 import pytest
 from support.marked_robots import MarkedRobots, install
 
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import parse_spec
-from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.log.read.reader import read_trial
 from tetractl.run.spec_trial import run_logged
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.load import parse_spec
+from tetractl.spec.yaml.problems import InvalidSpecError
 
 SPEC = """
 name: marked

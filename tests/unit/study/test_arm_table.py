@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from support.studies import STUDY, run
 
-from tetractl.results.estimate import distributions
-from tetractl.results.flagged import SAFETY
+from tetractl.statistics.estimate import distributions
+from tetractl.statistics.flagged import SAFETY
 from tetractl.study.arm_table import arms_table, field_values, group_of, write_table
 from tetractl.study.figure import study_figure, write_figures
 from tetractl.study.load_study import arm_name

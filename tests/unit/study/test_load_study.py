@@ -10,8 +10,8 @@ from support.running import QUICK
 from support.studies import STUDY, write
 
 from tetractl.core.registries import SWEEPS
-from tetractl.experiment.schema import schema_of
-from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.spec.schema import schema_of
+from tetractl.spec.yaml.problems import InvalidSpecError
 from tetractl.study.load_study import Study, load_study
 from tetractl.study.sweep import Range
 

@@ -11,7 +11,7 @@ from support import trials
 import tetractl
 from tetractl.core.errors import UsageError
 from tetractl.log.read.reader import read_trial
-from tetractl.results.open_batch import Batch, Batches
+from tetractl.statistics.open_batch import Batch, Batches
 from tetractl.view.terminal.progress import NotebookProgress
 
 EVIL = '<img src=x onerror="alert(1)">'

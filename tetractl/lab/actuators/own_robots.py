@@ -9,12 +9,12 @@ import numpy as np
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.own_section import OwnSection
 from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_speed
 from tetractl.lab.serial_port import PortGroup, Ports, stop_all_at
 from tetractl.lab.udp_port import open_port
 from tetractl.model.wheels import CountArray
+from tetractl.spec.lab_section import entry
 
 ROBOT_BAUD = 57600  # of serial ports
 SILENT_ROBOT_HINT = "is the robot on, and in this computer's network?"

@@ -6,16 +6,16 @@ from typing import Any, ClassVar
 from pydantic import Field
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Positive
-from tetractl.experiment.lab_section import (
+from tetractl.lab.actuators.wheeled_section import Found, wheel_gains
+from tetractl.spec.base import Positive
+from tetractl.spec.lab_section import (
     ActuatorSection,
     RobotPart,
     mismatches,
     too_fast,
     unknown_radii,
 )
-from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.actuators.wheeled_section import Found, wheel_gains
+from tetractl.spec.yaml.problems import Loc
 
 
 class OwnRobot(RobotPart):

@@ -10,9 +10,9 @@ from tetractl.core.errors import AbortError, text_of
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
-from tetractl.experiment.section_abilities import Addressed
 from tetractl.lab.serial_port import UNREADABLE, Ports, SerialPort
 from tetractl.lab.udp_port import SCHEME, open_port
+from tetractl.spec.section_abilities import Addressed
 from tetractl.tools.worker import drained
 
 ASKED = b"poses\n"

@@ -23,9 +23,6 @@ from tetractl.core.errors import LogError, SpecError, printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.trial import OWN_FILES, PlantInfo, Result, Start, Step
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import parse_written
-from tetractl.experiment.yaml.document import MAX_BYTES
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec
 from tetractl.log.format.codec import Frames
@@ -36,6 +33,9 @@ from tetractl.log.read.raw_log import RawLog, writer
 from tetractl.log.read.salvage import peek, scan
 from tetractl.log.read.trial_log import Damage, Origin, ResultSummary, TrialLog
 from tetractl.model.path_check import check_path
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.load import parse_written
+from tetractl.spec.yaml.document import MAX_BYTES
 
 
 def read_trial(path: Path) -> TrialLog:

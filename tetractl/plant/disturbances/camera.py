@@ -11,9 +11,9 @@ from pydantic import Field
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Fraction, NonNegativeAngle, Positive
-from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 from tetractl.plant.disturbances.spells import ByTurns, Spells, SpellsSection
+from tetractl.spec.base import Fraction, NonNegativeAngle, Positive
+from tetractl.spec.disturbance import Disturbance, DisturbanceSection
 
 DEVIATIONS_MAX = 4.0
 """A frame's latency differs from the mean by at most so many standard deviations."""

@@ -8,9 +8,9 @@ from pydantic import Field
 
 from tetractl.core.clock import SECOND
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Fraction
-from tetractl.experiment.disturbance import DelayedCommand, Disturbance, DisturbanceSection
 from tetractl.plant.disturbances.spells import Spells, SpellsSection
+from tetractl.spec.base import Fraction
+from tetractl.spec.disturbance import DelayedCommand, Disturbance, DisturbanceSection
 
 
 class RadioSection(DisturbanceSection):

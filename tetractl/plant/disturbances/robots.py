@@ -7,9 +7,9 @@ import numpy as np
 from tetractl.core import elementwise
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Fraction, NonNegative, NonNegativeAngle, Positive
-from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 from tetractl.plant.disturbances.spells import ByTurns
+from tetractl.spec.base import Fraction, NonNegative, NonNegativeAngle, Positive
+from tetractl.spec.disturbance import Disturbance, DisturbanceSection
 
 
 class BatterySection(DisturbanceSection):

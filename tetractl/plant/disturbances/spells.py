@@ -7,8 +7,8 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.core.poses import Bools
-from tetractl.experiment.base import NonNegative, Positive
-from tetractl.experiment.disturbance import DisturbanceSection
+from tetractl.spec.base import NonNegative, Positive
+from tetractl.spec.disturbance import DisturbanceSection
 
 
 class SpellsSection(DisturbanceSection):

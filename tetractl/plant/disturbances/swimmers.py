@@ -7,8 +7,8 @@ import numpy as np
 from tetractl.core import elementwise
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import ANGLE, Finite, NonNegative, Positive
-from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+from tetractl.spec.base import ANGLE, Finite, NonNegative, Positive
+from tetractl.spec.disturbance import Disturbance, DisturbanceSection
 
 
 class FlowSection(DisturbanceSection):

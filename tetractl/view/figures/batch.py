@@ -17,17 +17,17 @@ from matplotlib.patches import Patch
 
 from tetractl.core.errors import LogError, unit_of
 from tetractl.core.poses import Floats
-from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.results.describe import BatchStatistics
-from tetractl.results.estimate import (
+from tetractl.spec.experiment import Experiment
+from tetractl.statistics.describe import BatchStatistics
+from tetractl.statistics.estimate import (
     CONFIDENCE,
     Distribution,
     distributions,
     published_distribution,
 )
-from tetractl.results.open_batch import counts
-from tetractl.results.tables import GIVEN_DIRECTIONS
+from tetractl.statistics.open_batch import counts
+from tetractl.statistics.tables import GIVEN_DIRECTIONS
 from tetractl.view import style
 from tetractl.view.figures.axes import log_axis, name_categories, spans_orders
 from tetractl.view.figures.trials import by_folder

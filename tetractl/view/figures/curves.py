@@ -11,9 +11,9 @@ from tetractl.core.colors import robot_colors
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.player import end_ns
 from tetractl.view import style
 from tetractl.view.figures.trials import NUMBERED, robot_labels
+from tetractl.view.player import end_ns
 
 NAME_IN = 0.1
 """Height of a robot's name next to its curve."""

@@ -13,7 +13,7 @@ from matplotlib.patches import Patch
 from tetractl.core.errors import unit_of
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.swarm_history import SwarmHistory, first_swarm
+from tetractl.verification.swarm_history import SwarmHistory, first_swarm
 from tetractl.view import style
 from tetractl.view.figures.trials import need_steps, one_trial
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 
 from tetractl.core.errors import unit_of
-from tetractl.results.estimate import ArmErrors, Interval, numeric
+from tetractl.statistics.estimate import ArmErrors, Interval, numeric
 from tetractl.view import style
 from tetractl.view.figures.axes import log_axis, name_categories, spans_orders
 

@@ -29,9 +29,8 @@ from tetractl.core.errors import unit_of
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Bounds, Setup
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.dish_pictures import DishPictures
-from tetractl.replay.player import first_seen
 from tetractl.tools.table.table import lengths
+from tetractl.verification.dish_pictures import DishPictures
 from tetractl.view import style
 from tetractl.view.figures.trials import (
     NUMBERED,
@@ -40,6 +39,7 @@ from tetractl.view.figures.trials import (
     robot_labels,
     unfinished,
 )
+from tetractl.view.player import first_seen
 
 WIDTH_IN = style.COLUMN_IN
 BESIDE_AXES_IN = 0.55

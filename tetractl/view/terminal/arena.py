@@ -14,7 +14,7 @@ from tetractl.core.colors import OBSTACLE_EDGE
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
-from tetractl.replay.player import Moment, first_seen
+from tetractl.view.player import Moment, first_seen
 from tetractl.view.terminal.glyphs import arrow
 
 DOWN = 4

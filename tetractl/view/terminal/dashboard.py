@@ -27,8 +27,8 @@ from tetractl.core.clock import milliseconds
 from tetractl.core.colors import robot_colors
 from tetractl.core.plan import Outcome, State, StopReason
 from tetractl.core.trial import Result, Step
-from tetractl.replay.player import Moment
 from tetractl.view.plan_words import doing
+from tetractl.view.player import Moment
 from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import arrow, bar, sparkline
 

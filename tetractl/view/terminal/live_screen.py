@@ -24,9 +24,9 @@ from tetractl.core.protocols import Observer
 from tetractl.core.trial import Note, Result, Start, Step
 from tetractl.log.read.trial_log import Event
 from tetractl.model.path_check import PathCheck
-from tetractl.replay.player import Moment
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
+from tetractl.view.player import Moment
 from tetractl.view.terminal.dashboard import Dashboard, Footer
 from tetractl.view.terminal.keys import STOP_HINT
 from tetractl.view.terminal.progress import Tally, duration, trial_line

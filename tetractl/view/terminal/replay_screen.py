@@ -11,9 +11,9 @@ from rich.text import Text
 
 from tetractl.core.clock import Clock
 from tetractl.core.plan import State
-from tetractl.replay.player import Playback, Player, Recording
 from tetractl.tools.table.table import lengths
 from tetractl.view.plan_words import doing, search_end
+from tetractl.view.player import Playback, Player, Recording
 from tetractl.view.terminal.dashboard import Dashboard, Footer, fitted, printed
 from tetractl.view.terminal.keys import Keyboard
 from tetractl.view.terminal.screen import Screen

@@ -6,8 +6,8 @@ import pytest
 from support.lab_processes import SMALL, SPEC
 from support.lateness import lateness
 
-from tetractl.control.build import warm_up
-from tetractl.experiment.load import load_spec
+from tetractl.control.methods.build import warm_up
+from tetractl.spec.load import load_spec
 
 LATE_S = 0.05  # half of the shortest tolerance: a host as late as that spoils a play
 LOAD = 2.0  # on each core: then another process is late, whatever this one is

@@ -9,9 +9,9 @@ from support.lab_processes import SPEC
 from tetractl_emulator.lab_rehearse import rehearsed
 from tetractl_emulator.rehearsal import day
 
-from tetractl.control.build import warm_up
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.plants import on_plant
+from tetractl.control.methods.build import warm_up
+from tetractl.spec.load import load_spec
+from tetractl.spec.plants import on_plant
 
 pytestmark = [pytest.mark.system, pytest.mark.release]
 

@@ -15,11 +15,11 @@ from tetractl_microscope.coils.driver import DriverStatus
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.core.plan import Outcome
-from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_trial
-from tetractl.replay.verify import verify
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import run_logged
+from tetractl.spec.load import load_spec
+from tetractl.verification.verify import verify
 
 pytestmark = [
     pytest.mark.long,

@@ -15,9 +15,9 @@ from tetractl_emulator import firmware
 
 from tetractl.core.commands import Steer, Stop
 from tetractl.core.protocols import Health, LabSupervision
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import content_digest, read_result, read_trial
+from tetractl.spec.load import load_spec
+from tetractl.spec.plants import on_plant
 
 pytestmark = pytest.mark.slow
 

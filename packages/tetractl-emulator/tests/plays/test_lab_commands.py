@@ -11,11 +11,11 @@ from support.virtual_lab import virtual_lab
 from tetractl_emulator.script import parse_script
 
 from tetractl.core.clock import SECOND
-from tetractl.experiment.lab_section import entry
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.plants import calibrated, on_plant
 from tetractl.lab.cobs import Flag
 from tetractl.log.read.reader import read_trial
+from tetractl.spec.lab_section import entry
+from tetractl.spec.load import load_spec
+from tetractl.spec.plants import calibrated, on_plant
 
 pytestmark = pytest.mark.slow
 
@@ -273,7 +273,7 @@ def test_a_port_that_is_missing_is_named_before_anything_is_compiled(tmp_path, m
     def compiled(*_):
         raise AssertionError("compiled")
 
-    monkeypatch.setattr("tetractl.control.build.warm_up", compiled)
+    monkeypatch.setattr("tetractl.control.methods.build.warm_up", compiled)
     done = tetractl(
         tmp_path, "run", str(SPEC), "--plant", "lab", "--yes", "--set", "lab.actuator.port=nowhere"
     )

@@ -7,8 +7,8 @@ import pytest
 from support.cli import tetractl
 from support.silent_labs import flagged_trials
 
-from tetractl.experiment.examples import examples
-from tetractl.experiment.yaml.document import read_document
+from tetractl.spec.examples import examples
+from tetractl.spec.yaml.document import read_document
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 

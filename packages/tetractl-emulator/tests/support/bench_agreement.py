@@ -19,8 +19,6 @@ from support.virtual_lab import Busy, VirtualLab, virtual_lab
 import tetractl
 from tetractl import TrialLog
 from tetractl.core.trial import EPOCH_NS, PlantInfo, TrialRecords
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.loaded_spec import LoadedSpec, start_of
 from tetractl.plant.disturbances.radio import PlanningTimeSection, RadioSection
 from tetractl.plant.disturbances.robots import StartErrorSection
 from tetractl.plant.sim_section import SimSection
@@ -28,6 +26,8 @@ from tetractl.run.checked_controller import build_controller
 from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import trial_seeds
+from tetractl.spec.load import load_spec
+from tetractl.spec.loaded_spec import LoadedSpec, start_of
 
 LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"
 PLAIN = (

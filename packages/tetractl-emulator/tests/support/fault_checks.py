@@ -10,11 +10,11 @@ from support.paths import ROOT
 from support.paths import SCRIPTS as FOLDER
 
 from tetractl.core.obstacles import Obstacles
-from tetractl.experiment.load import load_spec
 from tetractl.log.format.channels import LOG
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.replay.result_check import result_differences
+from tetractl.spec.load import load_spec
+from tetractl.verification.result_check import result_differences
 
 SCRIPTS = sorted(FOLDER.rglob("*.yaml"))
 

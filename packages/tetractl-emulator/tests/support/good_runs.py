@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from tetractl.log.read.reader import read_trial
-from tetractl.replay.result_check import result_differences
+from tetractl.verification.result_check import result_differences
 
 UNEVEN = """
 emulation:

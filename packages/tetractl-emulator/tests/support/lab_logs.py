@@ -6,8 +6,8 @@ from pathlib import Path
 from support.bench_agreement import LAB
 from support.virtual_lab import virtual_dish, virtual_lab
 
-from tetractl.experiment.load import load_spec
 from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.spec.load import load_spec
 
 
 def lab_log(folder: Path, sets: Sequence[str] = ()) -> Path:

@@ -22,8 +22,8 @@ from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.script import NOTHING, parse_script
 from tetractl_emulator.sides import Options
 
-from tetractl.experiment.load import parse_spec
-from tetractl.experiment.plants import lab_of
+from tetractl.spec.load import parse_spec
+from tetractl.spec.plants import lab_of
 
 SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 TETRACTL = str(Path(sys.executable).with_name("tetractl"))

@@ -5,7 +5,7 @@ from typing import Literal
 from pydantic import Field
 from tetractl_emulator import script
 
-from tetractl.experiment.base import Model, Name, NonNegative, Positive
+from tetractl.spec.base import Model, Name, NonNegative, Positive
 
 
 class Runner(Model):

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import tetractl
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import read_trial
-from tetractl.results.flagged import Flagged, flagged
+from tetractl.spec.load import load_spec
+from tetractl.spec.plants import on_plant
+from tetractl.statistics.flagged import Flagged, flagged
 
 SEED = 71_930_412
 TRIALS = 8

@@ -29,12 +29,12 @@ from tetractl_microscope.cells.section import CellsSection
 
 from tetractl.core.clock import SECOND, wait_for
 from tetractl.core.protocols import LabSupervision
-from tetractl.experiment.load import load_spec, parse_spec
-from tetractl.experiment.loaded_spec import LoadedSpec
-from tetractl.experiment.plants import lab_of, on_plant
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.inner_loop import InnerLoop
 from tetractl.plant.lab_plant import RigSection
+from tetractl.spec.load import load_spec, parse_spec
+from tetractl.spec.loaded_spec import LoadedSpec
+from tetractl.spec.plants import lab_of, on_plant
 
 DISH = EXAMPLES / "tetrahymena_dish.yaml"
 PATIENCE_S = 10.0

@@ -16,7 +16,7 @@ from support.lab_specs import SPEC
 from support.virtual_lab import virtual_lab
 
 from tetractl.core.clock import MonotonicClock
-from tetractl.experiment.load import parse_spec
+from tetractl.spec.load import parse_spec
 from tetractl.testing import MovedRobots, SeenRobots, check_actuator, check_camera
 
 pytestmark = pytest.mark.slow

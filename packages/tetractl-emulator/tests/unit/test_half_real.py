@@ -6,8 +6,8 @@ from support.labs import FakeActuator, fake_lab
 from support.trials import experiment
 from tetractl_emulator.half_real import TwinActuator
 
-from tetractl.experiment.lab_section import STOPS
 from tetractl.lab.inner_loop import InnerLoop
+from tetractl.spec.lab_section import STOPS
 
 
 def test_an_emulated_radio_that_fails_keeps_no_stop_from_the_real_robots():

@@ -12,8 +12,8 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_result, trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Origin
-from tetractl.replay.result_check import result_differences
-from tetractl.replay.verify import verify
+from tetractl.verification.result_check import result_differences
+from tetractl.verification.verify import verify
 
 pytestmark = pytest.mark.system
 

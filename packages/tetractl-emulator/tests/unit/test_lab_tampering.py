@@ -13,8 +13,8 @@ from support.tampering import score
 
 from tetractl.log.format import channels
 from tetractl.log.read.reader import read_trial
-from tetractl.replay.result_check import result_differences
-from tetractl.replay.verify import verify
+from tetractl.verification.result_check import result_differences
+from tetractl.verification.verify import verify
 
 pytestmark = pytest.mark.system
 

@@ -5,8 +5,8 @@ from support.cli import tetractl
 from tetractl_emulator.m3pi.wheeled_side import TrueWheels
 
 from tetractl.core.errors import SpecError
-from tetractl.experiment.load import load_spec, parse_spec
-from tetractl.experiment.plants import on_plant
+from tetractl.spec.load import load_spec, parse_spec
+from tetractl.spec.plants import on_plant
 
 
 @pytest.mark.parametrize("robots", ["twist", "m3pi-xbee"])

@@ -9,11 +9,11 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Model, Name, Positive
-from tetractl.experiment.lab_section import LabSection, entry
 from tetractl.lab.actuators.m3pi.actuator import drivetrains
 from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.actuators.wheel_commands import radii_mm
+from tetractl.spec.base import Model, Name, Positive
+from tetractl.spec.lab_section import LabSection, entry
 from tetractl_emulator.faults import Fault, Share, Undo, fault_kind
 from tetractl_emulator.m3pi.emulated_radio import EmulatedRadio
 from tetractl_emulator.m3pi.robot import BATTERY_MV, EmulatedRobot, EmulatedRobots

@@ -14,9 +14,9 @@ from pydantic import Field
 
 from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Finite, Model, Name, Point, Positive
-from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS, LabSection, entry
 from tetractl.lab.actuators.wheel_commands import radii_mm, wheels_by_speed
+from tetractl.spec.base import Finite, Model, Name, Point, Positive
+from tetractl.spec.lab_section import STOP_GAP_NS, STOPS, LabSection, entry
 from tetractl_emulator.fault_rows import (
     LINK,
     MOTION,

@@ -14,8 +14,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl.lab.cameras.optitrack.section import Ipv4, VersionText
+from tetractl.spec.base import Finite, Model, Name, NonNegative, Point, Positive
 from tetractl_emulator.fault_rows import (
     CLOCK,
     FRAME_S,

@@ -15,11 +15,11 @@ from tetractl.core.clock import SECOND
 from tetractl.core.errors import WireError
 from tetractl.core.protocols import EMULATED_NAME
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Model
-from tetractl.experiment.lab_section import LabSection, entry
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.natnet import UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
+from tetractl.spec.base import Model
+from tetractl.spec.lab_section import LabSection, entry
 from tetractl_emulator.fault_rows import scale_of
 from tetractl_emulator.faults import ActingFaults, Fault
 from tetractl_emulator.loop import Loop

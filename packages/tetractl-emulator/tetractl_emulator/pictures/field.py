@@ -17,9 +17,9 @@ from tetractl_microscope.coils.section import FieldSection, Pair
 from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import UsageError
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
-from tetractl.experiment.lab_section import LabSection
 from tetractl.model.swimmers import walls_of
+from tetractl.spec.base import Finite, Model, Name, NonNegative, Positive
+from tetractl.spec.lab_section import LabSection
 from tetractl_emulator.fault_rows import (
     DRIVER,
     NOTHING,

@@ -20,7 +20,7 @@ from tetractl_microscope.pictures.picture_section import DeviceSource, MjpegSour
 
 from tetractl.core.errors import SpecError
 from tetractl.core.poses import Floats, Grey
-from tetractl.experiment.base import Model, NonNegative, Positive
+from tetractl.spec.base import Model, NonNegative, Positive
 from tetractl_emulator.fault_rows import (
     NOTHING,
     SEEN,

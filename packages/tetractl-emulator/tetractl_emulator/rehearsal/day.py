@@ -28,9 +28,9 @@ import numpy as np
 from tetractl.cli.app import run_app
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import LabSection
-from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.run.interrupt import LISTENER
+from tetractl.spec.lab_section import LabSection
+from tetractl.spec.yaml.core_yaml import dump
 from tetractl_emulator.fault_rows import STRONG, Draw, FaultRow, scale_of
 from tetractl_emulator.script import Sides
 

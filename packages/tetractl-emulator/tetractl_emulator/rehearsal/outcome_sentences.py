@@ -10,7 +10,7 @@ import numpy as np
 
 from tetractl.core.commands import Stop, Turn
 from tetractl.core.plan import Outcome
-from tetractl.replay.result_check import result_differences
+from tetractl.verification.result_check import result_differences
 from tetractl_emulator.fault_rows import MOTION, PLACE
 from tetractl_emulator.rehearsal.day import HUNG
 from tetractl_emulator.rehearsal.logged import logged

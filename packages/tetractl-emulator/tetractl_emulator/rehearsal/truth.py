@@ -32,11 +32,11 @@ from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import Bools, Floats, Integers
 from tetractl.core.setup import Setup
 from tetractl.core.shape import Shape
-from tetractl.experiment.lab_section import LabLimits
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.spec.lab_section import LabLimits
 from tetractl_emulator.fault_rows import FRAME_S
 from tetractl_emulator.process import AFTER_NS
 from tetractl_emulator.rehearsal.day import Day

@@ -13,12 +13,12 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses, Sample
 from tetractl.core.tour import TourMeasure
 from tetractl.core.trial import PlantInfo, Result
-from tetractl.experiment.load import parse_spec
-from tetractl.experiment.loaded_spec import start_of
-from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import trial_path
 from tetractl.log.write.writer import LogWriter
 from tetractl.model.path_check import check_path
+from tetractl.spec.load import parse_spec
+from tetractl.spec.loaded_spec import start_of
+from tetractl.spec.plants import on_plant
 
 SPEC = """
 name: dish

@@ -8,9 +8,9 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
-from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.guard import Guard, GuardState
 from tetractl.lab.guard_rules import GuardRules
+from tetractl.spec.lab_section import LabLimits
 
 FRAME_NS = SECOND // 125
 SPEEDS = (200.0, 100.0)

@@ -2,7 +2,7 @@
 
 from support.paths import EXAMPLES
 
-from tetractl.experiment.load import load_spec
+from tetractl.spec.load import load_spec
 
 CELLS = EXAMPLES / "two_cells.yaml"
 

@@ -7,10 +7,10 @@ import pytest
 from tetractl_microscope.choice.section import choice_of
 
 from tetractl.core.errors import SpecError
-from tetractl.experiment.experiment import packages
-from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.run.spec_trial import run_logged
+from tetractl.spec.experiment import packages
+from tetractl.spec.load import parse_spec
 
 SPEC = """
 name: three

@@ -11,8 +11,8 @@ from support.dish_films import film
 from support.film_logs import write_film
 
 from tetractl.log.read.reader import read_trial
-from tetractl.replay.dish_pictures import SHOWN_SIDE, DishPictures
 from tetractl.report.trial_data import trial_data
+from tetractl.verification.dish_pictures import SHOWN_SIDE, DishPictures
 from tetractl.view.figures.trajectory import trajectory_figure
 
 

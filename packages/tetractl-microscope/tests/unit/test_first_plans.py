@@ -4,9 +4,9 @@ import pytest
 from support.trials import experiment
 from tetractl_microscope.choice.first_plans import planner, plans
 
-from tetractl.control.mpc_section import RecommendedMpc
-from tetractl.control.optimizers.multistart import Multistart
-from tetractl.experiment.controller import ALONE
+from tetractl.control.methods.mpc_section import RecommendedMpc
+from tetractl.control.search.optimizers.multistart import Multistart
+from tetractl.spec.controller import ALONE
 
 pytestmark = pytest.mark.slow
 

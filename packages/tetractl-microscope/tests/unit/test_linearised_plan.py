@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from support.problems import problem, world
 from tetractl_microscope.choice.closed_loop import Linear, linearise
 
-from tetractl.control.cost import predict
+from tetractl.control.search.cost import predict
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats, Poses
 

@@ -6,7 +6,7 @@ from support.film_logs import write_film
 
 from tetractl.log.format import channels
 from tetractl.log.read.salvage import scan
-from tetractl.replay.verify import verify
+from tetractl.verification.verify import verify
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from tetractl_microscope.choice.closed_loop import Noise
 from tetractl_microscope.choice.ranked import RankedChoice, ranked
 
 from tetractl.core.poses import Pose
-from tetractl.experiment.load import load_spec
+from tetractl.spec.load import load_spec
 
 pytestmark = pytest.mark.slow
 

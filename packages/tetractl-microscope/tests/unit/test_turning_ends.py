@@ -13,11 +13,11 @@ from tetractl_microscope.handedness import watch_turning
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
-from tetractl.experiment.lab_section import STOPS
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.plants import on_plant
 from tetractl.lab.guard_checks import robot_checks
 from tetractl.plant.lab_plant import RigSection
+from tetractl.spec.lab_section import STOPS
+from tetractl.spec.load import load_spec
+from tetractl.spec.plants import on_plant
 
 SPEC = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ("robots.seconds=4",))
 EXPERIMENT = on_plant(SPEC, "lab").experiment

@@ -12,7 +12,7 @@ from tetractl.core.clock import Clock
 from tetractl.core.poses import Floats, Grey, Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import entry
+from tetractl.spec.lab_section import entry
 from tetractl_microscope.apriltag.detect import Detector, Sighting
 from tetractl_microscope.apriltag.floor import CORNER_PX, MISFIT_MM, MM, SQUARE, Floor, Plane
 from tetractl_microscope.apriltag.section import AprilTagSection, RobotTag

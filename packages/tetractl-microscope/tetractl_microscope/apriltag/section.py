@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar, Literal, Self
 from pydantic import Field, model_validator
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import (
+from tetractl.spec.base import (
     Angle,
     Finite,
     Model,
@@ -20,8 +20,8 @@ from tetractl.experiment.base import (
     Positive,
     inconsistent,
 )
-from tetractl.experiment.lab_section import RobotPart, entry, mismatches
-from tetractl.experiment.yaml.problems import Loc
+from tetractl.spec.lab_section import RobotPart, entry, mismatches
+from tetractl.spec.yaml.problems import Loc
 from tetractl_microscope.pictures.picture_section import PictureSection
 
 Tag = Annotated[int, Field(ge=0, lt=587)]

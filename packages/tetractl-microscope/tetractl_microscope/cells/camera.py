@@ -13,7 +13,7 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.poses import Bools, CameraFrame, Floats, FrameAddition, Grey, Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import LabLimits
+from tetractl.spec.lab_section import LabLimits
 from tetractl.tools.worker import drained
 from tetractl_microscope.cells.cell import SeenCell
 from tetractl_microscope.cells.cell_watch import CellWatch, Identities

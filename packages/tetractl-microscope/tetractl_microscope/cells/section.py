@@ -7,9 +7,9 @@ from pydantic import Field
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
-from tetractl.experiment.base import Angle, Point, Positive
-from tetractl.experiment.lab_section import Measured
-from tetractl.experiment.registry_fields import KindName
+from tetractl.spec.base import Angle, Point, Positive
+from tetractl.spec.lab_section import Measured
+from tetractl.spec.registry_fields import KindName
 from tetractl_microscope.pictures.picture_section import PictureSection
 from tetractl_microscope.registries import ORGANISMS
 

@@ -8,7 +8,7 @@ import numpy as np
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
-from tetractl.experiment.experiment import Experiment, Robot, dealt
+from tetractl.spec.experiment import Experiment, Robot, dealt
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.section import Choice, choice_of
 

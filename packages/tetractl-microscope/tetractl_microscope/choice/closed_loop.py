@@ -40,13 +40,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ellipe
 
-from tetractl.control.cost import predict
+from tetractl.control.search.cost import predict
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
-from tetractl.experiment.plant import PlantSection
-from tetractl.experiment.section_abilities import Noisy
 from tetractl.model.motion.motion import in_rows
+from tetractl.spec.plant import PlantSection
+from tetractl.spec.section_abilities import Noisy
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,14 +4,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tetractl.control.mpc_section import Collision, RecommendedMpc, SearchFields
-from tetractl.control.optimizers.multistart import Multistart
+from tetractl.control.methods.mpc_section import Collision, RecommendedMpc, SearchFields
+from tetractl.control.search.optimizers.multistart import Multistart
 from tetractl.core.plan import Plan
 from tetractl.core.poses import Observation
 from tetractl.core.setup import Setup
-from tetractl.experiment.controller import Host
-from tetractl.experiment.experiment import Experiment
 from tetractl.run.spec_trial import trial_seeds
+from tetractl.spec.controller import Host
+from tetractl.spec.experiment import Experiment
 
 POINTS = Collision(walls=False, adaptive=False, stop_before_collision=False)
 """How robots are steered whose controller has no margins: as points that may leave the arena."""

@@ -8,12 +8,12 @@ from tetractl.core.clock import Clock
 from tetractl.core.errors import UsageError
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.plants import PreparedTrial
 from tetractl.lab.rig import Rig
 from tetractl.plant.lab_plant import RigSection
 from tetractl.plant.random_streams import RandomStream, generator
 from tetractl.plant.sim_section import SimSection
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.plants import PreparedTrial
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.choosing import chosen_from, settled
 from tetractl_microscope.choice.dish_abilities import SettlesRobots, tracker_of

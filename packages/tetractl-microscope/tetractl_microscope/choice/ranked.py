@@ -6,7 +6,7 @@ from itertools import combinations, islice
 
 import numpy as np
 
-from tetractl.experiment.experiment import Experiment
+from tetractl.spec.experiment import Experiment
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.choosing import settled, worth
 from tetractl_microscope.choice.closed_loop import Noise, end_covariance, linearise, mean_errors

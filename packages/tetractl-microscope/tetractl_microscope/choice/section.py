@@ -7,9 +7,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from tetractl.core.poses import Floats
-from tetractl.experiment.base import Model, Point, Positive, inconsistent
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.trial_robots import StandIn, TrialRobots
+from tetractl.spec.base import Model, Point, Positive, inconsistent
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.trial_robots import StandIn, TrialRobots
 
 
 class Ring(Model):

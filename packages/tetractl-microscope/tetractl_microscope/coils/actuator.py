@@ -19,10 +19,10 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats, Pose
 from tetractl.core.protocols import Health, RobotStatus
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Ports
 from tetractl.model.motion.exact import rates
+from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
 from tetractl_microscope.coils.driver import (
     HINT,
     REPLY_S,

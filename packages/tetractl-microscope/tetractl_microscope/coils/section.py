@@ -13,9 +13,9 @@ from typing import ClassVar, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Angle, Finite, Model, NonNegative, Positive, inconsistent
-from tetractl.experiment.lab_section import ActuatorSection
-from tetractl.experiment.yaml.problems import Loc
+from tetractl.spec.base import Angle, Finite, Model, NonNegative, Positive, inconsistent
+from tetractl.spec.lab_section import ActuatorSection
+from tetractl.spec.yaml.problems import Loc
 
 Pair = tuple[float, float]  # x and y, in the coils' axes for currents and in the spec's for fields
 

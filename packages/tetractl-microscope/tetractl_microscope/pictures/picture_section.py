@@ -11,9 +11,9 @@ from pydantic import Field
 
 from tetractl.core.clock import Clock, MonotonicClock
 from tetractl.core.errors import AbortError
-from tetractl.experiment.base import Model, NonNegative, Positive
-from tetractl.experiment.lab_section import CameraSection
-from tetractl.experiment.registry_fields import KindSection
+from tetractl.spec.base import Model, NonNegative, Positive
+from tetractl.spec.lab_section import CameraSection
+from tetractl.spec.registry_fields import KindSection
 from tetractl_microscope.pictures.feed import Feed
 from tetractl_microscope.registries import PICTURE_SOURCES
 

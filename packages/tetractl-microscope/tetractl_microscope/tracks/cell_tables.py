@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.results.estimate import (
+from tetractl.statistics.estimate import (
     VALUES_MIN,
     Distribution,
     Interval,

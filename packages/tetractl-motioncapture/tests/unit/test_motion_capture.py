@@ -19,7 +19,7 @@ from tetractl_motioncapture.process_port import ProcessPort
 
 from tetractl.core.clock import MonotonicClock, wait_for
 from tetractl.core.errors import AbortError
-from tetractl.experiment.load import parse_spec
+from tetractl.spec.load import parse_spec
 
 CAPTURE = """
   camera:

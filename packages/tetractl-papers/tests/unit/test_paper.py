@@ -16,8 +16,8 @@ from tetractl_papers.registries import PAPERS
 
 from tetractl import api
 from tetractl.core.errors import Exit, UsageError
-from tetractl.experiment.examples import examples
-from tetractl.experiment.load import load_spec
+from tetractl.spec.examples import examples
+from tetractl.spec.load import load_spec
 
 COMPLETE = partial(api.run_batch, resume=True)
 PAGE = Path(__file__).parents[2] / "README.md"

@@ -23,10 +23,10 @@ from tetractl_toio.messages import (
 )
 
 from tetractl.core.clock import MILLISECOND, SECOND, VirtualClock
-from tetractl.experiment.load import load_spec
 from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.lab.serial_port import SerialPort
 from tetractl.log.read.reader import read_trial
+from tetractl.spec.load import load_spec
 
 pytestmark = pytest.mark.slow
 NAMES = ("green", "blue", "red")

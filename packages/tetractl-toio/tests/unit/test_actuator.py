@@ -8,8 +8,8 @@ from tetractl_toio.messages import SPEED_MIN, WHEEL_MM_S, Characteristic, Unpack
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Steer
 from tetractl.core.poses import Pose
-from tetractl.experiment.load import load_spec
 from tetractl.lab.serial_port import SerialPort
+from tetractl.spec.load import load_spec
 
 
 class Wire(SerialPort):

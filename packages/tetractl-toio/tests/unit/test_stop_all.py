@@ -7,8 +7,8 @@ from tetractl_toio.messages import Characteristic, Unpacker, decode_motor
 
 from tetractl.core.clock import VirtualClock
 from tetractl.core.errors import AbortError
-from tetractl.experiment.load import load_spec
 from tetractl.lab.serial_port import PortHeldError, SerialPort
+from tetractl.spec.load import load_spec
 
 GREEN = "toio-M0p"
 BLUE = "toio-a9R"

@@ -11,7 +11,7 @@ from tetractl_emulator.loop import Loop
 from tetractl_emulator.sides import Body, Facts, Stage
 
 from tetractl.core.errors import SpecError
-from tetractl.experiment.base import Model, Name, Point
+from tetractl.spec.base import Model, Name, Point
 from tetractl_toio.camera import placed
 from tetractl_toio.emulated.cube import ns
 from tetractl_toio.emulated.side import ConnectedCube

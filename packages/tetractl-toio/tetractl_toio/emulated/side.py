@@ -17,9 +17,9 @@ from tetractl_emulator.sides import Stage
 
 from tetractl.core.errors import UsageError
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Model
-from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.udp_port import SCHEME
+from tetractl.spec.base import Model
+from tetractl.spec.lab_section import LabSection
 from tetractl_toio.emulated.cube import Connection, CubeProgram, ns
 from tetractl_toio.messages import SPEED_MAX, WHEEL_MM_S
 from tetractl_toio.section import ToioSection

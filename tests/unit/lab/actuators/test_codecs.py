@@ -17,13 +17,13 @@ from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
 from tetractl.core.errors import WireError
 from tetractl.core.poses import Pose
-from tetractl.experiment.load import parse_spec
 from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi import broadcast
 from tetractl.lab.actuators.m3pi.actuator import M3piActuator
 from tetractl.lab.actuators.m3pi.broadcast import ROBOTS_MAX, BroadcastCommand
 from tetractl.lab.actuators.wheel_commands import Reply, Status
 from tetractl.lab.cobs import Flag
+from tetractl.spec.load import parse_spec
 
 ROBOTS = BroadcastCommand(7, Flag.RUN, ((64, -64), (127, 127), (0, 0)))
 

@@ -10,9 +10,9 @@ from tetractl.cli.specs import template
 from tetractl.core.clock import VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
-from tetractl.experiment.load import parse_spec
 from tetractl.lab.cameras.port_camera import ASKED, PortCamera
 from tetractl.lab.client_port import ClientPort
+from tetractl.spec.load import parse_spec
 
 
 class Port:

@@ -8,7 +8,7 @@ from support.paths import ROOT
 
 from tetractl.log.format.channels import FORMAT_VERSION
 from tetractl.log.read.reader import content_digest, read_result, read_trial
-from tetractl.replay.verify import verify
+from tetractl.verification.verify import verify
 
 FOLDER = ROOT / "tests" / "golden"
 sys.path.insert(0, str(FOLDER))

@@ -30,8 +30,8 @@ from tetractl.log.read.overview import overview
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
 from tetractl.log.read.salvage import peek, scan
-from tetractl.replay.verify import verify
-from tetractl.results.open_batch import counts, open_batch
+from tetractl.statistics.open_batch import counts, open_batch
+from tetractl.verification.verify import verify
 
 pytestmark = pytest.mark.slow
 

@@ -18,9 +18,9 @@ from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.recover import PART_SUFFIX, recover, recovered_path
 from tetractl.log.read.salvage import scan
 from tetractl.log.write.sink import Sink
-from tetractl.replay.comparison import first_difference
-from tetractl.results.describe import describe
-from tetractl.results.open_batch import open_batch
+from tetractl.statistics.describe import describe
+from tetractl.statistics.open_batch import open_batch
+from tetractl.verification.comparison import first_difference
 
 # In a chunk's record: the name of its compression with its length in front, then the data.
 CHUNK_DATA = b"\x04\0\0\0zstd"

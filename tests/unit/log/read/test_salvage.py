@@ -18,7 +18,7 @@ from tetractl.log.format.channels import FRAMES, RESULT, RUN
 from tetractl.log.read.overview import overview
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.salvage import MAGIC, peek, scan
-from tetractl.replay.comparison import first_difference
+from tetractl.verification.comparison import first_difference
 
 pytestmark = pytest.mark.slow
 

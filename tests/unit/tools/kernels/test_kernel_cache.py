@@ -15,12 +15,12 @@ SEARCH = """
 import hashlib, sys
 from pathlib import Path
 from tetractl.core.commands import Steer
-from tetractl.control.evaluate import compiled_foresee
-from tetractl.control.kernels.multistart import search
-from tetractl.control.optimizers.multistart import Multistart
-from tetractl.control.optimizers.pso import Pso
+from tetractl.control.search.evaluate import compiled_foresee
+from tetractl.control.search.kernels.multistart import search
+from tetractl.control.search.optimizers.multistart import Multistart
+from tetractl.control.search.optimizers.pso import Pso
 from tetractl.core.plan import Limits
-from tetractl.experiment.load import load_spec
+from tetractl.spec.load import load_spec
 
 digest = hashlib.sha256()
 experiment = load_spec(Path(sys.argv[1]) / "three_m3pi.yaml").experiment
@@ -38,11 +38,11 @@ import hashlib, sys
 from dataclasses import astuple
 from pathlib import Path
 import numpy as np
-from tetractl.control.estimator import StateEstimator
-from tetractl.control.kernels.filter import follow, place
+from tetractl.control.estimation.estimator import StateEstimator
+from tetractl.control.estimation.kernels.filter import follow, place
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
-from tetractl.experiment.load import load_spec
+from tetractl.spec.load import load_spec
 from tetractl.plant.simulation import SimPlant
 
 settings = ["plant.dead_time=0.14", "plant.a_error=0.1", "plant.lost_commands=0.1"]

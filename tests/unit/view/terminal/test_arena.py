@@ -10,7 +10,7 @@ from rich.style import Style
 from support.trials import experiment, three_robots
 
 from tetractl.core.setup import Bounds
-from tetractl.replay.player import Moment, Recording
+from tetractl.view.player import Moment, Recording
 from tetractl.view.terminal.arena import ACROSS, DOWN, Canvas, Projection, draw
 from tetractl.view.terminal.glyphs import arrow, sparkline
 

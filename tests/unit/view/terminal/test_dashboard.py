@@ -13,7 +13,7 @@ from tetractl.core.commands import Stop
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Outcome, State
 from tetractl.core.trial import Note
-from tetractl.replay.player import Player, Recording, span
+from tetractl.view.player import Player, Recording, span
 from tetractl.view.terminal.replay_screen import dashboard, step_line
 from tetractl.view.terminal.screen import shows_pictures
 

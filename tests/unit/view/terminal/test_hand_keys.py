@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from tetractl.core.errors import UsageError
-from tetractl.experiment.load import parse_contents
+from tetractl.spec.load import parse_contents
 from tetractl.view.terminal.hand_keys import HandKeys, Wish, read_script, task
 
 NORTH = math.pi / 2

@@ -8,7 +8,6 @@ from tetractl.core.clock import Clock
 from tetractl.core.poses import Floats
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.m3pi.broadcast import Broadcaster
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, WheelSection
 from tetractl.lab.actuators.wheel_commands import WheeledActuator
@@ -16,6 +15,7 @@ from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Ports
 from tetractl.model.wheels import CountArray, Drivetrains
+from tetractl.spec.lab_section import entry
 
 RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until it reaches the wheels
 

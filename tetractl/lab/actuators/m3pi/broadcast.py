@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError, WireError
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab import cobs
 from tetractl.lab.actuators.wheel_commands import Reply, Status, polled
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.serial_port import SWITCH_OFF
 from tetractl.model.wheels import COUNT_MAX, STOP, Counts
+from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
 
 COMMAND = 0x51  # first byte of a command
 REPLY = 0x52  # first byte of a reply

@@ -6,17 +6,17 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Model, NonNegative
-from tetractl.experiment.lab_section import (
+from tetractl.lab.actuators.wheeled_section import Found
+from tetractl.lab.actuators.xbee.hardware import XbeeSection
+from tetractl.spec.base import Model, NonNegative
+from tetractl.spec.lab_section import (
     ActuatorSection,
     RobotPart,
     entry,
     mismatches,
     unknown_radii,
 )
-from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.actuators.wheeled_section import Found
-from tetractl.lab.actuators.xbee.hardware import XbeeSection
+from tetractl.spec.yaml.problems import Loc
 
 
 class WheelSection(Model):

@@ -5,13 +5,13 @@ import numpy as np
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import entry
 from tetractl.lab.actuators.twist.line_ports import TwistLink
 from tetractl.lab.actuators.twist.lines import SPEED_MAX, TURN_MAX
 from tetractl.lab.actuators.twist.section import TwistSection
 from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_speed
 from tetractl.lab.serial_port import Ports
 from tetractl.model.wheels import CountArray
+from tetractl.spec.lab_section import entry
 
 
 class TwistActuator(WheeledActuator):

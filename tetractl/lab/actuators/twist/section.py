@@ -6,8 +6,9 @@ from typing import Any, ClassVar, Literal
 from pydantic import Field
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import NonNegative, Positive
-from tetractl.experiment.lab_section import (
+from tetractl.lab.actuators.wheeled_section import Found, wheel_gains
+from tetractl.spec.base import NonNegative, Positive
+from tetractl.spec.lab_section import (
     ActuatorSection,
     RobotPart,
     entry,
@@ -15,8 +16,7 @@ from tetractl.experiment.lab_section import (
     too_fast,
     unknown_radii,
 )
-from tetractl.experiment.yaml.problems import Loc
-from tetractl.lab.actuators.wheeled_section import Found, wheel_gains
+from tetractl.spec.yaml.problems import Loc
 
 
 class TwistRobot(RobotPart):

@@ -11,7 +11,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from tetractl.experiment.base import Model
+from tetractl.spec.base import Model
 
 RIGHT_PROTOCOL = "802.15.4"  # the protocol that modules of robots and computer run
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)  # baud rate by the value of BD

@@ -19,13 +19,13 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import EMULATED_NAME, Health
 from tetractl.core.setup import Setup
-from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack import diagnosis, natnet
 from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.sender_filter import SenderFilter
 from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS, Stream
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack_message
+from tetractl.spec.lab_section import entry
 from tetractl.tools.worker import WAITING_MAX, drained
 
 ASK_NS = SECOND // 4  # an unanswered request is repeated after this time

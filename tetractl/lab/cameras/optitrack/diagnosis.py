@@ -1,13 +1,13 @@
 """Diagnoses why robots are not seen: what the camera server sent, and which setting to change."""
 
 from tetractl.core.errors import AbortError, WireError, printable
-from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.payloads import LAYOUTS
 from tetractl.lab.cameras.optitrack.section import OptitrackSection, TrackedRobot
 from tetractl.lab.cameras.optitrack.sender_filter import SenderFilter
 from tetractl.lab.cameras.optitrack.stream import Stream
 from tetractl.lab.cameras.optitrack.wire import parse
+from tetractl.spec.yaml.problems import SHOWN_LENGTH, did_you_mean
 
 SHOWN = 12  # largest number of rigid bodies listed in a message
 

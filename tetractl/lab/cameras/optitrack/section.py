@@ -6,9 +6,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field
 
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Angle, Point, Positive
-from tetractl.experiment.lab_section import CameraSection, RobotPart, entry, mismatches
-from tetractl.experiment.yaml.problems import Loc
+from tetractl.spec.base import Angle, Point, Positive
+from tetractl.spec.lab_section import CameraSection, RobotPart, entry, mismatches
+from tetractl.spec.yaml.problems import Loc
 
 Ipv4 = Annotated[
     str, Field(pattern=r"^(25[0-5]|2[0-4]\d|1?\d?\d)(\.(25[0-5]|2[0-4]\d|1?\d?\d)){3}$")

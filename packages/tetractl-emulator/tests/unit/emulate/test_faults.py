@@ -23,10 +23,10 @@ from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBo
 from tetractl_emulator.process import PROCESS_FAULTS
 
 from tetractl.core.clock import SECOND
-from tetractl.experiment.lab_section import entry
-from tetractl.experiment.yaml.document import parse_document
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
 from tetractl.lab.cobs import Flag
+from tetractl.spec.lab_section import entry
+from tetractl.spec.yaml.document import parse_document
 
 RUN = ((60, 60), (60, 60))
 FIELD = (

@@ -12,9 +12,9 @@ from tetractl_emulator.optitrack.side import EmulatedOptitrack
 from tetractl_emulator.sides import Options, Stage
 
 from tetractl.core.clock import SECOND
-from tetractl.experiment.load import parse_spec
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.wire import pack_message, parse
+from tetractl.spec.load import parse_spec
 
 TICKS_PER_MS = 10_000  # of the server's clock
 

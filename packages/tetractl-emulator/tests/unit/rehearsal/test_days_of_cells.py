@@ -7,7 +7,7 @@ from tetractl_emulator.rehearsal.day import Day, DayPlan
 from tetractl_emulator.rehearsal.outcome_sentences import outcome_violations
 from tetractl_emulator.rehearsal.truth import Truth
 
-from tetractl.experiment.load import load_spec
+from tetractl.spec.load import load_spec
 
 SETUP = load_spec(EXAMPLES / "tetrahymena_dish.yaml").experiment.setup
 DARK = {"kind": "dark", "right": "not tracked", "fault": "light", "share": 0.1, "at": 1.0}

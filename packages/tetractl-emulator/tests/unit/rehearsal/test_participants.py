@@ -10,8 +10,8 @@ from tetractl_emulator.rehearsal.day import plan_of_day, rows_of
 from tetractl_emulator.script import Sides, parse_script
 from tetractl_emulator.twist.side import EmulatedTwist
 
-from tetractl.experiment.load import load_spec, parse_spec
-from tetractl.experiment.yaml.core_yaml import dump
+from tetractl.spec.load import load_spec, parse_spec
+from tetractl.spec.yaml.core_yaml import dump
 
 
 def lab_of(spec):

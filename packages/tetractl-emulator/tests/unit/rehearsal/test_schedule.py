@@ -19,8 +19,8 @@ from tetractl_emulator.rehearsal.day import (
 )
 from tetractl_emulator.script import parse_script
 
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.yaml.core_yaml import dump
+from tetractl.spec.load import load_spec
+from tetractl.spec.yaml.core_yaml import dump
 
 NAMES = ("green", "blue", "red")
 SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"

@@ -17,8 +17,8 @@ from tetractl_emulator.rehearsal.truth import Truth
 from tetractl.core.commands import Steer, Stop, Turn
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Sight
-from tetractl.experiment.lab_section import LabLimits
-from tetractl.experiment.load import load_spec
+from tetractl.spec.lab_section import LabLimits
+from tetractl.spec.load import load_spec
 
 SETUP = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml").experiment.setup
 STARTS = [[900.0, 800.0, 0.0], [900.0, 1200.0, 0.0], [900.0, 1600.0, 0.0]]

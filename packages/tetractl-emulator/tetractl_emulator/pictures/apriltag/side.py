@@ -19,8 +19,8 @@ from tetractl_microscope.apriltag.section import AprilTagSection, FloorTag, Robo
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Grey, Poses
 from tetractl.core.setup import MM
-from tetractl.experiment.base import Model, Name, NonNegative
-from tetractl.experiment.lab_section import entry
+from tetractl.spec.base import Model, Name, NonNegative
+from tetractl.spec.lab_section import entry
 from tetractl_emulator.fault_rows import SIGHT, FaultRow
 from tetractl_emulator.faults import Fault, Visible, fault_kind
 from tetractl_emulator.pictures.stream_side import (

@@ -14,9 +14,9 @@ from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
 from tetractl.core.poses import Floats, Grey
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
-from tetractl.experiment.lab_section import LabSection
 from tetractl.model.swimmers import Bodies, bodies
+from tetractl.spec.base import Finite, Model, Name, NonNegative, Positive
+from tetractl.spec.lab_section import LabSection
 from tetractl_emulator.fault_rows import SEEN, FaultRow, between, signed, way
 from tetractl_emulator.faults import Fault, Visible, fault_kind
 from tetractl_emulator.pictures.dish.live_dish import CellBody

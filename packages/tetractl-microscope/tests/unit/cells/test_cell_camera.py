@@ -15,11 +15,11 @@ from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Stop, Transmission
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Bounds
-from tetractl.experiment.lab_section import LabLimits
-from tetractl.experiment.load import parse_spec
 from tetractl.lab.guard import Guard
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.inner_loop import InnerLoop
+from tetractl.spec.lab_section import LabLimits
+from tetractl.spec.load import parse_spec
 
 pytestmark = pytest.mark.slow
 

@@ -15,7 +15,7 @@ from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.core.trial import Note
-from tetractl.experiment.lab_section import LabLimits
+from tetractl.spec.lab_section import LabLimits
 
 SETUP = experiment().setup
 BLUE = SETUP.names.index("blue")

@@ -11,7 +11,7 @@ from tetractl_microscope.cells.kernels.helix_steps import STATES
 from tetractl_microscope.pictures.feed import Picture
 
 from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.experiment.load import parse_spec
+from tetractl.spec.load import parse_spec
 
 SPEC = """
 name: dish

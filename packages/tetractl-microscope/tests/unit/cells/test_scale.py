@@ -6,8 +6,8 @@ import pytest
 from support.cli import tetractl
 from support.virtual_lab import DISH
 
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.plants import calibrated, on_plant
+from tetractl.spec.load import load_spec
+from tetractl.spec.plants import calibrated, on_plant
 
 pytestmark = pytest.mark.slow
 

@@ -15,8 +15,8 @@ from tetractl_microscope.pictures.picture_section import MicroManagerSource
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
-from tetractl.experiment.load import load_spec
-from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.spec.load import load_spec
+from tetractl.spec.yaml.problems import InvalidSpecError
 
 pytestmark = pytest.mark.slow
 

@@ -1,0 +1,86 @@
+"""RRT with feedback: the tree's path keeps clear, and the robot follows it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.plants import sim
+from support.trials import THREE_M3PI, experiment
+
+from tetractl.control.methods.rrt import grow
+from tetractl.control.search.rng import uniform
+from tetractl.core.clock import SECOND
+from tetractl.core.obstacles import Obstacles
+from tetractl.core.plan import End, Outcome
+from tetractl.model.shapes import Circle
+from tetractl.run.checked_controller import build_controller
+from tetractl.spec.load import parse_spec
+from tetractl.spec.yaml.problems import InvalidSpecError
+
+ONE = [{"name": "r", "start": [900, 1200], "target": [1700, 1200], "a": 6, "speed": 180}]
+START = np.array([900.0, 1200])
+TARGET = np.array([1700.0, 1200])
+
+
+def path(key, margin=30.0, draws=3000):
+    setup = experiment().setup
+    region = Obstacles.of(setup.obstacles, margin, setup.arena)
+    rows = uniform(key, 0, 3 * draws).reshape(-1, 3)
+    return region, grow(region, setup.arena, START, TARGET, 120.0, rows)
+
+
+@given(st.integers(0, 2**64 - 1))
+def test_a_path_ends_at_the_target_and_touches_nothing(key):
+    region, corners = path(key)
+    assert corners[-1].tolist() == TARGET.tolist()
+    ends = np.vstack([START, corners])
+    assert not region.cross(*ends[:-1].T, *ends[1:].T).any()
+    assert np.hypot(*np.diff(ends, axis=0).T).max() <= 120 * (1 + 1e-9)
+
+
+def test_there_may_be_no_path():
+    setup = experiment().setup
+    wall = Circle(type="circle", center=(1700, 1200), radius=150).shape()
+    region = Obstacles.of([wall])
+    rows = uniform(1, 0, 3 * 500).reshape(-1, 3)
+    assert grow(region, setup.arena, START, TARGET, 120.0, rows) is None
+
+
+def drive(key, fields=None, **plant):
+    spec = experiment(
+        robots=ONE,
+        controller={"type": "rrt", "margin": 40, "time_limit": 60.2} | (fields or {}),
+        plant={"type": "sim"} | plant,
+    )
+    world = sim(spec, key)
+    controller = build_controller(spec, key)
+    world.open()
+    command = None
+    for k in range(400):
+        decision = controller.plan(world.observe(), command)
+        if isinstance(decision, Outcome | End):
+            delay = decision.delay_ns if isinstance(decision, End) else 0
+            world.clock.sleep_until(world.clock.now() + delay)
+            world.stop()
+            return world.settle(), decision
+        command = world.send(decision.action)
+        world.clock.sleep_until((k + 1) * SECOND // 5)
+    raise AssertionError
+
+
+@pytest.mark.parametrize("key", range(8))
+def test_the_robot_goes_round_the_obstacle_to_its_target(key):
+    verdict, decision = drive(key)
+    assert isinstance(decision, End) or decision is Outcome.NO_BETTER_PLAN
+    assert verdict.entered == (False,)
+    assert np.hypot(*(verdict.final.xy[0] - TARGET)) < 30  # v/a: it turns no tighter
+
+
+def test_several_robots_and_one_that_stands_are_refused():
+    text = experiment().model_dump_json()
+    with pytest.raises(InvalidSpecError, match="steers one robot, but there are 3"):
+        parse_spec(text, "s.yaml", ["controller={type: rrt}"])
+    still = dict(THREE_M3PI["robots"][0], speed=0)
+    text = experiment(robots=[still]).model_dump_json()
+    with pytest.raises(InvalidSpecError, match="speed is 0"):
+        parse_spec(text, "s.yaml", ["controller={type: rrt}"])

@@ -1,0 +1,81 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support import oracle, problems
+from support.trials import experiment
+
+from tetractl.control.search.cost import evaluate
+from tetractl.core.errors import ControlError
+from tetractl.core.poses import Poses
+from tetractl.model.shapes import Rectangle
+
+
+def robot_at(x, y, target=(0.0, 0.0)):
+    return (x, y, 0.0, *target, 6.0, 100.0)
+
+
+@given(
+    seed=st.integers(0, 2**32),
+    robots=st.integers(1, 5),
+    obstacles=st.integers(0, 4),
+    length=st.integers(1, 12),
+    model=st.sampled_from(["euler", "arc", "exact"]),
+    swept=st.booleans(),
+)
+def test_the_cost_is_7_to_13(seed, robots, obstacles, length, model, swept):
+    world = problems.world(seed, robots, obstacles, model, swept)
+    signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, (3, length))
+    costs = evaluate(problems.problem(world), signals)
+    assert costs.total == pytest.approx([oracle.cost(world, row) for row in signals], rel=1e-9)
+    assert costs.total == pytest.approx(costs.target + world.weight * costs.obstacle, rel=1e-15)
+
+
+def test_13_sees_samples_only_and_swept_sees_the_corner_cut():
+    wall = Rectangle(type="rectangle", left=25, bottom=-50, width=10, height=100)
+    world = oracle.World([robot_at(0, 0)], [wall], weight=1000)
+    sampled = problems.problem(world)
+    swept = replace(sampled, swept=True)
+    straight_on = np.zeros((1, 3))
+    assert evaluate(sampled, straight_on).obstacle.tolist() == [0]
+    assert evaluate(swept, straight_on).obstacle.tolist() == [1]
+
+
+def test_a_problem_is_taken_from_the_experiment():
+    control = {"collision": {"margin": 10, "walls": False}, "obstacle_weight": 5, "period": 0.2}
+    spec = experiment(controller={"type": "mpc"} | control)
+    poses = Poses.of(np.zeros((3, 3)))
+    problem = spec.controller.problem(spec.setup, poses)
+    assert problem.targets.tolist() == [[1700, 500], [1700, 1500], [1700, 2000]]
+    assert problem.a.tolist() == [6, 4, 3]
+    assert problem.speed.tolist() == [180, 200, 150]
+    assert [shape.box for shape in problem.obstacles.shapes] == [(1190, 1090, 1410, 1310)]
+    assert (problem.swept, problem.obstacle_weight, problem.period) == (True, 5, 0.2)
+
+
+@pytest.mark.parametrize("bad", [math.nan, 1e308])
+def test_costs_that_are_not_finite_are_refused(bad):
+    world = oracle.World([robot_at(0, 0), robot_at(bad, 0, target=(-bad, 0))], [])
+    with (
+        np.errstate(over="ignore"),
+        pytest.raises(ControlError, match="not finite for 2 of 2 sequences"),
+    ):
+        evaluate(problems.problem(world), np.zeros((2, 3)))
+
+
+def test_each_pair_counts_at_each_position_where_it_is_nearer_than_its_separation():
+    """Robots that drive side by side, the second 60 from the first, the third 500. Positions are
+    those after each of four signals; the start is not counted."""
+    robots = [robot_at(0, 0), robot_at(0, 60), robot_at(0, 500)]
+    world = oracle.World(robots, [], weight=10.0)
+
+    def costs(separation):
+        return evaluate(problems.problem(world, separation), np.zeros((1, 4)))
+
+    assert costs(59.0).obstacle.tolist() == [0]
+    assert costs(60.0).obstacle.tolist() == [1 * 4]  # one pair
+    assert costs(501.0).obstacle.tolist() == [3 * 4]  # all pairs
+    assert costs(60.0).total - costs(59.0).total == pytest.approx(10.0 * 4)

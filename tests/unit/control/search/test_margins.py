@@ -1,0 +1,129 @@
+"""Margins that follow what is known of the robots and the room there is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.trials import experiment
+
+from tetractl.control.methods.mpc_section import Collision
+from tetractl.control.search.margins import Margins, off_course
+from tetractl.core.motion_estimate import Estimate
+from tetractl.core.poses import Observation, Poses
+from tetractl.model.shapes import Circle, Rectangle
+
+BOX = Rectangle(type="rectangle", left=1000, bottom=1000, width=100, height=100).shape()
+ROUND = Circle(type="circle", center=(3000, 3000), radius=50).shape()
+FAR = np.array([[100.0, 100], [200, 2000]])
+
+
+def margins_of(shapes, targets=FAR, radius=0.0):
+    return Margins(Collision(radius=radius), shapes, None, targets)
+
+
+def at(*points):
+    x, y = np.array(points, dtype=float).T
+    return Poses(x, y, np.zeros(len(points)))
+
+
+@pytest.mark.parametrize("shape", [BOX, ROUND])
+def test_the_margin_is_kept_where_there_is_room(shape):
+    margins = margins_of([shape])
+    (grown,) = margins.grown(at((500, 500), (600, 600)), 40).shapes
+    assert grown.radius == shape.radius + 40
+
+
+@pytest.mark.parametrize("away", [1.0, 15.0, 39.0])
+def test_it_shrinks_to_the_room_that_a_robot_leaves(away):
+    margins = margins_of([BOX, ROUND])
+    near, unreduced = margins.grown(at((1000 - away, 1050), (600, 600)), 40).shapes
+    assert not near.contain(np.array(1000 - away), np.array(1050.0))
+    assert near.contain(np.array(1000 - 0.9 * away), np.array(1050.0))
+    assert unreduced.radius == 90
+
+
+@pytest.mark.parametrize(
+    ("away", "margin_kept"), [(30, 0.98 * 30), (15, 14.7), (10.1, 10), (5, 10)]
+)
+def test_the_margin_is_not_reduced_below_the_radius(away, margin_kept):
+    margins = margins_of([BOX], radius=10)
+    (shape,) = margins.grown(at((1000 - away, 1050), (600, 600)), 40).shapes
+    assert shape.radius == pytest.approx(margin_kept)
+    beside = margins_of([BOX], targets=np.array([[995.0, 1050]]), radius=10)
+    (target,) = beside.grown(at((5, 5)), 40).shapes
+    assert target.radius == pytest.approx(0.98 * 5)
+
+
+def test_two_robots_keep_their_radii_apart_unless_they_are_nearer():
+    """Bodies of 47 mm touch at 94 mm; robots that are nearer keep the distance they have."""
+    margins = margins_of([], radius=47)
+
+    def separation_at(distance):
+        return margins.separation(at((500, 500), (500 + distance, 500)), 100)
+
+    assert separation_at(120) == 100
+    assert separation_at(95) == pytest.approx(94)
+    assert separation_at(90) == pytest.approx(90)
+
+
+def test_what_is_uncertain_takes_more_room():
+    """By two standard deviations: of the way of the fastest robot in an uncertain dead time, and
+    of an uncertain speed over the dead time and a period."""
+    period = 0.2
+    dead_time = 0.1
+    speed = np.array([180.0, 200, 150])
+    known_well = Estimate(
+        a=np.full(3, 4.0),
+        a_std=np.zeros(3),
+        speed=speed,
+        speed_std=np.zeros(3),
+        dead_time_std=0.0,
+    )
+    of_dead_time = replace(known_well, dead_time_std=0.1)
+    of_speed = replace(known_well, speed_std=np.full(3, 10.0))
+
+    least = off_course(speed, period, dead_time, known_well)
+    assert least == off_course(speed, period, dead_time, None) > 0
+    assert off_course(speed, period / 4, dead_time, known_well) == pytest.approx(least / 4)
+    more = off_course(speed, period, dead_time, of_dead_time)
+    assert more == pytest.approx(least + 2 * 200 * 0.1)
+    more = off_course(speed, period, dead_time, of_speed)
+    assert more == pytest.approx(least + 2 * 10 * (dead_time + period))
+
+
+def test_a_robot_inside_the_margin_does_not_freeze_the_plan():
+    """The first predicted position is inside whatever the signal is: every plan costs the same."""
+    box = {"type": "rectangle", "left": 1200, "bottom": 1100, "width": 200, "height": 200}
+    control = {
+        "type": "mpc",
+        "period": 0.2,
+        "estimate": False,
+        "horizon_max": 30,
+        "obstacle_weight": 1e6,
+        "collision": {"margin": 60, "walls": False, "stop_before_collision": False},
+        "optimizer": {"type": "multistart"},
+    }
+    robot = {"name": "one", "start": [1180, 1150], "heading": 2, "target": [1100, 1500]}
+    robots = [robot | {"a": 4, "speed": 150}]
+
+    def cost(adaptive):
+        control["collision"]["adaptive"] = adaptive
+        spec = experiment(robots=robots, obstacles=[box], controller=control)
+        controller = spec.controller.build(spec.setup, 3)
+        observation = Observation(0, 0, 0, spec.setup.starts, np.ones(1, np.bool_))
+        return controller.plan(observation).cost
+
+    assert cost(False) > 1e5
+    assert cost(True) < 1
+
+
+def test_margins_that_are_not_adaptive_are_the_papers_wherever_robots_are():
+    fields = {"margin": 30, "radius": 10, "separation": 55, "adaptive": False}
+    spec = experiment(controller={"type": "mpc", "collision": fields})
+    problem = replace(
+        spec.controller.problem(spec.setup), poses=at((995, 1050), (996, 1050), (997, 1050))
+    )
+    margins = Margins(spec.controller.collision, [BOX], None, spec.setup.targets)
+    applied = margins.applied(problem, 0.2, 0.1, None)
+    assert applied.obstacles.shapes[0].radius == 40
+    assert applied.separation == 55

@@ -1,0 +1,75 @@
+"""The keys of JSON and the columns of CSV, which scripts rely on."""
+
+import json
+
+import numpy as np
+import pytest
+from support.batches import DISTURBED, REFERENCE, batch, experiment, group, result, trial
+
+from tetractl.core.plan import Outcome
+from tetractl.statistics.as_json import comparison_items
+from tetractl.statistics.describe import contrast
+from tetractl.tools.table.table_files import json_text
+
+ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
+
+SPEC = experiment(reference=REFERENCE, plant=DISTURBED)
+
+
+def as_json(described):
+    """The items of one batch as a script reads them."""
+    items = comparison_items(contrast([described]))
+    return json.loads(json_text(items))
+
+
+def test_json_holds_every_key_scripts_rely_on():
+    items = as_json(group(batch(ERRORS, SPEC)))
+    figures = {"mean", "std", "median", "min", "max", "ci95"}
+    assert figures <= set(items["total_error"])
+    assert all(figures <= set(robot) for robot in items["robots"])
+    assert {"n", "mean", "std", "difference", "ci95", "p_value"} <= set(items["reference"])
+    assert set(items["solve_ms"]) == {"p50", "p99", "max"}
+    error = {"log", "seed", "total_error", "robot_errors"}
+    ending = {"steps", "duration_s", "outcome", "entered_obstacle", "recovered"}
+    assert error | ending <= set(items["trials"][0])
+    assert items["trials"][0]["total_error"] == pytest.approx(sum(ERRORS[0]))
+
+
+def test_json_says_what_a_usual_batch_is():
+    items = as_json(group(batch(ERRORS, SPEC)))
+    assert items["n_trials"] == 20
+    assert items["n_counted"] == 20
+    assert items["unit"] == "mm"
+    assert [robot["name"] for robot in items["robots"]] == ["green", "blue", "red"]
+    assert items["origin"] == "disturbed simulation"
+    assert items["kind"] == "simulated"
+    assert items["disturbed"] is True
+    assert items["arrived"] is None
+    assert items["outcomes"]["sequence completed"] == 20
+    assert not items["reference"]["comparable"]
+    for count in ("obstacle_violations", "aborted", "deadline_misses", "n_attempts"):
+        assert items[count] == 0
+    assert items["attempts"] == []
+    assert items["flagged"] == []
+
+
+def test_json_without_a_reference_or_enough_trials_says_null():
+    items = as_json(group(batch(ERRORS[:1])))
+    assert items["reference"] is None
+    assert items["total_error"]["std"] is None
+    assert items["total_error"]["ci95"] is None
+    assert items["total_error"]["ci95_reason"] == "one value has no spread"
+
+
+def batch_with_attempt():
+    """Two trials, and an aborted attempt at one."""
+    aborted = result([1, 2, 3], outcome=Outcome.ABORTED)
+    attempt = trial("x.attempt-1.mcap", experiment(), aborted)
+    return group([*batch(ERRORS[:2]), attempt])
+
+
+def test_attempts_are_items_of_json_that_are_not_counted_as_trials():
+    items = as_json(batch_with_attempt())
+    assert items["n_trials"] == 2
+    assert items["n_attempts"] == 1
+    assert items["attempts"][0]["outcome"] == "aborted"

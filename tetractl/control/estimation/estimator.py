@@ -1,0 +1,151 @@
+"""Estimates the robots' state at a control step from frames and commands.
+
+The estimate is the poses that the robots will have when the direction decided now begins to act.
+The prediction starts at the newest frame and uses the spec's values of the motion, or the values
+that a bank of filters identifies from all frames and commands while the robots drive. At each step
+`add_step` takes the command of the step before and the frames since, and returns the problem to
+plan for; commands that are sent in between, such as turns and stops, come by `add_command`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tetractl.control.estimation.filter import FilterBank
+from tetractl.control.estimation.prior import Prior
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command, FieldOff
+from tetractl.core.errors import ControlError
+from tetractl.core.losses import Losses, LossRule
+from tetractl.core.motion_estimate import Estimate
+from tetractl.core.plan import Problem
+from tetractl.core.poses import Bools, Floats, Observation
+
+
+class StateEstimator:
+    """Estimates the state and motion of the robots in one trial.
+
+    `problem` has the spec's values of turning rate a and speed; with an uncertain `prior` both are
+    identified. Robots that the `loss` rule counts as lost (`losses.lost`) are left out of every
+    result.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        period_s: float,
+        prior: Prior,
+        loss: LossRule | None = None,
+    ) -> None:
+        self.problem = problem
+        self.losses = Losses(loss, problem.speed)
+        self.robots_changed = False  # whether robots were lost or replaced since the step before
+        self._period_ns = round(period_s * SECOND)
+        self.filter = FilterBank(prior)
+        self.estimate: Estimate | None = None if prior.certain else prior.estimate()
+        self._last_sent_ns: int | None = None
+        self._newest_ns = 0
+        self._held = np.full(len(problem.a), np.nan)
+        self.dead_time_s = prior.dead_time  # [s]; later the identified one, if any is
+
+    @property
+    def present(self) -> Bools:
+        """True for each robot that is not lost, (N,)."""
+        return self.losses.present
+
+    @property
+    def is_radio_sparse(self) -> bool:
+        """Whether few of the directions sent reach the robots."""
+        return self.filter.reception.is_sparse
+
+    @property
+    def known(self) -> Estimate | None:
+        """The latest estimate for the robots that are not lost; None if nothing is identified."""
+        return self.estimate and self.estimate.only(self.present)
+
+    def add_step(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Problem:
+        """Add the previous step's command and the frames since; return the problem with the poses
+        at which the next direction acts.
+        """
+        if last_command is not None:
+            self.add_command(last_command)
+        self._newest_ns = observation.sampled_ns
+        changes_before = self.losses.changes
+        replaced = [i for frame in (*earlier, observation) for i in self.losses.add_frame(frame)]
+        self.robots_changed = self.losses.changes > changes_before
+        if self.robots_changed and not self.present.any():
+            raise ControlError("every robot is lost")
+        self.filter.add_frames(observation, earlier)
+        self.filter.restart(replaced)
+        forecast = self.filter.forecast(self.sending_ns(observation))
+        self._held = forecast.directions
+        self.dead_time_s = forecast.dead_time_s
+        if self.estimate is None:
+            return replace(self.problem, poses=forecast.poses).only(self.present)
+        estimate = forecast.estimate
+        self.estimate = estimate
+        problem = replace(
+            self.problem,
+            poses=forecast.poses,
+            bias=forecast.turn_bias,
+            flow=forecast.flow,
+            a=estimate.a,
+            speed=estimate.speed,
+            side=estimate.side,
+            saturation=estimate.saturation,
+        )
+        return problem.only(self.present)
+
+    def add_command(self, command: Command) -> None:
+        """Add a direction with the time at which it was sent.
+
+        If the radio lets few directions through, robots hardly hear one again that is sent again
+        within a signal period. So the filter is given each signal once.
+        """
+        if not isinstance(command.action, FieldOff):
+            self._last_sent_ns = None if command.direction is None else command.sent_ns
+        if self.estimate is None:
+            command = replace(command, sent_ns=self._newest_ns)
+        if self.is_radio_sparse and self._is_sent_again(command):
+            return
+        self.filter.add_command(command)
+
+    def _is_sent_again(self, command: Command) -> bool:
+        """Return whether a command repeats the last one given to the filter, within a signal
+        period; the step that comes a whole period later may come up to half a step early."""
+        commands = self.filter.commands
+        if command.direction is None or not len(commands.sent_s):
+            return False
+        is_same = command.direction == commands.directions[-1]
+        since_ns = command.sent_ns - round(commands.sent_s[-1] * SECOND)
+        signal_ns = round(self.problem.period * SECOND)
+        return bool(is_same and since_ns < signal_ns - self._period_ns // 2)
+
+    def sending_ns(self, observation: Observation) -> int:
+        """Return the time to which the dead time of a direction decided on a frame is added [ns].
+
+        The spec's dead time counts from the exposure of the frame. An identified dead time counts
+        from the sending of the direction. The direction is assumed to be sent one control period
+        after the previous one or, if that moment is before the frame's reception or more than 1.5
+        periods after it, at the reception; the time for planning is neglected.
+        """
+        if self.estimate is None:
+            return observation.sampled_ns
+        received_ns = observation.received_ns
+        if self._last_sent_ns is None:
+            return received_ns
+        due_ns = self._last_sent_ns + self._period_ns
+        is_due = received_ns <= due_ns <= received_ns + 3 * self._period_ns // 2
+        return due_ns if is_due else received_ns
+
+    @property
+    def held_at_action(self) -> Floats:
+        """The direction [rad] that each robot that is not lost follows at the moment when the next
+        direction begins to act, NaN for a robot that stands still."""
+        return self._held[self.present]

@@ -1,0 +1,275 @@
+"""From what the filters of `tetractl.control.estimation.filter` start: what they assume of robots
+on wheels and of cells, and the banks: the first one, that of robots which were replaced, and that
+of robots on wheels whose model turns out not to fit.
+
+Both kinds of robots have states of their own, in addition to those of all robots. One of these can
+be found from no start, and is *tried*: filters are laid out in groups, which start from different
+values of it. Cells have a helix, whose frequency is tried from the start. Robots on wheels have
+motors that may saturate: they are one group at first, and one more for each saturation that is
+tried later, where the heading does not fit.
+
+In each group, a robot gets one filter for each dead time of a grid around the prior's,
+
+    tau = tau_prior - reach, ... in steps of GRID_STEP_S ..., tau_prior + reach [s],
+
+and not below 0, where the reach is GRID_REACH standard deviations.
+
+Arrays are those of a `Bank`: B filters, group by group, of N robots.
+"""
+
+import math
+
+import numpy as np
+
+from tetractl.control.estimation.kernels.filter_state import (
+    FLOW_X,
+    FLOW_Y,
+    GRID_STEP_S,
+    HEADING,
+    HELIX_COSINE,
+    HELIX_SINE,
+    LN_A,
+    LN_FREQUENCY,
+    LN_SATURATION,
+    LN_SPEED,
+    MARKER_BIAS,
+    SIDE,
+    STATES,
+    STATES_OF_CELLS,
+    STATES_OF_WHEELS,
+    TURN_BIAS,
+    Bank,
+    FilterModel,
+    X,
+    Y,
+)
+from tetractl.control.estimation.prior import Prior
+from tetractl.core import elementwise
+from tetractl.core.elementary import log
+from tetractl.core.poses import Bools, Floats, Integers
+from tetractl.model.motion.motion import in_rows
+
+# The usual noise of a camera, and the random walks of a robot's states, per sqrt(s). Chosen once by
+# trials; docs/decisions/filter.md has the errors measured with them.
+POSITION_NOISE_S = 0.005
+"""Deviation of a measured position, over the robot's speed [s]."""
+HEADING_NOISE = 0.01
+"""Deviation of a measured heading [rad]."""
+SLIP = 0.02
+"""Walk of the position, over the robot's speed [s]."""
+WALK = 0.1
+"""Walk of the heading, at first [rad]."""
+A_WALK = 0.01
+"""Walk of ln of the turning rate a."""
+SPEED_WALK = 0.005
+"""Walk of ln of the speed."""
+SIDE_WALK = 0.005
+"""Walk of the side (`tetractl.model.motion.turn_rate`)."""
+SATURATION_WALK = 0.02
+"""Walk of ln of a saturation that has been tried."""
+TURN_BIAS_WALK = 0.005
+"""Walk of the turn bias [rad]."""
+MARKER_BIAS_WALK = 0.002
+"""Walk of the marker bias [rad]."""
+FLOW_WALK = 0.05
+"""Walk of the flow, over its prior deviation."""
+HELIX_WALK = 0.1
+"""Walk of the helix's sine and cosine, over its radius."""
+FREQUENCY_WALK = 0.01
+"""Walk of ln of the helix's frequency."""
+FREQUENCY_STD = 0.15
+"""Prior deviation of ln of each of FREQUENCIES."""
+GRID_REACH = 3.0
+"""Half width of the grid of dead times at first, in standard deviations of the prior."""
+LEAST_SPEED = 1e-9
+"""Least speed that a noise is taken over [length unit/s]: a robot may have none."""
+FREQUENCIES = 0.5, 0.75, 1.0, 1.4
+"""Frequencies of the helix to start from, over the usual one; their ratios are below 1.5."""
+SATURATIONS = 0.8, 0.4
+"""Saturations of motors to try where the heading does not fit."""
+SATURATION_STD = 0.3
+"""Prior standard deviation of ln of each of SATURATIONS."""
+GROUPS_MAX = max(len(FREQUENCIES), 1 + len(SATURATIONS))
+"""Greatest number of groups of filters that a robot has."""
+LN_SATURATES = -3.0
+"""ln of the probability of motors that saturate, before frames show it: 5 %."""
+CHANGE_STD_S = 0.05
+"""Standard deviation of the change of a dead time during a trial [s]; chosen, not measured."""
+FIRST_SLOT = 0
+"""The slot of the only hypothesis that a filter begins with."""
+
+
+# ---- what is assumed ----
+
+
+def tried_state(prior: Prior) -> int:
+    """Return the state that groups of filters start from different values of."""
+    return LN_FREQUENCY if prior.swims else LN_SATURATION
+
+
+def filter_model(prior: Prior) -> FilterModel:
+    """Return what the filters assume of the robots of a prior. Motors of wheels do not saturate
+    until that is tried."""
+    _, walk = _deviations(prior)
+    walk[X] = SLIP * prior.speed
+    walk[Y] = SLIP * prior.speed
+    walk[HEADING] = WALK
+    return FilterModel(
+        parameters=in_rows(prior),
+        noise=_noise(prior),
+        walk=walk,
+        helix_rad_s=2 * math.pi * prior.helix_frequency if prior.swims else 0.0,
+        lag_s=prior.lag,
+        watchdog_s=prior.watchdog,
+        sticks=prior.sticks,
+        coarse=prior.coarse,
+    )
+
+
+def first_std(prior: Prior) -> Floats:
+    """Return the standard deviations (N, n) from which the n states with a variance start; those of
+    the pose are 0 until it is that of a frame."""
+    std, _ = _deviations(prior)
+    return std.T
+
+
+def _deviations(prior: Prior) -> tuple[Floats, Floats]:
+    """Return the standard deviations (n, N) of the states at first, and of their random walks
+    [1/sqrt(s)]; those of the poses are 0, as these start from a frame. A state that is known does
+    not walk. Of a helix of random phase, sine and cosine deviate by its radius / sqrt(2)."""
+    flow = (prior.flow_std, FLOW_WALK * prior.flow_std)
+    deviations = {
+        LN_A: (prior.a_std, A_WALK),
+        LN_SPEED: (prior.speed_std, SPEED_WALK),
+        SIDE: (prior.side_std, SIDE_WALK),
+        TURN_BIAS: (prior.heading_bias_std, TURN_BIAS_WALK),
+        MARKER_BIAS: (prior.marker_bias_std, MARKER_BIAS_WALK),
+        FLOW_X: flow,
+        FLOW_Y: flow,
+    }
+    if prior.swims:
+        swing = (prior.helix_radius / math.sqrt(2), HELIX_WALK * prior.helix_radius)
+        deviations[HELIX_SINE] = swing
+        deviations[HELIX_COSINE] = swing
+        deviations[LN_FREQUENCY] = (FREQUENCY_STD, FREQUENCY_WALK)
+    std = np.zeros((STATES_OF_CELLS if prior.swims else STATES_OF_WHEELS, len(prior.a)))
+    walk = np.zeros_like(std)
+    for state, (deviation, drift) in deviations.items():
+        std[state] = deviation
+        walk[state] = drift if deviation > 0 else 0.0
+    return std, walk
+
+
+def _noise(prior: Prior) -> Floats:
+    """Return the standard deviations (3, N) of measured x, y and heading: the camera's noise, the
+    usual one if it is not known, and what its grid adds."""
+    noise = np.empty((3, len(prior.a)))
+    position = prior.position_noise
+    noise[:2] = position or POSITION_NOISE_S * np.maximum(prior.speed, LEAST_SPEED)
+    noise[2] = prior.heading_noise or HEADING_NOISE
+    spread = np.array(prior.spread)
+    return elementwise.hypot(noise, spread[:, None])
+
+
+# ---- the banks ----
+
+
+def first_bank(prior: Prior) -> Bank:
+    """Return the filters from which a trial begins: of robots that stand, in unknown poses."""
+    dead_times_s = _dead_times(prior)
+    std = first_std(prior)
+    tried = tried_state(prior)
+    first_values = [log(f) for f in FREQUENCIES] if prior.swims else [0.0]
+    groups: list[Bank] = []
+    for number, value in enumerate(first_values):
+        mean = np.zeros((len(dead_times_s), len(prior.a), STATES))
+        mean[..., tried] = value
+        groups.append(Bank.start(dead_times_s, mean, std, _numbers(number, dead_times_s)))
+    return Bank.joined(groups)
+
+
+def bank_with_replaced(bank: Bank, prior: Prior, replaced: Bools) -> Bank:
+    """Return a bank in which the robots `replaced` (N,) have the filters of a trial's beginning."""
+    first = first_bank(prior)
+    size = max(len(bank.score), len(first.score))
+    bank = bank.padded(size)
+    for column, first_column in zip(bank, first.padded(size), strict=True):
+        column[:, replaced] = first_column[:, replaced]
+    return bank
+
+
+def reopened_bank(
+    bank: Bank, likeliest: tuple[Integers, Integers, Integers], heading_fits: bool, prior: Prior
+) -> Bank:
+    """Return filters that find out why the model does not fit: with the first dead times again, as
+    the dead time may have changed, and its filter be gone; and, unless `heading_fits` of every
+    robot, in groups with motors that saturate.
+
+    All know what each robot's `likeliest` hypothesis does, by its index (filters, robots and slots,
+    (N,) each). It stays the likeliest until frames show otherwise: filters of other dead times
+    score less by how much these differ, those with saturation by what is rare. All robots get the
+    latter: one that just saturates does not show it by a misfit. How well each fits is tested from
+    the start again.
+    """
+    std = first_std(prior)
+    unchanged = _around_likeliest(bank, likeliest, prior, std)
+    groups = [unchanged]
+    if not heading_fits:
+        for number, saturation in enumerate(SATURATIONS, 1):
+            groups.append(_saturating(unchanged, number, log(saturation), std))
+    return Bank.joined(groups)
+
+
+def _dead_times(prior: Prior) -> Floats:
+    """Return the grid of dead times to begin with [s]."""
+    reach_s = GRID_REACH * prior.dead_time_std
+    least_s = max(0.0, prior.dead_time - reach_s)
+    return np.arange(least_s, prior.dead_time + reach_s + 1e-9, GRID_STEP_S)
+
+
+def _numbers(group: int, dead_times_s: Floats) -> Integers:
+    """Return the number of a group for each of its filters."""
+    return np.full(len(dead_times_s), group)
+
+
+def _around_likeliest(
+    bank: Bank, likeliest: tuple[Integers, Integers, Integers], prior: Prior, std: Floats
+) -> Bank:
+    """Return a group of filters that all start from each robot's likeliest hypothesis.
+
+    A dead time that differs by d from the likeliest one has the score -(d / CHANGE_STD_S)^2 / 2.
+    """
+    filters, robots, _ = likeliest
+    dead_times_s = _dead_times(prior)
+    mean = np.repeat(bank.state[likeliest][None], len(dead_times_s), axis=0)
+    group = Bank.start(dead_times_s, mean, std, _numbers(0, dead_times_s))
+    group.cov[:, :, FIRST_SLOT] = bank.cov[likeliest]
+    group.noise_scale[:] = bank.noise_scale[filters, robots]
+    difference_s = group.dead_time_s - bank.dead_time_s[filters, robots]
+    group.score[:] = -np.square(difference_s / CHANGE_STD_S) / 2
+    return group
+
+
+def _saturating(unchanged: Bank, number: int, ln_saturation: float, std: Floats) -> Bank:
+    """Return the group of this number: a copy of the unchanged one, with motors that saturate.
+
+    Without this limit, filters have explained slow turns by a small turning rate a, and by a side,
+    and are sure of them. So both are forgotten: they are those of the prior again, with its
+    deviations `std` (N, n).
+    """
+    group = unchanged.copied()
+    group.group[:] = number
+    for state in (LN_A, SIDE):
+        group.state[..., state] = 0.0
+        _set_uncertain(group, state, std[:, state])
+    group.state[..., LN_SATURATION] = ln_saturation
+    _set_uncertain(group, LN_SATURATION, SATURATION_STD)
+    group.score[:] += LN_SATURATES
+    return group
+
+
+def _set_uncertain(bank: Bank, state: int, std: Floats | float) -> None:
+    """Let a state have a standard deviation, (N,) or that of all robots, and depend on no other."""
+    bank.cov[..., state, :] = 0.0
+    bank.cov[..., state] = 0.0
+    bank.cov[:, :, FIRST_SLOT, state, state] = np.square(std)

@@ -1,0 +1,425 @@
+"""What the filters (`tetractl.control.estimation.kernels.filter`) of all robots say together.
+
+`share` computes how likely each filter is; `select` finds which filters go on, and with which dead
+times; `forecast` predicts the robots by their likeliest filters, and says what is known of them.
+Numbers and shapes are those of `filter_state`; the readable twin is `tests/oracles/bank.py`.
+
+Let l(b, i) be the likelihood of filter b of robot i by the robot's own frames, exp(score), and
+n(t, b, i) the density of a common dead time t, given that filter's. The frames of robot i tell of t
+
+    L_i(t) = sum_b n(t, b, i) l(b, i),
+
+and filter b of robot i is as likely as its own frames say, times what the other robots tell of t:
+
+    P(b, i) ~ l(b, i) sum_t n(t, b, i) prior(t) prod_(k != i) L_k(t).
+"""
+
+import math
+
+import numpy as np
+
+from tetractl.control.estimation.kernels.filter import is_none, likeliest
+from tetractl.control.estimation.kernels.filter_motion import advance, parameters_of, rolled
+from tetractl.control.estimation.kernels.filter_state import (
+    FINEST_STEP_S,
+    FLOW_X,
+    FLOW_Y,
+    HEADING,
+    LEAST_BLOCKS,
+    LN_A,
+    LN_SPEED,
+    MARKER_BIAS,
+    PACE,
+    REFINED,
+    SIDE,
+    SWING,
+    TURN_BIAS,
+    X,
+    Y,
+    largest_square_sum,
+)
+from tetractl.control.search.kernels.elementary import exp, log
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
+
+UNLIKELY = 25.0
+"""A filter is dropped if the ln of its probability is less than the likeliest's by this."""
+SAME_TRIED = 0.05
+"""Difference of the states of two groups below which they have become one: 5 %."""
+LEAST = 1e-300
+"""Added to densities whose logarithm is taken: they may be 0."""
+
+_largest_square_sum = inlined(largest_square_sum)
+
+
+@compiled(**ENTRY_FAST)
+def share(bank, common):
+    """Fill the shared score of each filter: the ln of its probability."""
+    filters, robots = bank.score.shape
+    times = common.ln_prior.size
+    ln_of_others = np.empty((times, robots))  # ln of what the other robots tell of each time
+    density = np.empty(filters)
+    for i in range(robots):
+        for b in range(filters):
+            density[b] = exp(bank.score[b, i])
+        for t in range(times):
+            total = 0.0
+            for b in range(filters):
+                total += common.near[t, b, i] * density[b]
+            ln_of_others[t, i] = log(total + LEAST)
+    for t in range(times):
+        ln_of_all = common.ln_prior[t]
+        for i in range(robots):
+            ln_of_all += ln_of_others[t, i]
+        for i in range(robots):
+            ln_of_others[t, i] = ln_of_all - ln_of_others[t, i]
+    for i in range(robots):
+        _multiply(bank, common, ln_of_others, i, density)
+
+
+@compiled(**INLINE_FAST)
+def _multiply(bank, common, ln_of_others, i, density):
+    """Fill robot i's shared scores: those of its own frames, and what the other robots tell of the
+    time; `density` (B,) is scratch."""
+    filters = density.size
+    times = common.ln_prior.size
+    most = -math.inf
+    for t in range(times):
+        most = max(most, ln_of_others[t, i])
+    for b in range(filters):
+        density[b] = 0.0
+    for t in range(times):
+        others = exp(ln_of_others[t, i] - most)
+        for b in range(filters):
+            density[b] += common.near[t, b, i] * others
+    for b in range(filters):
+        bank.shared_score[b, i] = bank.score[b, i] + log(density[b] + LEAST)
+
+
+@compiled(**INLINE_FAST)
+def _dead_time(bank, i, density):
+    """Return mean and standard deviation of robot i's dead time; `density` (B,) is scratch.
+
+    The dead time lies between those of the grid: its deviation is at least a quarter of their step.
+    """
+    filters = density.size
+    most = -math.inf
+    for b in range(filters):
+        most = max(most, bank.shared_score[b, i])
+    total = 0.0
+    mean_s = 0.0
+    for b in range(filters):
+        density[b] = exp(bank.shared_score[b, i] - most)
+        total += density[b]
+        mean_s += density[b] * bank.dead_time_s[b, i]
+    mean_s /= total
+    variance = 0.0
+    for b in range(filters):
+        variance += density[b] / total * np.square(bank.dead_time_s[b, i] - mean_s)
+    return mean_s, math.sqrt(variance + np.square(bank.step_s[0, i] / 4))
+
+
+@compiled(**ENTRY_FAST)
+def select(bank, tried, commanded, going_on):
+    """Fill `going_on` with the filters that go on by their shared scores; return whether they are
+    others than those of the bank.
+
+    Of each robot's filters in each group those go on that are not far less likely than the best,
+    with those between them and next to the likeliest; of two groups whose state `tried` has become
+    the same, the less likely ends. Once robots were `commanded`, the step of a grid of three dead
+    times is halved, and a grid whose best is at its end moves.
+    """
+    robots = going_on.step_s.size
+    chosen = np.empty(going_on.rows.shape[0], np.int64)
+    changed = False
+    for i in range(robots):
+        count = _count(bank, i)
+        best = likeliest(bank.shared_score[:, i], count)
+        number = _choose(bank, i, count, best, tried, chosen)
+        _take(bank, i, chosen[:number], going_on)
+        if number < count:
+            changed = True
+        dead_times = _number_of_dead_times(bank, i, chosen[:number])
+        if dead_times > REFINED or not commanded:
+            continue
+        if going_on.step_s[i] > FINEST_STEP_S and dead_times == REFINED:
+            going_on.step_s[i] /= 2
+        elif _is_inside(bank, i, chosen[:number], best):
+            continue
+        _lay_around(bank, i, chosen[:number], best, going_on)
+        changed = True
+    return changed
+
+
+@compiled(**INLINE_FAST)
+def _count(bank, i):
+    """Return the number of robot i's filters: those after them in the bank are none."""
+    count = 0
+    while count < bank.score.shape[0] and not is_none(bank.score[count, i]):
+        count += 1
+    return count
+
+
+@compiled(**INLINE_FAST)
+def _choose(bank, i, count, best, tried, chosen):
+    """Fill `chosen` with those of robot i's first `count` filters that go on; return their number.
+
+    The filters of one group follow each other, in the order of their dead times.
+    """
+    score = bank.shared_score
+    least = score[best, i] - UNLIKELY
+    number = 0
+    end = 0
+    while end < count:
+        begin = end
+        top = begin  # the likeliest filter of the group
+        first = -1  # the first and the last likely one
+        last = -1
+        while end < count and bank.group[end, i] == bank.group[begin, i]:
+            if score[end, i] > score[top, i]:
+                top = end
+            if score[end, i] >= least:
+                if first < 0:
+                    first = end
+                last = end
+            end += 1
+        same_group = bank.group[top, i] == bank.group[best, i]
+        gap = _reached(bank, top, i, tried) - _reached(bank, best, i, tried)
+        stays_apart = same_group or not abs(gap) < SAME_TRIED
+        if first >= 0 and stays_apart:
+            from_filter = max(begin, min(first, top - 1))
+            to_filter = min(end - 1, max(last, top + 1))
+            for b in range(from_filter, to_filter + 1):
+                chosen[number] = b
+                number += 1
+    return number
+
+
+@compiled(**INLINE_FAST)
+def _reached(bank, b, i, tried):
+    """Return the value that the state `tried` of a filter's likeliest hypothesis has reached."""
+    slot = likeliest(bank.ln_weight[b, i], bank.ln_weight.shape[2])
+    return bank.state[b, i, slot, tried]
+
+
+@compiled(**INLINE_FAST)
+def _take(bank, i, chosen, going_on):
+    """Let the filters `chosen` go on as they are."""
+    for row in range(chosen.size):
+        b = chosen[row]
+        going_on.rows[row, i] = b
+        going_on.dead_time_s[row, i] = bank.dead_time_s[b, i]
+        going_on.score[row, i] = bank.score[b, i]
+    for row in range(chosen.size, going_on.rows.shape[0]):
+        going_on.rows[row, i] = -1
+
+
+@compiled(**INLINE_FAST)
+def _number_of_dead_times(bank, i, chosen):
+    """Return how many different dead times the filters `chosen` have."""
+    number = chosen.size
+    for row in range(chosen.size):
+        for before in range(row):
+            if bank.dead_time_s[chosen[before], i] == bank.dead_time_s[chosen[row], i]:
+                number -= 1
+                break
+    return number
+
+
+@compiled(**INLINE_FAST)
+def _is_inside(bank, i, chosen, best):
+    """Return whether the best dead time is between others, or is 0 and there is a longer one."""
+    best_s = bank.dead_time_s[best, i]
+    shorter = best_s == 0
+    longer = False
+    for b in chosen:
+        if bank.dead_time_s[b, i] < best_s:
+            shorter = True
+        if bank.dead_time_s[b, i] > best_s:
+            longer = True
+    return shorter and longer
+
+
+@compiled(**INLINE_FAST)
+def _lay_around(bank, i, chosen, best, going_on):
+    """Let three dead times around the best one go on, or two from 0 on, in each group.
+
+    Each takes the filter whose dead time is nearest. The groups stay that poses do not distinguish.
+    """
+    best_s = bank.dead_time_s[best, i]
+    last_group = 0
+    for b in chosen:
+        last_group = max(last_group, bank.group[b, i])
+    row = 0
+    for group in range(last_group + 1):
+        for k in range(-1, 2):
+            time_s = max(best_s + going_on.step_s[i] * k, 0.0)
+            nearest, score = _between(bank, i, chosen, group, time_s)
+            twice = k == 0 and best_s == 0  # 0 has been laid already
+            if nearest >= 0 and not twice:
+                going_on.rows[row, i] = nearest
+                going_on.dead_time_s[row, i] = time_s
+                going_on.score[row, i] = score
+                row += 1
+    for after in range(row, going_on.rows.shape[0]):
+        going_on.rows[after, i] = -1
+
+
+@compiled(**INLINE_FAST)
+def _between(bank, i, chosen, group, time_s):
+    """Return which of the filters `chosen` of a group has its dead time nearest to `time_s`, -1 if
+    there is none, and the score of that time: interpolated, and beyond the ends that of the end."""
+    nearest = -1
+    before = -1
+    score = 0.0
+    for b in chosen:
+        if bank.group[b, i] != group:
+            continue
+        later_s = bank.dead_time_s[b, i]
+        if nearest < 0 or abs(later_s - time_s) < abs(bank.dead_time_s[nearest, i] - time_s):
+            nearest = b
+        score = bank.score[b, i]
+        if time_s < later_s:
+            if before >= 0:
+                earlier_s = bank.dead_time_s[before, i]
+                rise = bank.score[b, i] - bank.score[before, i]
+                share_of_rise = (time_s - earlier_s) / (later_s - earlier_s)
+                score = bank.score[before, i] + share_of_rise * rise
+            break
+        before = b
+    return nearest, score
+
+
+@compiled(**ENTRY_FAST)
+def forecast(bank, model, commands, frame_s, sent_s, room):
+    """Fill `room`, a `Forecast`, with what each robot's likeliest hypothesis says; return the mean
+    of the dead times and its standard deviation [s].
+
+    Poses are predicted from those at the times frame_s (N,) of the last frame [s], through all
+    commands, to the moment when a command that is sent at `sent_s` acts on each robot; of lagging
+    wheels, they are those in which they then come to rest if they stop. Standard deviations grow
+    with the misfit.
+    """
+    filters, robots = bank.shared_score.shape
+    density = np.empty(filters)
+    z = np.empty(bank.state.shape[3])
+    mean_s = 0.0
+    variance = 0.0
+    for i in range(robots):
+        b = likeliest(bank.shared_score[:, i], filters)
+        slot = likeliest(bank.ln_weight[b, i], bank.ln_weight.shape[2])
+        for k in range(z.size):
+            z[k] = bank.state[b, i, slot, k]
+        growth = _misfit(bank, b, i, room)
+        _describe(bank, model, b, i, slot, z, growth, room)
+        dead_time_s, dead_time_std_s = _dead_time(bank, i, density)
+        room.own_dead_time[i] = dead_time_s
+        room.own_dead_time_std[i] = dead_time_std_s
+        std_s = growth * dead_time_std_s
+        mean_s += dead_time_s
+        variance += std_s * std_s
+        begin_s = frame_s[i]
+        acts_s = max(sent_s + dead_time_s, begin_s)
+        room.turn_bias[i] = z[TURN_BIAS]
+        room.flow[i, 0] = z[FLOW_X]
+        room.flow[i, 1] = z[FLOW_Y]
+        room.directions[i] = _predict(
+            bank, model, commands, b, i, slot, z, dead_time_s, begin_s, acts_s
+        )
+        _come_to_rest(model, i, z)
+        room.x[i] = z[X]
+        room.y[i] = z[Y]
+        room.heading[i] = z[HEADING]
+    mean_s /= robots
+    for i in range(robots):
+        variance += np.square(room.own_dead_time[i] - mean_s)
+    return mean_s, math.sqrt(variance / robots)
+
+
+@compiled(**INLINE_FAST)
+def _misfit(bank, b, i, room):
+    """Fill how far the sums of the innovations are from what the model allows; return the factor by
+    which standard deviations grow: the root of the largest mean square, and not below 1."""
+    blocks = max(bank.blocks[b, i], LEAST_BLOCKS)
+    limit = _largest_square_sum(blocks)
+    growth2 = 1.0
+    for k in range(3):
+        growth2 = max(growth2, bank.square_sum[b, i, k] / blocks)
+        room.misfit[i, k] = bank.square_sum[b, i, k] / limit
+    return math.sqrt(growth2)
+
+
+@compiled(**INLINE_FAST)
+def _describe(bank, model, b, i, slot, z, growth, room):
+    """Fill what a hypothesis says of robot i's motion. The state has logarithms of a and v: their
+    deviations are relative."""
+    cov = bank.cov[b, i, slot]
+    a, speed, side, saturation = parameters_of(model, i, z)
+    room.a[i] = a
+    room.a_std[i] = growth * a * math.sqrt(max(cov[LN_A, LN_A], 0.0))
+    room.speed[i] = speed
+    room.speed_std[i] = growth * speed * math.sqrt(max(cov[LN_SPEED, LN_SPEED], 0.0))
+    room.heading_bias[i] = z[TURN_BIAS] + z[MARKER_BIAS]
+    variance = cov[TURN_BIAS, TURN_BIAS] + cov[MARKER_BIAS, MARKER_BIAS]
+    variance += 2 * cov[TURN_BIAS, MARKER_BIAS]
+    room.heading_bias_std[i] = growth * math.sqrt(max(variance, 0.0))
+    room.side[i] = side
+    room.side_std[i] = growth * math.sqrt(max(cov[SIDE, SIDE], 0.0))
+    room.saturation[i] = saturation
+    room.stands[i] = _probability_of_stuck(bank.ln_weight[b, i], slot)
+
+
+@compiled(**INLINE_FAST)
+def _probability_of_stuck(ln_weight, slot):
+    """Return the probability of the last hypothesis; `slot` is the likeliest one."""
+    total = 0.0
+    for s in range(ln_weight.size):
+        total += exp(ln_weight[s] - ln_weight[slot])
+    return exp(ln_weight[ln_weight.size - 1] - ln_weight[slot]) / total
+
+
+@compiled(**INLINE_FAST)
+def _predict(bank, model, commands, b, i, slot, z, dead_time_s, begin_s, end_s):
+    """Predict the state z of a hypothesis between two times [s] through all commands; return the
+    direction followed at the end [rad], NaN for a robot that stands.
+
+    A stuck robot hears no command. One that acts within 1 ns of the end is followed then. Those
+    that acted before the beginning are in the state.
+    """
+    stuck = slot == bank.ln_weight.shape[2] - 1
+    number = commands.sent_s.size
+    direction = bank.direction[b, i, slot]
+    stops_s = bank.until_s[b, i, slot]
+    at_end = direction if stops_s > end_s else math.nan
+    first = number
+    while first > 0 and commands.sent_s[first - 1] + dead_time_s > begin_s:
+        first -= 1
+    t = begin_s
+    for c in range(first, number + 1):  # to each command, and from the last one to the end
+        acts_s = commands.sent_s[c] + dead_time_s if c < number else end_s
+        leg_end_s = min(max(acts_s, t), end_s)
+        drives_s = min(max(stops_s, t), leg_end_s) - t
+        driving = (direction, drives_s)
+        standing = (math.nan, leg_end_s - t - drives_s)
+        for u, seconds in (driving, standing):
+            if seconds > 0:
+                advance(model, i, z, None, u, None, seconds, None)
+        t = leg_end_s
+        if c < number and not stuck:
+            direction = commands.directions[c]
+            stops_s = acts_s + model.watchdog_s
+            if acts_s <= end_s + 1e-9:
+                at_end = direction if stops_s > end_s else math.nan
+    return at_end
+
+
+@compiled(**INLINE_FAST)
+def _come_to_rest(model, i, z):
+    """Let lagging wheels come to rest: their swing and pace decay with the time constant."""
+    a, speed, _, _ = parameters_of(model, i, z)
+    turn = model.lag_s * a * z[SWING]
+    way = model.lag_s * speed * z[PACE]
+    dx, dy = rolled(z[HEADING], turn, way)
+    z[X] += dx
+    z[Y] += dy
+    z[HEADING] += turn

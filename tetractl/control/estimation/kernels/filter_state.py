@@ -1,0 +1,457 @@
+"""What the filters of `tetractl.control.estimation.filter` know of robots, and what they assume;
+without the compiler.
+
+**State.** Of each robot a filter follows the position (x, y) and the heading theta in which it
+travels, its turning rate a and speed v, a turn bias beta, a marker bias m that is added to the
+measured heading, and the flow (f_x, f_y) that carries the robot, or with which it slides. Under a
+direction u
+
+    dx/dt = v cos theta + f_x,   dy/dt = v sin theta + f_y,   dtheta/dt = a sin(u + beta - theta).
+
+A cell also swims on a helix of the angular frequency w, with a sideways swing of sine p and cosine
+q. (Robots on wheels have none: p = q = 0.)
+
+    dp/dt = w q,   dq/dt = -w p.
+
+All parameters drift as random walks, so that old measurements lose their weight. Robots may turn
+faster to one side, and motors of wheels may saturate: they turn no faster than at some rate
+(`tetractl.model.motion.turn_rate`). If the lag T of the wheels is given, turning rate and speed
+approach the commanded ones with the time constant T, and the direction acts on the heading theta +
+T dtheta/dt, in which the robot would come to rest. What a camera measures is in `filter_measure`.
+
+**Arrays.** A robot has the states below, one slot each. All have a variance except SWING and PACE.
+Robots on wheels have no helix: their covariance ends before HELIX_SINE, and they leave the helix's
+slots 0. Cells have all states, but their LN_SATURATION stays 0.
+
+The arrays of a `Bank` have an entry for each filter b of B, and for each robot i of N; those of
+hypotheses also one for each slot s of S: a robot that drives may follow one of some commands, the
+slots before the last, or it is stuck, the last slot.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tetractl.control.estimation.prior import Prior, Sticks
+from tetractl.core import elementwise
+from tetractl.core.motion_estimate import INNOVATIONS, Estimate
+from tetractl.core.poses import Bools, Floats, Poses
+
+# Slots of the state.
+X = 0
+"""Position along x [length unit]."""
+Y = 1
+"""Position along y [length unit]."""
+HEADING = 2
+"""Heading theta of the course [rad]; not wrapped."""
+LN_A = 3
+"""ln of the turning rate a over the prior's. This state and the three that follow are in the order
+of `RobotParameters`."""
+LN_SPEED = 4
+"""ln of the speed v over the prior's."""
+SIDE = 5
+"""k of a robot that turns by a exp(k) to the left, and by a exp(-k) to the right."""
+LN_SATURATION = 6
+"""ln of the motors' `saturation` (`tetractl.model.motion.turn_rate`); from 0 on, there is none."""
+TURN_BIAS = 7
+"""Bias beta of the direction that a robot turns to [rad]."""
+MARKER_BIAS = 8
+"""Bias m of a measured heading [rad]."""
+FLOW_X = 9
+"""Flow along x [length unit/s]."""
+FLOW_Y = 10
+"""Flow along y [length unit/s]."""
+HELIX_SINE = 11
+"""Swing p of a cell to the left of its course [length unit]."""
+HELIX_COSINE = 12
+"""The same a quarter of a period later, q [length unit]."""
+LN_FREQUENCY = 13
+"""ln of the helix's angular frequency w over the usual one."""
+SWING = 14
+"""Turning rate of lagging wheels over a."""
+PACE = 15
+"""Speed of lagging wheels over v, from 0 to 1."""
+
+STATES_OF_WHEELS = FLOW_Y + 1
+"""Number of states of a robot on wheels that have a variance."""
+STATES_OF_CELLS = LN_FREQUENCY + 1
+"""Number of states of a cell that have a variance."""
+STATES = PACE + 1
+"""Number of slots of a state."""
+
+ALONG = 0
+"""Place of an innovation along the course; the third one is that of the HEADING."""
+ACROSS = 1
+"""Place of an innovation across the course."""
+POSITIONS = 0
+"""Place of the positions' `Bank.noise_scale`."""
+HEADINGS = 1
+"""Place of the headings' one."""
+
+FOLLOWS = 3
+"""Number of latest commands that a robot may follow."""
+LOG_FOLLOWS = 6
+"""The same number for logs, where commands may follow each other sooner than the frames show
+whether a robot heard the one before: it may have heard any of them, and the likeliest are kept."""
+
+# Without another source, a value was chosen once, and docs/decisions/filter.md has the errors
+# measured with it. Those of one module alone are there.
+LOSS_PROBABILITY = 0.05
+"""Probability that a command does not arrive."""
+GATE = 30.0
+"""Squared deviation above which a pose is an outlier: chi-square of 3 numbers exceeds it once
+in 700,000 poses."""
+LEAST_BLOCKS = 10
+"""Number of blocks for which those that are missing count as empty."""
+QUANTILE = 3.09
+"""Standard normal quantile of 0.999, the level of the test of innovations."""
+GRID_STEP_S = 0.02
+"""Spacing of the dead times at first [s]."""
+FINEST_STEP_S = 0.005
+"""Spacing of dead times that is not refined further [s]: a sixth of the time between frames."""
+REFINED = 3
+"""Number of dead times of a grid that is refined."""
+OWN_PROBABILITY = 0.1
+"""Probability that a robot's dead time differs from that of the others."""
+OWN_STD_S = 0.06
+"""Standard deviation of such a difference [s]."""
+
+
+class SentCommands(NamedTuple):
+    """C commands to all robots, in the order of their times."""
+
+    sent_s: Floats
+    """(C,) times of sending [s]."""
+    directions: Floats
+    """(C,) directions [rad], NaN for a stop."""
+
+
+class PoseFrames(NamedTuple):
+    """F frames of N robots; the first is the one from which the filters start."""
+
+    time_s: Floats
+    """(F, N) times of the poses [s]."""
+    poses: Floats
+    """(F, N, 3) x, y [length unit] and heading [rad]."""
+    valid: Bools
+    """(F, N) which poses may be used."""
+
+    def part(self, begin: int, end: int) -> Self:
+        """Return the frames from `begin` on, before `end`."""
+        return self._make(column[begin:end] for column in self)
+
+
+class FilterModel(NamedTuple):
+    """What is assumed of N robots; `noise` and `walk` are standard deviations."""
+
+    parameters: Floats
+    """(N, 2) PARAMETERS of the motion: a [rad/s] and v [length unit/s]."""
+    noise: Floats
+    """(3, N) of measured x, y [length unit] and heading [rad]."""
+    walk: Floats
+    """(n, N) of the random walk of each state with a variance, n = STATES_OF_... [1/sqrt(s)]."""
+    helix_rad_s: float
+    """Usual angular frequency of a cell's helix [rad/s]; 0 for robots on wheels."""
+    lag_s: float
+    """Time constant with which turning rate and speed of wheels follow a direction [s]."""
+    watchdog_s: float
+    """Time without a command after which a robot stops [s]; infinity if none does."""
+    sticks: Sticks = Sticks()
+    """How robots do not do what they are sent."""
+    hold: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Means over time of the first three powers of how long wheels keep a turning rate [s, s2, s3];
+    0 if it is always that of the present heading."""
+    coarse: bool = False
+    """Whether poses of robots that drive may be equal."""
+    branch_all: bool = False
+    """Whether every hypothesis branches when a command acts, as logs need it; else the likeliest
+    one does, as the controller has time for."""
+
+
+class Bank(NamedTuple):
+    """B filters of each of N robots, each with its own dead time and S hypotheses."""
+
+    state: Floats
+    """(B, N, S, STATES)"""
+    cov: Floats
+    """(B, N, S, n, n) covariance P, n = STATES_OF_WHEELS or STATES_OF_CELLS."""
+    direction: Floats
+    """(B, N, S) direction u followed [rad], NaN for a robot that stands."""
+    until_s: Floats
+    """(B, N, S) time at which its watchdog stops a robot that follows a direction [s]."""
+    ln_weight: Floats
+    """(B, N, S) ln of the hypothesis's probability, -inf for a slot without a hypothesis."""
+    noise_scale: Floats
+    """(B, N, 2) ratio of observed to expected variances of positions, and of headings."""
+    unfit_s: Floats
+    """(B, N) time since a hypothesis fitted [s]."""
+    block_sum: Floats
+    """(B, N, 3) sum of the present block's innovations along and across the course and of the
+    heading, over their deviations."""
+    block_frames: Floats
+    """(B, N) number of frames in the present block."""
+    square_sum: Floats
+    """(B, N, 3) sum of the mean squares of the blocks before."""
+    blocks: Floats
+    """(B, N) number of the blocks before."""
+    dead_time_s: Floats
+    """(B, N) dead time tau [s]."""
+    step_s: Floats
+    """(B, N) how far the dead times of its group are apart [s]; the same for all of a robot."""
+    score: Floats
+    """(B, N) ln of the likelihood of the filter's frames, up to a constant; -inf for no filter."""
+    shared_score: Floats
+    """(B, N) ln of the filter's probability by the frames of all robots, up to a constant."""
+    next_command: NDArray[np.int64]
+    """(B, N) index of the command that acts next."""
+    group: NDArray[np.int64]
+    """(B, N) from which value of the state that is tried the filter started (`filter_start`)."""
+
+    @classmethod
+    def start(
+        cls,
+        dead_time_s: Floats,
+        mean: Floats,
+        std: Floats,
+        group: NDArray[np.int64],
+        follows: int = FOLLOWS,
+    ) -> Self:
+        """Return filters of robots that stand, with one hypothesis each: dead times (B,), means
+        (B, N, STATES) and standard deviations (N, n) of the states, and groups (B,).
+
+        There are slots for `follows` hypotheses of robots that drive, and one of a stuck robot.
+        """
+        robots, states = std.shape
+        per_filter = (len(dead_time_s), robots)
+        per_slot = (*per_filter, follows + 1)
+        ln_weight = np.full(per_slot, -np.inf)
+        ln_weight[..., 0] = 0.0
+        cov = np.zeros((*per_slot, states, states))
+        cov[..., range(states), range(states)] = np.square(std[:, None])
+        return cls(
+            state=np.repeat(mean[:, :, None], follows + 1, axis=2),
+            cov=cov,
+            direction=np.full(per_slot, np.nan),
+            until_s=np.full(per_slot, np.inf),
+            ln_weight=ln_weight,
+            noise_scale=np.ones((*per_filter, 2)),
+            unfit_s=np.zeros(per_filter),
+            block_sum=np.zeros((*per_filter, 3)),
+            block_frames=np.zeros(per_filter),
+            square_sum=np.zeros((*per_filter, 3)),
+            blocks=np.zeros(per_filter),
+            dead_time_s=np.repeat(dead_time_s[:, None], robots, axis=1),
+            step_s=np.full(per_filter, GRID_STEP_S),
+            score=np.zeros(per_filter),
+            shared_score=np.zeros(per_filter),
+            next_command=np.zeros(per_filter, dtype=np.int64),
+            group=np.repeat(group[:, None], robots, axis=1),
+        )
+
+    @classmethod
+    def joined(cls, banks: Sequence[Self]) -> Self:
+        """Return the filters of some banks of the same robots, one bank after the other."""
+        return cls._make(np.concatenate(columns) for columns in zip(*banks, strict=True))
+
+    def copied(self) -> Self:
+        """Return the same filters, to be changed."""
+        return self._make(column.copy() for column in self)
+
+    def part(self, rows: NDArray[np.int64]) -> Self:
+        """Return the filters `rows` (R, N) of each robot."""
+        robots = np.arange(rows.shape[1])
+        return self._make(column[rows, robots] for column in self)
+
+    def padded(self, count: int) -> Self:
+        """Return the filters with room for `count` of each robot; those added are no filters."""
+        size, robots = self.dead_time_s.shape
+        rows = np.minimum(np.arange(count), size - 1)
+        padded = self.part(rows[:, None].repeat(robots, axis=1))
+        padded.score[size:] = -np.inf
+        return padded
+
+
+class Hypotheses(NamedTuple):
+    """What one robot may be doing, by one filter: S hypotheses, named as in a `Bank`."""
+
+    state: Floats
+    """(S, STATES)"""
+    cov: Floats
+    """(S, n, n)"""
+    direction: Floats
+    """(S,)"""
+    until_s: Floats
+    """(S,)"""
+    ln_weight: Floats
+    """(S,)"""
+
+
+class FilterScratch(NamedTuple):
+    """Room for the numbers of one prediction and one update of a hypothesis."""
+
+    jacobian: Floats
+    """(n, n) F, the slopes of a step"""
+    product: Floats
+    """(n, n) F P"""
+    p_h: Floats
+    """(n,) P H' of one measured number"""
+    expected: Floats
+    """(3,) expected pose"""
+    off: Floats
+    """(3,) measured less expected pose"""
+    variance: Floats
+    """(3,) variances of the measured numbers"""
+    slopes: Floats
+    """(3, n) H, the slopes of the measured numbers"""
+    innovation: Floats
+    """(3,) of one hypothesis"""
+    likeliest_innovation: Floats
+    """(3,) of the likeliest hypothesis"""
+
+
+class CommonTimes(NamedTuple):
+    """T dead times that all N robots may have in common, and how they go with each filter's."""
+
+    near: Floats
+    """(T, B, N) density of each time for the other robots, given a filter's dead time [1/s]."""
+    ln_prior: Floats
+    """(T,) ln of the prior density of each time, up to a constant."""
+
+    @classmethod
+    def of(cls, bank: Bank, prior: Prior) -> Self:
+        """Return the times for the filters of a bank.
+
+        If filter b of robot i is right, the robot's dead time is tau_b, give or take half the step
+        of its grid, step_s. That of another robot is the same, but for a probability
+        OWN_PROBABILITY, with which it differs by OWN_STD_S or so:
+
+            near = (1 - own) g(t - tau_b, step_s / 2) + own g(t - tau_b, own_s),
+
+        up to a factor, where g(d, s) = exp(-(d/s)^2 / 2) / s.
+        """
+        times_s = np.arange(0, float(bank.dead_time_s.max()) + FINEST_STEP_S, FINEST_STEP_S / 2)
+        gaps_s = times_s[:, None, None] - bank.dead_time_s
+        width_s = np.maximum(bank.step_s, FINEST_STEP_S) / 2
+        near = (1 - OWN_PROBABILITY) * elementwise.exp(-np.square(gaps_s / width_s) / 2) / width_s
+        near += OWN_PROBABILITY * elementwise.exp(-np.square(gaps_s / OWN_STD_S) / 2) / OWN_STD_S
+        deviations = (times_s - prior.dead_time) / (prior.dead_time_std or 1.0)
+        return cls(near=near, ln_prior=-np.square(deviations) / 2)
+
+
+class NextFilters(NamedTuple):
+    """The C filters of each of N robots that go on, filled by `kernels.bank.select`."""
+
+    rows: NDArray[np.int64]
+    """(C, N) filters of the bank, -1 after the last one."""
+    dead_time_s: Floats
+    """(C, N) the dead time that each takes [s]."""
+    score: Floats
+    """(C, N) the score that each takes."""
+    step_s: Floats
+    """(N,) how far each robot's dead times are apart then [s]."""
+
+    @classmethod
+    def room_for(cls, size: int, bank: Bank) -> Self:
+        """Return room for `size` filters of each robot of a bank."""
+        step_s = bank.step_s[0].copy()
+        shape = (size, len(step_s))
+        return cls(
+            rows=np.empty(shape, np.int64),
+            dead_time_s=np.empty(shape),
+            score=np.empty(shape),
+            step_s=step_s,
+        )
+
+    def taken_from(self, bank: Bank) -> Bank:
+        """Return the bank of these filters, each with the dead time and the score that it takes. If
+        a robot has fewer than others, copies of its last one fill the rest, which are no filters.
+        """
+        goes_on = self.rows >= 0
+        number = goes_on.sum(axis=0)  # of filters of each robot (N,)
+        places = np.minimum(np.arange(number.max())[:, None], number - 1)
+        chosen = bank.part(np.take_along_axis(self.rows, places, axis=0))
+        chosen.dead_time_s[:] = np.take_along_axis(self.dead_time_s, places, axis=0)
+        chosen.score[:] = np.take_along_axis(self.score, places, axis=0)
+        chosen.score[~goes_on[: len(places)]] = -np.inf
+        chosen.step_s[:] = self.step_s
+        return chosen
+
+
+class Forecast(NamedTuple):
+    """What the likeliest hypothesis of each of N robots says, filled by `kernels.bank.forecast`.
+
+    Poses and `directions` are those of the moment when the next command acts on each robot, if it
+    does nothing else before than what it was sent. What has no description is as in `Estimate`.
+    """
+
+    x: Floats
+    y: Floats
+    heading: Floats
+    directions: Floats
+    """(N,) directions that the robots follow [rad], NaN for a robot that stands."""
+    turn_bias: Floats
+    """(N,) difference of the directions that robots turn to from those sent [rad]."""
+    flow: Floats
+    """(N, 2) [length unit/s]."""
+    a: Floats
+    a_std: Floats
+    speed: Floats
+    speed_std: Floats
+    heading_bias: Floats
+    heading_bias_std: Floats
+    misfit: Floats
+    side: Floats
+    side_std: Floats
+    saturation: Floats
+    stands: Floats
+    own_dead_time: Floats
+    own_dead_time_std: Floats
+    dead_time_s: float
+    """The mean of the robots' dead times [s]."""
+    dead_time_std_s: float
+    """The standard deviation of the dead time of any robot [s]."""
+
+    @classmethod
+    def room_for(cls, robots: int) -> Self:
+        """Return room for what is said of some robots: what is not filled stays NaN."""
+        arrays: dict[str, Any] = {name: np.full(robots, np.nan) for name in cls._fields}
+        arrays["flow"] = np.full((robots, 2), np.nan)
+        arrays["misfit"] = np.full((robots, len(INNOVATIONS)), np.nan)
+        return cls(**arrays)._replace(dead_time_s=0.0, dead_time_std_s=0.0)
+
+    @property
+    def poses(self) -> Poses:
+        """The poses of the robots."""
+        return Poses(self.x, self.y, self.heading)
+
+    @property
+    def estimate(self) -> Estimate:
+        """What is known of the robots' motion."""
+        return Estimate(
+            a=self.a,
+            a_std=self.a_std,
+            speed=self.speed,
+            speed_std=self.speed_std,
+            heading_bias=self.heading_bias,
+            heading_bias_std=self.heading_bias_std,
+            dead_time=self.dead_time_s,
+            dead_time_std=self.dead_time_std_s,
+            misfit=self.misfit,
+            side=self.side,
+            side_std=self.side_std,
+            saturation=self.saturation,
+            stands=self.stands,
+            own_dead_time=self.own_dead_time,
+            own_dead_time_std=self.own_dead_time_std,
+        )
+
+
+def largest_square_sum(blocks: float) -> float:
+    """Return the sum of a number of squares of standard normal numbers that chance exceeds once in
+    a thousand times: chi-square by Wilson and Hilferty (1931)."""
+    part = 2 / (9 * blocks)
+    root = 1 - part + QUANTILE * math.sqrt(part)
+    return blocks * root * root * root

@@ -1,0 +1,146 @@
+"""Tests whether the radio is sparse: whether most of the directions sent reach no robot.
+
+A direction that all robots miss leaves them on the one before. One lost now and then does no harm,
+as the next one comes a control period later. But if most are lost, robots follow for several
+periods what was searched to be followed for one.
+
+The filters say of each direction how likely it is that a robot heard it. Let Lambda_i be the
+likelihood of robot i's frames if it heard the direction, over that if it missed it, and q the
+probability that a robot misses one by itself. Then the frames of all robots are
+
+    P = prod_i ((1 - q) Lambda_i + q)
+
+times as likely if the radio let the direction through as if it did not. A radio that works loses a
+direction with the probability SELDOM, a sparse one with OFTEN. Each direction adds to r the ln of
+how much likelier its frames are with a sparse radio,
+
+    ln((OFTEN + (1 - OFTEN) P) / (SELDOM + (1 - SELDOM) P)),
+
+and r does not fall below 0, as a radio may turn sparse at any time (Page's test, 1954). Only frames
+before the next direction acted count: in later ones robots turn by the next one.
+
+Directions that act later than the filters know seem to be missed, too. Two things tell them from
+those of a sparse radio. They are missed one after another, so of directions missed in a row only
+the first few count. And when r shows a sparse radio for the first time, the filters begin again
+with all dead times: the radio is sparse if r shows it once more.
+"""
+
+import math
+
+import numpy as np
+
+from tetractl.control.estimation.kernels.filter_state import (
+    FOLLOWS,
+    LOSS_PROBABILITY,
+    Bank,
+    SentCommands,
+)
+from tetractl.core.elementary import log, log_of_sum
+from tetractl.core.poses import Floats, Integers
+
+SELDOM = 0.05
+"""Probability that a radio that works loses a direction for all robots; chosen as q above, which is
+`LOSS_PROBABILITY`."""
+OFTEN = 0.75
+"""The same of a sparse radio: it lets one in four through."""
+LN_SURE = 20.0
+"""r above which the radio is shown to be sparse. A direction that is missed adds 2.7 at most, one
+that is heard takes off 1.3 at most. Chosen."""
+LN_SAYS = log(2)
+"""Least absolute value of ln P with which a direction counts: else the frames hardly say whether it
+was heard. Chosen."""
+MISSED_IN_A_ROW = 3
+"""Number of directions missed in a row that count: a silence of the radio adds 8.1 at most."""
+
+
+class Reception:
+    """The test in one trial."""
+
+    def __init__(self) -> None:
+        self.ln_ratio = 0.0
+        """r of the module."""
+        self.times_shown = 0
+        """How often r has exceeded LN_SURE; r began at 0 again each time."""
+        self._missed_in_a_row = 0
+        self._ln_robot_ratios: dict[int, Floats] = {}
+        """Of each command not yet tested, by its index: ln((1 - q) Lambda + q) of the robots (N,)
+        at the last frame before the next command acted on them; 0 without such a frame."""
+        self._next = 1
+        """Index of the next command to be tested. The first has none before it."""
+
+    @property
+    def is_sparse(self) -> bool:
+        """Whether the radio is sparse: shown again after the filters began with all dead times."""
+        return self.times_shown > 1
+
+    def add_frame(self, bank: Bank, filters: Integers, commands: SentCommands) -> None:
+        """Note what a frame says of the command that acted last on each robot. The bank has
+        followed the robots to this frame; `filters` (N,) are the rows of their likeliest filters.
+
+        Once the next command has acted on all robots, a command is tested, if it is news and frames
+        were taken before.
+        """
+        rows = filters.tolist()
+        acted_last = [int(bank.next_command[row, robot]) - 1 for robot, row in enumerate(rows)]
+        for robot, (row, command) in enumerate(zip(rows, acted_last, strict=True)):
+            if command < self._next:  # tested already, by a filter with a shorter dead time
+                continue
+            ln_ratios = self._ln_robot_ratios.setdefault(command, np.zeros(len(rows)))
+            ln_ratios[robot] = ln_robot_ratio(bank, row, robot, commands.directions[command])
+        first_untested = max(self._next, min(acted_last))
+        for command in range(self._next, first_untested):
+            ln_ratios = self._ln_robot_ratios.pop(command, None)
+            if ln_ratios is not None and is_news(commands.directions, command):
+                self.add_direction(float(ln_ratios.sum()))
+        self._next = first_untested
+
+    def add_direction(self, ln_product: float) -> None:
+        """Add a direction with ln P to the test."""
+        if abs(ln_product) < LN_SAYS:
+            return
+        if ln_product > 0:
+            self._missed_in_a_row = 0
+        else:
+            self._missed_in_a_row += 1
+        if self._missed_in_a_row > MISSED_IN_A_ROW:
+            return
+        ln_if_often = log_of_sum(log(OFTEN), log(1 - OFTEN) + ln_product)
+        ln_if_seldom = log_of_sum(log(SELDOM), log(1 - SELDOM) + ln_product)
+        self.ln_ratio = max(0.0, self.ln_ratio + ln_if_often - ln_if_seldom)
+        if self.ln_ratio > LN_SURE:
+            self.ln_ratio = 0.0
+            self.times_shown += 1
+
+
+def is_news(directions: Floats, command: int) -> bool:
+    """Return whether frames show if robots heard a command: they are to drive by it and by the one
+    before, and its direction is not one that they may still follow."""
+    before = directions[max(0, command - FOLLOWS) : command]
+    tested = directions[command]
+    both_drive = not np.isnan([before[-1], tested]).any()
+    return bool(both_drive and tested not in before)
+
+
+def ln_robot_ratio(bank: Bank, row: int, robot: int, direction: float) -> float:
+    """Return ln((1 - q) Lambda + q) of a robot, by the filter in a `row` of the bank; `direction`
+    is that of the command that acted last.
+
+    When it acted, it was heard and missed with the odds (1 - q) / q. Frames have multiplied them by
+    Lambda since. The odds now are those of the likeliest hypothesis that follows the direction,
+    over the likeliest that follows another one. Nothing is known, and the result is 0, if one of
+    the two is not kept, or the robot is most probably stuck.
+    """
+    # as lists: NumPy takes ten times as long for four numbers
+    *ln_weights, ln_stuck = bank.ln_weight[row, robot].tolist()
+    if ln_stuck > max(ln_weights):
+        return 0.0
+    ln_heard = -math.inf
+    ln_missed = -math.inf
+    for ln_weight, followed in zip(ln_weights, bank.direction[row, robot].tolist(), strict=False):
+        if followed == direction:
+            ln_heard = max(ln_heard, ln_weight)
+        else:
+            ln_missed = max(ln_missed, ln_weight)
+    if math.isinf(ln_heard) or math.isinf(ln_missed):
+        return 0.0
+    return log(LOSS_PROBABILITY) + log_of_sum(0.0, ln_heard - ln_missed)

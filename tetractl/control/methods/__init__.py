@@ -1,0 +1,1 @@
+"""Controllers: Algorithm 2 of the paper, model predictive control, and simpler methods."""

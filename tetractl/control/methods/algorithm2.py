@@ -1,0 +1,98 @@
+"""Steers robots exactly as the paper does: its Algorithm 2, as published, with nothing added.
+
+A *sequence* of signals, the directions [rad] that all robots follow in one control period each, is
+to bring the robots to their targets. At each control step k, counted from 0, the optimiser searches
+several sequences, the one of least cost J is chosen, and its first signal is sent:
+
+    k = 0    a search for each length from 1 to `horizon_max`, from nothing      lines 1 to 7
+    k > 0    what is left of the sequence chosen before, its H signals, is the   lines 8 to 26
+             start of three searches: of its last H - 1 signals, of all H, and
+             of all H with a 0 behind them
+
+The trial ends when all robots are near enough to their targets (line 13), after step k_max
+(line 9), or when all signals of the sequence have been sent.
+
+Comments give the lines of the paper's Algorithm 2. `tetractl.control.methods.mpc` is the controller
+that we recommend.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from tetractl.control.estimation.estimator import StateEstimator
+from tetractl.control.methods.fixed_sequence import make_plan
+from tetractl.control.methods.mpc_section import PsoMpc
+from tetractl.control.methods.trial_time import TrialTime
+from tetractl.control.search.evaluate import compiled_foresee
+from tetractl.control.search.rng import mix
+from tetractl.core.commands import Command
+from tetractl.core.plan import Decision, Limits, Outcome
+from tetractl.core.poses import Floats, Observation
+from tetractl.core.setup import Setup
+from tetractl.spec.controller import Host
+
+
+class Algorithm2:
+    """The controller of one trial; `key` seeds all its random numbers.
+
+    `plan` is called once a control step. Between two steps it keeps the number of the next one,
+    `k`, and `warm`, the signals left of the sequence chosen last.
+    """
+
+    def __init__(self, section: PsoMpc, setup: Setup, key: int, host: Host) -> None:
+        self.section = section
+        self.key = key
+        self.optimizer = host.wrap(section.optimizer)
+        self.estimator = StateEstimator(
+            section.problem(setup), section.period, section.known(setup), loss=setup.loss
+        )
+        # by default k_max alone ends the trial: late steps take longer than their periods
+        steps_s = (section.steps_max + 1) * section.period
+        limit_s = section.time_limit if section.time_limit < steps_s else math.inf
+        self.time = TrialTime(limit_s, section.period)
+        self.warm: Floats | None = None
+        """The paper's u_(warm), None before the first step."""
+        self.k = 0
+
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Decision:
+        """Decide what is sent in one control step, or end the trial."""
+        problem = self.estimator.add_step(observation, last_command, earlier)  # line 12
+        if self.section.arrived(problem.poses.distances(problem.targets)):  # line 13
+            return Outcome.ARRIVED
+        if self.k > self.section.steps_max:  # line 9
+            return Outcome.STEPS_MAX
+        self.time.add_step(observation, last_command)
+        if self.time.over:
+            return Outcome.TIME_LIMIT
+        if self.warm is not None and len(self.warm) == 0:
+            return Outcome.SEQUENCE_COMPLETED
+        step_key = mix(self.key, self.k)
+        searches = [
+            self.optimizer.search(problem, length, start, mix(step_key, length), Limits())
+            for length, start in self._starts()  # lines 3 and 21
+        ]
+        best = int(np.argmin([search.cost for search in searches]))  # lines 5 and 23
+        foreseen = compiled_foresee(problem, searches[best].signals)
+        plan = make_plan(searches, best, step_key, foreseen)
+        self.warm = plan.signals[1:]  # lines 6 and 24
+        self.k += 1
+        return plan.of_all(self.estimator.present, observation.poses)  # lines 7 and 25
+
+    def _starts(self) -> list[tuple[int, Floats | None]]:
+        """Return the length of each search of this step, in signals, with its start."""
+        if self.warm is None:
+            lengths = range(1, self.section.horizon_max + 1)  # line 2
+            return [(length, None) for length in lengths]
+        steps = len(self.warm)  # H of line 10
+        one_longer = (steps + 1, np.append(self.warm, 0.0))  # line 17
+        as_long = (steps, self.warm)  # line 19
+        if steps == 1:
+            return [as_long, one_longer]  # a sequence has at least one signal
+        return [(steps - 1, self.warm[1:]), as_long, one_longer]

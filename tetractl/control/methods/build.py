@@ -1,0 +1,57 @@
+"""Compiles the functions that the controller of a spec runs."""
+
+import gc
+import time
+from collections.abc import Callable
+
+from tetractl.spec.experiment import Experiment, packages
+from tetractl.spec.section_abilities import Modelled, Searches
+from tetractl.tools.cache import compiling
+from tetractl.tools.plugin_fault import plugins_named
+
+AGAIN_S = 10.0  # time after which a message says that code is still being compiled [s]
+
+
+def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
+    """Compile the functions that the controller runs, or load them from the cache.
+
+    If anything is compiled, `announce` is called with a message before, every AGAIN_S seconds, and
+    at the end.
+    Compiled code is cached on disk, for all specs with the same kinds of controller, optimiser and
+    motion. Python's garbage collection is off meanwhile: the compiler makes so many
+    objects that searching them takes a fifth of its time.
+    """
+    collects = gc.isenabled()
+    began_s = time.monotonic()
+    said_s = list[float]()
+
+    def say() -> None:
+        now_s = time.monotonic()
+        if said_s and now_s - said_s[-1] < AGAIN_S:
+            return
+        duration = "about a minute, longer if the computer is busy; cached for later runs"
+        if said_s:
+            duration = f"{now_s - began_s:.0f} s so far"
+        announce(f"compiling for {compiled_for(experiment)}: {duration} ...")
+        said_s.append(now_s)
+
+    compiling.append(say)
+    gc.disable()
+    try:
+        with plugins_named(packages(experiment)):
+            experiment.controller.warm_up(experiment.setup)
+    finally:
+        compiling.remove(say)
+        if collects:
+            gc.enable()
+    if said_s:
+        announce(f"compiled in {time.monotonic() - began_s:.0f} s")
+
+
+def compiled_for(experiment: Experiment) -> str:
+    """Return the kinds for which a spec's code is compiled, such as "mpc, pso, exact"."""
+    control = experiment.controller
+    kinds = [control.type]
+    kinds += [control.optimizer.type] if isinstance(control, Searches) else []
+    kinds += [control.motion] if isinstance(control, Modelled) else []
+    return ", ".join(kinds)

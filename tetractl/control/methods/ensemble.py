@@ -1,0 +1,154 @@
+"""Feedback Ensemble Control (section I of the paper): the field alternately rotates and is off.
+
+While the field rotates, the robots follow it, each with a lag that depends on its turning rate a.
+When their headings are such that the control Lyapunov function
+
+    V = sum_i || s_i - tar_i ||
+
+would fall without a field, the field is switched off, and the robots drive straight until V would
+rise. The paper gives no parameters for this earlier algorithm of its authors; the defaults are
+tetractl's choice. Obstacles are ignored.
+"""
+
+from dataclasses import replace
+from typing import ClassVar, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.control.methods.fixed_sequence import given_search, make_plan
+from tetractl.control.methods.plain import PlainController, PlainSection
+from tetractl.control.search.cost import foreseen_along, predict
+from tetractl.core import elementwise
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command, FieldOff
+from tetractl.core.plan import Outcome, Plan, Problem
+from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.setup import Setup
+from tetractl.model.motion.exact import step as exact_step
+from tetractl.spec.base import Fraction, Positive
+from tetractl.spec.controller import ALONE, Host
+
+
+class EnsembleSection(PlainSection):
+    """Feedback Ensemble Control: the field rotates until the sum of distances to the targets would
+    fall without a field; then it is off as long as the sum falls. The controller ignores obstacles
+    and works in simulations only."""
+
+    switches_field: ClassVar[bool] = True
+    type: Literal["ensemble"]
+    rate: Positive = 1.3
+    """Angular velocity of the rotating field, in units of the robots' least turning rate. Up to 1
+    every robot follows with a constant lag; above 1 the robot with the least turning rate cannot
+    follow.
+    """
+    fall: Fraction = 0.3
+    """The field is switched off if, over the coming control period, the sum of distances would fall
+    by more than this fraction of the robots' summed path lengths, which is the largest possible
+    fall.
+    """
+    turns: float = Field(default=3.0, gt=0, le=1000, allow_inf_nan=False)
+    """The trial ends if the field has made this number of turns without being switched off, and
+    the next step would not reduce the sum of distances."""
+
+    def warm_up(self, setup: Setup) -> None:
+        """Do nothing: nothing is compiled."""
+
+    def build(self, setup: Setup, key: int, host: Host = ALONE) -> "Ensemble":
+        """Return the controller of one trial."""
+        return Ensemble(self, setup, key)
+
+
+class HeldDirection(NamedTuple):
+    """What robots follow from a time on: a direction of the field [rad], or None for no field."""
+
+    since_ns: int
+    direction: float | None
+
+
+class Ensemble(PlainController):
+    """The controller of one trial. No random numbers are drawn; `key` is only used for the log.
+
+    At each step it asks what is less: V after driving without a field, or V now less `fall`.
+    """
+
+    def __init__(self, section: EnsembleSection, setup: Setup, key: int) -> None:
+        super().__init__(section, setup, key)
+        self.section = section
+        self._dead_time_ns = round(section.dead_time * SECOND)
+        self._held: list[HeldDirection] = []
+        """The decisions that act or are still to act, oldest first."""
+        self._field: float | None = None
+        """The direction of the rotating field [rad], None while it is off."""
+        self._turned_rad = 0.0
+        """Angle by which the field has turned since it was switched on."""
+
+    def predicted(self, observation: Observation, last_command: Command | None) -> Problem:
+        """Return the problem with the poses one dead time after the frame's exposure, when the
+        decision acts."""
+        now_ns = observation.sampled_ns
+        while len(self._held) > 1 and self._held[1].since_ns <= now_ns:
+            self._held.pop(0)  # another decision has replaced it
+        acts_ns = now_ns + self._dead_time_ns
+        ends_ns = [held.since_ns for held in self._held[1:]] + [acts_ns]
+        poses = observation.poses
+        for held, end_ns in zip(self._held, ends_ns, strict=False):
+            seconds = (end_ns - max(held.since_ns, now_ns)) / SECOND
+            if seconds > 0:
+                poses = driven(self.problem, poses, held.direction, seconds)
+        return replace(self.problem, poses=poses)
+
+    def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan | Outcome:
+        """Rotate the field further, switch it off, or end the trial."""
+        section = self.section
+        error = problem.poses.distances(problem.targets).sum()  # V
+        straight = driven(problem, problem.poses, None, section.period)
+        fall = error - straight.distances(problem.targets).sum()
+        is_off = self._field is None and self.k > 0  # the field stays off until V would rise
+        largest_fall = problem.speed.sum() * section.period
+        least_fall = 0.0 if is_off else section.fall * largest_fall
+        if fall > least_fall:
+            self._field = None
+            self._turned_rad = 0.0
+            signals = np.zeros(1)
+            end = straight
+        else:
+            self._rotate(problem)
+            signals = np.array([self._field])
+            end = Poses.of(predict(problem, signals)[-1])
+            in_vain = self._turned_rad > 2 * np.pi * section.turns
+            if in_vain and end.distances(problem.targets).sum() >= error:
+                return Outcome.NO_BETTER_PLAN
+        self._held.append(HeldDirection(observation.sampled_ns + self._dead_time_ns, self._field))
+        return self._planned(problem, signals, end, step_key)
+
+    def _rotate(self, problem: Problem) -> None:
+        """Rotate the field by one step; if it is off, begin at the robots' mean heading."""
+        if self._field is None:
+            heading = problem.poses.heading
+            east = elementwise.cos(heading).sum()
+            north = elementwise.sin(heading).sum()
+            self._field = float(elementwise.atan2(north, east))
+        step_rad = self.section.rate * float(problem.a.min()) * self.section.period
+        self._field = float(np.remainder(self._field + step_rad + np.pi, 2 * np.pi) - np.pi)
+        self._turned_rad += step_rad
+
+    def _planned(self, problem: Problem, signals: Floats, end: Poses, step_key: int) -> Plan:
+        """Return the plan of one control period, which ends at the poses `end`."""
+        path = np.stack([problem.poses.array(), end.array()])
+        foreseen = foreseen_along(problem, path)
+        search = given_search(problem, signals, foreseen)
+        plan = make_plan([search], 0, step_key, foreseen)
+        return replace(plan, instead=FieldOff() if self._field is None else None)
+
+
+def driven(problem: Problem, poses: Poses, direction: float | None, seconds: float) -> Poses:
+    """Return the poses after a time [s] under a field's direction [rad], or without a field.
+
+    Without a field, robots follow their own headings and so do not turn.
+    """
+    towards = poses.heading if direction is None else np.array(direction)
+    x, y, heading = exact_step(
+        poses.x, poses.y, poses.heading, towards, problem.a, problem.speed, seconds
+    )
+    return Poses(x, y, heading)

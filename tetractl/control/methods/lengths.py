@@ -1,0 +1,154 @@
+"""The searches of one control step of `mpc`: the lengths to try, and their limits.
+
+A search at rest begins with plans about as long as the way; if none of a length is good, with
+longer ones. A good plan is then *shortened*: drawn together in time and polished, as long as it
+stays good. So is the plan under way, in each step. If that one is no longer good, as near the end
+the few signals left cannot correct the 2N coordinates of N robots, it is drawn out, or longer ones
+(detours) lead the robots away from their targets and back.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+
+from tetractl.control.search.rng import mix
+from tetractl.core.plan import Limits, Problem, Search
+from tetractl.core.poses import Floats, wrap
+from tetractl.core.protocols import Optimizer
+
+GROWTH = 1.2  # ratio of successive lengths tried for a longer plan, under way
+SPREAD = 1.3  # ratio of successive lengths tried at rest
+TRIES = 4  # number of first plans that are shortened at rest
+CUT = 1 / 8  # share of a plan's length that is tried first to shorten it
+SIGNALS_PER_ROBOT = 6  # least number of signals per robot in a plan for several robots
+
+
+def least_length(problem: Problem) -> int:
+    """Return the least length to try: enough signals for each robot to drive straight to its
+    target, and at least SIGNALS_PER_ROBOT per robot.
+    """
+    gaps = problem.poses.distances(problem.targets).tolist()
+    pairs = zip(gaps, problem.speed.tolist(), strict=True)
+    seconds = [gap / speed if speed else math.inf for gap, speed in pairs if gap != 0]
+    if not all(map(math.isfinite, seconds)):
+        return 1
+    straight = 1 + max(
+        0, math.ceil((max(seconds, default=0.0) - problem.first_period) / problem.period)
+    )
+    return max(straight, SIGNALS_PER_ROBOT * len(gaps) if len(gaps) > 1 else 1)
+
+
+def longer(count: int, most: int) -> Iterator[int]:
+    """Yield growing lengths [signals] above `count`, that of the plan under way, up to `most`."""
+    length = count + 1
+    while length <= most:
+        yield length
+        length = max(length + 1, round(GROWTH * length))
+
+
+def resampled(signals: Floats, length: int) -> Floats:
+    """Return signals (L,) [rad], drawn together or out in time to (length,), from -pi to pi."""
+    count = len(signals)
+    times = (np.arange(length) + 0.5) * (count / length) - 0.5
+    angles = np.unwrap(signals)
+    drawn = np.interp(times, np.arange(count), angles)
+    return wrap(drawn)
+
+
+class Searcher:
+    """Runs the searches of one control step, and collects their results in `found`.
+
+    Once the limits' time has passed, only the first search is done.
+    """
+
+    def __init__(
+        self,
+        optimizer: Optimizer,
+        problem: Problem,
+        step_key: int,
+        limits: Limits,
+    ) -> None:
+        self._optimizer = optimizer
+        self.problem = problem
+        self._key = step_key
+        self._limits = limits
+        self.found: list[Search] = []
+
+    def search(self, length: int, start: Floats | None = None) -> Search | None:
+        """Search sequences of one length; return None if the limits do not allow it."""
+        tries = sum(search.length == length for search in self.found)
+        key = mix(self._key, length)
+        if tries:  # another search of the same length has other random numbers
+            key = mix(key, tries)
+        return self._search(self.problem, length, start, key)
+
+    def _search(
+        self, problem: Problem, length: int, start: Floats | None, key: int
+    ) -> Search | None:
+        """Search sequences of one length for a problem, unless the limits do not allow it."""
+        if self.found and self._limits.expired(0):
+            return None
+        search = self._optimizer.search(problem, length, start, key, self._limits)
+        self.found.append(search)
+        return search
+
+    def spread(self, least: int, most: int, good: Callable[[Search], bool]) -> bool:
+        """Search growing lengths, of which `least` is the shortest and `most` the longest that can
+        be good, until a plan is good, and shorten it; do so several times, as plans that begin with
+        other random numbers come to other lengths. Return whether one was found."""
+        reached = False
+        for _ in range(TRIES):
+            if self._grow(least, most, good):
+                most = self.shorten(least, good)
+                reached = True
+        return reached
+
+    def _grow(self, least: int, most: int, good: Callable[[Search], bool]) -> bool:
+        """Search growing lengths until a plan is good; return whether one is."""
+        # several robots hardly ever reach their targets along straight lines
+        several = self.problem.a.size > 1
+        length = min(round(SPREAD * least) if several else least, most)
+        while True:
+            search = self.search(length)
+            if search is None:
+                return False
+            if good(search):
+                return True
+            if length == most:
+                return False
+            length = min(most, max(length + 1, round(SPREAD * length)))
+
+    def shorten(self, least: int, good: Callable[[Search], bool]) -> int:
+        """Draw the plan found last, which is good, together in time, as far as it stays good when
+        it is polished, but not below `least`; return its length then."""
+        best = self.found[-1]
+        cut = max(1, round(CUT * best.length))
+        while cut > 0:
+            shorter = best.length - cut
+            search = None
+            if shorter >= least:
+                search = self.search(shorter, resampled(best.signals, shorter))
+                if search is None:
+                    break
+            if search and good(search):
+                best = search
+            else:
+                cut //= 2
+        return best.length
+
+    def onward(
+        self, problem: Problem, starts: Iterable[Floats], good: Callable[[Search], bool]
+    ) -> bool:
+        """Search from each of `starts` until a plan is good; return whether the least cost of all
+        searches was found so. The searches are for `problem`, which has the same robots as the
+        searcher's own.
+        """
+        before = len(self.found)
+        for start in starts:
+            key = mix(self._key, len(start))
+            search = self._search(problem, len(start), start, key)
+            if search is None or good(search):
+                break
+        costs = [search.cost for search in self.found]
+        return costs.index(min(costs)) >= before

@@ -1,0 +1,717 @@
+"""The recommended controller: model predictive control in which one value decides.
+
+A *signal* is the direction [rad] that all robots follow for a signal period, a *plan* a sequence of
+signals. A plan is *under way* while robots follow it; the signals of it that are left are `warm`,
+as searches start from them. Without one robots are *at rest*: before the first plan, after a rest
+or a turn on the spot, and when a leg begins, when they may still drive (`moving`). A *leg* is the
+part of a trial up to a way-point or to the targets, or the hold after them.
+
+As in Algorithm 2 of the paper, each control step searches plans of several lengths, from what is
+left of the plan under way, and only the first signal is exerted. Besides driving by a plan, robots
+can stop. What there is to choose from has a *value*, the less the better: the predicted sum of
+distances to the targets at its end [length unit], and what its time and its risk cost in the same
+unit (`tetractl.control.methods.value`).
+
+A plan *collides soon* if its first signal, held until a stop can act, brings a body into something:
+robots that can stand never drive such a plan, whatever its value (`_collides_soon`).
+
+The rules of one of two lists are asked in turn, and the first answer is what the robots do. Each is
+the method of its name.
+
+    under way                                      at rest
+
+    thread   on through a passage                  stay     in a hold: all are within its radius
+    stop     in the coming period, if no plan      finish   if no plan can have a lower value,
+             can have a lower value                         or none fits into the time left
+    (plans are searched)                           (plans are searched)
+    go on    by the plan of least value that       turn     on the spot, if the plan of least value
+             does not collide soon                          collides soon: other headings allow
+    rest     if all plans found collide soon                other plans
+                                                   give up  if it does so after all turns
+                                                   drive    by the plan of least value
+
+What happens next, if
+
+    a plan fails: all collide     robots rest, and search from there; at rest, where the plan of
+    soon, or it leads astray      least value counts alone, they turn on the spot, in up to 12
+                                  turns, and then give up: the trial ends in the step after
+    a search takes too long       searches end at the spec's `deadline`; the first one is always
+                                  done, and its plan is a candidate
+    no time is left for a new     robots that can stand: plans are searched first, and a stop is
+    plan                          compared with the best, as the plan under way may have to be
+                                  polished to come near
+    a step is late                the next one begins with the poses that robots have by then
+    few directions get through    a signal is sent again until it ends, and nothing is searched
+                                  meanwhile (`tetractl.control.estimation.reception`)
+    a pose jumps                  the filter predicts on without it
+                                  (`tetractl.control.estimation.filter`)
+    a robot dies                  ControlError, if the spec ends a trial then; else it is lost
+    a robot is lost               the leg begins again for the others, at rest or driving as they
+                                  are; on wheels, its body is an obstacle from now on
+    all are at their targets,     the leg ends, and the next one begins in the same step; after the
+    or a rule ends the leg        last leg, the trial ends
+    the time limit is over        the trial ends
+    Ctrl-C                        nothing here: the trial ends after a step (`run.control_loop`)
+
+Robots that cannot stand, such as cells, end a leg where others stop, and never rest or turn. What
+robots do is the `state` of the plan; docs/reference/controllers/mpc.md draws the states, and
+docs/decisions/controller.md has what was tried instead, with figures.
+
+Times are in seconds, the lengths of plans in signals. N is the number of robots that are not lost,
+and L the number of signals of a plan.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from tetractl.control.estimation.estimator import StateEstimator
+from tetractl.control.methods.fixed_sequence import (
+    best_stop,
+    given_search,
+    least_error,
+    make_plan,
+)
+from tetractl.control.methods.lengths import Searcher, least_length, longer, resampled
+from tetractl.control.methods.mpc_section import RecommendedMpc
+from tetractl.control.methods.passage import AHEAD, MISS_MAX, MISS_OF_WAY, TRUSTED_S, ahead, ways
+from tetractl.control.methods.trial_time import TrialTime
+from tetractl.control.methods.turns import NOT_TURNING, Turning, next_facing
+from tetractl.control.methods.value import Worth
+from tetractl.control.search.discs import Discs
+from tetractl.control.search.evaluate import compiled_foresee
+from tetractl.control.search.holding import CircleSearch
+from tetractl.control.search.margins import Margins
+from tetractl.control.search.near_targets import kept_apart, parted
+from tetractl.control.search.rng import mix
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command, Stop, Turn
+from tetractl.core.errors import ControlError
+from tetractl.core.losses import told_dead
+from tetractl.core.motion_estimate import Estimate
+from tetractl.core.plan import Decision, End, Limits, Outcome, Plan, Problem, Search, State
+from tetractl.core.poses import Bools, Floats, Observation, Poses
+from tetractl.core.setup import Setup
+from tetractl.core.shape import Shape
+from tetractl.spec.controller import Host
+from tetractl.spec.lab_section import REACTION_S
+
+SEARCH_S = 1.0
+"""Time after which the searches of a step end for standing robots [s]. Those of driving robots end
+after the spec's `deadline`, as they drive on meanwhile."""
+LATE = 2.0
+"""Number of dead times after which a stop has acted for certain: it may be lost once, and is sent
+again."""
+SLACK = 1.15
+"""Ratio of lengths of the plan under way and of the least one, below which it is not shortened: a
+plan without slack cannot be mended, as robots do not drive faster."""
+END_OF_LEG = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
+"""Outcomes after which the next leg begins, if there is one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """A part of a trial, and where robots go in it: up to way-point `index` or to the targets, or
+    the hold after them.
+
+    `began_s` is the time of the trial [s] and `began_ns` that of the clock [ns] at its beginning.
+    `outcome` is how the leg before ended. `present` tells which of all robots are not lost;
+    `targets` (N, 2) are those of these N robots, `parted` if they are too near to each other,
+    `discs` their bodies, and `margins` what plans keep clear by. A leg that `holds` is the hold;
+    the trial ends with the leg that `is_last`: the hold, or without one the leg to the targets.
+    """
+
+    index: int
+    holds: bool
+    is_last: bool
+    began_s: float
+    began_ns: int
+    outcome: Outcome
+    present: Bools
+    targets: Floats
+    discs: Discs
+    margins: Margins
+
+
+@dataclass(frozen=True, slots=True)
+class TrialProgress:
+    """What robots have done so far.
+
+    `k` is the number of the step, and `last` the plan of the step before, None if the leg begins.
+    `moving` tells whether robots drive when the step begins, `driven` for how many steps of the leg
+    they have driven without a pause: a plan of it is under way unless this is 0. `turning` is how
+    they have turned on the spot.
+    """
+
+    k: int = 0
+    last: Plan | None = None
+    moving: bool = False
+    driven: int = 0
+    turning: Turning = NOT_TURNING
+
+    @property
+    def state(self) -> State:
+        """What the robots were commanded to do in this leg; they rest before the first step."""
+        return State.RESTING if self.last is None else self.last.state
+
+    def after(self, plan: Plan) -> "TrialProgress":
+        """Return the progress after a step in which `plan` was decided."""
+        moving = not plan.pauses
+        driven = self.driven + 1 if moving else 0
+        facing = plan.instead.facing if isinstance(plan.instead, Turn) else None
+        turning = self.turning.then(facing)
+        return replace(self, k=self.k + 1, last=plan, moving=moving, driven=driven, turning=turning)
+
+
+@dataclass(frozen=True, slots=True)
+class ControlStep:
+    """What a step begins with.
+
+    The `problem` is to bring robots from where they will be when the next command acts to their
+    targets; `warm` (L,) are the signals left of the plan under way, None if none is;
+    `horizon_max` is the longest plan and `signals_left` the time until the limit of time, both in
+    signals; `value` is how plans are valued.
+    """
+
+    problem: Problem
+    warm: Floats | None
+    horizon_max: int
+    signals_left: float
+    value: Worth
+
+    @property
+    def signals_max(self) -> int:
+        """The most signals of a plan that ends before the limit of time."""
+        return min(self.horizon_max, int(self.signals_left))
+
+    def is_new(self, signals: Floats) -> bool:
+        """Return whether signals (L,) are longer than the plan under way and one signal more."""
+        return self.warm is None or len(signals) > len(self.warm) + 1
+
+    def allows(self, length: int) -> bool:
+        """Return whether there is time for a plan of `length` signals; if the targets are farther
+        away than the longest plan leads, for the longest plan."""
+        return min(length, self.horizon_max) <= self.signals_left
+
+
+class Searched(NamedTuple):
+    """What the searches of a step found: the `plans` of all of them for the `problem`, that of
+    least value first; `by_tree`: whether a tree led to the best."""
+
+    problem: Problem
+    plans: Sequence[Plan]
+    by_tree: bool = False
+
+
+class Mpc:
+    """The controller of one trial.
+
+    `plan` is called once a control step. Between two steps it keeps the `leg`, the `progress` of
+    the trial, and what the `estimator` and the `time` have counted. `key` seeds all random numbers;
+    the timer of the `host` is read for deadlines alone.
+    """
+
+    def __init__(self, section: RecommendedMpc, setup: Setup, key: int, host: Host) -> None:
+        self.section = section
+        self.setup = setup
+        self.key = key
+        self.host = host
+        self.optimizer = host.wrap(section.optimizer)
+        self.estimator = StateEstimator(
+            section.problem(setup), section.period, section.known(setup), setup.loss
+        )
+        self.stands = section.collision.stop_before_collision
+        self.time = TrialTime(section.time_limit, section.period)
+        self.leg = self._leg(0, 0.0, 0, Outcome.ARRIVED, setup.starts)
+        self.progress = TrialProgress()
+
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Decision:
+        """Decide what the robots do in one step, or end the trial."""
+        self.time.add_step(observation, last_command)
+        motion = self.estimator.add_step(observation, last_command, earlier)
+        dead = self.estimator.losses.dead
+        if dead.any() and self.setup.loss and self.setup.loss.ends:
+            raise ControlError(told_dead(self.setup.names, dead))
+        poses = observation.poses
+        if self.estimator.robots_changed:
+            leg = self.leg
+            self._begin(self._leg(leg.index, leg.began_s, leg.began_ns, leg.outcome, poses))
+        decision = self._decide(motion, observation)
+        while self._ends_a_leg_only(decision):
+            began_s = self.time.passed_s
+            outcome = Outcome(decision)
+            index = self.leg.index + 1
+            self._begin(self._leg(index, began_s, observation.sampled_ns, outcome, poses))
+            decision = self._decide(motion, observation)
+        if not isinstance(decision, Plan):
+            return decision
+        self.progress = self.progress.after(decision)
+        plan = replace(decision, leg=self.leg.index, estimate=self.estimator.estimate)
+        return plan.of_all(self.leg.present, poses)
+
+    # legs
+
+    def _ends_a_leg_only(self, decision: Decision) -> bool:
+        """Return whether a decision ends a leg after which there is another."""
+        if not isinstance(decision, Outcome) or decision not in END_OF_LEG:
+            return False
+        gave_up = decision is Outcome.NO_BETTER_PLAN and self.progress.state is State.STUCK
+        return not gave_up and not self.leg.is_last
+
+    def _begin(self, leg: Leg) -> None:
+        """Begin a leg, in which plans are made afresh."""
+        self.leg = leg
+        self.progress = replace(self.progress, last=None, driven=0)
+
+    def _leg(
+        self, index: int, began_s: float, began_ns: int, outcome: Outcome, poses: Poses
+    ) -> Leg:
+        """Return a leg of the robots that are not lost. Lost ones on wheels, at `poses`, are
+        obstacles."""
+        present = self.estimator.present
+        collision = self.section.collision
+        legs = self.setup.legs
+        last = len(legs) if self.setup.hold else len(legs) - 1
+        stated = legs[min(index, len(legs) - 1), present]  # a hold is at the targets
+        least = kept_apart(collision, self.setup.speed[present], self.section.period)
+        targets = parted(stated, least)
+        walls = self.setup.arena if collision.walls else None
+        shapes = list(self.setup.obstacles)
+        if collision.radius and self.setup.on_wheels:
+            shapes += [Shape(place, collision.radius) for place in poses.xy[~present, None]]
+        return Leg(
+            index=index,
+            holds=index == len(legs),
+            is_last=index == last,
+            began_s=began_s,
+            began_ns=began_ns,
+            outcome=outcome,
+            present=present,
+            targets=targets,
+            discs=Discs(collision.radius, shapes, walls),
+            margins=Margins(collision, shapes, walls, targets),
+        )
+
+    # a step
+
+    def _decide(self, motion: Problem, observation: Observation) -> Decision:
+        """Return what the robots do, or how the leg ends, given their states and motion."""
+        step = self._step(motion)
+        outcome = self._outcome(step, observation)
+        if outcome is not None:
+            return outcome
+        if self.leg.holds and not self.setup.on_wheels:
+            return self._circle(step)
+        if step.warm is None:
+            return self._at_rest(step)
+        return self._under_way(step, step.warm)
+
+    def _step(self, motion: Problem) -> ControlStep:
+        """Return what the step begins with, given the robots' states and motion.
+
+        A plan may hold each signal for several control periods. The lengths of plans and the time
+        left count from the beginning of the signal that is held now; in the prediction, only the
+        rest of it is still to come.
+        """
+        section = self.section
+        held_periods = self.progress.driven % section.signal_periods
+        rest_periods = section.signal_periods - held_periods
+        first_period_s = rest_periods * section.period
+        motion = replace(motion, targets=self.leg.targets, first_period=first_period_s)
+        periods_left = self.time.periods_left + held_periods
+        return ControlStep(
+            problem=self._with_margins(motion, self.estimator.known),
+            warm=self._signals_left(),
+            horizon_max=section.horizon_max,
+            signals_left=periods_left / section.signal_periods,
+            value=Worth(
+                accept=section.accept_error,
+                spent_s=self.time.passed_s - self.leg.began_s,
+                period_s=motion.period,
+                patience_s=section.patience_s(self.setup),
+            ),
+        )
+
+    def _signals_left(self) -> Floats | None:
+        """Return what is left of the plan under way (L,), None if none is. Its first signal is over
+        when it has been held for all its periods."""
+        last = self.progress.last
+        if last is None or last.pauses:
+            return None
+        is_over = self.progress.driven % self.section.signal_periods == 0
+        return last.signals[1:] if is_over else last.signals
+
+    def _outcome(self, step: ControlStep, observation: Observation) -> Outcome | None:
+        """Return how the leg ends whatever robots could do, None if it goes on."""
+        if self.leg.holds:
+            assert self.setup.hold is not None
+            if observation.sampled_ns - self.leg.began_ns >= self.setup.hold.seconds * SECOND:
+                return self.leg.outcome
+        elif self.section.arrived(step.problem.poses.distances(step.problem.targets)):
+            return Outcome.ARRIVED
+        if self.time.over:
+            return Outcome.TIME_LIMIT
+        if self.progress.state is State.STUCK:
+            return Outcome.NO_BETTER_PLAN
+        return None
+
+    def _circle(self, step: ControlStep) -> Plan:
+        """Return a plan by which robots that cannot stand hold: they swim within its radius."""
+        assert self.setup.hold is not None
+        problem = replace(step.problem, within=self.setup.hold.radius)
+        length = max(2, math.ceil(CircleSearch.ahead_s / problem.period))
+        circler = self.host.wrap(CircleSearch())
+        search = circler.search(problem, length, step.warm, self._step_key, self._limits())
+        foreseen = compiled_foresee(problem, search.signals)
+        return replace(make_plan([search], 0, self._step_key, foreseen), state=State.HOLDING)
+
+    # under way
+
+    def _under_way(self, step: ControlStep, warm: Floats) -> Decision:
+        """Decide while a plan is under way."""
+        if self.progress.state is State.PASSING and len(warm) > AHEAD:
+            return self._thread(step, warm)
+        if self._rests_at_the_end and not step.allows(least_length(step.problem)):
+            return self._near_the_limit(step, warm)
+        stop = self._stop(step, warm, self._bound_of_going_on(step, warm))
+        if stop is not None:
+            return stop
+        return self._go_on(self._search_under_way(step, warm))
+
+    def _near_the_limit(self, step: ControlStep, warm: Floats) -> Decision:
+        """Decide while a plan is under way and no time is left for a new one; for robots that rest
+        at the end, as the log of an outcome has no searches.
+
+        The plan is polished before it is compared with a stop. As it is, it may lead far from the
+        targets after a disturbance in its last signals, where the polished one comes near them.
+        """
+        searched = self._search_under_way(step, warm)
+        best = searched.plans[0]
+        stop = self._stop(step, warm, self._value(step, best), best.searches)
+        if stop is not None:
+            return stop
+        return self._go_on(searched)
+
+    def _bound_of_going_on(self, step: ControlStep, warm: Floats) -> float:
+        """Return a lower bound of the value of going on: that of the plan under way as it is, or of
+        the shortest new plan if it led exactly to the targets. There must be time for a new plan.
+        """
+        bound = np.inf
+        if len(warm) > 0:
+            bound = self._value(step, self._given(step.problem, warm))
+        if step.allows(least_length(step.problem)):
+            shortest_new = len(warm) + 2  # one signal more is still the plan under way
+            bound = min(bound, step.value.plan(0.0, shortest_new, new=True))
+        return bound
+
+    @property
+    def _rests_at_the_end(self) -> bool:
+        """Whether robots that stop now are to rest, before the next step ends the leg."""
+        return self.leg.holds or (self.stands and self.leg.is_last)
+
+    def _stop(
+        self, step: ControlStep, warm: Floats, bound: float, searches: Sequence[Search] = ()
+    ) -> Decision | None:
+        """Stop at the best moment of the coming control period, if the error that is left then is
+        at most the lower `bound` of anything else: robots would drive past their targets, on a
+        detour that costs more than it can win. As nothing found can be better, nothing is searched:
+        a search takes up to a control period, in which that moment would pass. (Near the limit
+        there are `searches`, of which the best plan has the value `bound`.)
+
+        Robots that can stand rest at first on the last leg. They are measured there, and the next
+        step ends the leg (`_finish`) or finds a plan from where they really are. Others, and those
+        at a way-point, end the leg at once.
+        """
+        # at a way-point the next leg begins with a new plan: a later moment is not worth waiting
+        within_s = self.section.period if self.leg.is_last else 0.0
+        if least_error(step.problem, within_s) > bound:
+            return None  # no moment can be good enough: so it is in most steps, and costs no time
+        delay_ns, error = self._best_stop(step.problem, within_s)
+        if error > bound:
+            return None
+        if self._rests_at_the_end:
+            rest = self._standing(step.problem, State.RESTING, searches)
+            return replace(rest, delay_ns=delay_ns)
+        outcome = Outcome.NO_BETTER_PLAN if len(warm) > 0 else Outcome.SEQUENCE_COMPLETED
+        if delay_ns > 0:
+            return End(outcome, delay_ns)
+        return outcome
+
+    def _best_stop(self, problem: Problem, within_s: float) -> tuple[int, float]:
+        """Return in how long to stop [ns], within a time, to leave the least error, and that error.
+        Until then robots follow what they were sent last.
+
+        It is a stop now if a body would come near something before a later one. The guard aborts a
+        trial if a body would touch something within its time to react; it does not know that a stop
+        is due.
+        """
+        held = self.estimator.held_at_action
+        delay_ns, error = best_stop(problem, held, within_s)
+        if delay_ns == 0 or not self.stands:
+            return delay_ns, error
+        seconds = delay_ns / SECOND + REACTION_S
+        if self.leg.discs.enters_if_held(problem, held, seconds):
+            return best_stop(problem, held, 0.0)
+        return delay_ns, error
+
+    def _go_on(self, searched: Searched) -> Plan:
+        """Follow the plan of least value that does not collide soon. If there is none, rest, and
+        search from there.
+
+        Robots that cannot stand follow the first: there is nothing safer that they could do.
+        """
+        for plan in searched.plans:
+            if not (self.stands and self._collides_soon(searched.problem, plan.signals)):
+                return plan
+        return self._standing(searched.problem, State.RESTING, searched.plans[0].searches)
+
+    def _search_under_way(self, step: ControlStep, warm: Floats) -> Searched:
+        """Polish the plan under way; shorten it if it is good, and search longer ones if it is not.
+        Within a signal that is kept, it is followed as it is."""
+        if self._is_kept(step, warm):
+            return Searched(step.problem, [self._given(step.problem, warm)])
+        searcher = self._searcher(step)
+        signals = warm if len(warm) > 0 else np.zeros(1)  # robots that cannot stand need a plan
+        start = signals[: max(step.signals_max, 1)]
+        polished = searcher.search(len(start), start)
+        assert polished is not None  # the first search is always done
+        if self._is_good(polished):
+            searcher.shorten(math.ceil(SLACK * least_length(step.problem)), self._is_good)
+        else:
+            self._search_longer(step, searcher, start)
+        return self._searched(step, step.problem, searcher.found, by_tree=False)
+
+    def _is_kept(self, step: ControlStep, warm: Floats) -> bool:
+        """Return whether the present signal is kept to its end, as the radio lets few directions
+        through: robots follow the one that they receive for about a signal period, and not for the
+        rest of it. A plan that is longer than the time left is to be searched."""
+        is_within_signal = step.problem.first_period < step.problem.period
+        fits = len(warm) <= step.signals_max
+        return self.estimator.is_radio_sparse and is_within_signal and fits
+
+    def _search_longer(self, step: ControlStep, searcher: Searcher, start: Floats) -> None:
+        """Search the plan under way without its next signal, and longer ones, as far as these can
+        have a lower value than those found: near the end of a plan, the few signals left cannot
+        correct what has gone wrong. With one signal more it is still the plan under way."""
+        if len(start) > 1:
+            searcher.search(len(start) - 1, start[1:])
+        least = min(self._value(step, plan) for plan in self._plans(step.problem, searcher.found))
+        for length in longer(len(start), step.signals_max):
+            is_new = length > len(start) + 1
+            if step.value.plan(0.0, length, is_new) >= least:
+                return  # it could not win even if it led exactly to the targets
+            if searcher.search(length, None if is_new else resampled(start, length)) is None:
+                return  # the deadline has passed
+            newest = self._planned(step.problem, searcher.found, len(searcher.found) - 1)
+            least = min(least, self._value(step, newest))
+
+    # under way through a passage
+
+    def _thread(self, step: ControlStep, warm: Floats) -> Plan:
+        """Go on through a passage by a long plan made at rest: search only its next AHEAD signals
+        again, so that they bring robots to where the plan led them after these; keep the others.
+
+        Errors of the model in the first of some 90 signals add up until the last, and the plan
+        would lead robots into the wall; but a search of all 90 would not find the passage again.
+        Robots rest for another plan if they stray from this one, or would touch something.
+        """
+        last = self.progress.last
+        assert last is not None
+        signals_over = len(last.signals) - len(warm)
+        planned = last.path[signals_over:]  # poses before each signal left, and at the end
+        problem = ahead(step.problem, planned)
+        search = self.optimizer.search(problem, AHEAD, warm[:AHEAD], self._step_key, self._limits())
+        foreseen = compiled_foresee(problem, search.signals)
+        strays = self._strays(Poses.of(planned[AHEAD]), foreseen.target)
+        if self.stands and (strays or self._collides_soon(step.problem, search.signals)):
+            return self._standing(step.problem, State.RESTING, [search])
+        signals = np.append(search.signals, warm[AHEAD:])
+        plan = self._given(step.problem, signals, [search])
+        path = np.concatenate([foreseen.path, planned[AHEAD + 1 :]])
+        return replace(plan, state=State.PASSING, path=path)
+
+    def _strays(self, planned: Poses, miss: float) -> bool:
+        """Return whether robots that pass would miss their `planned` poses by too much.
+
+        A small miss is mended by the next steps, the more of them are left: so a fraction of what
+        robots have to go from there is added to the limit. As before a rest, the plan must have
+        been driven for a while.
+        """
+        driven_s = self.progress.driven * self.section.period
+        to_go = float(planned.distances(self.leg.targets).sum())
+        limit = MISS_MAX * self.section.accept_error + MISS_OF_WAY * to_go
+        return miss > limit and driven_s > TRUSTED_S
+
+    # at rest
+
+    def _at_rest(self, step: ControlStep) -> Plan | Outcome:
+        """Decide while no plan is under way."""
+        stay = self._stay(step)
+        if stay is not None:
+            return stay
+        finish = self._finish(step)
+        if finish is not None:
+            return finish
+        searched = self._search_at_rest(step)
+        best = searched.plans[0]
+        if not (self.stands and self._collides_soon(searched.problem, best.signals)):
+            return self._drive(searched, best)
+        turn = self._turn(searched)
+        if turn is not None:
+            return turn
+        return self._give_up(best)
+
+    def _stay(self, step: ControlStep) -> Plan | None:
+        """Stand on in a hold while all robots are within its radius; to drive nearer could lead
+        them out of it, and counts for nothing."""
+        gaps = step.problem.poses.distances(step.problem.targets)
+        if self.leg.holds and self.setup.hold and (gaps <= self.setup.hold.radius).all():
+            return self._standing(step.problem, State.RESTING)
+        return None
+
+    def _finish(self, step: ControlStep) -> Plan | Outcome | None:
+        """End the leg, or stand on in a hold, if robots stand and the error is at most the least
+        value of a new plan, the shortest if it led exactly to the targets; or if there is no time
+        for it. Without this rule, robots would try again until the limit of time.
+
+        The first step of a trial does not end it: a plan is what it is for. Nor do robots that
+        drive, as when a leg begins, stand where they are measured.
+        """
+        if self.progress.k == 0 or self.progress.moving:
+            return None
+        length = least_length(step.problem)
+        longest = max(1, step.signals_max)
+        least = step.value.plan(0.0, min(length, longest), new=True)
+        error = float(step.problem.poses.distances(step.problem.targets).sum())
+        if error > least and step.allows(length):
+            return None
+        if self.leg.holds:
+            return self._standing(step.problem, State.RESTING)
+        return Outcome.NO_BETTER_PLAN
+
+    def _turn(self, searched: Searched) -> Plan | None:
+        """Turn on the spot, as in a corner that robots face, unless all turns were in vain."""
+        apart = self.section.collision.separation
+        turning = self.progress.turning
+        facing = next_facing(searched.problem, self.leg.discs, apart, turning)
+        if facing is None:
+            return None
+        searches = searched.plans[0].searches
+        standing = self._standing(searched.problem, State.TURNING, searches)
+        return replace(standing, instead=Turn(facing))
+
+    def _give_up(self, best: Plan) -> Plan:
+        """Stand, and end the trial in the next step (`_outcome`): so the log has the best plan
+        found and what was searched."""
+        return replace(best, state=State.STUCK, instead=Stop())
+
+    def _drive(self, searched: Searched, best: Plan) -> Plan:
+        """Follow the best plan found; if a tree led to it, through a passage (`_thread`).
+
+        A plan that touches something later is driven too: it is searched again on the way.
+        """
+        if searched.by_tree and best.search.length > AHEAD:
+            return replace(best, state=State.PASSING)
+        return best
+
+    def _search_at_rest(self, step: ControlStep) -> Searched:
+        """Search plans of growing lengths until one is good. If none is, search from the plans to
+        which a tree of directions leads: through gaps, or of many robots at once.
+
+        A tree takes long, so robots must stand; and it needs the walls that bound it. Its plans may
+        take half a minute: they keep the margins of a motion that is known for certain, as it will
+        be identified by the time that it matters, and wider ones would close a gap.
+        """
+        searcher = self._searcher(step)
+        longest = max(1, step.signals_max)
+        problem = step.problem
+        reached = searcher.spread(least_length(problem), longest, self._is_good)
+        if reached or self.progress.moving or not self.section.collision.walls:
+            return self._searched(step, problem, searcher.found, by_tree=False)
+        certain = self._with_margins(problem, None)
+        starts = ways(certain, self.setup.arena, longest, self._step_key)
+        by_tree = searcher.onward(certain, starts, self._is_good)
+        return self._searched(step, certain if by_tree else problem, searcher.found, by_tree)
+
+    def _is_good(self, search: Search) -> bool:
+        """Return whether a plan found needs no better one."""
+        return search.cost <= (self.section.optimizer.good_enough or 0.0)
+
+    def _searched(
+        self, step: ControlStep, problem: Problem, searches: Sequence[Search], by_tree: bool
+    ) -> Searched:
+        """Return all plans that searches found for the problem."""
+        posed = replace(step, problem=problem)
+        plans = sorted(self._plans(problem, searches), key=lambda plan: self._value(posed, plan))
+        return Searched(problem, plans, by_tree)
+
+    # plans, their values, and what they might do to bodies
+
+    @property
+    def _step_key(self) -> int:
+        """The key of the step's random numbers."""
+        return mix(self.key, self.progress.k)
+
+    def _searcher(self, step: ControlStep) -> Searcher:
+        """Return what runs the searches of a step, whose time counts from now."""
+        return Searcher(self.optimizer, step.problem, self._step_key, self._limits())
+
+    def _limits(self) -> Limits:
+        """Return the limits of the step's searches, whose time begins now: until the deadline."""
+        seconds = self.section.deadline if self.progress.moving else SEARCH_S
+        end_ns = self.host.timer() + round(seconds * SECOND)
+        return Limits(expired=lambda _: self.host.timer() >= end_ns)
+
+    def _plans(self, problem: Problem, searches: Sequence[Search]) -> list[Plan]:
+        """Return the plans that searches found, in their order."""
+        return [self._planned(problem, searches, number) for number in range(len(searches))]
+
+    def _planned(self, problem: Problem, searches: Sequence[Search], number: int) -> Plan:
+        """Return the plan that one of the searches found."""
+        foreseen = compiled_foresee(problem, searches[number].signals)
+        return make_plan(searches, number, self._step_key, foreseen)
+
+    def _value(self, step: ControlStep, plan: Plan) -> float:
+        """Return the value of a plan.
+
+        A cost below the weight of an obstacle is the error itself, since nothing is touched.
+        """
+        error = plan.cost
+        touches = False
+        if plan.cost >= step.problem.obstacle_weight:
+            error = plan.target_cost
+            touches = plan.obstacle_cost > 0
+        return step.value.plan(error, len(plan.signals), step.is_new(plan.signals), touches)
+
+    def _given(self, problem: Problem, signals: Floats, searches: Iterable[Search] = ()) -> Plan:
+        """Return a plan of given signals (L,); the `searches` before found no better one."""
+        foreseen = compiled_foresee(problem, signals)
+        all_searches = [*searches, given_search(problem, signals, foreseen)]
+        return make_plan(all_searches, len(all_searches) - 1, self._step_key, foreseen)
+
+    def _standing(self, problem: Problem, state: State, searches: Iterable[Search] = ()) -> Plan:
+        """Return a plan by which robots stand; `searches` are those of this step, for the log. Its
+        one signal is not sent: a stop is, or a turn."""
+        plan = self._given(problem, np.zeros(1), searches)
+        return replace(plan, state=state, instead=Stop())
+
+    def _with_margins(self, problem: Problem, estimate: Estimate | None) -> Problem:
+        """Return the problem with its margins, given the estimate `estimate`, None if certain."""
+        return self.leg.margins.applied(
+            problem, self.section.period, self.estimator.dead_time_s, estimate
+        )
+
+    def _collides_soon(self, problem: Problem, signals: Floats) -> bool:
+        """Return whether a body enters something before a stop can act, which the next step may
+        send: whatever is wrong with the first of these signals (L,) is too late to mend then."""
+        seconds = self.section.period + LATE * self.estimator.dead_time_s
+        directions = np.full(len(problem.a), signals[0])
+        return self.leg.discs.enters_if_held(problem, directions, seconds)

@@ -1,0 +1,322 @@
+"""The fields of model predictive control in a spec: `pso-mpc` as published has those of
+`SearchFields`, and `mpc`, the recommended controller, all of them.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pkgutil import resolve_name
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Field, PositiveInt
+
+from tetractl.control.estimation.prior import Prior, Sticks
+from tetractl.control.methods.plain import PlainSection
+from tetractl.core.obstacles import Obstacles
+from tetractl.core.plan import Limits, Problem
+from tetractl.core.poses import Poses
+from tetractl.core.protocols import Controller
+from tetractl.core.registries import MOTIONS, OPTIMIZERS
+from tetractl.core.setup import MM, Setup
+from tetractl.model.swimmers import HELIX_HZ, HELIX_UM, REST_STRAY, REST_TURN, RESTS_S
+from tetractl.spec.base import (
+    Model,
+    NonNegative,
+    NonNegativeAngle,
+    Positive,
+    PositiveAngle,
+    defaults,
+)
+from tetractl.spec.controller import ALONE, Host, OptimizerSection
+from tetractl.spec.registry_fields import KindName, KindSection
+from tetractl.spec.yaml.problems import Loc
+
+SIGNAL_S = 0.2  # time for which a plan holds each signal: the paper's control period [s]
+_PSO = KindSection(OPTIMIZERS, OptimizerSection, default="pso")
+_MULTISTART = KindSection(OPTIMIZERS, OptimizerSection, default="multistart")
+
+
+class Collision(Model):
+    """How the planner avoids obstacles, the arena's edge, and other robots. Robots without wheels
+    do not stop by default."""
+
+    margin: NonNegative = 0.0
+    """Distance by which obstacles are grown for the planner [length unit]."""
+    walls: bool = True
+    """Whether leaving the arena counts as entering an obstacle."""
+    radius: NonNegative = 0.0
+    """Radius of a robot, by which obstacles are grown as well [length unit]; 0 for points."""
+    separation: NonNegative = Field(default_factory=lambda fields: 2 * fields.get("radius", 0.0))
+    """Least distance of the centres of two robots in the plan [length unit]; 0 for robots that may
+    meet. The distance is tested at the predicted positions. The default is two radii."""
+    adaptive: bool = True
+    """Whether the margin grows by a robot's greatest deviation from its course before the next
+    command acts, given the uncertainty of its motion. If a robot or target is within the margin,
+    the margin is reduced to its distance.
+    """
+    stop_before_collision: bool = True
+    """Whether all robots rest if the best plan found leads one into an obstacle, or if a new plan
+    from rest is worth more. From rest, robots of which no plan keeps clear turn on
+    the spot first; the trial ends if that does not help either. Robots also end at rest,
+    and drive on if their total error is then too large. Only for robots that can stand still, which
+    have `wheels`."""
+
+
+class PriorSection(Model):
+    """Prior standard deviations of the motion's values in the spec."""
+
+    a: Positive = 0.2
+    """Relative standard deviation of each robot's turning rate a."""
+    speed: Positive = 0.15
+    """Relative standard deviation of each robot's speed."""
+    dead_time: Positive = 0.1
+    """Standard deviation of the dead time [s]."""
+    heading_bias: PositiveAngle = 0.05
+    """Standard deviation of the angle between the direction sent and the direction that a robot
+    turns towards [rad]."""
+    flow: NonNegative | None = None
+    """Standard deviation of each component of the flow that carries a robot, or of its slide
+    [length unit/s]; by default a twentieth of the robots' mean speed."""
+    position_noise: NonNegative = 0.0
+    """Standard deviation of a measured position [length unit]; 0 if unknown."""
+    heading_noise: NonNegativeAngle = 0.0
+    """Standard deviation of a measured heading [rad]; 0 if unknown."""
+
+    helix: NonNegative | None = None
+    """Radius of the helix on which a cell swims [length unit]; by default 8 um, as *T. pyriformis*
+    has it, and 0 for robots on wheels."""
+
+    marker_bias: ClassVar[float] = 0.05
+    """Standard deviation of the angle between the measured heading and the course [rad]."""
+    side: ClassVar[float] = 0.1
+    """Standard deviation of k of robots that turn by a exp(k) to the left, a exp(-k) to the
+    right."""
+
+    def rests(self, setup: Setup) -> bool:
+        """Return whether cells are to be expected to rest: a stray can be distinguished from the
+        noise only if that is known."""
+        is_noise_known = self.position_noise > 0 and self.heading_noise > 0
+        return not setup.on_wheels and is_noise_known
+
+    def of(self, problem: Problem, dead_time: float, setup: Setup) -> Prior:
+        """Return the prior of a problem's robots; those without wheels are taken for cells."""
+        is_cell = not setup.on_wheels
+        mean_speed = float(problem.speed.mean())
+        x, y, heading = setup.sight.spread
+        mm = MM / setup.metres
+        helix_of_cell = HELIX_UM[0] * 1e-6 / setup.metres
+        helix_by_default = helix_of_cell if is_cell else 0.0
+        return Prior(
+            a=problem.a,
+            speed=problem.speed,
+            dead_time=dead_time,
+            a_std=self.a,
+            speed_std=self.speed,
+            dead_time_std=self.dead_time,
+            heading_bias_std=self.heading_bias,
+            marker_bias_std=self.marker_bias,
+            flow_std=0.05 * mean_speed if self.flow is None else self.flow,
+            position_noise=self.position_noise,
+            heading_noise=self.heading_noise,
+            helix_frequency=HELIX_HZ[0],
+            helix_radius=helix_by_default if self.helix is None else self.helix,
+            lag=setup.lag_s,
+            watchdog=setup.watchdog_s,
+            side_std=0.0 if is_cell else self.side,
+            sticks=Sticks(*RESTS_S, REST_STRAY * mean_speed, REST_TURN)
+            if self.rests(setup)
+            else Sticks(),
+            spread=(x * mm, y * mm, heading),
+            coarse=setup.sight.coarse,
+        )
+
+
+class SearchFields(PlainSection):
+    """The fields that `pso-mpc` and `mpc` share, with the paper's defaults."""
+
+    controller: ClassVar[str]
+    """The controller as "module:class", called with (section, setup, key, host)."""
+
+    motion: Annotated[str, KindName(MOTIONS)] = "euler"
+    """Predicted motion, by equations of the paper: `euler` is (4)-(6); `arc` holds the wheel speeds
+    of (24)-(25) over a period; `exact` is the closed form of (1)-(3) under a held direction."""
+    horizon_max: int = Field(default=51, ge=1, le=2000)
+    """Longest sequence tried, in signals; by `pso-mpc` at step 0, as its later ones are never
+    longer. A sequence of `length` signals is the paper's horizon h = length - 1."""
+    obstacle_weight: NonNegative = 1000.0
+    """Weight omega_p of the obstacle potential in the paper's equation (7) [length unit]."""
+    optimizer: Annotated[OptimizerSection, _PSO] = Field(default_factory=_PSO.make)
+    """The optimiser of each search."""
+
+    @property
+    def iterations_max(self) -> int:
+        """Largest number of iterations of one search."""
+        return self.optimizer.iterations_max
+
+    def bounds(self) -> dict[str, str]:
+        """Return the limits of horizons and evaluations as texts to display, {name: text}."""
+        texts = {"horizons at step 0": f"1 ... {self.horizon_max} signals"}
+        if most := self.optimizer.evaluations_max:
+            texts["cost evaluations of a horizon"] = f"at most {most}"
+        return texts
+
+    def numbers_held(self, setup: Setup) -> int:
+        """Return the number of floats that the longest search stores: positions, velocities, bests
+        and poses of particles, and the Jacobian of a polish.
+        """
+        robots = len(setup.names)
+        length = self.horizon_max
+        swarm = 4 * self.optimizer.evaluations_min * (length + robots)
+        residuals = robots * (2 + robots // 2 + len(setup.obstacles))
+        return swarm + residuals * length
+
+    def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:
+        """Return the problem with the robots at `poses`, or at their starts; obstacles are tested
+        at the predicted samples, as in the paper's equation (13)."""
+        problem = replace(
+            super().problem(setup), motion=self.motion, obstacle_weight=self.obstacle_weight
+        )
+        return problem if poses is None else replace(problem, poses=poses)
+
+    def warm_up(self, setup: Setup) -> None:
+        """Call the planner's functions once so that they are compiled: search for one signal,
+        predict the robots' paths under it, and follow robots in a few frames."""
+        from tetractl.control.search.evaluate import compiled_foresee
+
+        problem = self.problem(setup)
+        search = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
+        compiled_foresee(problem, search.signals)
+        super().warm_up(setup)
+
+    def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
+        """Return the controller of one trial."""
+        return resolve_name(self.controller)(self, setup, key, host)
+
+
+class PsoMpc(SearchFields):
+    """Algorithm 2 as published: the Euler model, particle swarms, obstacles tested at the predicted
+    samples, 5 Hz, and no extensions. Every default is the paper's."""
+
+    type: Literal["pso-mpc"] = "pso-mpc"
+    steps_max: int = Field(default=100, ge=1, le=1_000_000)
+    """The last control step k_max; a trial has one more, k = 0 to k_max."""
+
+    controller: ClassVar[str] = "tetractl.control.methods.algorithm2:Algorithm2"
+
+    def fitted(self, stands: bool, speed: float) -> Self:
+        """Return the section with a time limit that no trial of `steps_max` steps exceeds."""
+        if "time_limit" in self.model_fields_set:
+            return self
+        return self.model_copy(update={"time_limit": (self.steps_max + 1) * self.period})
+
+    def bounds(self) -> dict[str, str]:
+        """Return the limits of steps, horizons and evaluations as texts to display."""
+        return {"control steps of a trial": f"at most {self.steps_max + 1}"} | super().bounds()
+
+
+@defaults(period=0.05, motion="exact")
+class RecommendedMpc(SearchFields):
+    """The recommended controller: Algorithm 2 with the exact motion under a held direction, many
+    polished starts in place of a particle swarm, identification while robots drive, paths that keep
+    clear, and one value that decides between a plan, a longer way and a stop. Every default
+    is what we recommend for robots on wheels."""
+
+    type: Literal["mpc"] = "mpc"
+    signal_periods: PositiveInt = Field(
+        default_factory=lambda fields: max(1, round(SIGNAL_S / fields.get("period", SIGNAL_S)))
+    )
+    """Number of control periods for which a plan holds each signal. The plan's time grid is so many
+    times coarser than the control's, and a signal can still be changed at each control step. The
+    default is as many as last about 0.2 s."""
+    deadline: Positive = Field(default_factory=lambda fields: 0.8 * fields.get("period", SIGNAL_S))
+    """Time after which the searches of a control step end and the best sequence so far is used [s];
+    for standing robots it is 1 s. The default is 80 % of the control period. In virtual time the
+    searches' work is counted, so that a simulation depends only on its seed."""
+    estimate: bool = True
+    """Whether turning rate a, speed and heading bias of each robot, and their common dead time, are
+    identified while they drive, starting from the spec's values.
+    """
+    prior: PriorSection = PriorSection()
+    """The prior uncertainty of the identified values."""
+    accept_error: Positive = Field(default=1.0)
+    """Total error to accept [length unit]. It is the scale of the value by which the controller
+    decides between a stop and a longer way: a second costs 2 % of it. A smaller value
+    makes trials longer. The default is 0.45 of the path that all robots together drive in a control
+    period."""
+    collision: Collision = Collision()
+    """How the planner avoids obstacles, the arena's edge, and other robots. Robots without wheels
+    do not pause by default."""
+    optimizer: Annotated[OptimizerSection, _MULTISTART] = Field(default_factory=_MULTISTART.make)
+    """The optimiser of each search."""
+
+    tours: ClassVar[bool] = True
+    controller: ClassVar[str] = "tetractl.control.methods.mpc:Mpc"
+
+    @property
+    def body_radius(self) -> float:
+        """Radius of every robot's body [length unit], 0 if the spec gives none."""
+        return self.collision.radius
+
+    def fitted(self, stands: bool, speed: float) -> Self:
+        """Return the section with the defaults for robots of the given summed speed."""
+        fitting: dict[str, Any] = {}
+        if "accept_error" not in self.model_fields_set:
+            fitting["accept_error"] = float(f"{0.45 * self.period * speed:.2g}")
+        if not stands and "stop_before_collision" not in self.collision.model_fields_set:
+            off = {"stop_before_collision": False}
+            fitting["collision"] = self.collision.model_copy(update=off)
+        return self.model_copy(update=fitting)
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield an error if robots that cannot stand still are to pause."""
+        if self.collision.stop_before_collision and not setup.on_wheels:
+            message = "is only for robots that can stand still, which have wheels"
+            yield ("collision", "stop_before_collision"), message
+
+    def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:
+        """Return the problem with the robots at `poses`, or at their starts."""
+        collision = self.collision
+        walls = setup.arena if self.collision.walls else None
+        margin = collision.margin + collision.radius
+        return replace(
+            super().problem(setup, poses),
+            period=self.signal_periods * self.period,
+            first_period=self.signal_periods * self.period,
+            obstacles=Obstacles.of(setup.obstacles, margin, walls),
+            swept=True,
+            separation=collision.separation,
+        )
+
+    def known(self, setup: Setup) -> Prior:
+        """Return what is assumed of the robots' motion, without uncertainty unless `estimate`."""
+        if not self.estimate:
+            return super().known(setup)
+        return self.prior.of(self.problem(setup), self.dead_time, setup)
+
+    def patience_s(self, setup: Setup) -> float:
+        """Return the time in which the price of an attempt doubles [s]. Cells that rest may begin
+        again and again until the time is over: for them it is at most half the time limit."""
+        from tetractl.control.methods.value import (
+            PATIENCE_S,  # late: reading a spec needs no controller
+        )
+
+        return min(PATIENCE_S, self.time_limit / 2) if self.prior.rests(setup) else PATIENCE_S
+
+    def warm_up(self, setup: Setup) -> None:
+        """Call the functions of the planner, of the margins and of the tree once, so that they are
+        compiled, and what they import is loaded: loading it in a run kept frames waiting."""
+        from tetractl.control.methods.passage import ways
+        from tetractl.control.search.discs import Discs
+        from tetractl.control.search.evaluate import compiled_branches, compiled_drive
+        from tetractl.control.search.margins import Margins
+
+        super().warm_up(setup)
+        problem = self.problem(setup)
+        none = np.zeros(1)
+        path = compiled_drive(problem, np.zeros(len(problem.a)), none)
+        compiled_branches(problem, path, none, none, 0.0)
+        if self.collision.walls:  # else no tree is searched, and its library is slow to load
+            next(ways(problem, setup.arena, 0, 0), None)
+        Discs(self.collision.radius, setup.obstacles, setup.arena).enters(path)
+        margins = Margins(self.collision, setup.obstacles, setup.arena, setup.targets)
+        margins.grown(problem.poses, 0.0)

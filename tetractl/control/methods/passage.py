@@ -1,0 +1,245 @@
+"""Ways for many robots, or through passages that are too narrow for all robots abreast.
+
+A common direction moves all robots nearly alike, so that robots pass a gap one after the other, and
+hardly any random sequence of directions leads many robots, or several through a gap, to targets far
+apart. `ways` finds sequences that do, for an optimiser to begin with.
+
+It grows a `Tree`. A *node* is where all robots are after some signals; a *branch* grows from it by
+one direction, held for HELD_S, and its end may be a node of the next *level*. For each level
+
+    _grid_ways      say how far each robot still has to go, round the obstacles, to its target
+    _best_branches  keeps the branches with the least sum of squares of these ways (beam search;
+                    Lowerre, The HARPY speech recognition system, 1976), if bodies keep clear
+
+and the signals to nodes at which all robots are near their targets are yielded, or at last those to
+the nearest one. Nothing depends on a clock: the number of nodes bounds the time.
+
+Such a plan is long, and small errors of the model at its beginning are large at its end. Robots
+that follow it therefore search only the next AHEAD signals again, with the places where the plan
+leads them as targets.
+
+Shapes: N robots, T moments along a branch, B branches of a level, C cells of the arena, O obstacles
+and walls. Lengths are in the spec's length unit.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from tetractl.control.search.discs import gaps
+from tetractl.control.search.evaluate import compiled_branches
+from tetractl.control.search.rng import uniform
+from tetractl.core import elementwise
+from tetractl.core.plan import Problem
+from tetractl.core.poses import Bools, Floats, Integers, wrap
+from tetractl.core.setup import Bounds
+
+BRANCHES = 16
+"""Directions tried at each node."""
+PARTS = 2
+"""Number of moments of a signal at which robots must keep clear."""
+CELLS_ACROSS = 90
+"""Number of cells along the longer side of the arena, for ways round obstacles."""
+HELD_S = 0.4
+"""Time for which a branch is held [s]."""
+NODES_KEPT = 400
+"""Number of nodes kept of each level, times that of the robots."""
+NODES_COMPUTED = 4
+"""Of so many times that number, the best, the bodies' distances are computed."""
+WAYS_LEFT = 2.3
+"""Sum of the ways left from which an optimiser begins, in units of the sum of all v / a."""
+STARTS_OF_LEVEL = 6
+"""Number of nodes of a level from which an optimiser begins."""
+STARTS_IN_ALL = 100
+"""Number of nodes from which an optimiser begins, after which the search ends."""
+AHEAD = 20
+"""Number of signals that are searched again."""
+MISS_MAX = 4.0
+"""Miss after them with which robots rest for a new plan, in units of `accept_error`."""
+MISS_OF_WAY = 0.05
+"""Fraction of what they have to go then that is added to this miss."""
+TRUSTED_S = 1.0
+"""Least time that a plan is driven before [s]."""
+
+
+class Nodes(NamedTuple):
+    """K nodes of one level, or branches that may become the next one."""
+
+    parents: Integers
+    """(K,) numbers of the nodes of the level before from which they grew."""
+    directions: Floats
+    """(K,) directions of the branches to them [rad]."""
+    poses: Floats
+    """(K, N, 3) where robots are."""
+
+    def part(self, chosen: Integers) -> Self:
+        """Return some of the nodes."""
+        return self._make(column[chosen] for column in self)
+
+
+class Tree:
+    """A tree of directions, of which the nodes of the last level can grow branches.
+
+    A node is where robots are, poses (N, 3), after the signals that lead to it. A branch is one
+    direction, held for `held` signals. `key` seeds the first of the directions of each level.
+    """
+
+    def __init__(self, problem: Problem, key: int, held: int) -> None:
+        self.levels: list[Nodes] = []
+        self._problem = problem
+        self._key = key
+        self._held = held
+        root = problem.poses.array()[None]
+        self._grown = Nodes(np.zeros(1, dtype=np.int64), np.zeros(1), root)
+        """What may become the nodes of the next level: the root, or the branches grown last."""
+
+    def grow(self) -> Floats:
+        """Grow BRANCHES of them from each node of the last level; return the poses
+        (PARTS held, B, N, 3) along them."""
+        first = uniform(self._key, len(self.levels), 1)
+        all_round = wrap(2 * np.pi / BRANCHES * (np.arange(BRANCHES) + first))
+        nodes = self.levels[-1] if self.levels else self._grown
+        parents = np.arange(len(nodes.poses)).repeat(BRANCHES)
+        directions = np.tile(all_round, len(nodes.poses))
+        turns = np.zeros(PARTS * self._held)
+        part = self._problem.period / PARTS
+        starts = nodes.poses[parents]
+        path = compiled_branches(self._problem, starts, directions, turns, part)[1:]
+        self._grown = Nodes(parents, directions, path[-1])
+        return path
+
+    def keep(self, branches: Integers) -> None:
+        """Make the ends of branches the nodes of the next level."""
+        self.levels.append(self._grown.part(branches))
+
+    def sequence(self, node: int, levels: int | None = None) -> Floats:
+        """Return the signals (L,) that lead to a node of the last of so many levels, or of all."""
+        directions = []
+        for level in reversed(self.levels[:levels]):
+            directions.append(level.directions[node])
+            node = int(level.parents[node])
+        return np.repeat(directions[::-1], self._held)
+
+
+class Squares:
+    """The square cells of an arena, as rows and columns, numbered row by row."""
+
+    def __init__(self, arena: Bounds) -> None:
+        self.side = max(arena.width, arena.height) / CELLS_ACROSS
+        self._low = np.array([arena.left, arena.bottom], dtype=np.float64)
+        columns = max(1, round(arena.width / self.side))
+        rows = max(1, round(arena.height / self.side))
+        self.shape = rows, columns
+        columns_and_rows = np.indices(self.shape)[::-1].reshape(2, -1).T  # (C, 2)
+        self.centres: Floats = self._low + (columns_and_rows + 0.5) * self.side
+        """(C, 2)"""
+
+    def cells(self, xy: Floats) -> Integers:
+        """Return the numbers (...) of the cells that contain points (..., 2), or are nearest."""
+        rows, columns = self.shape
+        last = np.array([columns - 1, rows - 1])
+        column_and_row = np.clip(((xy - self._low) / self.side).astype(np.int64), 0, last)
+        return column_and_row[..., 1] * columns + column_and_row[..., 0]
+
+    def ways(self, free: Bools, targets: Floats) -> Floats:
+        """Return the lengths (N C,) of ways through free cells (C,) from each to each of the
+        targets (N, 2), inf if there is none; they lead from a cell to one of its eight
+        neighbours."""
+        from scipy.sparse import coo_array
+        from scipy.sparse.csgraph import dijkstra  # slow to import, and seldom needed
+
+        free[self.cells(targets)] = True
+        numbers = np.arange(len(free)).reshape(self.shape)
+        neighbours = (
+            (numbers[:, 1:], numbers[:, :-1]),  # in a row
+            (numbers[1:], numbers[:-1]),  # in a column
+            (numbers[1:, 1:], numbers[:-1, :-1]),  # along a diagonal
+            (numbers[1:, :-1], numbers[:-1, 1:]),  # along the other
+        )
+        starts = np.concatenate([cells.ravel() for cells, _ in neighbours])
+        ends = np.concatenate([cells.ravel() for _, cells in neighbours])
+        passable = free[starts] & free[ends]
+        starts = starts[passable]
+        ends = ends[passable]
+        length = elementwise.hypot(*(self.centres[starts] - self.centres[ends]).T)
+        cells = len(free)
+        graph = coo_array((length, (starts, ends)), shape=(cells, cells)).tocsr()
+        return dijkstra(graph, directed=False, indices=self.cells(targets)).ravel()
+
+
+def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Floats]:
+    """Yield up to STARTS_IN_ALL sequences of up to `most` signals that lead all robots near their
+    targets, about the shortest first, and at last the one that leads nearest. `key` seeds the first
+    direction of each level."""
+    count = len(problem.a)
+    held = max(1, round(HELD_S / problem.period))
+    nodes_max = max(1, NODES_KEPT // count)
+    near = WAYS_LEFT * float((problem.speed / problem.a).sum())
+    grid = Squares(arena)
+    grid_ways = _grid_ways(problem, grid)
+    first_cells = np.arange(count) * len(grid.centres)  # of each robot in these
+    tree = Tree(problem, key, held)
+    yielded = 0
+    least_left = np.inf
+    nearest_level = 0
+    for level in range(most // held):
+        path = tree.grow()
+        ways_left = grid_ways[grid.cells(path[..., :2]) + first_cells]  # (T, B, N)
+        branches = _best_branches(problem, path, ways_left, nodes_max)
+        if len(branches) == 0:
+            break
+        tree.keep(branches)
+        way_left = ways_left[-1, branches].sum(axis=1)  # of all robots together, at each node
+        if way_left[0] < least_left:
+            least_left = float(way_left[0])
+            nearest_level = level
+        number_near = int((way_left[:STARTS_OF_LEVEL] < near).sum())
+        for node in range(min(number_near, STARTS_IN_ALL - yielded)):
+            yield tree.sequence(node)
+            yielded += 1
+        if yielded == STARTS_IN_ALL:
+            return
+    if tree.levels and yielded == 0:
+        yield tree.sequence(0, nearest_level + 1)
+
+
+def _grid_ways(problem: Problem, grid: Squares) -> Floats:
+    """Return the lengths of each robot's ways from each cell to its target (N C,), through cells
+    whose centres are free, or inside an obstacle by less than half a cell."""
+    x = grid.centres[:, 0].copy()
+    y = grid.centres[:, 1].copy()
+    free = gaps(problem.obstacles, x, y).min(axis=0, initial=np.inf) > -grid.side / 2
+    return grid.ways(free, problem.targets)
+
+
+def _best_branches(problem: Problem, path: Floats, ways_left: Floats, nodes_max: int) -> Integers:
+    """Return the branches grown last, with poses path (T, B, N, 3), whose ends become nodes: up to
+    `nodes_max`, the best first. Clearances take time, so only those of the best are computed.
+    """
+    squares = np.square(ways_left[-1]).sum(axis=1)
+    order = np.argsort(squares, kind="stable")
+    reaches = np.isfinite(ways_left.sum(axis=(0, 2)))  # no robot is cut off from its target
+    best = order[reaches[order]][: NODES_COMPUTED * nodes_max]
+    clear = _keep_clear(problem, path[:, best, :, :2])
+    return best[clear][:nodes_max]
+
+
+def _keep_clear(problem: Problem, xy: Floats) -> Bools:
+    """Return along which branches robots at xy (T, B, N, 2) keep their distances to each other and
+    to obstacles (B,)."""
+    x = xy[..., 0].copy()
+    y = xy[..., 1].copy()
+    i, k = np.triu_indices(xy.shape[2], 1)  # the pairs of robots
+    between = elementwise.hypot(x[..., i] - x[..., k], y[..., i] - y[..., k])
+    apart = (between > problem.separation).all(axis=-1)  # (T, B)
+    to_obstacles = gaps(problem.obstacles, x.ravel(), y.ravel())
+    outside = (to_obstacles > 0).all(axis=0)
+    outside_all = outside.reshape(x.shape).all(axis=-1)
+    return np.asarray((apart & outside_all).all(axis=0))
+
+
+def ahead(problem: Problem, way: Floats) -> Problem:
+    """Return the problem whose targets are where a way (M, N, 3) leads after AHEAD signals."""
+    return replace(problem, targets=np.ascontiguousarray(way[AHEAD, :, :2]))

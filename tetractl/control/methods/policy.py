@@ -1,0 +1,156 @@
+"""A controller that asks a learnt policy: a small network, whose weights are in the spec.
+
+The input of the network is what `features` makes of an observation: for N robots 4 N + 2 numbers,
+
+    gaps to the targets / the arena's longer side   x_1, y_1, ..., x_N, y_N
+    headings                                        cos theta_1, sin theta_1, ..., cos theta_N, ...
+    last direction sent                             cos u, sin u; 0, 0 before the first
+
+Each layer is y = W x + b; between layers stands the `activation`, behind the last one none. The two
+outputs are clipped to [-1, 1], as learners clip an action to its range, and point in the direction
+that is sent: u = atan2(y_2, y_1). No random numbers are drawn, so that `verify` decides each step
+again, to the bit on one computer.
+
+Nothing of the truth goes in: poses are those that the camera measured, of a robot that is not
+tracked the last ones.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.control.methods.fixed_sequence import given_plan
+from tetractl.control.methods.plain import PlainController, PlainSection
+from tetractl.core import elementwise
+from tetractl.core.commands import Command
+from tetractl.core.elementary import atan2, cos, sin
+from tetractl.core.errors import ControlError
+from tetractl.core.plan import Decision, Plan, Problem
+from tetractl.core.poses import Floats, Observation
+from tetractl.core.setup import Setup
+from tetractl.spec.controller import ALONE, Host
+from tetractl.spec.policy_weights import Layer
+from tetractl.spec.yaml.problems import Loc
+
+OUTPUTS = 2
+"""The components of the direction, along x and y."""
+
+
+def features_of(robots: int) -> int:
+    """Return how many numbers `features` returns for a number of robots."""
+    return 4 * robots + 2
+
+
+def features(setup: Setup, observation: Observation, last_direction: float | None) -> Floats:
+    """Return what a policy sees (4 N + 2,): the module's docstring has the order.
+
+    `last_direction` is the direction sent before [rad], None if there was none.
+    """
+    side = max(setup.arena.width, setup.arena.height)
+    gaps = (setup.targets - observation.poses.xy) / side
+    heading = observation.poses.heading
+    headings = np.stack([elementwise.cos(heading), elementwise.sin(heading)], axis=1)
+    sent = [0.0, 0.0]
+    if last_direction is not None:
+        sent = [cos(last_direction), sin(last_direction)]
+    return np.concatenate([gaps.ravel(), headings.ravel(), sent])
+
+
+ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {
+    "tanh": elementwise.tanh,
+    "relu": lambda values: np.maximum(values, 0.0),
+}
+"""What may stand between two layers, by its name in a spec."""
+
+
+class PolicySection(PlainSection):
+    """A learnt policy: a network, whose weights are in a file that the log keeps."""
+
+    type: Literal["policy"]
+    weights: str | None = Field(default=None, max_length=1000)
+    """A file of weights, JSON: {"layers": [{"weights": W, "bias": b}, ...]}, W as a list of rows.
+    The log keeps the file, and a resolved spec has its numbers as `layers`."""
+    layers: Annotated[tuple[Layer, ...], Field(max_length=10)] = ()
+    """The layers of the network, as tetractl writes them for `weights`."""
+    activation: Literal["tanh", "relu"] = "tanh"
+    """What stands between two layers."""
+
+    def bounds(self) -> dict[str, str]:
+        """Return the size of the network, for display: {name: text}."""
+        widths = [layer.inputs for layer in self.layers]
+        return {"network": " to ".join(map(str, [*widths, OUTPUTS]))}
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield an error for each layer that does not fit the layer before it, the robots or the
+        direction."""
+        if not self.layers:
+            yield (), "needs weights: a JSON file"
+            return
+        expected = features_of(len(setup.names))
+        for number, layer in enumerate(self.layers):
+            if layer.inputs != expected:
+                before = "the layer before gives" if number else "the spec's robots need"
+                message = f"has {layer.inputs} inputs, but {before} {expected}"
+                yield ("layers", number), message
+            expected = layer.outputs
+        if expected != OUTPUTS:
+            message = f"has {expected} outputs, but a direction has {OUTPUTS} components"
+            yield ("layers", len(self.layers) - 1), message
+
+    def build(self, setup: Setup, key: int, host: Host = ALONE) -> "PolicyController":
+        """Return the controller of one trial."""
+        return PolicyController(self, setup, key)
+
+
+class PolicyController(PlainController):
+    """The controller of one trial. No random numbers are drawn; `key` is only used for the log."""
+
+    def __init__(self, section: PolicySection, setup: Setup, key: int) -> None:
+        super().__init__(section, setup, key)
+        self._setup = setup
+        self._layers = [layer.arrays() for layer in section.layers]
+        self._activation = ACTIVATIONS[section.activation]
+        self._last_direction: float | None = None
+
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Decision:
+        """Take the direction that was sent; decide what the robots do, or end the trial."""
+        if last_command is not None and last_command.direction is not None:
+            self._last_direction = last_command.direction
+        return super().plan(observation, last_command, earlier)
+
+    def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan:
+        """Return the plan of one direction, the policy's."""
+        outputs = forward(
+            self._layers,
+            self._activation,
+            features(self._setup, observation, self._last_direction),
+        )
+        if not np.isfinite(outputs).all():
+            raise ControlError(
+                "the policy's outputs are not finite numbers",
+                "its weights are too large, or a pose is no number",
+            )
+        along_x, along_y = np.clip(outputs, -1.0, 1.0)
+        direction = atan2(along_y, along_x)
+        return given_plan(problem, np.array([direction]), step_key)
+
+
+def forward(
+    layers: Sequence[tuple[Floats, Floats]], activation: Callable[[Floats], Floats], inputs: Floats
+) -> Floats:
+    """Return the network's outputs for `inputs`; each layer is its W (outputs, inputs) and its b
+    (outputs,)."""
+    values = inputs
+    with np.errstate(over="ignore", invalid="ignore"):  # who asks looks at the outputs
+        for number, (weights, bias) in enumerate(layers):
+            if number > 0:
+                values = activation(values)
+            values = np.einsum("oi,i->o", weights, values) + bias
+    return values

@@ -1,0 +1,172 @@
+"""A rapidly-exploring random tree with feedback, for one robot: a path, and steering along it.
+
+The paper names this method (section I, after Kim et al., 2011) as an earlier way to steer one cell
+round obstacles: a tree finds a path, and feedback points the field at the path's next corner. The
+tree grows in the plane: a random point of the arena, or sometimes the target, is drawn, and an edge
+is added from the nearest node towards it unless the edge would touch an obstacle. The length of an
+edge, and the distance from which a corner counts as passed, are in units of v/a, the radius of the
+tightest bend that a robot can drive.
+
+Source of the tree: LaValle, "Rapidly-exploring random trees: a new tool for path planning" (1998).
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from tetractl.control.methods.fixed_sequence import best_stop, given_plan
+from tetractl.control.methods.plain import PlainController, PlainSection
+from tetractl.control.search.cost import foresee
+from tetractl.control.search.rng import uniform
+from tetractl.core import elementwise
+from tetractl.core.obstacles import Obstacles
+from tetractl.core.plan import Decision, End, Outcome, Problem
+from tetractl.core.poses import Floats, Observation
+from tetractl.core.setup import Bounds, Setup
+from tetractl.spec.base import NonNegative, Positive
+from tetractl.spec.controller import ALONE, Host
+from tetractl.spec.yaml.problems import Loc
+
+
+class RrtSection(PlainSection):
+    """A rapidly-exploring random tree with feedback, for one robot: the field points at the next
+    corner of a path that keeps clear of obstacles and walls."""
+
+    type: Literal["rrt"]
+    edge: Positive = 8.0
+    """Length of an edge of the tree, in units of the robot's v/a (speed over turning rate)."""
+    reach: Positive = 2.5
+    """Distance from which a corner of the path counts as passed, in units of the robot's v/a; at
+    least the distance driven in a control period."""
+    margin: NonNegative = 0.0
+    """Obstacles and walls are grown by this much for the tree [length unit]."""
+
+    goal_bias: ClassVar[float] = 0.1
+    """Fraction of the draws that give the target instead of a random point."""
+    draws: ClassVar[int] = 5000
+    """Largest number of points drawn to grow one tree. If the tree does not reach the target, the
+    robot drives straight to it."""
+    ahead: ClassVar[float] = 0.7
+    """A robot heads for a target if the cosine of the angle to it is at least this."""
+
+    def bounds(self) -> dict[str, str]:
+        """Return the largest size of a tree, for display: {name: text}."""
+        return {"nodes of a tree": f"at most {self.draws}"}
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield an error if there are several robots, or if the robot cannot move."""
+        if len(setup.names) > 1:
+            message = f"steers one robot, but there are {len(setup.names)}; use mpc for several"
+            yield ("type",), message
+        if not setup.speed.all():
+            yield ("type",), "needs a robot that moves, but the robot's speed is 0"
+
+    def problem(self, setup: Setup) -> Problem:
+        """Return the problem used to compute the logged cost, for the robot at its start."""
+        obstacles = Obstacles.of(setup.obstacles, self.margin, setup.arena)
+        return replace(super().problem(setup), obstacles=obstacles, swept=True)
+
+    def build(self, setup: Setup, key: int, host: Host = ALONE) -> "Rrt":
+        """Return the controller of one trial."""
+        return Rrt(self, setup, key)
+
+
+class Rrt(PlainController):
+    """The controller of one trial; `key` seeds all its random numbers."""
+
+    def __init__(self, section: RrtSection, setup: Setup, key: int) -> None:
+        super().__init__(section, setup, key)
+        self.section = section
+        radius = float(setup.speed[0] / setup.a[0])
+        self._edge = section.edge * radius
+        self._reach = max(section.reach * radius, float(setup.speed[0]) * section.period)
+        self._arena = setup.arena
+        self._path = setup.targets  # corners still to be passed (M, 2), the target last
+
+    def decided(self, problem: Problem, observation: Observation, step_key: int) -> Decision:
+        """Point the field at the next corner of the path, or end the trial."""
+        signals = np.array([self._towards(problem, step_key)])
+        ended = self._passing(problem, signals, float(problem.poses.distances(problem.targets)[0]))
+        return ended or given_plan(problem, signals, step_key)
+
+    def _towards(self, problem: Problem, key: int) -> float:
+        """Return the direction of the next corner [rad]; a blocked path is replaced by a new one.
+
+        No path can begin inside an obstacle grown by the margin, so a robot inside keeps its path.
+        A robot too near to its target to turn towards it would circle it for ever; it drives
+        straight on until it is far enough away.
+        """
+        place = problem.poses.xy[0]
+        region = problem.obstacles
+        while len(self._path) > 1 and elementwise.hypot(*(self._path[0] - place)) <= self._reach:
+            self._path = self._path[1:]
+        blocked = bool(region.cross(place[0], place[1], self._path[0, 0], self._path[0, 1]))
+        if blocked and not region.contain(place[0], place[1]):
+            target = problem.targets[0]
+            draws = uniform(key, 0, 3 * self.section.draws).reshape(-1, 3)
+            path = grow(region, self._arena, place, target, self._edge, draws)
+            self._path = target[None] if path is None else path
+        corner = self._path[0] - place
+        u = float(elementwise.atan2(corner[1], corner[0]))
+        heading = float(problem.poses.heading[0])
+        beside = len(self._path) == 1 and elementwise.hypot(*corner) <= self._reach
+        return heading if beside and elementwise.cos(u - heading) < self.section.ahead else u
+
+    def _passing(self, problem: Problem, signals: Floats, gap: float) -> Outcome | End | None:
+        """Return the end of the trial for the moment when the robot passes its target, None if that
+        does not happen in this step.
+        """
+        off = signals[0] - problem.poses.heading[0]
+        if len(self._path) > 1 or gap > self._reach or elementwise.cos(off) < self.section.ahead:
+            return None
+        delay_ns, error = best_stop(problem, self.estimator.held_at_action, self.section.period)
+        if error > foresee(problem, signals).target:
+            return None
+        done = Outcome.NO_BETTER_PLAN
+        return End(done, delay_ns) if delay_ns else done
+
+
+def grow(
+    region: Obstacles,
+    arena: Bounds,
+    start: Floats,
+    target: Floats,
+    edge: float,
+    draws: Floats,
+) -> Floats | None:
+    """Grow a tree from `start` (2,); return the corners (M, 2) of a path to `target` (2,) or None.
+
+    Each row of `draws` (D, 3) holds numbers uniform in [0, 1) for one draw: the choice of the
+    target, and a point of the arena. `edge` is in the
+    length unit.
+    """
+    nodes = np.empty((len(draws) + 1, 2))
+    before = np.zeros(len(draws) + 1, dtype=np.int64)
+    nodes[0] = start
+    count = 1
+    low = np.array([arena.left, arena.bottom])
+    size = np.array([arena.width, arena.height])
+    for share, *place in draws.tolist():
+        point = target if share < RrtSection.goal_bias else low + size * place
+        ways = point - nodes[:count]
+        far = elementwise.hypot(ways[:, 0], ways[:, 1])
+        nearest = int(np.argmin(far))
+        root = nodes[nearest]
+        long = float(far[nearest])
+        node = point if long <= edge else root + ways[nearest] * (edge / long)
+        if long == 0 or region.cross(root[0], root[1], node[0], node[1]):
+            continue
+        nodes[count] = node
+        before[count] = nearest
+        count += 1
+        distance = float(elementwise.hypot(*(target - node)))
+        if distance <= edge and not region.cross(node[0], node[1], target[0], target[1]):
+            path = [target]
+            i = count - 1
+            while i > 0:
+                path.append(nodes[i])
+                i = int(before[i])
+            return np.array(path[::-1])
+    return None

@@ -1,0 +1,82 @@
+"""Compiled functions for optimisers: J of many sequences at once, and the path of one sequence."""
+
+import math
+from collections.abc import Callable
+from threading import get_ident
+
+import numpy as np
+
+from tetractl.control.search.cost import Foreseen, require_finite
+from tetractl.core import elementwise
+from tetractl.core.plan import Problem
+from tetractl.core.poses import Floats
+
+
+def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
+    """Return a function that maps `count` sequences, (L, count), to their costs J, (count,).
+
+    It agrees with `tetractl.control.search.cost.evaluate` to 1e-9, and raises ControlError if a
+    cost is not finite.
+    """
+    from tetractl.control.search.kernels.motion import flatten
+    from tetractl.control.search.kernels.rollout import costs, rollouts_of
+
+    flat = flatten(problem)
+    rollouts = rollouts_of(get_ident(), len(problem.a), count)
+
+    def evaluate(signals: Floats) -> Floats:
+        total = np.empty(count)
+        costs(flat, rollouts, np.ascontiguousarray(signals), total)
+        require_finite(total)
+        return total
+
+    return evaluate
+
+
+def compiled_branches(
+    problem: Problem, start: Floats, towards: Floats, turns: Floats, seconds: float
+) -> Floats:
+    """Return the poses (L + 1, B, N, 3) of B copies of the robots, from start (B, N, 3).
+
+    Copy b is steered towards towards[b] + turns[j] [rad], each for `seconds`; turns (L,).
+    """
+    from tetractl.control.search.kernels.motion import flatten
+    from tetractl.control.search.kernels.prediction import predict
+
+    copies = len(towards)
+    robots = len(problem.a)
+    flat = flatten(problem)
+    bias = np.zeros(robots) if problem.bias is None else problem.bias
+    directions = (towards[:, None] + bias).ravel()
+    held = flat._replace(
+        robots=np.tile(flat.robots, (copies, 1)),
+        bias_cos=elementwise.cos(directions),
+        bias_sin=elementwise.sin(directions),
+        flow=np.tile(flat.flow, (copies, 1)),
+        first_period=seconds,
+        period=seconds,
+    )
+    path = predict(turns, held, start.reshape(-1, 3))
+    return path.reshape(-1, *start.shape)
+
+
+def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
+    """Return the prediction for a sequence (L,), as `cost.foresee` but compiled."""
+    from tetractl.control.search.kernels.motion import flatten
+    from tetractl.control.search.kernels.prediction import costs_along, predict
+
+    flat = flatten(problem)
+    path = predict(np.ascontiguousarray(signals), flat, flat.poses)
+    target, obstacle = costs_along(flat, path)
+    if not math.isfinite(target):
+        require_finite(np.array([target]))
+    return Foreseen(path, target, obstacle)
+
+
+def compiled_drive(problem: Problem, towards: Floats, seconds: Floats) -> Floats:
+    """Return the poses (M, N, 3) of robots that drive for each of `seconds` (M,), each towards its
+    own direction (N,) [rad]; a robot stands if that is NaN."""
+    from tetractl.control.search.kernels.motion import flatten
+    from tetractl.control.search.kernels.prediction import drive
+
+    return drive(towards, seconds, flatten(problem))

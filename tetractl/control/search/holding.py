@@ -1,0 +1,91 @@
+"""Searches directions that keep robots near their targets if they cannot stand still.
+
+A field that rotates at W, below the robots' least turning rate a, keeps each robot on a circle of
+radius v / W; a field turned by pi makes robots drive back. The search minimises the time that
+robots spend farther than `Problem.within` from their targets. It tries rotations first, and then
+adds random normal changes to the best sequence so far: half of the changes are independent from
+signal to signal, half accumulate along the sequence. Each round's changes are smaller.
+
+Rotations a little faster than a are tried, too: a robot falls behind the field and turns by fits.
+"""
+
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from tetractl.control.search.cost import evaluate
+from tetractl.control.search.rng import normal
+from tetractl.control.search.search_progress import Progress
+from tetractl.core.plan import Limits, Problem, Search
+from tetractl.core.poses import Floats, wrap
+from tetractl.spec.controller import OptimizerSection
+
+PHASES = np.linspace(-np.pi, np.pi, 16, endpoint=False)  # first directions of rotations [rad]
+RATES = np.array([-1.25, -0.95, -0.75, 0.75, 0.95, 1.25])  # W of rotations, in units of the least a
+
+
+class CircleSearch(OptimizerSection):
+    """Finds the directions that keep robots within a radius of their targets for as long as
+    possible."""
+
+    type: Literal["circle"] = "circle"
+    ahead_s: ClassVar[float] = 4.0
+    """Duration of the plan: one or two circles."""
+    samples: ClassVar[int] = 128
+    """Number of random sequences of a round."""
+    rounds: ClassVar[int] = 6
+    """Number of rounds of samples in one search."""
+    spread: ClassVar[float] = 0.6
+    """Initial standard deviation of a step [rad]."""
+    shrink: ClassVar[float] = 0.8
+    """Ratio of that deviation from round to round."""
+    adding: ClassVar[float] = 0.4
+    """Spread of cumulative steps relative to independent ones."""
+
+    @property
+    def iterations_max(self) -> int:
+        """Number of rounds of samples in one search."""
+        return self.rounds
+
+    @property
+    def evaluations_min(self) -> int:
+        """Least number of cost evaluations of a search: those of all rotations, of the
+        previous plan and of one round."""
+        return len(PHASES) * len(RATES) + 1 + self.samples
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        """Search sequences of `length` signals, first rotations and the previous plan `warm`."""
+        progress = Progress(length, limits)
+        times = problem.period * np.arange(length)
+        angles = np.outer(RATES * problem.a.min(), times)
+        sequences = np.add.outer(PHASES, angles).reshape(-1, length)
+        if warm is not None and len(warm):
+            sequences = np.vstack([_extended(warm, length), sequences])
+        sequences = wrap(sequences)
+        progress.add(sequences.T, evaluate(problem, sequences).total)
+        spread = self.spread
+        for z in range(self.rounds):
+            progress.ended = progress.limit_before(self.samples)
+            if progress.ended is not None:
+                break
+            sequences = wrap(progress.best + self._changes(key, z, length, spread))
+            spread *= self.shrink
+            progress.add(sequences.T, evaluate(problem, sequences).total)
+        return progress.search()
+
+    def _changes(self, key: int, z: int, length: int, spread: float) -> Floats:
+        """Return the random changes of round z [rad], (samples, length), of deviation `spread`."""
+        draws = self.samples * length
+        changes = normal(key, z * draws, draws).reshape(-1, length)
+        accumulating = changes[::2]  # every other sequence
+        np.cumsum(self.adding * accumulating, axis=1, out=accumulating)
+        return spread * changes
+
+
+def _extended(plan: Floats, length: int) -> Floats:
+    """Return a plan of `length` signals that goes on with the last change of direction of one."""
+    turn = plan[-1] - plan[-2] if len(plan) > 1 else 0.0
+    further = plan[-1] + turn * np.arange(1, length + 1)
+    return np.append(plan, further)[:length]

@@ -1,0 +1,121 @@
+"""How far robots are from obstacles and from each other, and whether they touch on their way.
+
+Compiled, as a controller asks this at every control step, by `tetractl.control.search.margins` and
+`discs`. Distances [length unit] have the bits of `tetractl.core.obstacles`; obstacles are
+`ObstacleArrays`, of which obstacle o is a shape or a wall. x, y (P,) are points and a path
+(M, N, 3) the x, y and heading of N robots at M moments, with straight ways in between.
+"""
+
+import math
+
+from tetractl.control.search.kernels.elementary import hypot
+from tetractl.control.search.kernels.obstacles import box, nearest, touches, wall_distance
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY, INLINE_EXACT
+
+
+@compiled(**INLINE_EXACT)
+def _distance(obstacles, o, x, y):
+    """Return the distance of (x, y) to obstacle o, negative inside."""
+    shapes = obstacles.radii.size
+    if o >= shapes:
+        return wall_distance(obstacles.walls, o - shapes, x, y)
+    corners = obstacles.corners[o]
+    return nearest(corners, obstacles.corner_counts[o], obstacles.radii[o], x, y)[0]
+
+
+@compiled(**INLINE_EXACT)
+def _least_distance(obstacles, x, y):
+    """Return the distance of (x, y) to the nearest obstacle, inf if there is none."""
+    least = math.inf
+    for o in range(obstacles.radii.size + obstacles.walls.size):
+        least = min(least, _distance(obstacles, o, x, y))
+    return least
+
+
+@compiled(**INLINE_EXACT)
+def crosses(obstacles, x0, y0, x1, y1):
+    """Return whether the segment from (x0, y0) to (x1, y1) touches an obstacle."""
+    walls = obstacles.walls
+    for w in range(walls.size):
+        if wall_distance(walls, w, x0, y0) <= 0 or wall_distance(walls, w, x1, y1) <= 0:
+            return True
+    for o in range(obstacles.radii.size):
+        left, bottom, right, top = box(obstacles, o)
+        if max(x0, x1) < left or min(x0, x1) > right:
+            continue
+        if max(y0, y1) < bottom or min(y0, y1) > top:
+            continue
+        corners = obstacles.corners[o]
+        if touches(corners, obstacles.corner_counts[o], obstacles.radii[o], x0, y0, x1, y1):
+            return True
+    return False
+
+
+@compiled(**ENTRY)
+def gaps(obstacles, x, y, distances):
+    """Write the distance of each point x, y (P,) to each obstacle to distances (O, P)."""
+    for o in range(distances.shape[0]):
+        for n in range(x.size):
+            distances[o, n] = _distance(obstacles, o, x[n], y[n])
+
+
+@compiled(**ENTRY)
+def least_apart(x, y):
+    """Return the least distance between two of N points x, y (N,), inf for a single point."""
+    least = math.inf
+    for i in range(x.size):
+        for k in range(i):
+            least = min(least, hypot(x[k] - x[i], y[k] - y[i]))
+    return least
+
+
+@compiled(**ENTRY)
+def enters(grown, radius, path):
+    """Return whether a body of this radius touches an obstacle or another body on the way along
+    path, or goes deeper if it touches one at the beginning.
+
+    Obstacles are `grown` by the radius: a body touches one where its centre is in the grown one.
+    """
+    for i in range(path.shape[1]):
+        if _meets_another(i, radius, path) or _enters_obstacle(i, grown, path):
+            return True
+    return False
+
+
+@compiled(**INLINE_EXACT)
+def _meets_another(i, radius, path):
+    """Return whether body i overlaps one of the bodies before it at a moment after the first, and
+    is nearer to it than at the first."""
+    for m in range(1, path.shape[0]):
+        for k in range(i):
+            before = hypot(path[0, k, 0] - path[0, i, 0], path[0, k, 1] - path[0, i, 1])
+            apart = hypot(path[m, k, 0] - path[m, i, 0], path[m, k, 1] - path[m, i, 1])
+            if apart < min(2 * radius, before):
+                return True
+    return False
+
+
+@compiled(**INLINE_EXACT)
+def _enters_obstacle(i, grown, path):
+    """Return whether the centre of body i enters a grown obstacle on its way: one that begins clear
+    of all by touching one, one that begins in one by going deeper."""
+    if not _touches_obstacle(i, grown, path):
+        return False
+    first = _least_distance(grown, path[0, i, 0], path[0, i, 1])
+    begins_clear = first > 0
+    if begins_clear:
+        return True
+    for m in range(1, path.shape[0]):
+        if _least_distance(grown, path[m, i, 0], path[m, i, 1]) < first:
+            return True
+    return False
+
+
+@compiled(**INLINE_EXACT)
+def _touches_obstacle(i, grown, path):
+    """Return whether the centre of body i is in a grown obstacle anywhere on its way."""
+    for m in range(1, path.shape[0]):
+        if crosses(grown, path[m - 1, i, 0], path[m - 1, i, 1], path[m, i, 0], path[m, i, 1]):
+            return True
+    return False

@@ -1,0 +1,195 @@
+"""Predicts the path of a sequence of signals, and how each signal changes it.
+
+A signal turns a robot and moves it by d(heading, u), a step. `trace` stores the partial derivatives
+of each step: of d by the heading and by u, and `keep`, that of the next heading by the heading. As
+a robot's turn depends on u - heading alone, the derivative of the next heading by u is 1 - keep.
+`backward` makes of these the derivatives of one position by all signals before it, by the chain
+rule backwards in time.
+
+Only the headings depend on the step before. They are computed first; then the steps of a robot are
+independent of each other, and the loop over them is vector code. For its sake, arrays over the L
+signals are padded to M = width(L) entries, of which those beyond the last signal mean nothing, and
+each quantity is an array (N, M) of its own: in a common array the compiler could not exclude that
+they overlap.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tetractl.control.search.kernels.motion import derivatives, robot_of, saturates, turned
+from tetractl.core.poses import Floats
+from tetractl.model.motion.polynomials import sincos, wrap
+from tetractl.model.motion.turn_rate import RobotParameters
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import INLINE_FAST, inlined
+
+VECTOR = 8
+"""Number of float64 in the widest vector of any processor, and in a cache line."""
+NEVER_SATURATES = 1.0
+"""The `saturation` of motors that turn a robot by (3) always."""
+
+_sincos = inlined(sincos)
+_wrap = inlined(wrap)
+
+
+class Trace(NamedTuple):
+    """A path of N robots under L signals, and the derivatives of its steps, as `trace` fills them;
+    M = width(L)."""
+
+    cos_u: Floats
+    """(M,) of the signals."""
+    sin_u: Floats
+    """(M,) of the signals."""
+    cos: Floats
+    """(N, M) of the headings before each signal."""
+    sin: Floats
+    """(N, M) of the headings before each signal."""
+    x: Floats
+    """(N, M) after each signal [length unit]."""
+    y: Floats
+    """(N, M) after each signal [length unit]."""
+    x_by_heading: Floats
+    """(N, M) derivative of dx of each step by the heading before it [length unit/rad]."""
+    y_by_heading: Floats
+    """(N, M) that of dy."""
+    x_by_u: Floats
+    """(N, M) derivative of dx of each step by its direction [length unit/rad]."""
+    y_by_u: Floats
+    """(N, M) that of dy."""
+    keep: Floats
+    """(N, M) derivative of the heading after each step by that before it."""
+
+    @classmethod
+    def room_for(cls, robots: int, length: int) -> "Trace":
+        """Return the arrays for some robots and signals."""
+        across = width(length)
+        shape = (robots, across)
+        return cls(
+            cos_u=np.ones(across),
+            sin_u=np.zeros(across),
+            cos=np.ones(shape),
+            sin=np.zeros(shape),
+            x=np.empty(shape),
+            y=np.empty(shape),
+            x_by_heading=np.empty(shape),
+            y_by_heading=np.empty(shape),
+            x_by_u=np.empty(shape),
+            y_by_u=np.empty(shape),
+            keep=np.empty(shape),
+        )
+
+
+def width(length: int) -> int:
+    """Return the padded length of arrays for `length` signals."""
+    return -(-length // VECTOR) * VECTOR
+
+
+@compiled(**INLINE_FAST)
+def trace(u, problem, path):
+    """Fill the `Trace` path of a problem's robots under signals u (L,)."""
+    for j in range(u.size):
+        path.sin_u[j], path.cos_u[j] = _sincos(_wrap(u[j]))
+    _turn(u.size, problem, path)
+    for i in range(len(problem.robots)):
+        robot = robot_of(problem.robots, i)
+        if saturates(robot):
+            _move(i, robot, problem, path)
+        else:  # with a constant, so that the compiler leaves out what it does not need
+            steady = RobotParameters(robot.a, robot.speed, robot.side, NEVER_SATURATES)
+            _move(i, steady, problem, path)
+        _add_up(i, u.size, problem, path)
+
+
+@compiled(**INLINE_FAST)
+def _turn(length, problem, path):
+    """Fill the headings of all robots before each of the signals."""
+    first = problem.first
+    rest = problem.rest
+    robots = problem.robots
+    bias_cos = problem.bias_cos
+    bias_sin = problem.bias_sin
+    cos_u = path.cos_u
+    sin_u = path.sin_u
+    cos = path.cos
+    sin = path.sin
+    for i in range(len(robots)):
+        cos[i, 0] = problem.cos[i]
+        sin[i, 0] = problem.sin[i]
+    for j in range(length - 1):
+        seconds = problem.first_period if j == 0 else problem.period
+        for i in range(len(robots)):
+            lanes = first if j == 0 else rest
+            robot = robot_of(robots, i)
+            cu = cos_u[j] * bias_cos[i] - sin_u[j] * bias_sin[i]
+            su = sin_u[j] * bias_cos[i] + cos_u[j] * bias_sin[i]
+            cos[i, j + 1], sin[i, j + 1] = turned(
+                lanes, cos[i, j], sin[i, j], cu, su, i, robot, seconds
+            )
+
+
+@compiled(**INLINE_FAST)
+def _move(i, robot, problem, path):
+    """Fill the displacement of robot i by each signal, as x and y, and its derivatives.
+
+    All signals are computed as if each were held for a whole period, as vector code needs it; then
+    the first again, if it is held for another time.
+    """
+    first_again = 0 if problem.first_period == problem.period else 1
+    all_signals = (problem.period, path.cos.shape[1])
+    the_first = (problem.first_period, first_again)
+    cb = problem.bias_cos[i]
+    sb = problem.bias_sin[i]
+    cos_u = path.cos_u
+    sin_u = path.sin_u
+    cos = path.cos[i]
+    sin = path.sin[i]
+    x = path.x[i]
+    y = path.y[i]
+    x_by_heading = path.x_by_heading[i]
+    y_by_heading = path.y_by_heading[i]
+    x_by_u = path.x_by_u[i]
+    y_by_u = path.y_by_u[i]
+    keep = path.keep[i]
+    for seconds, signals in (all_signals, the_first):
+        for j in range(signals):
+            cu = cos_u[j] * cb - sin_u[j] * sb
+            su = sin_u[j] * cb + cos_u[j] * sb
+            step, by_heading, by_u, _ = derivatives(
+                problem.rest, cos[j], sin[j], cu, su, robot, seconds
+            )
+            x[j], y[j], _ = step
+            x_by_heading[j], y_by_heading[j], keep[j] = by_heading
+            x_by_u[j], y_by_u[j], _ = by_u
+
+
+@compiled(**INLINE_FAST)
+def _add_up(i, length, problem, path):
+    """Add up the displacements of robot i, which are in x and y, to positions; the flow carries it,
+    too."""
+    x = path.x
+    y = path.y
+    flow_x = problem.flow[i, 0]
+    flow_y = problem.flow[i, 1]
+    x[i, 0] = problem.poses[i, 0] + x[i, 0] + flow_x * problem.first_period
+    y[i, 0] = problem.poses[i, 1] + y[i, 0] + flow_y * problem.first_period
+    for j in range(1, length):
+        x[i, j] = x[i, j - 1] + x[i, j] + flow_x * problem.period
+        y[i, j] = y[i, j - 1] + y[i, j] + flow_y * problem.period
+
+
+@compiled(**INLINE_FAST)
+def backward(path, i, signal, east, north, row):
+    """Add to row (L,) the derivatives by each signal of east x + north y, where x, y is the
+    position of robot i after a signal.
+
+    Signal j moves the robot in its own step. It also turns it, by 1 - keep, and what the heading
+    before step j + 1 changes in all later steps, `by_heading`, is known when j is reached.
+    """
+    by_heading = 0.0
+    for j in range(signal, -1, -1):
+        keep = path.keep[i, j]
+        step_by_u = east * path.x_by_u[i, j] + north * path.y_by_u[i, j]
+        step_by_heading = east * path.x_by_heading[i, j] + north * path.y_by_heading[i, j]
+        row[j] += step_by_u + by_heading * (1 - keep)
+        by_heading = step_by_heading + by_heading * keep

@@ -1,0 +1,219 @@
+"""A problem as arrays that compiled code can read, and the steps of robots in such code.
+
+How robots move is a matter of the problem's motion (`tetractl.model.motion`). Its constants have a
+class of their own, which is a type to the compiler: code is compiled for each. `advance`, `turned`
+and `derivatives` are the three ways to ask a motion; Python sees only their names, and the compiler
+takes the function below each that carries its name with an underscore.
+
+Directions and headings come as their cos and sin: c, s of the heading, cu, su of the direction u.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.extending import overload
+
+from tetractl.control.search.kernels.obstacles import ObstacleArrays, arrays_of
+from tetractl.core import elementwise
+from tetractl.core.plan import Problem
+from tetractl.core.poses import Floats
+from tetractl.core.registries import MOTIONS
+from tetractl.model.motion.polynomials import onwards
+from tetractl.model.motion.turn_rate import (
+    RobotParameters,
+    all_in_rows,
+    by_turning,
+    is_left,
+    turning,
+)
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import INLINE_FAST, entries, inlined, one_of
+
+rate = inlined(turning)
+with_turning = inlined(by_turning)
+turns_left = inlined(is_left)
+
+
+class FlatProblem(NamedTuple):
+    """What a `Problem` of N robots says, in arrays and numbers; lengths in the spec's unit."""
+
+    poses: Floats
+    """(N, 3) x, y and heading at the start."""
+    cos: Floats
+    """(N,) of that heading."""
+    sin: Floats
+    """(N,) of that heading."""
+    targets: Floats
+    """(N, 2)"""
+    robots: Floats
+    """(N, 4) rows of `RobotParameters`."""
+    drifts: bool
+    """Whether there is any bias or flow."""
+    bias_cos: Floats
+    """(N,) cos of the bias that is added to each direction."""
+    bias_sin: Floats
+    """(N,) sin of it."""
+    flow: Floats
+    """(N, 2) along x and y [length unit/s]."""
+    first_period: float
+    """How long the first signal is held [s]."""
+    period: float
+    """How long each other one is held [s]."""
+    first: Any
+    """`Lanes` for the first signal: constants of robots that turn left, then of the same robots
+    turning right."""
+    rest: Any
+    """`Lanes`, the same for the other signals; both have the same class."""
+    obstacles: ObstacleArrays
+    obstacle_weight: float
+    """omega_p of (7)."""
+    swept: bool
+    """Whether the way between predicted positions must be clear, too."""
+    separation: float
+    """Least distance of two robots, 0 for robots that may meet."""
+
+
+@lru_cache(maxsize=2)  # the searches of one control step need the same arrays
+def flatten(problem: Problem) -> FlatProblem:
+    """Return a problem's arrays. Every call returns the same ones, which must not be changed."""
+    heading = problem.poses.heading
+    robots = all_in_rows(problem)
+    count = len(robots)
+    kind: Any = MOTIONS.load(problem.motion).lanes
+    side_factor = elementwise.exp(robots[:, 2])
+    left_and_right = np.concatenate([robots[:, :2], robots[:, :2]])
+    left_and_right[:count, 0] *= side_factor
+    left_and_right[count:, 0] /= side_factor
+    rest = kind.of(left_and_right, problem.period)
+    first = rest
+    if problem.first_period != problem.period:
+        first = kind.of(left_and_right, problem.first_period)
+    bias_cos, bias_sin, flow_x, flow_y = problem.drift
+    return FlatProblem(
+        poses=problem.poses.array(),
+        cos=elementwise.cos(heading),
+        sin=elementwise.sin(heading),
+        targets=np.ascontiguousarray(problem.targets),
+        robots=robots,
+        drifts=problem.bias is not None or problem.flow is not None,
+        bias_cos=bias_cos,
+        bias_sin=bias_sin,
+        flow=np.column_stack([flow_x, flow_y]),
+        first_period=float(problem.first_period),
+        period=float(problem.period),
+        first=first,
+        rest=rest,
+        obstacles=arrays_of(problem.obstacles),
+        obstacle_weight=float(problem.obstacle_weight),
+        swept=problem.swept,
+        separation=float(problem.separation),
+    )
+
+
+@compiled(**INLINE_FAST)
+def robot_of(robots, i):
+    """Return a `RobotParameters`, row i of those of a problem (N, 4)."""
+    return RobotParameters(robots[i, 0], robots[i, 1], robots[i, 2], robots[i, 3])
+
+
+@compiled(**INLINE_FAST)
+def saturates(robot):
+    """Return whether a robot's motors may turn it less quickly than (3) does."""
+    return robot.saturation < 1
+
+
+def advance(
+    lanes: Any,
+    x: Any,
+    y: Any,
+    cos: Any,
+    sin: Any,
+    cos_u: Any,
+    sin_u: Any,
+    i: int,
+    robot: Any,
+    t: Any,
+) -> None:
+    """Advance robot i of every particle by one signal of t [s].
+
+    Its pose is in x, y, cos and sin (N, P); cos_u and sin_u (P,) are of the directions.
+    """
+
+
+@overload(advance, jit_options=INLINE_FAST)
+def _advance(lanes, x, y, cos, sin, cos_u, sin_u, i, robot, t):
+    kind = lanes.instance_class
+    step = inlined(kind.advance)
+    constants_of = entries(kind.size)
+    either = one_of(kind.size)
+    whole_step = inlined(kind.differentiate)
+    moved_by = inlined(onwards)
+
+    def advance(lanes, x, y, cos, sin, cos_u, sin_u, i, robot, t):
+        if saturates(robot):
+            for n in range(cos_u.size):
+                c = cos[i, n]
+                s = sin[i, n]
+                cu = cos_u[n]
+                su = sin_u[n]
+                a = rate(c, s, cu, su, robot, t)[0]
+                way = whole_step(c, s, cu, su, (a, robot.speed), t)[0]
+                x[i, n], y[i, n], cos[i, n], sin[i, n] = moved_by(x[i, n], y[i, n], c, s, way)
+            return
+        left = constants_of(lanes.rows[i])
+        right = constants_of(lanes.rows[i + x.shape[0]])
+        for _ in range(lanes.pieces):
+            for n in range(cos_u.size):
+                c = cos[i, n]
+                s = sin[i, n]
+                cu = cos_u[n]
+                su = sin_u[n]
+                side = either(turns_left(c, s, cu, su), left, right)
+                x[i, n], y[i, n], cos[i, n], sin[i, n] = step(x[i, n], y[i, n], c, s, cu, su, side)
+
+    return advance
+
+
+def turned(lanes: Any, c: Any, s: Any, cu: Any, su: Any, i: int, robot: Any, t: Any) -> Any:
+    """Return cos and sin of the heading of robot i after one signal of t [s]."""
+
+
+@overload(turned, jit_options=INLINE_FAST)
+def _turned(lanes, c, s, cu, su, i, robot, t):
+    kind = lanes.instance_class
+    step = inlined(kind.advance)
+    constants_of = entries(kind.size)
+    whole_step = inlined(kind.differentiate)
+    moved_by = inlined(onwards)
+
+    def turned(lanes, c, s, cu, su, i, robot, t):
+        x = 0.0
+        y = 0.0
+        if saturates(robot):
+            a = rate(c, s, cu, su, robot, t)[0]
+            way = whole_step(c, s, cu, su, (a, robot.speed), t)[0]
+            x, y, c, s = moved_by(x, y, c, s, way)
+            return c, s
+        side = i if turns_left(c, s, cu, su) else i + len(lanes.rows) // 2
+        constants = constants_of(lanes.rows[side])
+        for _ in range(lanes.pieces):
+            x, y, c, s = step(x, y, c, s, cu, su, constants)
+        return c, s
+
+    return turned
+
+
+def derivatives(lanes: Any, c: Any, s: Any, cu: Any, su: Any, robot: Any, t: Any) -> Any:
+    """Return the `Derivatives` of one signal of t [s], for one robot."""
+
+
+@overload(derivatives, jit_options=INLINE_FAST)
+def _derivatives(lanes, c, s, cu, su, robot, t):
+    step = inlined(lanes.instance_class.differentiate)
+
+    def derivatives(lanes, c, s, cu, su, robot, t):
+        a, slopes = rate(c, s, cu, su, robot, t)
+        return with_turning(step(c, s, cu, su, (a, robot.speed), t), slopes)
+
+    return derivatives

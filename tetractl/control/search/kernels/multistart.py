@@ -1,0 +1,352 @@
+"""A search of `tetractl.control.search.optimizers.multistart`: random sequences, the best polished.
+
+A search has *starts*, sequences that it polishes one after the other, in these stages:
+
+    WARM     the warm start, if there is one, is evaluated as it is, and becomes the first start
+    POLISH   a start is polished, and evaluated
+    SCATTER  no start is left: many random sequences are scattered, which is a *round*, and the best
+             of them become the next starts
+
+`search` goes on with a search as far as it is allowed to, and says whether it has ended:
+
+    UNDER_WAY   not yet: the iterations that were allowed are done
+    GOOD        a start costs at most the tolerance
+    SPENT       the budget allows no further evaluation
+    OVER        all starts of the last round are polished
+    NOT_FINITE  a cost is no finite number
+"""
+
+import math
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tetractl.control.search.kernels.elementary import atan2
+from tetractl.control.search.kernels.levenberg import (
+    POLISH_STATE,
+    Integers,
+    PolishSettings,
+    Room,
+    judge,
+    polish,
+)
+from tetractl.control.search.kernels.motion import FlatProblem
+from tetractl.control.search.kernels.rollout import Rollouts, costs
+from tetractl.control.search.kernels.update import drawn
+from tetractl.core.poses import Floats
+from tetractl.model.motion import polynomials
+from tetractl.model.motion.motion import UPPER
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
+
+BETWEEN_LOOKS = 130_000
+"""Robot steps between two checks of the deadline: they take less than 1 ms."""
+NEAR_WARM = 0.5
+"""Largest distance of a scattered sequence from the warm start [rad]."""
+S11 = np.uint64(11)
+"""Shift that leaves the 53 bits of a random number that a float64 holds."""
+UNLIMITED = 2**62
+"""A number of evaluations, or of iterations, that no search reaches."""
+
+WARM = 0
+POLISH = 1
+SCATTER = 2
+
+UNDER_WAY = 0
+GOOD = 1
+SPENT = 2
+OVER = 3
+NOT_FINITE = 4
+
+_wrap = inlined(polynomials.wrap)
+
+SEARCH_STATE = np.dtype(
+    [
+        ("stage", np.int64),  # WARM, POLISH or SCATTER, which is to begin or under way
+        ("rounds_begun", np.int64),  # that were scattered
+        ("starts", np.int64),  # of the present round
+        ("starts_done", np.int64),  # those of them that are polished
+        ("evaluations", np.int64),  # all but those of the polish under way
+        ("history_entries", np.int64),
+        ("best_cost", np.float64),  # J of the best sequence
+    ]
+)
+"""How far a search has come."""
+
+
+class SearchTask(NamedTuple):
+    """What is searched, in which arrays, and how far."""
+
+    problem: FlatProblem
+    rollouts: Rollouts
+    room: Room
+    settings: PolishSettings
+    key: np.uint64
+    """Of the random numbers."""
+    warm: Floats
+    """(L,) the warm start, or empty."""
+    rounds: int
+    """Number of rounds."""
+    budget: int
+    """Largest number of evaluations."""
+
+
+class Rounds(NamedTuple):
+    """A search that polishes up to K of P scattered sequences of L signals in each round."""
+
+    scattered: Floats
+    """(L, P)"""
+    scattered_costs: Floats
+    """(P,) their J."""
+    draws: Floats
+    """(knots, P) of the scattered curves, from -1 to 1."""
+    order: Integers
+    """(K,) numbers of the best of them."""
+    starts: Floats
+    """(K, L) sequences to polish, best first."""
+    signals: Floats
+    """(L,) the sequence that is polished, or was last; then it is within [-pi, pi]."""
+    merits: Floats
+    """(steps_max + 1,) its merit at first and after each iteration."""
+    best: Floats
+    """(L,) the best sequence."""
+    history: Floats
+    """J before and after each polish, and merits on the way to a new best."""
+    polish: Any
+    """The `POLISH_STATE` of the polish under way, or of the last one."""
+    state: Any
+    """The `SEARCH_STATE`."""
+
+    def begin(self, stage: int, starts: Floats) -> None:
+        """Begin a search at a stage, with the sequences (S, L), of which there are at most K."""
+        self.starts[: len(starts)] = starts
+        self.polish.evaluations = 0
+        self.state.stage = stage
+        self.state.rounds_begun = 0
+        self.state.starts = len(starts)
+        self.state.starts_done = 0
+        self.state.evaluations = 0
+        self.state.history_entries = 0
+        self.state.best_cost = math.inf
+
+    def evaluations_if_finished(self) -> int:
+        """Return how many evaluations the search will have taken if it is finished now."""
+        if self.state.stage == WARM:
+            return 1
+        if self.polish.evaluations > 0:
+            return int(self.state.evaluations + self.polish.evaluations) + 1
+        if self.state.evaluations > 0:
+            return int(self.state.evaluations)
+        return self.scattered_costs.size + 2
+
+
+@lru_cache(maxsize=64)
+def rounds_for(
+    thread: int, count: int, particles: int, knots: int, length: int, steps_max: int, rounds: int
+) -> Rounds:
+    """Return the arrays of a thread for searches of these sizes."""
+    return Rounds(
+        scattered=np.empty((length, particles)),
+        scattered_costs=np.empty(particles),
+        draws=np.empty((knots, particles)),
+        order=np.empty(count, dtype=np.int64),
+        starts=np.empty((count, length)),
+        signals=np.empty(length),
+        merits=np.empty(steps_max + 1),
+        best=np.empty(length),
+        history=np.empty(1 + (rounds + 1) * (1 + count * (steps_max + 2))),
+        polish=np.recarray(1, POLISH_STATE)[0],
+        state=np.recarray(1, SEARCH_STATE)[0],
+    )
+
+
+@compiled(**ENTRY_FAST)
+def search(task, rounds, iterations):
+    """Go on with a search for about so many iterations; return whether it has ended.
+
+    It stops between two iterations of a polish, or where a start is done.
+    """
+    state = rounds.state
+    iterations_left = iterations
+    while iterations_left > 0:
+        if state.stage == SCATTER:
+            end = _scatter(task, rounds)
+            if end != UNDER_WAY:
+                return end
+            iterations_left -= rounds.scattered_costs.size // task.room.residual.size
+        if rounds.polish.evaluations == 0:
+            _take_start(rounds)
+        if state.stage == POLISH:
+            if state.evaluations + 2 > task.budget:
+                return SPENT
+            done = rounds.polish.iterations
+            is_paused = polish(
+                task.problem,
+                task.room,
+                rounds.signals,
+                task.settings,
+                task.budget - state.evaluations - 1,
+                rounds.merits,
+                rounds.polish,
+                done + max(1, iterations_left),
+            )
+            if is_paused:
+                return UNDER_WAY
+            iterations_left -= rounds.polish.iterations - done
+        end = _end_start(task, rounds)
+        iterations_left -= 1
+        if end != UNDER_WAY:
+            return end
+    return UNDER_WAY
+
+
+def finish(task: SearchTask, rounds: Rounds) -> int:
+    """End the start under way as it is, or the first one; return whether the search has ended."""
+    settings = task.settings._replace(iterations_max=0)
+    return search(task._replace(settings=settings), rounds, 1)
+
+
+@compiled(**INLINE_FAST)
+def _scatter(task, rounds):
+    """Scatter the sequences of the next round, of which the best become the starts; return whether
+    the search has ended instead."""
+    state = rounds.state
+    signals = rounds.scattered
+    length, particles = signals.shape
+    if state.rounds_begun == task.rounds:
+        return OVER
+    if state.evaluations > 0 and state.evaluations + particles > task.budget:
+        return SPENT
+    _draw_sequences(task, drawn(task.key, state.rounds_begun), rounds)
+    if not costs(task.problem, task.rollouts, signals, rounds.scattered_costs):
+        return NOT_FINITE
+    count = _sort(rounds.scattered_costs, rounds.order)
+    for k in range(count):
+        for j in range(length):
+            rounds.starts[k, j] = signals[j, rounds.order[k]]
+    state.stage = POLISH
+    state.rounds_begun += 1
+    state.starts = count
+    state.starts_done = 0
+    state.evaluations += particles
+    _keep(rounds, rounds.starts[0], rounds.scattered_costs[rounds.order[0]])
+    return UNDER_WAY
+
+
+@compiled(**INLINE_FAST)
+def _draw_sequences(task, key, rounds):
+    """Fill `scattered` with random sequences.
+
+    Each sequence is linear between knots, directions drawn uniformly within UPPER of the bearing of
+    the targets. With a warm start, every second sequence is the warm start plus such a curve within
+    NEAR_WARM of 0.
+    """
+    draws = rounds.draws
+    signals = rounds.scattered
+    warm = task.warm
+    knots, particles = draws.shape
+    bearing = _bearing(task.problem)
+    for k in range(knots):
+        for n in range(particles):
+            draw = drawn(key, k * particles + n) >> S11
+            draws[k, n] = 2 * (np.float64(draw) * 2.0**-53) - 1
+    length = signals.shape[0]
+    warmed = 1 if warm.size else 0
+    for j in range(length):
+        place = j * (knots - 1) / max(length - 1, 1)  # among the knots
+        below = min(int(place), max(knots - 2, 0))
+        above = min(below + 1, knots - 1)
+        share = place - below
+        middle = warm[j] if warmed else bearing
+        for n in range(particles):
+            curve = draws[below, n] * (1 - share) + draws[above, n] * share
+            near_warm = warmed & ~n  # for even n: vector code needs a number
+            u = middle + NEAR_WARM * curve if near_warm else bearing + UPPER * curve
+            signals[j, n] = _wrap(u)
+
+
+@compiled(**INLINE_FAST)
+def _take_start(rounds):
+    """Begin with the next start."""
+    rounds.polish.iterations = 0
+    u = rounds.signals
+    for j in range(u.size):
+        u[j] = rounds.starts[rounds.state.starts_done, j]
+
+
+@compiled(**INLINE_FAST)
+def _end_start(task, rounds):
+    """Evaluate what became of a start, and keep it if it is the best; return whether the search has
+    ended with it."""
+    state = rounds.state
+    cost = judge(task.problem, task.room, rounds.signals)
+    if not math.isfinite(cost):
+        return NOT_FINITE
+    state.evaluations += rounds.polish.evaluations + 1
+    rounds.polish.evaluations = 0
+    _note_merits(rounds, cost)
+    _keep(rounds, rounds.signals, cost)
+    if state.stage == WARM:
+        state.stage = POLISH
+        return UNDER_WAY
+    state.starts_done += 1
+    if state.starts_done == state.starts:
+        state.stage = SCATTER
+    return GOOD if cost <= task.settings.tolerance else UNDER_WAY
+
+
+@compiled(**INLINE_FAST)
+def _note_merits(rounds, cost):
+    """Add the merits of a polish to the history, between the best cost so far and its own, if it
+    has found a better one."""
+    best_cost = rounds.state.best_cost
+    if cost < best_cost:
+        for z in range(rounds.polish.iterations):
+            _note(rounds, min(max(rounds.merits[z], cost), best_cost))
+
+
+@compiled(**INLINE_FAST)
+def _keep(rounds, u, cost):
+    """Keep the sequence u (L,) if it costs least, and add the least cost to the history."""
+    if cost < rounds.state.best_cost:
+        rounds.state.best_cost = cost
+        for j in range(u.size):
+            rounds.best[j] = u[j]
+    _note(rounds, rounds.state.best_cost)
+
+
+@compiled(**INLINE_FAST)
+def _note(rounds, cost):
+    """Add an entry to the history."""
+    rounds.history[rounds.state.history_entries] = cost
+    rounds.state.history_entries += 1
+
+
+@compiled(**INLINE_FAST)
+def _bearing(problem):
+    """Return the mean direction from the robots to their targets [rad]."""
+    east = 0.0
+    north = 0.0
+    for i in range(len(problem.robots)):
+        east += problem.targets[i, 0] - problem.poses[i, 0]
+        north += problem.targets[i, 1] - problem.poses[i, 1]
+    return atan2(north, east)
+
+
+@compiled(**INLINE_FAST)
+def _sort(scattered_costs, order):
+    """Fill order (K,) with the numbers of the least costs, least first, of equal ones the first
+    first; return how many there are. It inserts each into those sorted before."""
+    count = 0
+    for n in range(scattered_costs.size):
+        if count < order.size:
+            count += 1
+        elif scattered_costs[n] >= scattered_costs[order[-1]]:
+            continue
+        k = count - 1
+        while k > 0 and scattered_costs[order[k - 1]] > scattered_costs[n]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = n
+    return count

@@ -1,0 +1,114 @@
+"""Where robots go if they follow directions, and what their way costs; compiled.
+
+    predict       all robots follow a plan: one direction after another, each for a signal period
+    drive         each robot keeps a direction of its own
+    costs_along   f and P of the paper's (8) and (9) for the way that `predict` found
+
+`predict` and `costs_along` are the twins, for one plan, of the functions of the same names in
+`tetractl.control.search.cost`, which are to be read. A problem is a `FlatProblem`. A path (M, N, 3)
+has the poses of N robots at M moments, with the columns X, Y and HEADING.
+"""
+
+import math
+
+import numpy as np
+
+from tetractl.control.search.kernels.clearance import crosses
+from tetractl.control.search.kernels.elementary import cos, sin
+from tetractl.control.search.kernels.motion import derivatives, robot_of
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
+
+X = 0
+Y = 1
+HEADING = 2
+
+
+@compiled(**ENTRY_FAST)
+def predict(u, problem, start):
+    """Return the path (L + 1, N, 3) of robots that begin at `start` (N, 3) and follow the signals
+    u (L,) [rad]; its first row is the start."""
+    robots = len(problem.robots)
+    path = np.empty((u.size + 1, robots, 3))
+    path[0] = start
+    for j in range(u.size):
+        t = problem.first_period if j == 0 else problem.period
+        for i in range(robots):
+            x, y, heading = _moved(problem, i, path[j, i], u[j], t)
+            path[j + 1, i, X] = x
+            path[j + 1, i, Y] = y
+            path[j + 1, i, HEADING] = heading
+    return path
+
+
+@compiled(**ENTRY_FAST)
+def drive(towards, seconds, problem):
+    """Return the path (M, N, 3) of robots that begin at the problem's poses, after each of
+    `seconds` (M,). Each follows its own direction, towards (N,) [rad], or stands if that is NaN."""
+    robots = len(problem.robots)
+    path = np.empty((seconds.size, robots, 3))
+    for m in range(seconds.size):
+        for i in range(robots):
+            x, y, heading = _moved(problem, i, problem.poses[i], towards[i], seconds[m])
+            path[m, i, X] = x
+            path[m, i, Y] = y
+            path[m, i, HEADING] = heading
+    return path
+
+
+@compiled(**INLINE_FAST)
+def _moved(problem, i, pose, u, t):
+    """Return x, y and heading of robot i, which was at a pose (3,), after it followed the direction
+    u [rad] for t [s]; it stands if u is NaN."""
+    x = pose[X]
+    y = pose[Y]
+    heading = pose[HEADING]
+    if math.isnan(u):
+        return x, y, heading
+    c = problem.bias_cos[i]
+    s = problem.bias_sin[i]
+    cu = cos(u) * c - sin(u) * s
+    su = sin(u) * c + cos(u) * s
+    robot = robot_of(problem.robots, i)
+    ch = cos(heading)
+    sh = sin(heading)
+    dx, dy, turn = derivatives(problem.rest, ch, sh, cu, su, robot, t)[0]
+    x = x + dx + t * problem.flow[i, X]
+    y = y + dy + t * problem.flow[i, Y]
+    return x, y, heading + turn
+
+
+@compiled(**ENTRY_FAST)
+def costs_along(problem, path):
+    """Return f of (8) and P of (9) of a path (L + 1, N, 3) that begins at the start."""
+    last = path.shape[0] - 1
+    missed = 0.0
+    touched = 0.0
+    for j in range(last):
+        touched += _number_of_touches(problem, path[j], path[j + 1])
+    for i in range(len(problem.robots)):
+        dx = path[last, i, X] - problem.targets[i, X]
+        dy = path[last, i, Y] - problem.targets[i, Y]
+        missed += math.sqrt(dx * dx + dy * dy)
+    return missed, touched
+
+
+@compiled(**INLINE_FAST)
+def _number_of_touches(problem, before, after):
+    """Return how many robots touch an obstacle, and how many pairs are nearer to each other than
+    their separation, `after` a signal; if ways are `swept`, also how many touch one on the way from
+    their poses `before` it."""
+    begin = before if problem.swept else after
+    number = 0.0
+    for i in range(len(problem.robots)):
+        x = after[i, X]
+        y = after[i, Y]
+        if crosses(problem.obstacles, begin[i, X], begin[i, Y], x, y):
+            number += 1.0
+        if problem.separation > 0:
+            for k in range(i):
+                dx = x - after[k, X]
+                dy = y - after[k, Y]
+                if dx * dx + dy * dy <= problem.separation * problem.separation:
+                    number += 1.0
+    return number

@@ -1,0 +1,160 @@
+"""The cost J of (7) of many sequences at once: `tetractl.control.search.cost.evaluate`, compiled.
+
+Each of P sequences, a particle, moves N robots of its own. All particles are simulated together,
+signal by signal, so that the loops over them are vector code.
+"""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from tetractl.control.search.kernels.gradient import VECTOR
+from tetractl.control.search.kernels.motion import advance, robot_of
+from tetractl.control.search.kernels.obstacles import count_hits
+from tetractl.core.poses import Floats
+from tetractl.model.motion.polynomials import sincos
+from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
+
+_sincos = inlined(sincos)
+
+
+class Rollouts(NamedTuple):
+    """The working arrays of the rollouts of P particles with N robots each."""
+
+    x: Floats
+    """(N, P) [length unit]."""
+    y: Floats
+    """(N, P) [length unit]."""
+    cos: Floats
+    """(N, P) of the heading."""
+    sin: Floats
+    """(N, P) of the heading."""
+    hits: Floats
+    """(N, P) how often each robot touched an obstacle or was too near to another robot."""
+    cos_u: Floats
+    """(P,) of the present signal."""
+    sin_u: Floats
+    """(P,) of the present signal."""
+    own_cos: Floats
+    """(P,) of the direction to which one robot turns, the signal plus its bias."""
+    own_sin: Floats
+    """(P,) of that direction."""
+    x_before: Floats
+    """(P,) of one robot before the present step."""
+    y_before: Floats
+    """(P,) of one robot before the present step."""
+    gap: Floats
+    """(P,) for `count_hits`."""
+    near: Floats
+    """(P,) for `count_hits`."""
+
+
+@lru_cache(maxsize=64)
+def rollouts_of(thread: int, robots: int, particles: int) -> Rollouts:
+    """Return the arrays of a thread for robots and particles of these numbers."""
+    of_robots = _aligned((5, robots, particles))
+    of_particles = _aligned((8, particles))
+    return Rollouts(*of_robots, *of_particles)
+
+
+def _aligned(shape: tuple[int, ...]) -> Floats:
+    """Return an array aligned to cache lines: a vector across two lines takes twice the time."""
+    size = math.prod(shape)
+    raw = np.empty(size + VECTOR)
+    first = -raw.ctypes.data // raw.itemsize % VECTOR
+    return raw[first : first + size].reshape(shape)
+
+
+@compiled(**ENTRY_FAST, forceinline=True)
+def costs(problem, rollouts, signals, total):
+    """Write J of each column of signals (L, P) to total (P,); return whether all are finite.
+
+    `problem` is a `FlatProblem`. Arrays are taken out of it, and out of the rollouts, before the
+    loops: in these, each look at one of its fields would take as long as a dozen steps.
+    """
+    robots = problem.robots
+    first = problem.first
+    rest = problem.rest
+    x = rollouts.x
+    y = rollouts.y
+    cos = rollouts.cos
+    sin = rollouts.sin
+    hits = rollouts.hits
+    cos_u = rollouts.cos_u
+    sin_u = rollouts.sin_u
+    to_cos = rollouts.own_cos if problem.drifts else cos_u
+    to_sin = rollouts.own_sin if problem.drifts else sin_u
+    x_before = rollouts.x_before
+    y_before = rollouts.y_before
+    for i in range(len(robots)):
+        for n in range(total.size):
+            x[i, n] = problem.poses[i, 0]
+            y[i, n] = problem.poses[i, 1]
+            cos[i, n] = problem.cos[i]
+            sin[i, n] = problem.sin[i]
+            hits[i, n] = 0.0
+    for j in range(signals.shape[0]):
+        lanes = first if j == 0 else rest
+        seconds = problem.first_period if j == 0 else problem.period
+        for n in range(total.size):
+            sin_u[n], cos_u[n] = _sincos(signals[j, n])
+        for i in range(len(robots)):
+            if problem.swept:
+                for n in range(total.size):
+                    x_before[n] = x[i, n]
+                    y_before[n] = y[i, n]
+            robot = robot_of(robots, i)
+            if problem.drifts:
+                c = problem.bias_cos[i]
+                s = problem.bias_sin[i]
+                for n in range(total.size):
+                    to_cos[n] = cos_u[n] * c - sin_u[n] * s
+                    to_sin[n] = sin_u[n] * c + cos_u[n] * s
+            advance(lanes, x, y, cos, sin, to_cos, to_sin, i, robot, seconds)
+            if problem.drifts:
+                dx = problem.flow[i, 0] * seconds
+                dy = problem.flow[i, 1] * seconds
+                for n in range(total.size):
+                    x[i, n] = x[i, n] + dx
+                    y[i, n] = y[i, n] + dy
+            count_hits(problem, x, y, i, rollouts)
+        if problem.separation > 0:
+            count_meetings(x, y, problem.separation, hits)
+    return _add_up(problem, rollouts, total)
+
+
+@compiled(**INLINE_FAST)
+def count_meetings(x, y, separation, hits):
+    """Add 1 to hits[i, n] for each robot before i that is nearer to i than the separation."""
+    least = separation * separation
+    for i in range(x.shape[0]):
+        for k in range(i):
+            for n in range(x.shape[1]):
+                dx = x[i, n] - x[k, n]
+                dy = y[i, n] - y[k, n]
+                hits[i, n] += 1.0 if dx * dx + dy * dy <= least else 0.0
+
+
+@compiled(**INLINE_FAST)
+def _add_up(problem, rollouts, total):
+    """Write (7) of each particle to total (P,); return whether all are finite."""
+    x = rollouts.x
+    y = rollouts.y
+    hits = rollouts.hits
+    weight = problem.obstacle_weight
+    for n in range(total.size):
+        total[n] = 0.0
+    for i in range(len(problem.robots)):
+        target_x = problem.targets[i, 0]
+        target_y = problem.targets[i, 1]
+        for n in range(total.size):
+            dx = x[i, n] - target_x
+            dy = y[i, n] - target_y
+            total[n] += math.sqrt(dx * dx + dy * dy) + weight * hits[i, n]  # (8), (9)
+    finite = True
+    for n in range(total.size):
+        finite &= math.isfinite(total[n])
+    return finite

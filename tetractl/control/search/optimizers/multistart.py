@@ -1,0 +1,185 @@
+"""The recommended optimiser: Levenberg-Marquardt polishes the best of many random starts.
+
+A particle swarm needs some ten thousand rollouts because it uses only the cost of a rollout. The
+cost, equation (8) of the paper, is smooth, its gradient costs about as much as a rollout, and there
+are far fewer misses (two coordinates per robot) than signals: Levenberg-Marquardt
+(`tetractl.control.search.kernels.levenberg`) reaches the targets from about every third smooth
+random sequence, in a few dozen steps. Global decisions, such as the side on which to pass an
+obstacle, are made by random starts and selection: each round draws many smooth sequences, evaluates
+them in one vectorised rollout and polishes only the best.
+"""
+
+from threading import get_ident
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.control.search.cost import require_finite
+from tetractl.core.plan import Limits, Problem, Search, StopReason
+from tetractl.core.poses import Floats
+from tetractl.spec.base import Positive
+from tetractl.spec.controller import OptimizerSection
+
+if TYPE_CHECKING:
+    from tetractl.control.search.kernels.multistart import Rounds, SearchTask
+
+
+class Multistart(OptimizerSection):
+    """Many random starts, the best polished by Levenberg-Marquardt.
+
+    See docs/explanation/controller.md.
+
+    Each round scatters `particles` smooth random sequences, evaluates them in one rollout, and
+    polishes the best `polished` of them until one has a cost of at most `tolerance`.
+    """
+
+    type: Literal["multistart"] = "multistart"
+    particles: int = Field(default=128, ge=1, le=1_000_000)
+    """Number of sequences scattered in each round."""
+    knots: int = Field(default=12, ge=2, le=1000)
+    """Number of random directions that each scattered sequence passes through, evenly spread over
+    its length.
+    """
+    polished: int = Field(default=4, ge=1, le=10_000)
+    """Number of sequences polished in each round, the best of the scattered ones."""
+    rounds: int = Field(default=10, ge=1, le=10_000)
+    """Number of rounds of a search without a warm start. With a warm start there is one round, and
+    only if polishing the start fails.
+    """
+    grows: bool = True
+    """Whether `knots` and the iterations that polish a start are multiplied by (N / 3)^2 if there
+    are more than three robots."""
+    tolerance: Positive = 0.001
+    """Cost J at which a sequence is good enough and the search ends [length unit]."""
+
+    slack: ClassVar[float] = 0.01
+    """Clearance of a path pushed out of an obstacle, per step of the fastest robot."""
+    steps: ClassVar[int] = 40
+    """Most Levenberg-Marquardt iterations of a start."""
+    patience: ClassVar[int] = 6
+    """A polish ends if so many iterations bring no fall by a fifth."""
+
+    @property
+    def iterations_max(self) -> int:
+        """Largest number of Levenberg-Marquardt iterations for one start, of up to three robots."""
+        return self.steps
+
+    @property
+    def evaluations_min(self) -> int:
+        """Least number of cost evaluations of a search: one round and a warm start."""
+        return self.particles + 1
+
+    @property
+    def good_enough(self) -> float:
+        """The cost J at which a sequence is good enough: `tolerance`."""
+        return self.tolerance
+
+    def growth(self, problem: Problem) -> float:
+        """Return the factor by which `knots`, `steps` and `patience` are multiplied."""
+        return max(1.0, np.square(len(problem.a) / 3)) if self.grows else 1.0
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        """Search sequences of `length` signals, from `warm` or from random starts.
+
+        A warm start is polished first; if that fails, one round is scattered, half of it around the
+        warm start. The history holds J before and after each polish and, in between, the merit of
+        its steps: f of the paper's equation (8) plus the depths inside obstacles.
+        """
+        from tetractl.control.search.kernels import levenberg, motion, multistart, rollout
+
+        growth = self.growth(problem)
+        longest_step = float(problem.speed.max()) * problem.period
+        iterations_max = round(self.steps * growth)
+        rounds = multistart.rounds_for(  # arrays that the next search of this thread uses again
+            thread=get_ident(),
+            count=min(self.polished, self.particles),
+            particles=self.particles,
+            knots=min(round(self.knots * growth), length),
+            length=length,
+            steps_max=iterations_max,
+            rounds=self.rounds,
+        )
+        settings = levenberg.PolishSettings(
+            tolerance=self.tolerance,
+            slack=self.slack * longest_step,
+            patience=round(self.patience * growth),
+            iterations_max=iterations_max,
+        )
+        task = multistart.SearchTask(
+            problem=motion.flatten(problem),
+            rollouts=rollout.rollouts_of(get_ident(), problem.a.size, self.particles),
+            room=levenberg.room_for(problem, length),
+            settings=settings,
+            key=np.uint64(key),
+            warm=np.empty(0) if warm is None else warm,
+            rounds=self._rounds(problem, length) if warm is None else 1,
+            budget=multistart.UNLIMITED if limits.evaluations is None else limits.evaluations,
+        )
+        if warm is None:
+            rounds.begin(multistart.SCATTER, np.empty((0, length)))
+        else:
+            rounds.begin(multistart.WARM, warm[None])
+        if limits.timed:
+            robot_steps = len(task.room.residual) * length * problem.a.size
+            iterations = max(1, multistart.BETWEEN_LOOKS // robot_steps)
+            stopped = _stopped_in_time(task, rounds, iterations, limits)
+        else:
+            stopped = _reason(multistart.search(task, rounds, multistart.UNLIMITED))
+        return Search(
+            length=length,
+            signals=rounds.best.copy(),
+            cost=float(rounds.state.best_cost),
+            history=np.minimum.accumulate(rounds.history[: rounds.state.history_entries]),
+            evaluations=int(rounds.state.evaluations),
+            stopped=stopped,
+        )
+
+    def _rounds(self, problem: Problem, length: int) -> int:
+        """Return `rounds`, but 1 if the targets are out of reach even along straight lines."""
+        gaps = problem.poses.distances(problem.targets)
+        reach = problem.speed * problem.seconds(length)
+        beyond = float(np.maximum(gaps - reach, 0.0).sum())
+        return 1 if beyond > self.tolerance else self.rounds
+
+
+def _stopped_in_time(
+    task: "SearchTask", rounds: "Rounds", iterations: int, limits: Limits
+) -> StopReason:
+    """Search until the search ends or time does, with a look at the clock after every `iterations`;
+    return why it ended.
+
+    At the deadline the polish under way ends as it is, or the first one before it improves its
+    start: the reason is the deadline, even if the result is good enough.
+    """
+    from tetractl.control.search.kernels import multistart
+
+    # what the search spends if it ends now, so that a rerun of it can end at the same look
+    evaluations = rounds.evaluations_if_finished()
+    while not limits.expired(evaluations):
+        end = multistart.search(task, rounds, iterations)
+        if end != multistart.UNDER_WAY:
+            return _reason(end)
+        evaluations = rounds.evaluations_if_finished()
+    if evaluations > rounds.state.evaluations:
+        _reason(multistart.finish(task, rounds))
+    return StopReason.DEADLINE
+
+
+def _reason(end: int) -> StopReason:
+    """Return why the search stopped, given how the kernel says that it ended; ControlError if a
+    cost is no finite number."""
+    from tetractl.control.search.kernels import multistart
+
+    match end:
+        case multistart.GOOD:
+            return StopReason.TARGET
+        case multistart.SPENT:
+            return StopReason.EVALUATIONS
+        case multistart.NOT_FINITE:
+            require_finite(np.array([np.nan]))
+        case _:
+            pass
+    return StopReason.ITERATIONS  # all rounds are done

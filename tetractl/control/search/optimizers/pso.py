@@ -1,0 +1,197 @@
+"""Particle swarm optimisation: the paper's Algorithm 1, equations (14)-(20).
+
+A swarm has P particles (the paper's np; here, `np` is NumPy). Particle n has a sequence u_n of L
+signals [rad], a velocity v_n, and u_lb,n, the best sequence it has met; u_gb is the best sequence
+that the swarm has met. The cost J of a sequence, (7), is a length. One iteration, from z to z + 1,
+is
+
+    v_n    <-  omega_v v_n + c1 r1 (u_lb,n - u_n) + c2 r2 (u_gb - u_n)        (14)
+    v_n    <-  max(-|ub - lb|, min(v_n, |ub - lb|))                           (15)
+    u_n    <-  max(lb, min(u_n + v_n, ub))                                    (16), (17)
+    u_lb,n <-  u_n     if J(u_n) < J(u_lb,n)                                  (18)
+    u_gb   <-  u_lb,m  if J(u_lb,m) < J(u_gb), m = argmin_n J(u_lb,n)         (19)
+
+with r1 and r2 uniform in [0, 1), drawn for each particle, signal and iteration, and with the bounds
+lb = -pi and ub = pi of each signal, (12). (20) is `tetractl.control.search.stop`. Arrays have a
+column for each particle, (L, P). The moves (14)-(17) and the costs are compiled
+(`tetractl.control.search.kernels`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.control.search.rng import mix, uniform
+from tetractl.control.search.search_progress import Progress
+from tetractl.control.search.stop import PaperStop, StopCriterion, reason_to_stop
+from tetractl.core.plan import Limits, Problem, Search
+from tetractl.core.poses import Floats
+from tetractl.model.motion.motion import LOWER, UPPER
+from tetractl.spec.controller import OptimizerSection
+
+SPAN = UPPER - LOWER
+"""Greatest change |ub - lb| of a signal in an iteration, (15) [rad]."""
+KEY_OF_START = 0
+"""Which of a search's random numbers are those of the start."""
+KEY_OF_MOVES = 1
+"""Which are those of the moves, (14)."""
+
+
+class Pso(OptimizerSection):
+    """Particle swarm of the paper's Algorithm 1, equations (14)-(19)."""
+
+    type: Literal["pso"] = "pso"
+    particles: int = Field(default=100, ge=1, le=1_000_000)
+    """Number of particles np."""
+    iterations: int = Field(default=100, ge=1, le=1_000_000)
+    """Largest number of iterations z_max of one search (one horizon)."""
+    inertia: float = Field(default=0.7, gt=0, le=2, allow_inf_nan=False)
+    """Momentum omega_v of the paper's equation (14)."""
+    cognitive: float = Field(default=1.5, gt=0, le=10, allow_inf_nan=False)
+    """Weight c1 of the paper's equation (14), towards a particle's own best."""
+    social: float = Field(default=1.5, gt=0, le=10, allow_inf_nan=False)
+    """Weight c2 of the paper's equation (14), towards the swarm's best."""
+    stop: StopCriterion = PaperStop(type="paper")
+    """Criterion by which a search ends before `iterations`."""
+
+    @property
+    def iterations_max(self) -> int:
+        """Largest number of iterations of one search, z_max."""
+        return self.iterations
+
+    @property
+    def evaluations_min(self) -> int:
+        """Least number of cost evaluations of a search: all particles and a warm start."""
+        return self.particles + 1
+
+    @property
+    def evaluations_max(self) -> int:
+        """Largest number of cost evaluations of a search: all iterations and a warm start."""
+        return (self.iterations + 1) * self.particles + 1
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        """Search sequences of `length` signals by Algorithm 1, pso(u_gb^0): u_gb^0 is the warm
+        start, or NULL for None. The numbers of lines are the paper's."""
+        progress = Progress(length, limits)
+        swarm = self.swarm(problem, length, warm, key)  # lines 1-6
+        evaluations = self.particles if warm is None else self.particles + 1
+        progress.add_best(swarm.best.signals, swarm.best.cost, evaluations)
+        for _ in range(self.iterations):  # line 7
+            progress.ended = progress.limit_before(self.particles)
+            if progress.ended is None:
+                swarm.iterate()  # line 8
+                progress.add_best(swarm.best.signals, swarm.best.cost, self.particles)
+                progress.ended = reason_to_stop(np.array(progress.history), self.stop)  # line 9
+            if progress.ended is not None:
+                break  # line 10
+        return progress.search()  # line 13
+
+    def swarm(self, problem: Problem, length: int, warm: Floats | None, key: int) -> "Swarm":
+        """Return the swarm with which Algorithm 1 begins, lines 1-6: its u_gb is `warm` or, without
+        it, the best of all u_lb,n. A warm start is not compared with the u_lb,n before the first
+        iteration.
+        """
+        # imported late: reading a spec searches nothing
+        from tetractl.control.search.evaluate import compiled_costs
+
+        scattered = Swarm.scattered(self, length, key, compiled_costs(problem, self.particles))
+        if warm is None:
+            return scattered
+        cost_of_one = compiled_costs(problem, 1)
+        cost = float(cost_of_one(warm[:, None])[0])
+        return replace(scattered, best=Best(warm.copy(), cost))
+
+
+@dataclass(frozen=True, slots=True)
+class Best:
+    """A sequence (L,) [rad] and its cost J [length unit]."""
+
+    signals: Floats
+    cost: float
+
+
+@dataclass(slots=True)
+class Swarm:
+    """P particles in L dimensions; `scattered` makes a swarm, `iterate` moves it.
+
+    `costs_of` maps sequences (L, P) to their costs J (P,). All random numbers come from `key`.
+    """
+
+    section: Pso
+    key: int
+    costs_of: Callable[[Floats], Floats]
+    u: Floats
+    """Sequences u_n (L, P) [rad]."""
+    v: Floats
+    """Velocities v_n (L, P) [rad per iteration]."""
+    u_lb: Floats
+    """Local bests u_lb,n (L, P) [rad]."""
+    local_costs: Floats
+    """J(u_lb,n), (P,)."""
+    best: Best
+    """The global best u_gb with J(u_gb)."""
+    z: int = 0
+    """Number of iterations done."""
+
+    @classmethod
+    def scattered(
+        cls, section: Pso, length: int, key: int, costs_of: Callable[[Floats], Floats]
+    ) -> "Swarm":
+        """Return a swarm whose u_n, v_n and u_lb,n are drawn uniformly in their search spaces, line
+        1, and whose u_gb is the best of the u_lb,n, line 3.
+        """
+        shape = 3, length, section.particles
+        draws = uniform(mix(key, KEY_OF_START), 0, 3 * length * section.particles)
+        draws_u, draws_v, draws_lb = draws.reshape(shape)
+        u_lb = LOWER + SPAN * draws_lb
+        local_costs = costs_of(u_lb)
+        return cls(
+            section=section,
+            key=mix(key, KEY_OF_MOVES),
+            costs_of=costs_of,
+            u=LOWER + SPAN * draws_u,
+            v=-SPAN + 2 * SPAN * draws_v,
+            u_lb=u_lb,
+            local_costs=local_costs,
+            best=best_of(u_lb, local_costs),
+        )
+
+    def iterate(self) -> None:
+        """Move all particles, then update the local and the global best: line 8."""
+        self._move()
+        costs = self.costs_of(self.u)
+        self.u_lb = np.where(costs < self.local_costs, self.u, self.u_lb)  # (18)
+        self.local_costs = np.minimum(costs, self.local_costs)
+        local = best_of(self.u_lb, self.local_costs)
+        if local.cost < self.best.cost:  # (19)
+            self.best = local
+        self.z += 1
+
+    def _move(self) -> None:
+        """Change u and v in place by equations (14)-(17), which the kernel has."""
+        from tetractl.control.search.kernels.update import (
+            move,  # late: reading a spec compiles nothing
+        )
+
+        move(
+            self.u,
+            self.v,
+            self.u_lb,
+            self.best.signals,
+            np.uint64(self.key),
+            self.z,
+            self.section.inertia,
+            self.section.cognitive,
+            self.section.social,
+        )
+
+
+def best_of(signals: Floats, costs: Floats) -> Best:
+    """Return the sequence of least cost (P,) among sequences (L, P), the first of equal ones."""
+    leader = int(np.argmin(costs))
+    return Best(signals[:, leader].copy(), float(costs[leader]))

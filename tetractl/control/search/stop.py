@@ -1,0 +1,85 @@
+"""Criteria by which a search ends: the paper's equation (20), and others without logarithms."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.core import elementwise
+from tetractl.core.plan import StopReason
+from tetractl.core.poses import Floats
+from tetractl.spec.base import Model, Positive
+
+WINDOW = 10
+"""Number z of iterations up to which no search stops early, and over which J has to fall."""
+
+
+class PaperStop(Model):
+    """Stop criterion of the paper's equation (20) as printed: it compares logarithms of lengths, so
+    it depends on the length unit."""
+
+    type: Literal["paper"]
+
+
+class RelativeStop(Model):
+    """Stop when the best cost has fallen by less than 1 % over ten iterations."""
+
+    type: Literal["relative"]
+
+
+class TargetStop(Model):
+    """Stop as soon as the best cost J is at or below `cost` (in the spec's length unit)."""
+
+    type: Literal["target"]
+    cost: Positive
+    """The cost J that is good enough [length unit]."""
+
+
+class BudgetStop(Model):
+    """Never stop early: do all iterations."""
+
+    type: Literal["budget"]
+
+
+StopCriterion = Annotated[
+    PaperStop | RelativeStop | TargetStop | BudgetStop, Field(discriminator="type")
+]
+
+
+def reason_to_stop(history: Floats, stop: StopCriterion) -> StopReason | None:
+    """Return why to stop after iteration z = len(history) - 1, or None to go on.
+
+    history[m] is J(u_gb) after iteration m. Up to z = 10, only the criterion `target` may stop a
+    search.
+    """
+    match stop:
+        case BudgetStop():
+            return None
+        case TargetStop(cost=cost):
+            return StopReason.TARGET if history[-1] <= cost else None
+        case RelativeStop():
+            if len(history) <= WINDOW + 1:
+                return None
+            before = history[-1 - WINDOW]
+            stops = before - history[-1] <= 0.01 * abs(before)
+            return StopReason.CRITERION if stops else None
+        case PaperStop():
+            return StopReason.CRITERION if paper_criterion(history) else None
+
+
+def paper_criterion(history: Floats) -> bool:
+    """Evaluate the paper's equation (20) as printed, after iteration z = len(history) - 1.
+
+    C = sum_{m=z-10}^{z} log J(m) / 2;  Delta = sum_{m=z-9}^{z} log(J(m-1) - J(m)); stop if z > 10
+    and Delta < C. An iteration without improvement gives log 0 = -inf, hence a stop; J = 0 gives
+    -inf on both sides and no stop. Because of the logarithms, the criterion depends on the unit of
+    length.
+    """
+    z = len(history) - 1
+    if z <= WINDOW:
+        return False
+    last = history[z - WINDOW :]
+    with np.errstate(divide="ignore"):
+        c = elementwise.log(last).sum() / 2
+        delta = elementwise.log(last[:-1] - last[1:]).sum()
+    return bool(delta < c)

@@ -1,1 +1,0 @@
-"""Replay of recorded trials, and their verification by re-computation."""

@@ -1,0 +1,54 @@
+"""The actuator of a spec of which another part is wrong: what is needed to stop its robots.
+
+A stop needs the actuator's ports and the names of its robots. Their motion, the camera, the
+controller and the calibration do not matter to it.
+"""
+
+from typing import Annotated, Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from tetractl.core.registries import ACTUATORS
+from tetractl.core.setup import Setup
+from tetractl.spec.base import STRICT, with_tuples
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.lab_section import ActuatorSection, RobotPart
+from tetractl.spec.registry_fields import KindSection
+from tetractl.spec.yaml.document import Document
+
+STAND_IN = {"start": (0.5, 0.5), "target": (0.5, 0.5), "a": 1.0, "speed": 1.0}
+"""Place and motion of a robot that is only stopped; a setup needs some, and no stop uses them."""
+STAND_IN_WHEEL_RADIUS = 1.0
+"""Distance from a wheel to a robot's centre, in the unit of the setup: as above."""
+
+
+def actuator_alone(spec: Document) -> tuple[ActuatorSection, Setup] | None:
+    """Return the actuator of a spec's plant or lab, and a setup with the names of its robots; None
+    if that section is missing or invalid."""
+    section = _valid_actuator(spec.data.get("plant")) or _valid_actuator(spec.data.get("lab"))
+    if section is None:
+        return None
+    parts = dict(section).get("robots", ())
+    names = [part.name for part in parts if isinstance(part, RobotPart)]
+    contents = {
+        "name": "stop",
+        "arena": {"left": 0.0, "bottom": 0.0, "width": 1.0, "height": 1.0},
+        # without names, one robot stands for all cells in a field
+        "robots": tuple({"name": name, **STAND_IN} for name in names or ("all",)),
+        "wheels": {"radius": STAND_IN_WHEEL_RADIUS},
+    }
+    experiment = Experiment.model_validate(contents, strict=True, context=STRICT)
+    return section, experiment.setup
+
+
+def _valid_actuator(lab: Any) -> ActuatorSection | None:
+    """Return the valid section `actuator` of a section of a lab, None if there is none."""
+    if not isinstance(lab, dict) or "actuator" not in lab:
+        return None
+    adapter = TypeAdapter[ActuatorSection](
+        Annotated[ActuatorSection, KindSection(ACTUATORS, ActuatorSection)]
+    )
+    try:
+        return adapter.validate_python(with_tuples(lab["actuator"]), strict=True, context=STRICT)
+    except ValidationError:
+        return None

@@ -1,0 +1,216 @@
+"""The errors of a spec whose parts are valid, but contradict each other: `errors_of`.
+
+A lab that a command chooses again is checked by the rules of sections alone, `section_errors`. A
+spec in a log, which tetractl has written, may have places that a person's spec may not have: there,
+starts may have been measured. Warnings, for which a spec is not refused, are findings of the same
+kind: `tetractl.run.plausibility` has their rules.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core import elementwise
+from tetractl.core.poses import Floats
+from tetractl.core.setup import Setup
+from tetractl.spec.base import Point
+from tetractl.spec.experiment import Arena, Experiment, Robot, ShapeSection
+from tetractl.spec.lab_section import LabSection
+from tetractl.spec.section_abilities import KeepsClear
+from tetractl.spec.yaml.problems import Loc
+
+MEMORY_GB = 1.0
+"""Most memory of a control step [GB]."""
+GB_PER_NUMBER = 8e-9
+"""Memory of a number of 64 bits [GB]."""
+ROUNDING = 1e-9
+"""Bodies whose distance differs from two radii by less than this fraction touch but for rounding,
+and do not overlap."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpecFinding:
+    """One thing that is wrong with a spec, at the location `where`: an error or a warning.
+
+    `text` goes on after the name and the value of the field at that location: "is outside the
+    arena". `hint` says what to do; most errors say that in their text.
+    """
+
+    where: Loc
+    text: str
+    hint: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.text}; {self.hint}" if self.hint else self.text
+
+
+Findings = Iterator[SpecFinding]
+
+
+def errors_of(experiment: Experiment, written: bool) -> Findings:
+    """Yield the errors of a spec; `written` is whether tetractl has written it into a log."""
+    yield from same_names(experiment)
+    if not written:
+        yield from misplaced(experiment)
+    yield from section_errors(experiment)
+    needed_gb = GB_PER_NUMBER * experiment.controller.numbers_held(experiment.setup)
+    if needed_gb > MEMORY_GB:
+        message = f"a control step would need some {needed_gb:.3g} GB of memory, more than 1 GB"
+        yield SpecFinding(("controller",), f"{message}; use fewer particles, robots or signals")
+    if not written:
+        yield from overlapping(experiment)
+        yield from unreachable(experiment)
+
+
+# rules of robots and obstacles
+
+
+def same_names(experiment: Experiment) -> Findings:
+    """Names differ."""
+    first: dict[str, int] = {}
+    for i, robot in enumerate(experiment.robots):
+        earlier = first.setdefault(robot.name, i)
+        if earlier != i:
+            message = f"robots.{earlier} has this name already; names must differ"
+            yield SpecFinding(("robots", i, "name"), message)
+
+
+def misplaced(experiment: Experiment) -> Findings:
+    """Starts, targets and way-points are in the arena and in no obstacle; no obstacle is entirely
+    outside the arena.
+    """
+    arena = experiment.arena
+    places = [] if experiment.chosen else _places(experiment.robots)  # others are stand-ins
+    points = np.array([point for _, point in places], dtype=float).reshape(-1, 2)
+    with np.errstate(over="ignore", invalid="ignore"):
+        shapes = [obstacle.shape() for obstacle in experiment.obstacles]
+        inside = [shape.contain(points[:, 0], points[:, 1]) for shape in shapes]
+    for row, (where, point) in enumerate(places):
+        if not arena.bounds.contains(*point):
+            yield SpecFinding(where, f"is outside the arena; must be within {_extent(arena)}")
+        for j, obstacle in enumerate(experiment.obstacles):
+            if inside[j][row]:
+                message = f"is inside obstacles.{j}, a {obstacle.type}; move one of them"
+                yield SpecFinding(where, message)
+    for j, obstacle in enumerate(experiment.obstacles):
+        if not _touches(arena, obstacle):
+            message = f"is entirely outside the arena, which is {_extent(arena)}"
+            yield SpecFinding(("obstacles", j), message)
+
+
+def _places(robots: Sequence[Robot]) -> list[tuple[Loc, Point]]:
+    """Return the location in the spec of each start, target and way-point, and the point."""
+    places: list[tuple[Loc, Point]] = []
+    for i, robot in enumerate(robots):
+        places.append((("robots", i, "start"), robot.start))
+        places.append((("robots", i, "target"), robot.target))
+        for leg, point in enumerate(robot.via):
+            places.append((("robots", i, "via", leg), point))
+    return places
+
+
+def _extent(arena: Arena) -> str:
+    """Return the arena's bounds as text."""
+    bounds = arena.bounds
+    return f"x {bounds.left:g} to {bounds.right:g}, y {bounds.bottom:g} to {bounds.top:g}"
+
+
+def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
+    """Return whether an obstacle meets the arena's edge or has a corner inside the arena."""
+    bounds = arena.bounds
+    x = np.array([bounds.left, bounds.right, bounds.right, bounds.left])
+    y = np.array([bounds.bottom, bounds.bottom, bounds.top, bounds.top])
+    next_x = np.roll(x, -1)
+    next_y = np.roll(y, -1)
+    shape = obstacle.shape()
+    with np.errstate(over="ignore", invalid="ignore"):
+        if shape.cross(x, y, next_x, next_y).any():
+            return True
+    corners = shape.outline().tolist()
+    return any(bounds.contains(*corner) for corner in corners)
+
+
+# rules of sections
+
+
+def section_errors(experiment: Experiment) -> Findings:
+    """Yield the contradictions between the sections of controller, plant and lab, in the order in
+    which a command that takes the first error applies them.
+
+    A controller that switches the field off has a plant that can do so, and a spec with way-points
+    or a hold a controller for them. Devices that have to find the robots of a trial can. Then the
+    rules of the sections themselves.
+    """
+    control = experiment.controller
+    if control.switches_field and not experiment.plant.switches_field:
+        message = f"cannot switch the field off, as controller {control.type} does"
+        yield SpecFinding(("plant",), f"{message}; simulations can")
+    if not control.tours and (experiment.hold or len(experiment.setup.legs) > 1):
+        message = f"{control.type} supports neither way-points nor a hold; mpc does"
+        yield SpecFinding(("controller",), message)
+    for loc, message in control.contradictions(experiment.setup):
+        yield SpecFinding(("controller", *loc), message)
+    for name, plant in (("plant", experiment.plant), ("lab", experiment.lab)):
+        if isinstance(plant, LabSection) and experiment.chosen is not None:
+            for device, section in (("camera", plant.camera), ("actuator", plant.actuator)):
+                if not section.settles:
+                    message = "cannot find the robots of a trial; name them in robots"
+                    yield SpecFinding((name, device), f"{section.type} {message}")
+        if plant is not None:
+            for loc, message in plant.contradictions(experiment.setup):
+                yield SpecFinding((name, *loc), message)
+
+
+# rules of places
+
+
+def overlapping(experiment: Experiment) -> Findings:
+    """No robot's body overlaps that of an earlier robot at the starts, at way-points that robots
+    pass together, or at the targets."""
+    if experiment.chosen is not None:
+        return
+    setup = experiment.setup
+    radius = experiment.controller.body_radius
+    touching = 2 * radius * (1 - ROUNDING)
+    places: list[tuple[Loc, str, Floats]] = [(("start",), "start", setup.starts.xy)]
+    for leg, points in enumerate(setup.legs[:-1]):
+        places.append((("via", leg), "way-point", points))
+    places.append((("target",), "target", setup.targets))
+    for where, word, points in places:
+        for i, neighbour, distance in nearest(setup, points):
+            if distance < touching:
+                message = f"bodies of radius {radius:g} overlap; move one of them"
+                place = f"is {distance:.4g} {setup.unit} from the {word}"
+                yield SpecFinding(("robots", i, *where), f"{place} of {neighbour}: {message}")
+
+
+def unreachable(experiment: Experiment) -> Findings:
+    """At no target would a robot's body be in an obstacle or, if plans keep to the walls, over the
+    arena's edge. Targets that are themselves there are reported by `misplaced` alone.
+    """
+    control = experiment.controller
+    if not isinstance(control, KeepsClear) or experiment.chosen is not None:
+        return
+    setup = experiment.setup
+    x, y = setup.targets.T
+    to_edge = setup.arena.inside(x, y)
+    to_obstacle = np.full(len(x), np.inf)
+    for shape in setup.obstacles:
+        to_obstacle = np.minimum(to_obstacle, shape.distance(x, y))
+    well_placed = (to_edge >= 0) & (to_obstacle > 0)
+    keeps_to_walls = control.collision.walls
+    nearest_gap = np.minimum(to_obstacle, to_edge) if keeps_to_walls else to_obstacle
+    for i in np.flatnonzero(well_placed & (nearest_gap < setup.body_radius)).tolist():
+        place = f"is {nearest_gap[i]:.4g} {setup.unit} from the nearest obstacle or edge"
+        message = f"a body of radius {setup.body_radius:g} does not fit there; move the target"
+        yield SpecFinding(("robots", i, "target"), f"{place}: {message}")
+
+
+def nearest(setup: Setup, points: Floats) -> Iterator[tuple[int, str, float]]:
+    """Yield the index of each robot but the first, the name of the nearest of the earlier robots,
+    and the distance to it [length unit], if each is at its one of `points` (N, 2)."""
+    for i in range(1, len(points)):
+        gaps = elementwise.hypot(*(points[:i] - points[i]).T)
+        k = int(gaps.argmin())
+        yield i, setup.names[k], float(gaps[k])

@@ -1,0 +1,280 @@
+"""Turns pydantic's errors in a spec into plain messages with their location in the YAML: unknown
+keys with those that were meant, wrong types and values."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from tetractl.spec.schema import (
+    alternatives,
+    child,
+    describe,
+    homes,
+    schema_of,
+    tag,
+)
+from tetractl.spec.yaml.core_yaml import with_space
+from tetractl.spec.yaml.document import Document
+from tetractl.spec.yaml.problems import Loc, SpecProblem, did_you_mean
+
+Schema = dict[str, Any]
+
+MESSAGES = {
+    "int_type": "must be a whole number",
+    "int_from_float": "must be a whole number",
+    "float_type": "must be a number",
+    "finite_number": "must be a finite number",
+    "bool_type": "must be true or false",
+    "string_type": "must be text",
+    "string_unicode": "must be valid Unicode text",
+    "tuple_type": "must be a list",
+    "none_required": "must be a mapping of keys to values",
+    "model_type": "must be a mapping of keys to values",
+    "model_attributes_type": "must be a mapping of keys to values",
+    "dict_type": "must be a mapping of keys to values",
+    "missing": "is missing",
+    "extra_forbidden": "unknown key",
+    "greater_than": "must be greater than {gt}",
+    "greater_than_equal": "must be at least {ge}",
+    "less_than": "must be less than {lt}",
+    "less_than_equal": "must be at most {le}",
+    "string_too_short": "must have at least {min_length} characters",
+    "string_too_long": "must have at most {max_length} characters",
+    "too_short": "must have at least {min_length} entries",
+    "too_long": "must have at most {max_length} entries, not {actual_length}",
+    "literal_error": "must be {expected}",
+    "string_pattern_mismatch": "must match {pattern}",
+}
+
+
+LISTED = {"number": "numbers", "integer": "whole numbers", "string": "texts"}
+"""What the entries of a list are called, by their type in a schema."""
+ERRORS_MAX = 1000
+"""Largest number of pydantic's errors that are explained."""
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """An error of pydantic, with the location and the value in the file's data, and the part of
+    the schema that is `about` the value.
+    """
+
+    details: ErrorDetails
+    loc: Loc
+    value: Any
+    about: Schema
+
+    @property
+    def kind(self) -> str:
+        """The name that pydantic gives to the error."""
+        return self.details["type"]
+
+    @property
+    def context(self) -> dict[str, Any]:
+        """Limits and names that a message needs."""
+        return self.details.get("ctx", {})
+
+
+def explain(
+    error: ValidationError, document: Document, model: type[BaseModel]
+) -> Iterator[SpecProblem]:
+    """Yield pydantic's errors in a document, whose type is `model`, as problems, except errors
+    already in the document."""
+    schema = schema_of(model)
+    for details in error.errors(include_url=False, include_input=False)[:ERRORS_MAX]:
+        loc = data_loc(details, document.data)
+        mistake = Mistake(
+            details,
+            loc,
+            value=reduce(child, loc, document.data),
+            about=describe(loc, document.data, schema),
+        )
+        if not _is_reported_already(mistake, document):
+            yield _problem(mistake, document, schema)
+
+
+def _is_reported_already(mistake: Mistake, document: Document) -> bool:
+    """Return whether an error follows from another that is a problem already."""
+    if mistake.kind == "default_factory_not_called":
+        return True  # by the field from which this default is computed
+    if mistake.kind == "too_short" and len(mistake.value or ()) >= mistake.context["min_length"]:
+        return True  # pydantic counts only valid entries; the invalid ones are reported
+    enclosing = [mistake.loc[:depth] for depth in range(len(mistake.loc) + 1)]
+    return any(loc in document.places and document.places[loc].refused for loc in enclosing)
+
+
+def data_loc(details: ErrorDetails, data: Any) -> Loc:
+    """Return the location of an error in the data: pydantic's loc without the tags of unions.
+
+    A validator can name a field of its model in the error's context, see `base.inconsistent`.
+    """
+    steps: list[str | int] = []
+    last = len(details["loc"]) - 1
+    names_a_key = details["type"] in ("missing", "extra_forbidden")
+    for i, step in enumerate(details["loc"]):
+        if not (i == last and names_a_key):
+            is_tag = isinstance(data, dict) and (data.get("type") == step or step not in data)
+            if is_tag or not isinstance(data, dict | list):
+                continue
+        data = child(data, step)
+        steps.append(step)
+    field = details.get("ctx", {}).get("field")
+    return (*steps, field) if isinstance(field, str) else tuple(steps)
+
+
+def _problem(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+    """Return the problem that a mistake is."""
+    loc = mistake.loc
+    match mistake.kind:
+        case "extra_forbidden":
+            meant = _meant_key(str(loc[-1]), loc[:-1], document.data, schema)
+            return document.key(loc).problem(loc, f"unknown key{meant}")
+        case "missing":
+            return _missing(mistake, document, schema)
+        case "union_tag_not_found" | "union_tag_invalid":
+            return _wrong_type(mistake, document, schema)
+        case "not_installed":
+            loc_of_name = (*loc, mistake.context.get("key", "type"))
+            place = document.place(loc_of_name)
+            return place.problem(loc_of_name, mistake.context["why"], place.text)
+    return _wrong_value(mistake, document)
+
+
+def _wrong_type(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+    """Return the problem of a type that is missing, or is none that may be chosen."""
+    loc = (*mistake.loc, "type")
+    place = document.place(loc)
+    types = _types(mistake, schema)
+    message = f"must be one of {', '.join(types.values())}"
+    if mistake.kind == "union_tag_not_found":
+        return place.problem(loc, f"is missing; {message}")
+    wrong = str(child(mistake.value, "type"))
+    guess = did_you_mean(wrong, list(types))
+    return place.problem(loc, message + guess, place.text)
+
+
+def _missing(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
+    """Return the problem of a missing key, or of a list with too few entries."""
+    place = document.place(mistake.loc)
+    if isinstance(mistake.loc[-1], int):
+        entries = mistake.loc[:-1]
+        length = len(describe(entries, document.data, schema).get("prefixItems", ()))
+        return place.problem(entries, f"must have {length} entries", place.text)
+    message = "is missing; add it"
+    description = mistake.about.get("description")
+    if description:
+        message += f": {_sentence(description)}"
+    return place.problem(mistake.loc, message)
+
+
+def _types(mistake: Mistake, schema: Schema) -> dict[str, str]:
+    """Return the texts of the types that may be chosen, by name."""
+    if mistake.context.get("known"):
+        return mistake.context["known"]
+    tags = map(tag, alternatives(mistake.about, schema))
+    return {name: name for name in tags if name is not None}
+
+
+def _wrong_value(mistake: Mistake, document: Document) -> SpecProblem:
+    message = _words(mistake)
+    place = document.place(mistake.loc)
+    is_written = mistake.loc in document.places
+    if mistake.value is None and is_written and mistake.kind != "inconsistent":
+        return place.problem(mistake.loc, f"has no value; {message}")
+    text = place.text if is_written else None
+    return place.problem(mistake.loc, message, mistake.context.get("value", text))
+
+
+def _words(mistake: Mistake) -> str:
+    """Return a message, made from the schema for a wrong choice or pattern, else by `words`."""
+    about = mistake.about
+    if mistake.kind == "literal_error":
+        options = [str(option) for option in about.get("enum") or [about.get("const")]]
+        guess = did_you_mean(str(mistake.value), options)
+        return f"must be one of {', '.join(options)}{guess}"
+    if mistake.kind == "string_pattern_mismatch":
+        text = about.get("description", mistake.context["pattern"])
+        return f"must be {_sentence(text.partition(': ')[2] or text)}"
+    if mistake.kind == "tuple_type":
+        return f"must be {list_of(about)}"
+    message = words(mistake.details, mistake.value)
+    if mistake.kind == "too_long" and mistake.loc[-1] == "start":
+        return f"{message}; a heading is a field of its own, heading: {mistake.value[2]}"
+    return message
+
+
+def list_of(about: Schema) -> str:
+    """Return which list a schema asks for: "a list of 2 numbers" and what it is."""
+    entries = about.get("prefixItems") or [about.get("items") or {}]
+    count = f"{len(entries)} " if "prefixItems" in about else ""
+    kind = LISTED.get(str(entries[0].get("type")), "entries")
+    description = about.get("description")
+    return f"a list of {count}{kind}" + (f": {_sentence(description)}" if description else "")
+
+
+def words(details: ErrorDetails, value: Any) -> str:
+    """Return a plain message for pydantic's error."""
+    kind = details["type"]
+    context = details.get("ctx", {})
+    if kind in MESSAGES:
+        numbers = {k: f"{v:g}" if isinstance(v, float) else v for k, v in context.items()}
+        message = MESSAGES[kind].format(**numbers) + _quotes(kind, value)
+        hint = _hint(kind, value)
+        return f"{message}; {hint}" if hint else message
+    if kind == "unknown_color":
+        colors = context["known"]
+        guess = did_you_mean(str(value), colors)
+        return f"is an unknown colour{guess}; known are #rrggbb and {', '.join(colors)}"
+    message = details["msg"].removeprefix("Value error, ")
+    return message[:1].lower() + message[1:]
+
+
+def _meant_key(key: str, parent: Loc, data: Any, schema: Schema) -> str:
+    """Return what was probably meant by an unknown key in the section `parent`, to follow "unknown
+    key".
+    """
+    spaced = with_space(key)
+    if spaced:
+        return f"; {spaced}"
+    fields = list(describe(parent, data, schema).get("properties", ()))
+    guess = did_you_mean(key, fields)
+    if guess:
+        return guess
+    inside = "".join(f"{step}." for step in parent)
+    for home in homes(key, schema):
+        if home.startswith(inside) and home != f"{inside}{key}":  # that of another kind
+            return f" here; did you mean '{home}'?"
+    return f"; known here: {', '.join(fields)}"
+
+
+def _hint(kind: str, value: Any) -> str:
+    """Return how a value was probably meant, "" if nothing says so."""
+    if isinstance(value, str):
+        comma = re.fullmatch(r"([+-]?\d+),(\d+)", value)
+        point = f"a decimal number has a point: {comma[1]}.{comma[2]}" if comma else ""
+        return with_space(value) or point
+    if kind == "too_long" and all(isinstance(entry, int | float) for entry in value):
+        return "a decimal number has a point, not a comma"
+    return ""
+
+
+def _quotes(kind: str, value: Any) -> str:
+    if kind == "string_type" and isinstance(value, int | float):
+        return "; put it in quotes"
+    if kind in ("int_type", "float_type") and isinstance(value, str):
+        try:
+            float(value)
+        except ValueError:
+            return ""
+        return "" if "_" in value else "; take the quotes away"
+    return ""
+
+
+def _sentence(text: str) -> str:
+    first = text.split(". ")[0].rstrip(".")
+    return first[:1].lower() + first[1:] if not first[:2].isupper() else first

@@ -1,0 +1,325 @@
+"""The lab's section of a spec: a camera, an actuator, and the limits of a run.
+
+Each section of a camera or actuator is in the file of its adapter, and named in
+`tetractl.core.registries`. Lengths whose name ends in `_mm` are in millimetres, independently of
+the spec's length unit; times are in seconds.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from pkgutil import resolve_name
+from typing import Annotated, Any, ClassVar, Self, TypeVar
+
+from pydantic import Field, model_validator
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import UNSTATED, Sight
+from tetractl.core.protocols import Actuator, Camera
+from tetractl.core.registries import ACTUATORS, CAMERAS
+from tetractl.core.setup import Setup
+from tetractl.spec.base import (
+    Finite,
+    Model,
+    Name,
+    NonNegative,
+    Positive,
+    PositiveAngle,
+    inconsistent,
+)
+from tetractl.spec.plant import Microscope, PlantSection
+from tetractl.spec.registry_fields import KindSection
+from tetractl.spec.yaml.problems import Loc
+
+UNTRACKED_STOP_S = 0.05
+"""A robot is stopped if it was not tracked for this time [s], unless the actuator cannot hold a
+single robot still."""
+STANDSTILL_MM_S = 10.0
+"""Speed below which a robot stands still [mm/s]."""
+REACTION_S = 0.15
+"""Time for which the guard predicts motion, unless the limits say otherwise [s]."""
+STOPS = 10
+STOP_GAP_NS = SECOND // 50  # time between two of the ten stops that are sent [ns]
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """The result of a calibration: values that replace values in the lab's sections.
+
+    `camera` and `actuator` map keys of the lab's sections with these names to new values; an entry
+    of a list is found by its `name`.
+    `lines` is a summary for readers. `emulated` names the devices that were not real.
+    """
+
+    camera: Mapping[str, Any] = field(default_factory=dict)
+    actuator: Mapping[str, Any] = field(default_factory=dict)
+    lines: tuple[str, ...] = ()
+    emulated: tuple[str, ...] = ()
+
+
+class RobotPart(Model):
+    """A robot's entry in the section of a device of the lab."""
+
+    name: Name
+    """Name of a robot of the spec."""
+
+
+class DeviceSection(Model):
+    """A device of the lab and its parameters."""
+
+    device: ClassVar[str] = ""
+    """The class of the device, as "module:class": imported only when the device is built."""
+    type: Any  # the section's name, a Literal in each subclass
+    settles: ClassVar[bool] = False
+    """Whether the device has the method `settle`, which trials that choose their robots need."""
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield the location (in this section) and text of each contradiction in the section or
+        with the experiment.
+
+        If the section has `robots`, `mismatches` checks them.
+        """
+        yield from ()
+
+    def bounds(self) -> dict[str, str]:
+        """Return the device's address and limits for display, {name: text}."""
+        return {}
+
+
+class CameraSection(DeviceSection):
+    """A camera system and its parameters."""
+
+    def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
+        """Return the camera of the setup's robots, in their order; nothing is opened.
+
+        `wake` is called after each frame. AbortError if the camera's software is not installed.
+        """
+        return resolve_name(self.device)(self, setup, clock, wake)
+
+    @property
+    def sight(self) -> Sight:
+        """What the camera can see: a grid, noise, frames a second; by default nothing is known."""
+        return UNSTATED
+
+    def heading_offset(self, name: str) -> float | None:
+        """Return the angle that the camera adds to a robot's measured heading [rad], None if its
+        section has none."""
+        return None
+
+
+class ActuatorSection(DeviceSection):
+    """An actuator and its parameters."""
+
+    calibration: ClassVar[str] = ""
+    """The function that implements `calibrate`, as "module:function"; "" if there is none."""
+    checks: ClassVar[str] = "tetractl.lab.guard_checks:robot_checks"
+    """The function that makes the guard's checks of the robots, as "module:function"."""
+    stopping: ClassVar[str] = "tetractl.lab.stop_all:stop_all"
+    """The function that implements `stop_all`, as "module:function"."""
+
+    def beside(self, camera: CameraSection) -> Iterator[tuple[Loc, str]]:
+        """Yield, as `contradictions`, each contradiction with the lab's camera."""
+        yield from ()
+
+    def require_port(self) -> None:
+        """Raise AbortError if the device's port does not exist. No device is opened."""
+
+    def build(self, setup: Setup, clock: Clock) -> Actuator:
+        """Return the actuator of the setup's robots, in their order; nothing is opened."""
+        return resolve_name(self.device)(self, setup, clock)
+
+    def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
+        """Stop every robot that the actuator reaches, with a latched stop if it has one. Only its
+        port is needed; if `alone` is False, a run uses the port at the same time. Returns a text
+        about the stops sent; AbortError if one could not be sent to all robots.
+        """
+        return resolve_name(self.stopping)(self, setup, clock, alone)
+
+    def calibrate(
+        self,
+        lab: "LabSection",
+        make_rig: Callable[["LabLimits", Setup], Any],
+        setup: Setup,
+        names: Sequence[str],
+        limit: int,
+        report: Callable[[str], None],
+    ) -> Measured:
+        """Calibrate the named robots by moving one after another; AbortError if this fails.
+
+        `make_rig` returns the `Rig` of the lab for a setup with other limits. `limit` bounds the
+        output, in 127ths of full speed. `report` is called with lines for the operator.
+        """
+        if not self.calibration:
+            raise UsageError(
+                f"an actuator of type {self.type} cannot be calibrated by moving robots"
+            )
+        measure = resolve_name(self.calibration)
+        return measure(self, lab, make_rig, setup, names, limit, report)
+
+
+class LabLimits(Model):
+    """Limits that stop robots or end a run, and waiting times of a run. The fault table assumes the
+    defaults.
+    """
+
+    stale: Positive = 0.1
+    """All robots stop after this time without a new frame [s]."""
+    stream_lost: Positive = 0.5
+    """The run aborts after this time without a new frame [s]."""
+    untracked_abort: Positive = 0.3
+    """A robot that was not tracked for this time [s], or is seen too rarely, is lost, and the run
+    aborts unless `on_lost` says otherwise."""
+    identity: Positive = 3.0
+    """A robot is lost if its cell has met another and the camera cannot distinguish them for this
+    time [s], and the run aborts unless `on_lost` says otherwise; only with cameras that report
+    identities.
+    """
+    jump_mm: NonNegative = 30.0
+    """A pose is rejected if it is further from an accepted pose of the last second than the robot
+    drives in that time at twice its speed, plus this length [mm]."""
+    height_mm: tuple[Finite, Finite] = (-100.0, 500.0)
+    """Least and greatest height of a body above the floor, the camera system's zero [mm]; a body
+    outside this range is rejected, since it may have come off its robot. In a run it is also
+    rejected more than 40 mm above or below where it was at the start. Only for cameras that report
+    heights.
+    """
+    tilt: PositiveAngle = 0.5
+    """Largest tilt of a body's upward axis from the vertical [rad]; a greater tilt is rejected."""
+    separation_mm: NonNegative = 110.0
+    """Least distance between the centres of two robots [mm]; 0 disables the test."""
+    reaction: NonNegative = REACTION_S
+    """Time from detecting an edge, an obstacle or another robot until a robot stands still [s]; the
+    guard predicts motion over this time."""
+    wheel_error: Annotated[float, Field(ge=0, le=1)] = 0.12
+    """Largest error of a wheel's speed, as a fraction of the commanded speed; a larger error ends
+    the run.
+    """
+    late_steps: int = Field(default=5, ge=1, le=100_000)
+    """The run aborts after this many control steps in a row that missed their deadline."""
+    latency: Positive = 0.1
+    """A run does not start if frames are older than this on arrival [s]."""
+    start_mm: Positive = 50.0
+    """Largest distance from its start at which a robot may stand [mm]."""
+    start_heading: PositiveAngle = 0.3
+    """Largest difference of a robot's heading from its start heading [rad]."""
+    placing: NonNegative = 0.0
+    """Longest time to wait for robots to be put on their starts [s], at least 1 s; for a run that a
+    person starts in a terminal, without `--yes`, there is no limit."""
+
+    @model_validator(mode="after")
+    def _heights_in_order(self) -> Self:
+        if self.height_mm[0] >= self.height_mm[1]:
+            raise inconsistent("height_mm", "must be two heights, the lower one first")
+        return self
+
+
+class LabSection(PlantSection):
+    """A lab with real robots: a camera, an actuator and limits."""
+
+    simulated: ClassVar[bool] = False
+    camera: Annotated[CameraSection, KindSection(CAMERAS, CameraSection)]
+    """The camera system that tracks the robots."""
+    actuator: Annotated[ActuatorSection, KindSection(ACTUATORS, ActuatorSection)]
+    """The actuator that moves the robots."""
+    limits: LabLimits = LabLimits()
+    """Limits that stop robots or end a run, and waiting times of a run."""
+    calibration: str | None = Field(default=None, min_length=1, max_length=500)
+    """A file written by `tetractl lab calibrate` or `tetractl lab survey --micrometer`, relative to
+    the spec; its values replace values in `camera` and `actuator`."""
+    lag: NonNegative | None = None
+    """Time constant with which the wheels of the lab's robots follow a command [s], real or
+    emulated; by default `wheels.lag`, which simulations have too."""
+
+    def with_files(self, folder: Path | None) -> Self:
+        """Return the section with the contents of files that it names relative to `folder`, None if
+        the spec comes from no file."""
+        return self
+
+    @property
+    def microscope(self) -> Microscope | None:
+        """The camera, if its pictures have a known scale and place."""
+        return self.camera if isinstance(self.camera, Microscope) else None
+
+    @property
+    def sight(self) -> Sight:
+        """What the camera says that it can see."""
+        return self.camera.sight
+
+    def require_devices(self) -> None:
+        """Raise AbortError if the actuator's port does not exist."""
+        self.actuator.require_port()
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield the contradictions of both devices."""
+        for device, section in (("camera", self.camera), ("actuator", self.actuator)):
+            for loc, message in section.contradictions(setup):
+                yield (device, *loc), message
+        for loc, message in self.actuator.beside(self.camera):
+            yield ("actuator", *loc), message
+        if self.lag is not None and not setup.on_wheels:
+            yield ("lag",), "is for robots on wheels, and the spec has no `wheels`"
+
+    def bounds(self) -> dict[str, str]:
+        """Return the devices' addresses and the run's limits for display, {name: text}."""
+        limits = self.limits
+        return {
+            **self.camera.bounds(),
+            **self.actuator.bounds(),
+            "all robots stop": f"{limits.stale:g} s after the last camera frame",
+            "a robot stops": f"{UNTRACKED_STOP_S:g} s after the robot was last tracked",
+            "the trial aborts": (
+                f"{limits.stream_lost:g} s after the last frame, {limits.untracked_abort:g} s "
+                f"after a robot was last tracked, or {limits.late_steps} late control steps in "
+                "a row"
+            ),
+        }
+
+
+Part = TypeVar("Part", bound=RobotPart)
+
+
+def entry(robots: Sequence[Part], name: str) -> Part:
+    """Return the entry of the robot with this name; `mismatches` has found that there is one."""
+    return next(robot for robot in robots if robot.name == name)
+
+
+def mismatches(
+    robots: Sequence[RobotPart], names: Sequence[str], unique: Sequence[str] = ()
+) -> Iterator[tuple[Loc, str]]:
+    """Yield location and text of each mismatch between a device's `robots` and the spec's `names`.
+
+    `unique` are further fields in which two robots must differ unless the value is None.
+    """
+    for missing in sorted(set(names) - {robot.name for robot in robots}):
+        yield ("robots",), f"has no {missing}; list every robot of the spec"
+    taken: dict[tuple[str, object], int] = {}
+    for i, robot in enumerate(robots):
+        if robot.name not in names:
+            yield ("robots", i, "name"), f"is not a robot of the spec; those are {', '.join(names)}"
+        for key in ("name", *unique):
+            value = dict(robot)[key]
+            if value is None:
+                continue
+            first = taken.setdefault((key, value), i)
+            if first != i:
+                yield ("robots", i, key), f"is also that of {robots[first].name}; they must differ"
+
+
+def too_fast(setup: Setup, speed_max_mm_s: float) -> Iterator[tuple[Loc, str]]:
+    """Yield, as a section's `contradictions`, that a robot is faster than its wheels are driven."""
+    speeds = setup.speed * setup.metres * 1000
+    if speeds.max() > speed_max_mm_s:
+        name = setup.names[int(speeds.argmax())]
+        yield ("speed_max_mm_s",), f"is below the speed of {name}, {speeds.max():g} mm/s"
+
+
+def unknown_radii(setup: Setup, radii_mm: Iterable[float | None]) -> Iterator[tuple[Loc, str]]:
+    """Yield, as a section's `contradictions`, the robots of which neither their entries, by the
+    radii (N,), nor the spec says how far the wheels are from the centre."""
+    if setup.on_wheels:
+        return
+    for i, radius_mm in enumerate(radii_mm):
+        if radius_mm is None:
+            message = "is missing; add it, or 'wheels: {radius: ..}' for all robots"
+            yield ("robots", i, "radius_mm"), message

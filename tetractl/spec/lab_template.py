@@ -1,0 +1,74 @@
+"""The spec with a lab that `tetractl init --lab` writes, of a part for robots and one for cameras.
+
+A part is a file `robots/KIND.yaml` or `cameras/KIND.yaml` of this package or in a folder of the
+registry TEMPLATES. That of robots is a spec whose line `@CAMERA@` becomes that of a camera; robots
+that measure their own poses have no such line. In a camera's part a line with `@ROBOT@` is repeated
+for each robot, which has the number `@I@`, and `@WIDTH@` and `@HEIGHT@` are the arena's.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from tetractl.core.errors import UsageError
+from tetractl.core.registries import ACTUATORS, CAMERAS, TEMPLATES
+from tetractl.spec.packages import not_installed
+from tetractl.spec.yaml.document import parse_document
+from tetractl.spec.yaml.problems import did_you_mean
+
+OURS = Path(__file__).parent / "templates"
+PLACE = "@CAMERA@\n"
+
+
+def lab_template(robots: str, camera: str | None) -> str:
+    """Return the spec for these kinds of robots and camera, by default the robots' own camera or
+    else `optitrack`; UsageError if there is no such part, or the robots have a camera of their own.
+    """
+    text = _part("robots", robots)
+    if PLACE not in text:
+        if camera not in (None, robots):
+            raise UsageError(f"--robots {robots} measure their own poses", "leave --camera out")
+        return text
+    spec = parse_document(text.replace(PLACE, "").replace("@NAME@", "name: robots"), robots).data
+    names = [robot["name"] for robot in spec["robots"]]
+    part = _for_each_robot(_part("cameras", camera or "optitrack"), names)
+    for side in ("width", "height"):
+        part = part.replace(f"@{side.upper()}@", str(spec["arena"][side]))
+    return text.replace(PLACE, part)
+
+
+def _for_each_robot(text: str, names: Sequence[str]) -> str:
+    """Return the text of a part, whose lines with `@ROBOT@` are repeated for each robot."""
+    lines: list[str] = []
+    for line in text.splitlines(keepends=True):
+        if "@ROBOT@" not in line:
+            lines.append(line.replace("@I@", "0"))
+            continue
+        for i, name in enumerate(names):
+            own_line = line.replace("@ROBOT@", name)
+            lines.append(own_line.replace("@I@", str(i)))
+    return "".join(lines)
+
+
+def _part(what: str, kind: str) -> str:
+    """Return the text of a part, `robots` or `cameras`."""
+    parts: dict[str, Path] = {}
+    for folder in (OURS, *TEMPLATES.usable().values()):
+        for file in sorted((folder / what).glob("*.yaml")):
+            parts.setdefault(file.stem, file)
+    if kind not in parts:
+        raise _no_part(what, kind, list(parts))
+    return parts[kind].read_text("utf-8")
+
+
+def _no_part(what: str, kind: str, parts: list[str]) -> UsageError:
+    """Return the error for a kind of robots or cameras that has no part."""
+    option, types = {"robots": ("--robots", ACTUATORS), "cameras": ("--camera", CAMERAS)}[what]
+    needs = not_installed(types.group, kind)
+    if needs is not None:
+        problem, hint = needs
+        return UsageError(f"{kind} {problem}", hint)
+    why = f"unknown{did_you_mean(kind, parts)}"
+    if kind in types:
+        why = f"its package brings no template {what}/{kind}.yaml; write the section yourself"
+    hint = f"known are {', '.join(parts)}; other packages bring more"
+    return UsageError(f"{option} {kind}: {why}", hint)

@@ -1,0 +1,210 @@
+"""Reads a spec: converts its text to an experiment; reports all problems at once.
+
+The way of a value from a file to the experiment:
+
+    read_document          the file's data, with the place of each value (`yaml.document`)
+    with_settings          values of `--set` and other options take their places: they may name the
+                           files below
+    _with_identified       values of the file of `tetractl identify`, if the spec names one, take
+                           the places of its own, but not those of settings
+    read_weights           layers of the file of a policy's weights, if the spec names one
+    validated_experiment   sections, or pydantic's errors in plain words (`explain`); then the rules
+                           between sections (`consistency`)
+
+Problems of settings, values and rules are collected, and raised together with their places; a file
+that cannot be read is an error at once.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.errors import SpecError, printable
+from tetractl.core.registries import CONTROLLERS
+from tetractl.spec.base import validated
+from tetractl.spec.consistency import errors_of
+from tetractl.spec.experiment import DEFAULT_CONTROLLER, Experiment
+from tetractl.spec.identified import Identified, merge, read_identified
+from tetractl.spec.loaded_spec import Attached, LoadedSpec, attach
+from tetractl.spec.policy_weights import read_weights
+from tetractl.spec.yaml.document import (
+    Document,
+    Place,
+    SpecSetting,
+    parse_document,
+    read_document,
+    with_settings,
+)
+from tetractl.spec.yaml.problems import InvalidSpecError, Loc, SpecProblem
+
+IDENTIFIED = ("identified",)
+"""The field that names a file of `tetractl identify`."""
+WEIGHTS = ("controller", "weights")
+"""The field that names a file of a policy's weights."""
+
+
+def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
+    """Check a parsed spec, which stays as it is; settings replace its values.
+
+    The files that it names are in the folder of its own file; a spec that comes from no file must
+    not name any. Raises InvalidSpecError with one line per problem: `file:line:column: field:
+    value: what is wrong; what would be right`.
+    """
+    settled = with_settings(document, settings)
+    _refuse_study(settled)
+    if document.path is None:
+        _refuse_named_files(settled)
+        experiment = validated_experiment(settled, written=False)
+        return LoadedSpec(experiment, document.text, document.origin, document=settled)
+    folder = document.path.parent
+    attached: Attached = ()
+    identified_file = _named_file(settled, IDENTIFIED)
+    if identified_file is not None:
+        path = folder / identified_file
+        identified, text = read_identified(path)
+        estimates = _estimates(settled)
+        settled = _with_identified(document, identified, path, estimates, settings)
+        attached = attach(attached, path, text)
+    weights_file = _named_file(settled, WEIGHTS)
+    if weights_file is not None:
+        path = folder / weights_file
+        layers, text = read_weights(path)
+        settled.take_out(WEIGHTS)  # its layers take its place
+        settled.put(("controller", "layers"), layers, Place(str(path)))
+        attached = attach(attached, path, text)
+    experiment = validated_experiment(settled, written=False)
+    name = printable(document.path.name)
+    return LoadedSpec(experiment, document.text, name, document.path, attached, document=settled)
+
+
+def load_spec(path: Path, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
+    """Read and check a spec file, as `load_document` does."""
+    return load_document(read_document(path), settings)
+
+
+def parse_spec(text: str, name: str, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
+    """Check the text of a spec, as `load_document` does; `name` is its name in error messages.
+
+    The spec must not name a file, as there is no folder to find it in.
+    """
+    return load_document(parse_document(text, name), settings)
+
+
+def parse_written(text: str, name: str, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
+    """Check a resolved spec that tetractl has written into a log.
+
+    Its places are not checked: a trial may have measured them.
+    """
+    document = with_settings(parse_document(text, name), settings)
+    _refuse_study(document)
+    _refuse_named_files(document)
+    experiment = validated_experiment(document, written=True)
+    return LoadedSpec(experiment, text, name, logged=document.data)
+
+
+def parse_contents(
+    contents: Mapping[str, Any], name: str, settings: Sequence[SpecSetting] = ()
+) -> LoadedSpec:
+    """Check a spec given as its contents, as `parse_spec` does; problems and warnings name fields,
+    but no lines, which no file has."""
+    text = as_text(contents, name)
+    with without_lines():
+        document = parse_document(text, name)
+        for loc, place in document.places.items():
+            document.places[loc] = replace(place, line=None, column=None)
+        return load_document(document, settings)
+
+
+@contextmanager
+def without_lines() -> Iterator[None]:
+    """Raise the problems of contents again, without the lines that no file has."""
+    try:
+        yield
+    except InvalidSpecError as error:
+        problems = [replace(problem, line=None, column=None) for problem in error.problems]
+        raise InvalidSpecError(problems, error.hint) from None
+
+
+def as_text(contents: Mapping[str, Any], name: str) -> str:
+    """Return contents as YAML text; SpecError if they hold an object that YAML does not."""
+    try:
+        return json.dumps(contents)
+    except (TypeError, ValueError) as error:
+        hint = "give text, numbers, lists and dicts, such as array.tolist()"
+        raise SpecError(f"{name}: {printable(str(error), 200)}", hint) from None
+
+
+def is_study(document: Document) -> bool:
+    """Return whether the keys of a file are those of a study, not of a spec."""
+    return "base" in document.data and "robots" not in document.data
+
+
+def _refuse_study(document: Document) -> None:
+    if is_study(document):
+        hint = f"run it with: tetractl study {document.origin}"
+        raise InvalidSpecError([SpecProblem(document.origin, "is a study, not a spec")], hint)
+
+
+def _named_file(document: Document, loc: Loc) -> str | None:
+    """Return the name of the file that a field of a spec names, None if it names none; layers in
+    the spec itself need no file.
+    """
+    if loc == WEIGHTS and ("controller", "layers") in document.places:
+        return None
+    name: Any = document.data
+    for key in loc:
+        name = name.get(key) if isinstance(name, dict) else None
+    return name if isinstance(name, str) else None
+
+
+def _with_identified(
+    document: Document,
+    identified: Identified,
+    path: Path,
+    estimates: bool,
+    settings: Sequence[SpecSetting],
+) -> Document:
+    """Return a copy of a document with the values of the file that it names in place of its own
+    and, in place of both, the settings."""
+    changed = with_settings(document, ())
+    merge(changed, identified, str(path), estimates)
+    settled = with_settings(changed, settings)
+    settled.take_out(IDENTIFIED)  # its values are now in the spec
+    return settled
+
+
+def _refuse_named_files(document: Document) -> None:
+    """Add a problem for each file that is named, as there is no folder to find it in."""
+    for loc in (IDENTIFIED, WEIGHTS):
+        if _named_file(document, loc) is not None:
+            document.refuse(loc, "can be named only in a spec file")
+
+
+def _estimates(document: Document) -> bool:
+    """Return whether a document's controller identifies robots while it drives: by its field
+    `estimate` or, where that is not given, by the default of its kind."""
+    controller = document.data.get("controller", {})
+    if not isinstance(controller, dict):
+        return False
+    kind = controller.get("type", DEFAULT_CONTROLLER)
+    if not isinstance(kind, str) or kind not in CONTROLLERS:
+        return False
+    field_of_kind = CONTROLLERS.load(kind).model_fields.get("estimate")
+    by_default = field_of_kind is not None and field_of_kind.default
+    return controller.get("estimate", by_default) is True
+
+
+def validated_experiment(document: Document, written: bool) -> Experiment:
+    """Return the experiment of a document; InvalidSpecError with all its wrong values at once or,
+    if there are none, with all that contradicts each other."""
+    experiment = validated(Experiment, document)
+    with np.errstate(all="ignore"):  # numbers at the end of floating point are compared as inf
+        for error in errors_of(experiment, written):
+            document.refuse(error.where, str(error))
+    document.require_no_problems()
+    return experiment

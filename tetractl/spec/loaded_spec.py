@@ -1,0 +1,132 @@
+"""A valid spec: the experiment, the text and the files that it comes from, and its hash."""
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from tetractl.core.errors import SpecError, printable
+from tetractl.core.shown import Shown
+from tetractl.core.trial import OWN_FILES, PlantInfo, Start
+from tetractl.spec.controller import ControllerSection
+from tetractl.spec.experiment import Experiment, Trials, packages
+from tetractl.spec.yaml.core_yaml import dump
+from tetractl.spec.yaml.document import Document
+
+Attached = tuple[tuple[str, str], ...]
+"""Names and texts of the files that a spec names, which the log stores with it."""
+
+
+@dataclass(frozen=True)
+class LoadedSpec(Shown):
+    """A valid spec: the experiment with `--set` applied, and the spec's original text.
+
+    `resolved`, its YAML with every field, and `hash` are computed once, for all trials. `logged` is
+    the data of a resolved spec that tetractl has written into a log. `document` says which file,
+    line or option states each value; None for a spec that was not read from a text.
+    """
+
+    experiment: Experiment
+    text: str = field(repr=False)
+    name: str  # file name, without its folder
+    path: Path | None = None
+    attached: Attached = field(default=(), repr=False)
+    logged: Any = field(default=None, repr=False)
+    document: Document | None = field(default=None, repr=False, compare=False)
+
+    @cached_property
+    def resolved(self) -> str:
+        """The experiment's spec as YAML with every field, by `resolved_yaml`."""
+        return resolved_yaml(self.experiment)
+
+    @cached_property
+    def hash(self) -> str:
+        """The SHA-256 of the experiment, by `spec_hash`."""
+        return spec_hash(self.experiment, self.logged)
+
+
+def with_controller(spec: LoadedSpec, controller: ControllerSection) -> LoadedSpec:
+    """Return a spec with another controller, unchecked; its text has every field."""
+    experiment = spec.experiment.model_copy(update={"controller": controller})
+    return LoadedSpec(experiment, resolved_yaml(experiment), spec.name)
+
+
+def with_seed(spec: LoadedSpec, seed: int) -> LoadedSpec:
+    """Return a spec whose random numbers have another seed; its text has every field. Raises
+    SpecError for a wrong seed."""
+    try:
+        trials = Trials(count=spec.experiment.trials.count, seed=seed)
+    except ValidationError as error:
+        raise SpecError(f"seed: {error.errors()[0]['msg']}") from None
+    experiment = spec.experiment.model_copy(update={"trials": trials})
+    return LoadedSpec(experiment, resolved_yaml(experiment), spec.name)
+
+
+def resolved_yaml(experiment: Experiment) -> str:
+    """Return a spec with every field as YAML text, which loads as the same experiment."""
+    return dump(experiment.model_dump(mode="json"))
+
+
+def spec_hash(experiment: Experiment, logged: Any = None) -> str:
+    """Return the SHA-256 of the experiment, as 64 hex digits; comments and order do not count. Of
+    an earlier log it is that of the keys of its resolved spec, `logged`."""
+    # -0.0 equals 0.0 but is written differently; adding 0.0 turns it into 0.0
+    fields = json.loads(experiment.model_dump_json(), parse_float=lambda text: float(text) + 0.0)
+    if logged is not None:
+        fields = _with_logged_keys(fields, logged)
+    canonical = json.dumps(fields, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(canonical.encode()).hexdigest()
+
+
+def _with_logged_keys(fields: Any, logged: Any) -> Any:
+    """Return the fields of a spec without those that the spec `logged` in a log lacks, since they
+    were added later."""
+    if isinstance(fields, dict) and isinstance(logged, dict):
+        return {
+            key: _with_logged_keys(fields[key], value) if key in fields else value
+            for key, value in logged.items()
+        }
+    both_lists = isinstance(fields, list) and isinstance(logged, list)
+    if both_lists and len(fields) == len(logged):
+        return [_with_logged_keys(*pair) for pair in zip(fields, logged, strict=True)]
+    return fields
+
+
+def arm_hash(experiment: Experiment) -> str:
+    """Return the hash of an experiment without its number of trials, which affects no trial."""
+    trials = experiment.trials.model_copy(update={"count": 1})
+    return spec_hash(experiment.model_copy(update={"trials": trials}))
+
+
+def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int) -> Start:
+    """Return the start record of a trial; its `plant` may be replaced once the plant is opened."""
+    experiment = spec.experiment
+    return Start(
+        setup=experiment.setup,
+        spec_text=spec.text,
+        spec_name=spec.name,
+        resolved=spec.resolved,
+        spec_hash=spec.hash,
+        seed=experiment.trials.seed,
+        trial=trial,
+        plant=plant,
+        start_unix_ns=start_unix_ns,
+        attached=spec.attached,
+        packages=packages(experiment),
+    )
+
+
+def attach(attached: Attached, path: Path, text: str) -> Attached:
+    """Return the attached files and the further file `path`; SpecError if a file with its name is
+    attached to the log already."""
+    name = printable(path.name)
+    if name in OWN_FILES or name in dict(attached):
+        raise SpecError(
+            f"{printable(str(path))}: every log already has a file named {name}",
+            "rename this file",
+        )
+    return (*attached, (name, text))

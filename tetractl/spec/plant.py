@@ -1,0 +1,113 @@
+"""The plant's section of a spec: the simulation or the lab to control."""
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+
+from tetractl.core.clock import Clock
+from tetractl.core.poses import UNSTATED, Floats, Sight
+from tetractl.core.protocols import LabSupervision, Plant
+from tetractl.core.setup import Setup
+from tetractl.spec.base import Model, NonNegative, Positive
+from tetractl.spec.yaml.problems import Loc
+
+Lengths = TypeVar("Lengths", float, Floats)
+
+
+@runtime_checkable
+class Microscope(Protocol):
+    """The section of a camera whose logged pictures can be put in their place in the arena."""
+
+    @property
+    def um_px(self) -> float:
+        """Micrometres per pixel."""
+        ...
+
+    def placed(self, x_um: Lengths, y_um: Lengths, metres: float) -> tuple[Lengths, Lengths]:
+        """Convert a position, or positions (N,), in the picture [um] from its lower left corner to
+        the spec's coordinates, whose length unit is `metres` [m].
+        """
+        ...
+
+
+class PlantSection(Model):
+    """A plant and its parameters; each section is in the file of its plant."""
+
+    type: Any  # the section's name, a Literal in each subclass
+    simulated: ClassVar[bool]
+    """Whether the plant is a simulation: it runs in virtual time and repeats exactly for the same
+    seed.
+    """
+    switches_field: ClassVar[bool] = False
+    """Whether `steer(None)` works: the plant can switch the field off while robots move."""
+
+    @property
+    def real_time(self) -> bool:
+        """Whether real devices are driven, which takes real time and an operator's consent."""
+        return not self.simulated
+
+    @property
+    def loses_frames(self) -> bool:
+        """Whether camera frames may be lost in transit, so that gaps in a log are not damage."""
+        return not self.simulated
+
+    @abstractmethod
+    def clock(self) -> Clock:
+        """Return a new clock, virtual for a simulation and monotonic for the lab."""
+
+    @property
+    def microscope(self) -> Microscope | None:
+        """The camera, if its pictures have a known scale and place; only labs have cameras."""
+        return None
+
+    @property
+    def sight(self) -> Sight:
+        """What the camera can see, as far as its section says."""
+        return UNSTATED
+
+    def require_devices(self) -> None:
+        """Raise AbortError if a lab's port does not exist. No device is opened."""
+
+    @abstractmethod
+    def build(
+        self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
+    ) -> Plant:
+        """Return the plant of one trial; `seed` is for a simulation's disturbances.
+
+        Only real robots need `supervision`.
+        """
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether a simulation has any disturbance; only then are its results compared with a
+        published result.
+        """
+        return False
+
+    def bounds(self) -> dict[str, str]:
+        """Return the limits of a trial on this plant for display, {name: text}."""
+        return {}
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield the location (in this section) and text of each contradiction in the section or
+        with the experiment.
+        """
+        yield from ()
+
+
+class Wheels(Model):
+    """Geometry of a two-wheeled robot that moves like a cell (the paper's equations (21)-(25))."""
+
+    radius: Positive
+    """Distance r from a wheel to the robot's centre [length unit]."""
+    watchdog: Positive | None = None
+    """Time after which a robot that receives nothing stops by itself [s], 0.25 for the m3pi
+    firmware; by default a robot never stops by itself. Its next command moves it again.
+    """
+    lag: NonNegative = 0.0
+    """Time constant with which the wheels follow a command [s]. If it is not 0, the host computes
+    wheel speeds for the headings that the wheels will have reached, and the controller predicts
+    the poses in which the robots come to rest.
+    """

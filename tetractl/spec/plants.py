@@ -1,0 +1,196 @@
+"""Selects the plant of an experiment, and applies a calibration file to its lab.
+
+`Prepare` is the type of a function that finds the robots of a trial on its plant, see
+`TrialRobots`.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from tetractl.core.clock import Clock
+from tetractl.core.errors import SpecError, UsageError, printable
+from tetractl.core.protocols import LabSupervision, Plant
+from tetractl.core.registries import PLANTS
+from tetractl.spec.base import Model, validated
+from tetractl.spec.consistency import section_errors
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.lab_section import LabSection
+from tetractl.spec.loaded_spec import LoadedSpec, attach
+from tetractl.spec.packages import not_installed
+from tetractl.spec.plant import PlantSection
+from tetractl.spec.yaml.document import (
+    Document,
+    file_of_spec,
+    make_way,
+    parse_document,
+    read_text,
+)
+from tetractl.spec.yaml.problems import InvalidSpecError, Loc, dotted
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedTrial:
+    """An experiment with the robots that were found, and their plant."""
+
+    experiment: Experiment
+    plant: Plant
+
+
+Prepare = Callable[[Experiment, Clock, np.random.SeedSequence, LabSupervision], PreparedTrial]
+"""Finds the robots of a trial. The clock and the seed are the trial's; only real robots need the
+supervision. UsageError if robots cannot be found on the experiment's plant, AbortError if they were
+not found."""
+
+
+class Calibration(Model):
+    """The result of `tetractl lab calibrate`: values for the lab's sections."""
+
+    measured: str = Field(max_length=100)
+    """Date and time of the measurement."""
+    emulated: str | None = Field(default=None, max_length=100)
+    """The devices that were not real, such as `camera, actuator`; none in a lab."""
+    camera: dict[str, Any] = Field(default={})
+    """Values that replace values in `lab.camera`."""
+    actuator: dict[str, Any] = Field(default={})
+    """Values that replace values in `lab.actuator`."""
+
+
+def on_plant(loaded: LoadedSpec, kind: str | None, with_calibration: bool = True) -> LoadedSpec:
+    """Return the spec with the plant that will be run: of a given kind, or the spec's own.
+
+    Values of the lab's calibration file, `with_calibration`, replace the spec's; the file's text is
+    attached to the log. SpecError if the file is relative to a spec that comes from no file. An
+    unused `lab` section is kept for other runs.
+    """
+    experiment = loaded.experiment
+    if experiment.plant.simulated and kind in (None, "sim", experiment.plant.type):
+        return loaded
+    if kind is not None and not of_lab(kind):
+        lab = experiment.lab if experiment.plant.simulated else experiment.plant
+        updated = {"plant": _with_defaults(kind), "lab": lab}
+        return replace(loaded, experiment=experiment.model_copy(update=updated))
+    folder = loaded.path.parent if loaded.path else None
+    lab = lab_as(kind, lab_of(experiment, loaded.name)).with_files(folder)
+    in_lab = experiment.model_copy(update={"plant": lab, "lab": None})
+    loaded = replace(loaded, experiment=in_lab)
+    for error in section_errors(loaded.experiment):
+        raise SpecError(f"{loaded.name}: {dotted(error.where)} {error}")
+    if lab.calibration is None or not with_calibration:
+        return loaded
+    path = file_of_spec(folder, "lab.calibration", lab.calibration)
+    text = read_text(path)
+    experiment = calibrated(loaded.experiment, text, str(path))
+    attached = attach(loaded.attached, path, text)
+    return replace(loaded, experiment=experiment, attached=attached)
+
+
+def _with_defaults(kind: str) -> PlantSection:
+    try:
+        return PLANTS.load(kind).model_validate({"type": kind})
+    except ValidationError as error:
+        locations = [details["loc"] for details in error.errors()]
+        fields = ", ".join(str(loc[0]) for loc in locations if loc)
+        raise UsageError(f"--plant {kind}: write it in the spec, as it needs: {fields}") from None
+
+
+def settings_on(spec: Document, sets: Sequence[str], kind: str | None) -> list[str]:
+    """Return the settings of a spec that will run on the plant of a kind: those of `plant` are of
+    the spec's `lab`, if that will be the plant.
+    """
+    named = any(setting.startswith("plant.") for setting in sets)
+    if kind is None or not named or not of_lab(kind):
+        return list(sets)
+    if "lab" not in spec.data:
+        return list(sets)
+    moved = [re.sub(r"^plant\.", "lab.", setting) for setting in sets]
+    return [f"lab.type={kind}", *moved]
+
+
+def of_lab(kind: str) -> bool:
+    """Return whether a kind of plant has the fields of a lab; UsageError if there is none."""
+    if kind not in PLANTS:
+        why, hint = not_installed(PLANTS.group, kind) or ("there is no such plant", None)
+        raise UsageError(f"--plant {kind}: {why}", hint or f"one of {', '.join(PLANTS.names())}")
+    section: type[PlantSection] = PLANTS.load(kind)
+    return issubclass(section, LabSection)
+
+
+def lab_as(kind: str | None, lab: LabSection) -> LabSection:
+    """Return a lab as a plant of a kind; None, and "lab" for one that is real, change nothing."""
+    if kind is None or kind == lab.type or (kind == "lab" and lab.real_time):
+        return lab
+    section: type[LabSection] = PLANTS.load(kind)
+    shared = {name: value for name, value in lab if name in section.model_fields}
+    return section.model_validate(shared | {"type": kind})
+
+
+def lab_of(experiment: Experiment, name: str) -> LabSection:
+    """Return the lab of an experiment; SpecError if it has none."""
+    lab = experiment.lab if experiment.plant.simulated else experiment.plant
+    if not isinstance(lab, LabSection):
+        raise SpecError(
+            f"{name}: has no lab",
+            "add a 'lab:' section; `tetractl init --example three_m3pi_lab` has one",
+        )
+    return lab
+
+
+def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
+    """Return an experiment in the lab with the values of a calibration in its lab section.
+
+    `text` is the calibration file, `origin` its name; its problems are reported as in a spec.
+    """
+    document = _calibration(text, origin)
+    validated(Calibration, document)
+    document.require_no_problems()
+    merged = Document(document.origin, experiment.model_dump(mode="json"))
+    for name, field in type(experiment.plant).model_fields.items():
+        if field.exclude:  # the dump leaves it out, since no log is to have it
+            merged.data["plant"][name] = getattr(experiment.plant, name)
+    for device in ("camera", "actuator"):
+        section = document.data.get(device, {})
+        for path, measured_loc, value in _single_values(section, (device,), (device,)):
+            place = document.place(measured_loc)
+            loc = make_way(merged, ("plant", *path), place)
+            if value != {} or loc[-1] not in merged.holder(loc):
+                merged.put(loc, value, place)
+    updated = validated(Experiment, merged)
+    for error in section_errors(updated):
+        raise SpecError(f"{origin}: with this calibration, {dotted(error.where)} {error}")
+    return updated
+
+
+def _calibration(text: str, origin: str) -> Document:
+    """Parse a calibration file; errors do not quote the text of a file of another kind."""
+    try:
+        document = parse_document(text, origin)
+    except InvalidSpecError:
+        document = None
+    if document is None or "measured" not in document.data:
+        raise SpecError(
+            f"{printable(origin)}: is not a calibration file",
+            "`tetractl lab calibrate` writes a calibration file",
+        )
+    return document
+
+
+def _single_values(
+    value: Any, path: tuple[str, ...], loc: Loc
+) -> Iterator[tuple[tuple[str, ...], Loc, Any]]:
+    """Yield the path of each value inside a mapping, or a list of entries with names, in the lab's
+    section, by the names of entries; its location in the file; and the value. Of another value, or
+    one with nothing inside, that is itself."""
+    inside: list[tuple[str, str | int, Any]] = []
+    if isinstance(value, dict):
+        inside = [(key, key, item) for key, item in value.items()]
+    elif isinstance(value, list) and all(isinstance(e, dict) and "name" in e for e in value):
+        inside = [(str(entry["name"]), i, entry) for i, entry in enumerate(value)]
+    if not inside:
+        yield path, loc, value
+    for name, key, item in inside:
+        yield from _single_values(item, (*path, name), (*loc, key))

@@ -1,0 +1,103 @@
+"""The file of a policy's weights, and the layers that take its place in a spec.
+
+The file is JSON, as `json.dump` writes it: {"layers": [{"weights": W, "bias": b}, ...]} with W a
+list of rows, (outputs, inputs), and b a list (outputs,). A spec names it, `controller.weights:
+FILE`; the layers, packed as text, replace the name, so that a log needs no other file.
+"""
+
+import base64
+import binascii
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from tetractl.core.errors import printable
+from tetractl.core.poses import Floats
+from tetractl.spec.base import Model
+from tetractl.spec.yaml.document import read_text
+from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem
+
+WIDTH_MAX = 1000
+"""Largest number of inputs or outputs of a layer."""
+FILE_MAX_BYTES = 16 << 20
+"""Largest file of weights: two hidden layers of 400 in plain digits are 4 MB."""
+LITTLE_ENDIAN = "<f8"
+"""The numbers of a layer in a spec: 64-bit floats, the same bytes on every computer."""
+
+
+class Layer(Model):
+    """One layer of a network: y = W x + b."""
+
+    inputs: int = Field(ge=1, le=WIDTH_MAX)
+    """Length of x."""
+    outputs: int = Field(ge=1, le=WIDTH_MAX)
+    """Length of y."""
+    numbers: str = Field(max_length=FILE_MAX_BYTES, repr=False)
+    """W (outputs, inputs) row by row, then b (outputs,): base64 of little-endian 64-bit floats."""
+
+    @field_validator("numbers")
+    @classmethod
+    def _are_finite_numbers(cls, text: str, info: Any) -> str:
+        try:
+            data = base64.b64decode(text, validate=True)
+        except binascii.Error:
+            raise ValueError("must be base64") from None
+        outputs = info.data.get("outputs", 0)
+        expected = outputs * (info.data.get("inputs", 0) + 1)
+        if len(data) != 8 * expected:
+            raise ValueError(f"must be {expected} numbers of 8 bytes, and are {len(data)} bytes")
+        if not np.isfinite(np.frombuffer(data, LITTLE_ENDIAN)).all():
+            raise ValueError("must be finite")
+        return text
+
+    def arrays(self) -> tuple[Floats, Floats]:
+        """Return W (outputs, inputs) and b (outputs,)."""
+        data = base64.b64decode(self.numbers)
+        numbers = np.frombuffer(data, LITTLE_ENDIAN).astype(np.float64)
+        split = self.outputs * self.inputs
+        return numbers[:split].reshape(self.outputs, self.inputs), numbers[split:]
+
+
+def read_weights(path: Path) -> tuple[list[dict[str, Any]], str]:
+    """Return the layers of a file, as a spec holds them, and the file's text.
+
+    Raises InvalidSpecError with the layer that is wrong.
+    """
+    text = read_text(path, FILE_MAX_BYTES)
+
+    def refusal(message: str) -> InvalidSpecError:
+        problem = SpecProblem(printable(str(path)), message)
+        return InvalidSpecError([problem])
+
+    try:
+        contents = json.loads(text)
+    except ValueError as error:
+        raise refusal(f"is not JSON: {printable(str(error), 200)}") from None
+    except RecursionError:
+        raise refusal("is not a file of weights: its lists are nested too deep") from None
+    layers = contents.get("layers") if isinstance(contents, dict) else None
+    if not isinstance(layers, list) or not layers:
+        raise refusal('must be {"layers": [{"weights": [[...], ...], "bias": [...]}, ...]}')
+    packed = []
+    for number, layer in enumerate(layers):
+        try:
+            packed.append(_packed(layer))
+        except (KeyError, TypeError, ValueError, OverflowError):
+            raise refusal(
+                f"layers.{number}: weights must be rows of equal length, and bias one number a row"
+            ) from None
+    return packed, text
+
+
+def _packed(layer: Any) -> dict[str, Any]:
+    """Return a layer of a file as a spec holds it; raises ValueError for other shapes."""
+    weights = np.array(layer["weights"], dtype=LITTLE_ENDIAN)
+    bias = np.array(layer["bias"], dtype=LITTLE_ENDIAN)
+    outputs, inputs = weights.shape
+    if bias.shape != (outputs,):
+        raise ValueError
+    numbers = base64.b64encode(weights.tobytes() + bias.tobytes())
+    return {"inputs": inputs, "outputs": outputs, "numbers": numbers.decode()}

@@ -1,0 +1,162 @@
+"""Fields of a spec that name a kind of something, such as `type: mpc`: each kind is a class in a
+registry, and plug-ins add more.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, LiteralString
+
+from pydantic import BaseModel, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+
+from tetractl.core.registry import Registry
+from tetractl.spec.packages import not_installed
+
+
+def read(section: type[BaseModel], value: Any, info: core_schema.ValidationInfo) -> Any:
+    """Return the section that a mapping describes, in the context of what holds it."""
+    strict = bool(info.context and info.context.get("strict"))
+    return section.model_validate(value, strict=strict, context=info.context)
+
+
+@dataclass(eq=False)
+class KindSection:
+    """Annotation of a field that holds a mapping with a `type`, the name of a class in a registry;
+    this class validates the mapping.
+
+    `Annotated[Base, KindSection(REGISTRY, Base)]` accepts an instance of Base, or a mapping whose
+    `type` is a name in the registry; `default` is the type of a mapping without `type`. Each class
+    of the registry is a `Model` with its name as the `Literal` of its `type`; classes not derived
+    from Base cannot be chosen here. A class is imported when it is first chosen; PluginError if
+    another package's class cannot be used.
+    """
+
+    registry: Registry
+    base: type[BaseModel]
+    default: str | None = None
+
+    def __get_pydantic_core_schema__(
+        self, source: type[Any], handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        def validate(value: Any, info: core_schema.ValidationInfo) -> Any:
+            if isinstance(value, self.base):
+                return value
+            return read(self._section(value), value, info)
+
+        return core_schema.with_info_plain_validator_function(validate)
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        options: list[JsonSchemaValue] = []
+        references: dict[str, str] = {}
+        # what is usable: so that a broken package does not hide other mistakes
+        for name, kind in self.registry.usable().items():
+            if not issubclass(kind, self.base):
+                continue
+            option = handler(kind.__pydantic_core_schema__)
+            if "$ref" in option:
+                references[name] = option["$ref"]
+            required: list[str] = handler.resolve_ref_schema(option).get("required", [])
+            if name != self.default and "type" not in required:
+                # a mapping without `type` has the default kind
+                options.append({**option, "required": ["type", *required]})
+            else:
+                options.append(option)
+        choice: JsonSchemaValue = {
+            "discriminator": {"mapping": references, "propertyName": "type"},
+            "oneOf": options,
+        }
+        if self.default:
+            choice["default"] = {"type": self.default}
+        return choice
+
+    def make(self) -> Any:
+        """Return a section of the default type with default values, as a field's default value."""
+        return self._section({}).model_validate({})
+
+    def _section(self, value: Any) -> Any:
+        if not isinstance(value, dict):
+            raise PydanticCustomError("model_type", "must be a mapping of keys to values")
+        name = value.get("type", self.default)
+        if name is None:
+            raise self._wrong_type("union_tag_not_found", "has no type")
+        if not isinstance(name, str) or name not in self.registry:
+            missing = not_installed(self.registry.group, str(name))
+            if missing:
+                raise PydanticCustomError("not_installed", "{why}", {"why": ": ".join(missing)})
+            raise self._wrong_type("union_tag_invalid", "has an unknown type")
+        section = self.registry.load(name)
+        if not issubclass(section, self.base):
+            raise self._wrong_type("union_tag_invalid", "cannot be used here", without=name)
+        return section
+
+    def _wrong_type(
+        self, kind: LiteralString, text: LiteralString, without: str = ""
+    ) -> PydanticCustomError:
+        """Return the error of a mapping whose type cannot be used, with the types that can, which
+        are all `without` one; reads what other packages say of theirs.
+        """
+        texts = {
+            usable.name: str(usable) for usable in self.registry.kinds() if usable.name != without
+        }
+        return PydanticCustomError(kind, text, {"known": texts})
+
+
+@dataclass(eq=False)
+class OrMapping:
+    """Annotation of a field that holds a `value` or, as a mapping, a section of the type `base`:
+    `section_of` returns its class, and `sections` all there are.
+
+    A union of pydantic's would report a wrong value once for each alternative.
+    """
+
+    value: Any
+    base: type[BaseModel]
+    section_of: Callable[[dict[Any, Any]], type[BaseModel]]
+    sections: Callable[[], Iterable[type[BaseModel]]]
+
+    def __get_pydantic_core_schema__(
+        self, source: type[Any], handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        def validate(value: Any, otherwise: Any, info: core_schema.ValidationInfo) -> Any:
+            if isinstance(value, self.base):
+                return value
+            if isinstance(value, dict):
+                return read(self.section_of(value), value, info)
+            return otherwise(value)
+
+        return core_schema.with_info_wrap_validator_function(
+            validate,
+            handler.generate_schema(self.value),
+            serialization=core_schema.simple_ser_schema("any"),
+        )
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        sections = [handler(section.__pydantic_core_schema__) for section in self.sections()]
+        return {"anyOf": [handler(schema), *sections]}
+
+
+@dataclass(eq=False)
+class KindName:
+    """Annotation of a text field whose value is a name in a registry; no kind is imported."""
+
+    registry: Registry
+
+    def __get_pydantic_core_schema__(
+        self, source: type[Any], handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        def check(value: str) -> str:
+            if value not in self.registry:
+                raise PydanticCustomError("literal_error", "is an unknown name")
+            return value
+
+        return core_schema.no_info_after_validator_function(check, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        return {"type": "string", "enum": list(self.registry.names())}

@@ -1,0 +1,175 @@
+"""Reads and writes YAML by the core schema of YAML 1.2, with PyYAML.
+
+PyYAML resolves scalars as YAML 1.1 does (`on` is true, 12:30 is 750, 1e3 is text, 2020-01-01 a
+date). Here only the core schema applies, and only one document of limited depth and size is
+accepted.
+"""
+
+import re
+from typing import Any, ClassVar
+
+import yaml
+from yaml.error import Mark, MarkedYAMLError
+from yaml.events import StreamEndEvent
+from yaml.nodes import Node, ScalarNode
+from yaml.reader import ReaderError
+
+from tetractl.core.errors import printable
+from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem
+
+MAX_DEPTH = 32
+MAX_NODES = 100_000
+MAX_DIGITS = 300
+
+CORE = "tag:yaml.org,2002:"
+STR = CORE + "str"
+# the patterns of YAML 1.2.2, section 10.3.2, each with the first characters that PyYAML looks up
+SCALARS = {
+    CORE + "null": (r"(?:~|null|Null|NULL|)\Z", ["~", "n", "N", ""]),
+    CORE + "bool": (r"(?:true|True|TRUE|false|False|FALSE)\Z", list("tTfF")),
+    CORE + "int": (r"(?:[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)\Z", list("-+0123456789")),
+    CORE + "float": (
+        r"(?:[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?"
+        r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN))\Z",
+        list("-+.0123456789"),
+    ),
+}
+
+
+def not_yaml(origin: str, message: str, mark: Mark | None) -> InvalidSpecError:
+    """Return the error of text that is not one YAML document within the limits."""
+    line, column = (None, None) if mark is None else (mark.line + 1, mark.column + 1)
+    return InvalidSpecError([SpecProblem(origin, printable(message, 300), line, column)])
+
+
+def within_limits(origin: str, depth: int, nodes: int, mark: Mark) -> None:
+    """Raise InvalidSpecError at `mark` if nesting is too deep or there are too many values."""
+    if depth > MAX_DEPTH:
+        raise not_yaml(origin, f"nested deeper than {MAX_DEPTH} levels", mark)
+    if nodes > MAX_NODES:
+        text = f"more than {MAX_NODES} values, counting every use of an alias"
+        raise not_yaml(origin, text, mark)
+
+
+class _Composer(yaml.SafeLoader):
+    yaml_implicit_resolvers: ClassVar = {}
+
+    def __init__(self, text: str, origin: str) -> None:
+        super().__init__(text)
+        self.origin = origin
+        self.depth = 0
+        self.nodes = 0
+
+    def compose_node(self, parent: Node | None, index: Any) -> Node | None:
+        self.depth += 1
+        self.nodes += 1
+        within_limits(self.origin, self.depth, self.nodes, self.peek_event().start_mark)
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes text that YAML 1.1 or the core schema would read as another type."""
+
+    def represent_text(self, text: str) -> ScalarNode:
+        # only in double quotes does PyYAML keep every control character and line break
+        return self.represent_scalar(STR, text, style=None if text.isprintable() else '"')
+
+
+_Dumper.add_representer(str, _Dumper.represent_text)
+
+for _tag, (_pattern, _first) in SCALARS.items():
+    for _resolver in (_Composer, _Dumper):
+        _resolver.add_implicit_resolver(_tag, re.compile(_pattern), _first)
+
+
+def compose(text: str, origin: str) -> Node | None:
+    """Return the node graph of a text, None if it is empty; InvalidSpecError if it is not YAML."""
+    try:
+        composer = _Composer(text, origin)
+        composer.get_event()  # the stream's start
+        if composer.check_event(StreamEndEvent):
+            return None
+        root = composer.compose_document()
+        if not composer.check_event(StreamEndEvent):
+            mark = composer.peek_event().start_mark
+            raise not_yaml(origin, "a second document starts here; a spec is one document", mark)
+    except ReaderError as error:
+        before = text[: error.position]
+        column = len(before) - before.rfind("\n") - 1
+        mark = _mark(before.count("\n"), column)
+        message = f"not valid YAML: the character U+{error.character:04X} is not allowed"
+        raise not_yaml(origin, message, mark) from None
+    except MarkedYAMLError as error:
+        if error.problem_mark is not None:
+            _refuse_missing_space(text, origin, error.problem_mark.line)
+        context = f" ({error.context})" if error.context else ""
+        tabs = "; indent with spaces, not tabs" if "'\\t'" in (error.problem or "") else ""
+        message = f"not valid YAML: {error.problem}{context}{tabs}"
+        raise not_yaml(origin, message, error.problem_mark or error.context_mark) from None
+    unwritten = isinstance(root, ScalarNode) and root.start_mark.index == root.end_mark.index
+    return None if unwritten else root
+
+
+def _mark(line: int, column: int) -> Mark:
+    """Return a place in a text, counted from 0."""
+    return Mark("", 0, line, column, None, 0)
+
+
+def _refuse_missing_space(text: str, origin: str, line: int) -> None:
+    """Raise InvalidSpecError if the line above `line`, from 0, has no space after its colon: YAML
+    reads it as the begin of a text, and refuses the line below."""
+    above = text.splitlines()[max(line - 1, 0) : line]
+    entry = above[0].partition(" #")[0] if above else ""
+    hint = with_space(entry.strip())
+    if hint:
+        indent = len(entry) - len(entry.lstrip())
+        mark = _mark(line - 1, indent)
+        raise not_yaml(origin, f"not valid YAML: {hint}", mark) from None
+
+
+def with_space(text: str) -> str:
+    """Return a hint for a key and its value without a space between, which YAML reads as one text;
+    "" for other texts."""
+    match = re.fullmatch(r"([A-Za-z_]\w*):([^\s/:].*)", text)
+    return f"a space is missing after the colon: {match[1]}: {match[2]}" if match else ""
+
+
+def scalar(tag: str, text: str) -> str | bool | int | float | None:
+    """Return the value of a scalar with a tag; ValueError with the reason if they disagree."""
+    if tag == STR:
+        return text
+    if tag not in SCALARS or not re.match(SCALARS[tag][0], text):
+        raise ValueError(f"the tag {short_tag(tag)} does not fit here; leave it out")
+    if len(text) > MAX_DIGITS:
+        raise ValueError(f"a number has at most {MAX_DIGITS} digits")
+    match tag.removeprefix(CORE):
+        case "null":
+            return None
+        case "bool":
+            return text.lower() == "true"
+        case "int":
+            base = {"0o": 8, "0x": 16}.get(text[:2])
+            return int(text[2:], base) if base else int(text)
+    as_python_writes = text.lower().replace(".inf", "inf").replace(".nan", "nan")
+    number = float(as_python_writes)
+    # 1e3 and 100.0 are whole numbers in JSON, in the schema and for readers
+    return int(number) if number.is_integer() and abs(number) < 2**53 else number
+
+
+def short_tag(tag: str) -> str:
+    """Return the short form of a tag, such as `!!map`."""
+    return tag.replace(CORE, "!!")
+
+
+def dump(data: Any) -> str:
+    """Return plain data as YAML text, in the data's order: one key per line, points as [x, y]."""
+    return yaml.dump(
+        data,
+        Dumper=_Dumper,
+        sort_keys=False,
+        allow_unicode=True,
+        default_flow_style=None,
+        width=100,
+    )

@@ -1,0 +1,377 @@
+"""The built-in statistics of a batch: how its trials ended, how near robots came to obstacles, to
+the arena's edge and to one another, what must not happen, how tightly robots were held at their
+targets, and solve times.
+
+Distances are those of the robots' centres, on the true paths of a simulation and the measured ones
+in a lab; percentiles of solve times are over all steps of all trials.
+
+To add one, write it here, with a line in STATISTICS of `core/registries.py`, in its place in the
+tables, and one in docs/reference/statistics.md: tables, JSON, CSV and the report then have it. Most
+are a line, from a number in each trial's `Result` of `core/trial.py`:
+
+    WORST = number("worst", "error of the worst robot", lambda result: max(result.robot_errors))
+
+`number`, `count` and `share` are in `statistic`; here are `total` of what there should be none of,
+`least` distance, and `mean_of_each` column. What results lack is read from the log, as `discs` is.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.clock import MILLISECOND, SECOND
+from tetractl.core.plan import Outcome
+from tetractl.core.poses import Floats
+from tetractl.core.trial import Verdict
+from tetractl.log.read.reader import read_trial
+from tetractl.log.read.trial_log import ResultSummary, TrialLog
+from tetractl.statistics.estimate import distributions
+from tetractl.statistics.flagged import (
+    ENTERED,
+    LEFT,
+    SAFETY,
+    TOUCHED_EACH_OTHER,
+    TrialTurn,
+    turn_columns,
+    turns_of,
+)
+from tetractl.statistics.statistic import Figure, Statistic, mean_figure, share_figure
+from tetractl.tools.table.table import NONE, digits, lengths, listing
+
+# ---- How trials ended ----
+
+MEANINGS: Mapping[Outcome, str] = {
+    Outcome.ARRIVED: "every robot is within the arrival tolerance of its target",
+    Outcome.SEQUENCE_COMPLETED: "every signal was sent",
+    Outcome.NO_BETTER_PLAN: "stopped where driving on would gain too little",
+    Outcome.STEPS_MAX: "the largest number of control steps was reached",
+    Outcome.TIME_LIMIT: "the trial's time was over",
+    Outcome.INTERRUPTED: "Ctrl-C, `tetractl lab stop` or another signal ended the trial",
+    Outcome.ABORTED: "a fault or an error ended the trial",
+}
+"""What outcomes mean, for readers of tables and reports."""
+REASONS_NAMED = 3
+"""Maximum number of different reasons for aborts that a table names."""
+
+
+def _outcomes(trials: Sequence[ResultSummary]) -> list[Figure]:
+    counts = Counter(trial.outcome for trial in trials)
+    ways = counts.most_common()
+    items = {
+        "outcomes": {way.value: counts[way] for way in Outcome},
+        "aborted": counts[Outcome.ABORTED],
+        "interrupted": counts[Outcome.INTERRUPTED],
+    }
+    explained = {**MEANINGS, Outcome.ABORTED: _abort_reasons(trials)}
+    text = "; ".join(f"{n} {way.value} ({explained[way]})" for way, n in ways)
+    brief = ", ".join(f"{n} {way.value}" for way, n in ways)
+    return [Figure("outcomes", text, items, brief=brief)]
+
+
+def _abort_reasons(trials: Sequence[ResultSummary]) -> str:
+    """Return why trials were aborted, the most frequent reason first, with the number of trials for
+    each if there are several reasons."""
+    aborted = [trial for trial in trials if trial.outcome is Outcome.ABORTED]
+    counts = Counter(trial.result.reason or MEANINGS[Outcome.ABORTED] for trial in aborted)
+    if len(counts) == 1:
+        return next(iter(counts))
+    named = [f"{n} x {reason}" for reason, n in counts.most_common(REASONS_NAMED)]
+    others = len(aborted) - sum(n for _, n in counts.most_common(REASONS_NAMED))
+    return "; ".join([*named, f"{others} x other reasons"] if others else named)
+
+
+def _arrived(trials: Sequence[ResultSummary]) -> list[Figure]:
+    if trials[0].experiment.controller.arrival_tolerance <= 0:
+        return [_unknown_share("arrived", "arrived", "no arrival_tolerance")]
+    arrived = sum(trial.outcome is Outcome.ARRIVED for trial in trials)
+    return [share_figure("arrived", "arrived", arrived, len(trials), unusual=False)]
+
+
+def _unknown_share(key: str, label: str, reason: str, unusual: bool = False) -> Figure:
+    """Return a share that is not known: JSON has the keys of one that is."""
+    items = {key: None, f"{key}_ci95": None}
+    return Figure(label, f"{NONE} ({reason})", items, unusual)
+
+
+def total(
+    key: str,
+    label: str,
+    number_in: Callable[[ResultSummary], int],
+    matters: Callable[[ResultSummary], bool] = lambda trial: True,
+) -> Statistic:
+    """Return a statistic: the sum of a number of what there should be none of. A reader must see it
+    where it `matters`, which the first trial tells of all."""
+
+    def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
+        number = sum(map(number_in, trials))
+        return [Figure(label, str(number), {key: number}, number > 0 and matters(trials[0]))]
+
+    return Statistic(of_batch, lambda trial: {key: number_in(trial)})
+
+
+OUTCOMES = Statistic(_outcomes)
+ARRIVED = Statistic(_arrived)
+RECOVERED = total("recovered", "read from damaged logs", lambda trial: trial.recovered)
+
+# ---- How near robots came ----
+
+Distances = Callable[[Verdict], Sequence[float]]
+"""Function that returns the least distance of each robot in a trial [length unit]; empty if the log
+has no distances.
+"""
+
+
+def least(key: str, label: str, distances_in: Distances) -> Statistic:
+    """Return a statistic: the least distance over all robots and trials.
+
+    A trial whose log lacks the distance is left out; its cell in the table of trials is empty.
+    """
+
+    def of_trial(trial: ResultSummary) -> dict[str, Any]:
+        nearest = min(distances_in(trial.result.verdict), default=float("inf"))
+        return {key: nearest if nearest < float("inf") else None}
+
+    def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
+        distances = [of_trial(trial)[key] for trial in trials]
+        nearest = min((value for value in distances if value is not None), default=None)
+        text = NONE if nearest is None else lengths(nearest)(nearest)
+        unit = trials[0].experiment.units.length
+        return [Figure(f"{label} [{unit}]", text, {key: nearest}, unusual=False)]
+
+    return Statistic(of_batch, of_trial)
+
+
+CLEARANCE = least("clearance", "centre nearest to an obstacle", lambda verdict: verdict.clearance)
+EDGE = least("edge", "centre nearest to the arena's edge", lambda verdict: verdict.edge)
+APART = least("apart", "centres nearest to one another", lambda verdict: verdict.apart)
+LENGTHS = ("clearance", "edge", "apart")
+"""The columns of a trial that are lengths: in CSV their names end in the unit."""
+
+# ---- What must not happen ----
+
+
+def safety(
+    label: str, body_key: str, centre_key: str | None = None, centre_column: str | None = None
+) -> Statistic:
+    """Return a statistic: the number of trials in which a robot did what `label` in SAFETY says.
+
+    JSON has the count of bodies under `body_key`, null without a radius, and of centres under
+    `centre_key`, which is called `centre_column` of a single trial. Tables show the count of bodies
+    or, without a radius, that of centres. Of obstacles a reader always sees it, of the others if it
+    happened.
+    """
+    did = SAFETY[label]
+
+    def of_trial(trial: ResultSummary) -> dict[str, Any]:
+        verdict = trial.result.verdict
+        radius = trial.experiment.controller.body_radius
+        columns: dict[str, Any] = {}
+        if centre_column is not None:
+            columns[centre_column] = any(did(verdict, 0.0))
+        columns[body_key] = any(did(verdict, radius)) if radius else None
+        return columns
+
+    def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
+        n = len(trials)
+        radius = trials[0].experiment.controller.body_radius
+        verdicts = [trial.result.verdict for trial in trials]
+        bodies = sum(any(did(verdict, radius)) for verdict in verdicts) if radius else 0
+        centres = 0 if centre_key is None else sum(any(did(verdict, 0.0)) for verdict in verdicts)
+        unusual = bodies > 0 or centres > 0 or label == ENTERED
+        centre_label = "" if radius else label  # tables show one of the two
+        if radius:
+            figures = [share_figure(body_key, label, bodies, n, "bodies", unusual)]
+        else:
+            body_label = label if centre_key is None else ""
+            figures = [_unknown_share(body_key, body_label, "no radius", unusual)]
+        if centre_key is not None:
+            figures.append(share_figure(centre_key, centre_label, centres, n, "centres", unusual))
+        return figures
+
+    return Statistic(of_batch, of_trial)
+
+
+OBSTACLE_VIOLATIONS = safety(
+    ENTERED, "body_in_obstacle", centre_key="obstacle_violations", centre_column="entered_obstacle"
+)
+LEFT_ARENA = safety(LEFT, "body_over_edge", centre_key="left_arena", centre_column="outside_arena")
+TOUCHED = safety(TOUCHED_EACH_OTHER, "bodies_touch")
+
+# ---- Means of the numbers of a trial ----
+
+
+def _way_points(trial: ResultSummary) -> dict[str, Any]:
+    """Return, for each way-point, the sum of the robots' distances to it when it was passed, None
+    if it was not.
+    """
+    way_points = len(trial.experiment.setup.legs) - 1
+    passed = trial.result.passed[:way_points]
+    distances = (*passed, *[None] * (way_points - len(passed)))
+    return {f"way_point_{i}": distance for i, distance in enumerate(distances, 1)}
+
+
+def _time_inside(trial: ResultSummary) -> dict[str, Any]:
+    """Return the fraction of the hold's time that each robot was within `hold.radius` of its
+    target; None if the hold was not completed.
+    """
+    if trial.experiment.hold is None:
+        return {}
+    names = trial.experiment.setup.names
+    held = trial.result.outcome.complete and trial.result.inside
+    shares = held or [None] * len(names)
+    return {f"inside_{name}": share for name, share in zip(names, shares, strict=True)}
+
+
+def _lost(trial: ResultSummary) -> dict[str, Any]:
+    """Return how many robots were lost; empty if the spec ends a trial when a robot is lost."""
+    return {} if trial.experiment.on_lost == "stop" else {"lost": sum(trial.result.lost)}
+
+
+def mean_of_each(
+    of_trial: Callable[[ResultSummary], dict[str, Any]], label: str, show: Callable[[float], str]
+) -> Statistic:
+    """Return a statistic with the mean over all trials of each column that `of_trial` returns."""
+
+    def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
+        rows = [of_trial(trial) for trial in trials]
+        figures: list[Figure] = []
+        for key in rows[0]:
+            numbers = [row[key] for row in rows if row[key] is not None]
+            mean = float(np.mean(numbers)) if numbers else None
+            text = NONE if mean is None else f"{show(mean)} (n {len(numbers)})"
+            figures.append(Figure(f"{label} ({key})", text, {key: mean}))
+        return figures
+
+    return Statistic(of_batch, of_trial)
+
+
+WAY_POINTS = mean_of_each(_way_points, "mean distance at a way-point, all robots", digits)
+LOST = mean_of_each(_lost, "mean number of robots", "{:.3g}".format)
+TIME_INSIDE = mean_of_each(
+    _time_inside, "mean share of the hold's time within the radius", "{:.3f}".format
+)
+
+# ---- How tightly robots were held ----
+
+SHARE = 0.95
+"""Share of the time for which a robot is in its disc."""
+SETTLING_S = 5.0
+"""Time from the begin of a hold that is not counted [s]."""
+
+
+def discs(log: TrialLog) -> Floats:
+    """Return the diameter (N,) of each robot's disc [length unit]; NaN if no frame counts.
+
+    A robot is in the disc round its target for 95 % of the hold: the diameter is twice the
+    0.95-quantile of the distances to the target, by true poses where they are known, without the
+    first SETTLING_S.
+    """
+    setup = log.start.setup
+    held_ns = [s.observation.sampled_ns for s in log.steps if s.plan.leg == len(setup.legs)]
+    counts_from_ns = held_ns[0] + SETTLING_S * SECOND if held_ns else np.inf
+    poses = log.mocap if log.truth is None else log.truth
+    distances = setup.distances(poses[log.mocap_ns >= counts_from_ns, :, :2])
+    if not len(distances):
+        return np.full(distances.shape[1], np.nan)
+    return 2 * np.nanquantile(distances, SHARE, axis=0)
+
+
+@lru_cache(maxsize=1024)
+def _discs_of(log: Path, digest: str | None) -> Sequence[float]:
+    """Return `discs` of the log with a content digest: a table of trials and its means need it."""
+    trial = read_trial(log)
+    return tuple(discs(trial).tolist())
+
+
+def _disc_columns(trial: ResultSummary) -> dict[str, Any]:
+    """Return the diameter of each robot's disc; None without a whole log or a complete hold."""
+    hold = trial.experiment.hold
+    if hold is None or hold.time <= SETTLING_S:
+        return {}
+    names = trial.experiment.setup.names
+    diameters: Sequence[float | None] = [None] * len(names)
+    if trial.outcome.complete and not trial.brief:
+        diameters = _discs_of(Path(trial.log), trial.digest)
+    return {f"disc_{name}": diameter for name, diameter in zip(names, diameters, strict=True)}
+
+
+def _mean_discs(trials: Sequence[ResultSummary]) -> list[Figure]:
+    """Return the mean of each robot's diameter over the trials, with its 95 % interval."""
+    rows = [_disc_columns(trial) for trial in trials]
+    unit = trials[0].experiment.units.length
+    figures: list[Figure] = []
+    for key in rows[0]:
+        diameters = [row[key] for row in rows if row[key] is not None]
+        (distribution,) = distributions(np.array([diameters], dtype=float))
+        label = f"diameter of the disc of 95 % of the hold ({key}), mean [{unit}]"
+        figures.append(mean_figure(key, label, distribution, states_n=True))
+    return figures
+
+
+DISC = Statistic(_mean_discs, _disc_columns)
+
+# ---- Time for decisions ----
+
+PERCENTILES = {"p50": 50, "p99": 99, "max": 100}
+"""Percentiles of the solve time by their keys."""
+
+
+def _solve_ms(trials: Sequence[ResultSummary]) -> list[Figure]:
+    """Return percentiles of the solve times while robots drove, and the longest of the others: the
+    first plan, and plans for robots that stand, may take as long as they need."""
+    solve_ns = [ns for trial in trials for ns in trial.result.driving_ns]
+    solve_ms = np.array(solve_ns, dtype=float) / MILLISECOND
+    figures: list[Figure] = []
+    times_ms: dict[str, float | None] = {}  # by the keys in PERCENTILES
+    for key, percentile in PERCENTILES.items():
+        time_ms = float(np.percentile(solve_ms, percentile)) if solve_ns else None
+        times_ms[key] = time_ms
+        text = NONE if time_ms is None else digits(time_ms)
+        figures.append(Figure(f"solve time while driving, {key} [ms]", text, unusual=False))
+    longest = max((ns for trial in trials for ns in trial.result.solve_ns), default=None)
+    longest_ms = None if longest is None else longest / MILLISECOND
+    text = NONE if longest_ms is None else digits(longest_ms)
+    figures.append(Figure("solve time of all plans, max [ms]", text, unusual=False))
+    return [*figures, Figure("", "", {"solve_ms": times_ms, "solve_all_max_ms": longest_ms})]
+
+
+SOLVE_MS = Statistic(_solve_ms)
+DEADLINE_MISSES = total(
+    "deadline_misses",
+    "deadline misses",
+    lambda trial: trial.result.deadline_misses,
+    matters=lambda trial: trial.experiment.plant.real_time,  # elsewhere they delayed no command
+)
+
+# ---- Robots that turn by themselves ----
+
+
+def _turned(trials: Sequence[ResultSummary]) -> list[Figure]:
+    """Return in how many trials a robot turned otherwise than in the others."""
+    label = "less certain"
+    key = "less_certain"
+    turns = list(turns_of(trials))
+    if not turns:
+        return [Figure("", "", {key: None})]
+    odd = [turn for turn in turns if turn.odd]
+    odd_trials = len({turn.log for turn in odd})
+    return [Figure(label, _compared(turns, odd), {key: odd_trials}, unusual=bool(odd))]
+
+
+def _compared(turns: Sequence[TrialTurn], odd: Sequence[TrialTurn]) -> str:
+    """Return the text on trials that were compared, of which some are odd."""
+    trials = len({turn.log for turn in turns})
+    odd_trials = len({turn.log for turn in odd})
+    text = f"{odd_trials} of {trials} trials"
+    if not odd:
+        largest = max(turn.limit for turn in turns)
+        return f"{text}, turns above {largest:.2f} rad/s would be seen"
+    named = [f"{turn.robot} in {Path(turn.log).stem}, {turn.off:+.2f} rad/s" for turn in odd]
+    return f"{text}, by wheels that changed or false poses: {listing(named, '; ')}"
+
+
+TURN = Statistic(_turned, turn_columns)

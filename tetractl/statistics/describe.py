@@ -1,0 +1,352 @@
+"""Describes batches of trials: how large their errors are, and whether one is better than another.
+
+`describe` returns the errors of a batch with intervals, the difference from the published result,
+and statistics. `contrast` compares the total errors of every two batches, by pairs of trials where
+they have the same seeds; a verdict needs `ENOUGH` pairs or trials. `tables` and `as_json` write
+what these return.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+
+import numpy as np
+
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
+from tetractl.core.shown import Shown
+from tetractl.log.read.trial_log import Origin, ResultSummary
+from tetractl.spec.experiment import CHANGES_NO_TRIAL, Experiment
+from tetractl.statistics import mean_difference
+from tetractl.statistics.estimate import CONFIDENCE, Distribution, Interval, distributions
+from tetractl.statistics.mean_difference import MeanDifference, from_both_intervals
+from tetractl.statistics.open_batch import (
+    Batch,
+    counts,
+    differences,
+    experiment_of,
+)
+from tetractl.statistics.statistic import Figure, statistics
+
+ENOUGH = 8
+"""Least number of pairs or, without pairs, of trials on each side, for a verdict."""
+NO_PAIRS: Floats = np.zeros(0)
+_NOT_THE_WORLD = CHANGES_NO_TRIAL | {"controller", "name", "reference", "lab"}
+"""Fields of a spec that do not change the disturbances of a trial."""
+
+
+# ---- One batch ----
+
+
+@dataclass(frozen=True, slots=True)
+class BatchStatistics(Shown):
+    """A batch of trials of N robots, with a name; lengths in `unit`.
+
+    Its n valid trials are those whose outcome the controller decided and whose errors are known.
+    """
+
+    name: str
+    batch: Batch
+    experiment: Experiment = field(repr=False)
+    origin: Origin
+    totals: Floats = field(repr=False)
+    """The total error of each valid trial (n,)."""
+    errors: Floats = field(repr=False)
+    """The error of each robot in each valid trial (n, N)."""
+    total: Distribution
+    """How `totals` are distributed."""
+    robots: tuple[Distribution, ...] = field(repr=False)
+    """How the errors of each robot are distributed, N of them."""
+    from_published: MeanDifference | None = field(repr=False)
+    """The mean total error minus the published one; None if the spec names no published result."""
+    figures: tuple[Figure, ...] = field(repr=False)
+    """The figures of all registered statistics, over all trials."""
+
+    @property
+    def unit(self) -> str:
+        """The length unit of every error."""
+        return self.experiment.units.length
+
+    @property
+    def counted(self) -> int:
+        """Number of trials in the means."""
+        return self.total.n
+
+    @property
+    def attempts(self) -> int:
+        """Number of earlier attempts, which are excluded."""
+        return len(self.batch.attempts) + len(self.batch.lost_attempts)
+
+
+def describe(batch: Batch, name: str = "") -> BatchStatistics:
+    """Describe the trials of one experiment.
+
+    Raises UsageError if there are none but earlier attempts, if they belong to several experiments,
+    or if a simulated trial occurs twice; LogError if no log can be read.
+    """
+    experiment = experiment_of(batch)
+    origin = batch.trials[0].origin
+    valid = [trial.result for trial in batch.trials if counts(trial)]
+    totals = np.array([result.total_error for result in valid], dtype=float)
+    errors = np.array([result.robot_errors for result in valid], dtype=float)
+    errors = errors.reshape(len(valid), len(experiment.robots))
+    (total,) = distributions(totals[None], experiment.error_bound)
+    figures: list[Figure] = []
+    for statistic in statistics():
+        figures += statistic.of_batch(batch.trials)
+    return BatchStatistics(
+        name=name or experiment.name,
+        batch=batch,
+        experiment=experiment,
+        origin=origin,
+        totals=totals,
+        errors=errors,
+        total=total,
+        robots=tuple(distributions(errors.T)),
+        from_published=_from_published(experiment, total, origin),
+        figures=tuple(figures),
+    )
+
+
+def _from_published(
+    experiment: Experiment, total: Distribution, origin: Origin
+) -> MeanDifference | None:
+    """Compare the mean with the published mean of real robots by Welch's t test.
+
+    Only trials of a real lab are compared. The difference of a simulation or an emulated lab is
+    unknown, because it would say nothing about real robots. None if nothing was published.
+    """
+    published = experiment.reference
+    if published is None:
+        return None
+    if not origin.comparable:
+        return MeanDifference.untested(math.nan, "not compared")
+    return mean_difference.welch(
+        total.n, total.mean, total.std, published.n, published.mean, published.std
+    )
+
+
+# ---- Comparisons ----
+
+
+@dataclass(frozen=True, slots=True)
+class Contrast(Shown):
+    """Comparison of the total errors of two batches; differences are `first` minus `second`.
+
+    `pairs` is the number of pairs of trials with the same disturbances; without pairs,
+    `why_unpaired` is the reason. `difference` is tested by the paired t test, or without pairs by
+    Welch's t test; `from_both_means` is another interval of this difference, computed from the
+    intervals of the two means. `rank_p` is the p-value of Wilcoxon's signed-rank test or, without
+    pairs, rank-sum test. `p_holm` and `rank_p_holm` are the p-values for means and ranks, corrected
+    for the number of contrasts. `detects` is the difference that the test finds in 80 % of all
+    studies of this size, in standard deviations of the paired differences or, without pairs, of the
+    values. `differs` lists the fields in which both specs differ. Groups with different plants
+    (`alike` False) are not tested: their p-values are NaN. Nor are batches of which one had its
+    directions given, perhaps with hindsight (`no_controller`): it has no rank among controllers.
+    """
+
+    first: BatchStatistics
+    second: BatchStatistics
+    pairs: int
+    why_unpaired: str
+    difference: MeanDifference
+    from_both_means: Interval
+    rank_p: float
+    detects: float
+    differs: tuple[str, ...]
+    p_holm: float = math.nan
+    rank_p_holm: float = math.nan
+
+    @property
+    def alike(self) -> bool:
+        """Whether the trials are of plants of one kind."""
+        return self.first.origin is self.second.origin
+
+    @property
+    def no_controller(self) -> bool:
+        """Whether directions were given, of a batch or both."""
+        return self.first.experiment.directions_given or self.second.experiment.directions_given
+
+    @property
+    def reason(self) -> str | None:
+        """Why there is no verdict, None if there is one."""
+        if not self.alike:
+            return "plants are not alike"
+        if self.no_controller:
+            return "directions were given: no controller decided"
+        if self.compared < ENOUGH:
+            what = "pairs" if self.pairs else "complete trials on each side"
+            return f"a verdict needs {ENOUGH} {what}"
+        for interval in self.intervals:
+            if not interval.known:
+                return f"no interval: {interval.reason}"
+        return None
+
+    @property
+    def verdict(self) -> str | None:
+        """The verdict, None if there is a `reason` for none.
+
+        "lower" or "higher" needs every interval of the difference below or above 0, and a corrected
+        p below 0.05; all else is "undecided".
+        """
+        if self.reason is not None:
+            return None
+        if self.p_holm < 1 - CONFIDENCE:
+            if all(interval.high < 0 for interval in self.intervals):
+                return "lower"
+            if all(interval.low > 0 for interval in self.intervals):
+                return "higher"
+        return "undecided"
+
+    @property
+    def intervals(self) -> tuple[Interval, ...]:
+        """The intervals of the difference on which a verdict rests."""
+        if self.pairs:
+            return (self.difference.ci95,)
+        return (self.difference.ci95, self.from_both_means)
+
+    @property
+    def compared(self) -> int:
+        """The number of pairs or, without pairs, of trials of the smaller batch."""
+        return self.pairs or min(self.first.counted, self.second.counted)
+
+    @property
+    def name(self) -> str:
+        """Names of the batches as "one - other"."""
+        return f"{self.first.name} - {self.second.name}"
+
+    @property
+    def test_of_means(self) -> str:
+        """The name of the test of the means."""
+        return "paired t" if self.pairs else "Welch's t"
+
+    @property
+    def tests(self) -> str:
+        """Names of the tests of means and of ranks, as "paired t, signed rank"."""
+        return f"{self.test_of_means}, {'signed rank' if self.pairs else 'rank sum'}"
+
+    @property
+    def counted(self) -> str:
+        """Number of trials compared, as "20 pairs" or "20 and 9"."""
+        if self.pairs:
+            return f"{self.pairs} pairs"
+        return f"{self.first.counted} and {self.second.counted}"
+
+
+@dataclass(frozen=True, slots=True)
+class BatchComparison(Shown):
+    """Batches, and the contrasts of every two batches or of each batch with a baseline."""
+
+    groups: tuple[BatchStatistics, ...]
+    contrasts: tuple[Contrast, ...] = field(default=(), repr=False)
+
+    @property
+    def unit(self) -> str:
+        """The length unit of every error."""
+        return self.groups[0].unit
+
+    @property
+    def whole(self) -> bool:
+        """Whether no log of any batch is damaged."""
+        return all(group.batch.whole for group in self.groups)
+
+
+def contrast(
+    groups: Sequence[BatchStatistics], baseline: BatchStatistics | None = None
+) -> BatchComparison:
+    """Compare each pair of batches or, with a baseline, each batch with the baseline.
+
+    Raises UsageError if batches have different units of length.
+    """
+    batches = (*groups, baseline) if baseline else tuple(groups)
+    for group in batches:
+        if group.unit != batches[0].unit:
+            raise UsageError(
+                f"{group.name} has errors in {group.unit}, {batches[0].name} in {batches[0].unit}",
+                "compare groups with the same length unit",
+            )
+    if baseline is None:
+        sides = list(combinations(groups, 2))
+    else:
+        sides = [(group, baseline) for group in groups]
+    tests = sum(_is_tested(first, second) for first, second in sides)
+    contrasts = [_contrast(first, second, max(tests, 1)) for first, second in sides]
+    means = mean_difference.holm([comparison.difference.p_value for comparison in contrasts])
+    ranks = mean_difference.holm([comparison.rank_p for comparison in contrasts])
+    corrected = [
+        replace(comparison, p_holm=p_holm, rank_p_holm=rank_p_holm)
+        for comparison, p_holm, rank_p_holm in zip(contrasts, means, ranks, strict=True)
+    ]
+    return BatchComparison(batches, tuple(corrected))
+
+
+def _is_tested(first: BatchStatistics, second: BatchStatistics) -> bool:
+    """Return whether a difference is tested: between plants that are alike, and controllers that
+    decided."""
+    no_controller = first.experiment.directions_given or second.experiment.directions_given
+    return first.origin is second.origin and not no_controller
+
+
+def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Contrast:
+    """Compare two batches; p-values are not corrected yet."""
+    ours = first.total
+    theirs = second.total
+    paired, why_unpaired = pair_up(first, second)
+    pairs = len(paired)
+    if pairs:
+        difference = mean_difference.paired_t(paired)
+        rank_p = mean_difference.signed_rank(paired)
+        detects = mean_difference.detectable(pairs, tests=tests)
+    else:
+        difference = mean_difference.welch(
+            ours.n, ours.mean, ours.std, theirs.n, theirs.mean, theirs.std
+        )
+        rank_p = mean_difference.rank_sum(first.totals, second.totals)
+        detects = mean_difference.detectable(ours.n, theirs.n, tests)
+    if not _is_tested(first, second):
+        difference = replace(difference, p_value=math.nan)
+        rank_p = math.nan
+        detects = math.nan
+    return Contrast(
+        first=first,
+        second=second,
+        pairs=pairs,
+        why_unpaired=why_unpaired,
+        difference=difference,
+        from_both_means=from_both_intervals(ours, theirs),
+        rank_p=rank_p,
+        detects=detects,
+        differs=tuple(differences(first.experiment, second.experiment)),
+    )
+
+
+def pair_up(first: BatchStatistics, second: BatchStatistics) -> tuple[Floats, str]:
+    """Return the differences (n,) between the total errors of paired trials, the first batch minus
+    the second, and "" or the reason why there are no pairs.
+
+    A pair is two simulated trials with the same seed, number and disturbances, which do not depend
+    on the controller.
+    """
+    if not (first.origin.simulated and second.origin.simulated):
+        return NO_PAIRS, "no two trials in a lab have the same disturbances"
+    if _world(first) != _world(second):
+        return NO_PAIRS, "the batches differ in more than the controller"
+    ours = _errors_by_trial(first.batch.trials)
+    theirs = _errors_by_trial(second.batch.trials)
+    pairs = [error - theirs[trial] for trial, error in ours.items() if trial in theirs]
+    if not pairs:
+        return NO_PAIRS, "the batches have no seed and trial in common"
+    return np.array(pairs), ""
+
+
+def _world(group: BatchStatistics) -> dict[str, object]:
+    """Return all of a batch's spec but the controller and what does not change a trial."""
+    return group.experiment.model_dump(mode="json", exclude=set(_NOT_THE_WORLD))
+
+
+def _errors_by_trial(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
+    """Return the total error of each counted trial by the trial's seed and number."""
+    return {
+        (trial.seed, trial.trial): trial.result.total_error for trial in trials if counts(trial)
+    }

@@ -1,0 +1,229 @@
+"""Which logs of a batch should be examined, and why: trials that do not count, unsafe robots, lost
+robots, damage, and robots that turned otherwise than in the other trials.
+
+A pose that turns, with its course, from the start of a trial on looks like wheels that differ, and
+no check of one trial can tell the two apart. But a robot has the same wheels in every trial. With
+its rate x_k and standard error e_k in trial k of n (`lab.drift_check`), the median m of the rates
+and e of the errors, trial k differs if
+
+    |x_k - m| > z sqrt(e_k^2 + max(0, (1 + FEW / n)^2 s^2 - e^2)),   s = 1.4826 median |x_j - m|,
+
+where s is the standard deviation of the rates, whatever fewer than half of them show, and z a
+quantile of the normal distribution: of all N n rates of N robots, one is beyond it by chance in the
+fraction CHANCE of batches. The fewer trials, the less is known of s; with FEW, normal rates exceed
+the limit in 1 % of batches of ten trials or more, and in at most 3 % of smaller ones.
+
+With fewer than LEAST trials there is nothing to compare. The heading of a robot then counts as
+confirmed if its rate is 0 within UNCONFIRMED standard errors. Otherwise either its wheels differ
+from the spec, which calibrating them settles, or its pose is false. A pose that turns with its
+course at the rate x, while the robot drives a distance L in a time T, is off its robot by at most
+
+    integral of x t dL <= |x| T L / 2.
+"""
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import compress
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.losses import STOOD
+from tetractl.core.plan import Outcome
+from tetractl.core.setup import MM
+from tetractl.core.trial import Verdict
+from tetractl.log.read.trial_log import ResultSummary
+from tetractl.statistics.open_batch import Batch, counts, errors_known
+from tetractl.tools.table.table import plural
+
+ATTEMPT = "an earlier attempt, excluded"
+
+ENTERED = "entered an obstacle"
+LEFT = "left the arena"
+TOUCHED_EACH_OTHER = "touched one another"
+SAFETY: dict[str, Callable[[Verdict, float], list[bool]]] = {
+    ENTERED: Verdict.in_obstacle,
+    LEFT: Verdict.over_edge,
+    TOUCHED_EACH_OTHER: Verdict.touched,
+}
+"""What must not happen, with a function that returns which robots of a given radius did it."""
+CHANCE = 0.01
+"""Share of batches in which a rate is beyond its limit by chance."""
+LEAST = 6
+"""Least number of trials with a known rate that are compared."""
+FEW = 14.0
+"""By how much fewer trials widen the limit: see above."""
+UNCONFIRMED = 2.0
+"""Standard errors beyond which the rate of a robot without further trials is not 0."""
+DEVIATION_OVER_MEDIAN = 1.4826
+"""Standard deviation of normal values over the median of their distances to the median."""
+
+
+@dataclass(frozen=True, slots=True)
+class Flagged:
+    """A log to be examined: its path, the outcome of its trial, and the reasons."""
+
+    log: str
+    outcome: str
+    notes: tuple[str, ...]
+
+
+def flagged(batch: Batch) -> list[Flagged]:
+    """Return the flagged trials, then the earlier attempts.
+
+    A trial is flagged if it is not valid, its log is damaged, a robot entered an obstacle, left the
+    arena, touched another one, was lost, stood while others drove, turned otherwise than in the
+    other trials or has an unconfirmed heading, or the trial ended at `steps max` or `time limit`.
+    Warnings flag trials in a lab only, since in a simulation the spec requests the disturbances.
+    """
+    logs: list[Flagged] = []
+    turned = turned_otherwise(batch.trials)
+    unconfirmed = unconfirmed_headings(batch.trials)
+    for trial in batch.trials:
+        notes = [*trial_notes(trial), *turned.get(trial.log, ()), *unconfirmed.get(trial.log, ())]
+        if notes and not counts(trial):
+            notes.insert(0, "excluded")
+        if notes:
+            logs.append(Flagged(trial.log, trial.outcome.value, tuple(notes)))
+    for trial in batch.attempts:
+        notes = (ATTEMPT, *trial_notes(trial))
+        logs.append(Flagged(trial.log, trial.outcome.value, notes))
+    lost = [
+        Flagged(log.log, "cannot be read", (ATTEMPT, log.problem)) for log in batch.lost_attempts
+    ]
+    return [*logs, *lost]
+
+
+def trial_notes(trial: ResultSummary) -> list[str]:
+    """Return the reasons to flag a trial, without regard to the other ones."""
+    result = trial.result
+    notes = [f"{', '.join(robots)} {label}" for label, robots in unsafe(trial).items()]
+    lost = sum(result.lost)
+    if lost:
+        notes.append(f"{lost} {plural('robot', lost)} lost")
+    if trial.outcome is Outcome.STEPS_MAX:
+        notes.append(f"did not end in {result.steps} steps")
+    if trial.outcome is Outcome.TIME_LIMIT:
+        notes.append(f"did not end in {trial.experiment.controller.time_limit:g} s")
+    if trial.warnings and not trial.simulated:
+        notes.append(f"{trial.warnings} {plural('warning', trial.warnings)}")
+    if trial.recovered:
+        notes.append("read from a damaged log")
+    if not errors_known(trial) or result.reason.endswith(STOOD):
+        notes.append(result.reason or "its errors are unknown")
+    return notes
+
+
+def unsafe(trial: ResultSummary) -> dict[str, list[str]]:
+    """Return which robots of a trial did what must not happen, by its label in SAFETY."""
+    names = [robot.name for robot in trial.experiment.robots]
+    radius = trial.experiment.controller.body_radius
+    robots_by_label: dict[str, list[str]] = {}
+    for label, robots_that_did in SAFETY.items():
+        did = robots_that_did(trial.result.verdict, radius)
+        if any(did):
+            robots_by_label[label] = list(compress(names, did))
+    return robots_by_label
+
+
+# ---- Robots that turned otherwise ----
+
+
+@dataclass(frozen=True, slots=True)
+class TrialTurn:
+    """How a robot turned by itself in a trial, whose log is `log` [rad/s]: `off` is by how much
+    more than in the median of its trials, and `limit` is above what no chance explains.
+    """
+
+    log: str
+    robot: str
+    off: float
+    limit: float
+
+    @property
+    def odd(self) -> bool:
+        """Whether the robot turned otherwise than in its other trials."""
+        return abs(self.off) > self.limit
+
+
+def turns_of(trials: Sequence[ResultSummary]) -> Iterator[TrialTurn]:
+    """Yield the turns of every robot with enough trials in which its rate is known."""
+    for i, robot, compared in _measured(trials):
+        n = len(compared)
+        if n < LEAST:
+            continue
+        rates = np.array([trial.result.verdict.turn[i] for trial in compared])
+        errors = np.array([trial.result.verdict.turn_std[i] for trial in compared])
+        off = rates - np.median(rates)
+        deviation = (1 + FEW / n) * DEVIATION_OVER_MEDIAN * np.median(np.abs(off))
+        unexplained = max(0.0, deviation**2 - np.median(errors) ** 2)  # by the errors
+        robots = len(trials[0].experiment.setup.names)
+        chance_of_one_side = CHANCE / (2 * robots * n)
+        z = NormalDist().inv_cdf(1 - chance_of_one_side)
+        limits = z * np.sqrt(errors**2 + unexplained)
+        for trial, trial_off, limit in zip(compared, off.tolist(), limits.tolist(), strict=True):
+            yield TrialTurn(trial.log, robot, trial_off, limit)
+
+
+def _measured(
+    trials: Sequence[ResultSummary],
+) -> Iterator[tuple[int, str, list[ResultSummary]]]:
+    """Yield the index and name of each robot, and the trials in which its rate is known."""
+    measured = [trial for trial in trials if trial.result.verdict.turn]
+    for i, robot in enumerate(trials[0].experiment.setup.names if trials else ()):
+        known = [trial for trial in measured if math.isfinite(trial.result.verdict.turn_std[i])]
+        yield i, robot, known
+
+
+def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
+    """Return a text for each robot whose heading its own motion does not confirm, by the path of
+    the trial. Robots with LEAST trials are compared instead, by `turned_otherwise`.
+    """
+    texts = defaultdict[str, list[str]](list)
+    for i, robot, known in _measured(trials):
+        if len(known) >= LEAST:
+            continue
+        for trial in known:
+            result = trial.result
+            rate = result.verdict.turn[i]
+            if abs(rate) <= UNCONFIRMED * result.verdict.turn_std[i]:
+                continue
+            setup = trial.experiment.setup
+            distance_mm = float(setup.speed[i]) * result.duration_s * setup.metres / MM
+            off_mm = abs(rate) * result.duration_s * distance_mm / 2
+            turned = f"it turned by {rate:+.2f} rad/s by itself"
+            off = f"if its wheels do not differ, it is up to {off_mm:.0f} mm off"
+            texts[trial.log].append(f"heading of {robot} not confirmed: {turned}; {off}")
+    return texts
+
+
+def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
+    """Return a text for each robot that turned otherwise than in its other trials, by the path of
+    the trial.
+    """
+    texts = defaultdict[str, list[str]](list)
+    for turn in turns_of(trials):
+        if turn.odd:
+            text = f"{turn.robot} turned by {turn.off:+.2f} rad/s unlike in the other trials"
+            texts[turn.log].append(text)
+    return texts
+
+
+def turn_columns(trial: ResultSummary) -> dict[str, Any]:
+    """Return each robot's rate and its standard error, None if they are unknown."""
+    if trial.simulated or not trial.experiment.setup.on_wheels:
+        return {}
+    names = trial.experiment.setup.names
+    verdict = trial.result.verdict
+    unknown = (math.inf,) * len(names)
+    rates = verdict.turn or unknown
+    errors = verdict.turn_std or unknown
+    items = dict[str, Any]()
+    for name, rate, error in zip(names, rates, errors, strict=True):
+        is_measured = math.isfinite(error)
+        items[f"turn_{name}_rad_s"] = rate if is_measured else None
+        items[f"turn_std_{name}_rad_s"] = error if is_measured else None
+    return items

@@ -1,0 +1,193 @@
+"""Compares the means and the ranks of two batches."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from tetractl.core.poses import Floats
+from tetractl.statistics.estimate import CONFIDENCE, Distribution, Interval, t_quantile
+from tetractl.tools.table.table import p_value
+
+_NAN = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class MeanDifference:
+    """A difference of two means, the first minus the second, tested by a t test with `degrees`
+    degrees of freedom.
+    """
+
+    value: float
+    ci95: Interval
+    p_value: float
+    degrees: float
+
+    @classmethod
+    def by_t(cls, value: float, error: float, degrees: float, method: str) -> "MeanDifference":
+        """Return a difference with the standard error `error`, with its interval and p-value by
+        Student's distribution.
+        """
+        half = t_quantile(degrees) * error
+        p_value = 2 * float(special.stdtr(degrees, -abs(value) / error))
+        return cls(value, Interval(value - half, value + half, method), p_value, degrees)
+
+    @classmethod
+    def untested(cls, value: float, why: str, degrees: float = _NAN) -> "MeanDifference":
+        """Return a difference without interval and p-value, with the reason."""
+        return cls(value, Interval.none(why), _NAN, degrees)
+
+    def text(self, unit: str, show: Callable[[float], str], p: float) -> str:
+        """Return the difference with its interval and a p-value, corrected or not, as text."""
+        difference = f"{show(self.value)} {unit} (95 % interval {self.ci95.text(show)})"
+        if not p >= 0:  # NaN
+            return difference
+        equals = "" if p < 0.001 else "= "
+        return f"{difference}, p {equals}{p_value(p)}"
+
+    def as_dict(self) -> dict[str, object]:
+        """Return the items of JSON that describe the difference."""
+        return {
+            "difference": self.value,
+            **self.ci95.as_dict(),
+            "p_value": self.p_value,
+            "degrees_of_freedom": self.degrees,
+        }
+
+
+def welch(n1: int, mean1: float, std1: float, n2: int, mean2: float, std2: float) -> MeanDifference:
+    """Compare two means from n, mean and standard deviation (n - 1) alone.
+
+    With v_i = std_i^2 / n_i: t = (mean1 - mean2) / sqrt(v1 + v2), and the degrees of freedom of
+    Welch and Satterthwaite are (v1 + v2)^2 / (v1^2 / (n1 - 1) + v2^2 / (n2 - 1)).
+    """
+    difference = mean1 - mean2
+    if min(n1, n2) < 2:
+        return MeanDifference.untested(difference, "Welch's t needs two values on each side")
+    v1 = std1**2 / n1
+    v2 = std2**2 / n2
+    if v1 + v2 == 0:
+        return MeanDifference.untested(difference, "the values do not vary on either side")
+    share = v1 / (v1 + v2)
+    degrees = 1 / (share**2 / (n1 - 1) + (1 - share) ** 2 / (n2 - 1))
+    return MeanDifference.by_t(difference, math.sqrt(v1 + v2), degrees, "Welch")
+
+
+def paired_t(differences: Floats) -> MeanDifference:
+    """Compare two means from the differences (n,) of pairs, by Student's t test."""
+    n = len(differences)
+    differences = np.sort(differences)  # the order of the pairs must not matter
+    mean = float(differences.mean()) if n else _NAN
+    if n < 2:
+        return MeanDifference.untested(mean, "an interval needs two pairs")
+    error = float(differences.std(ddof=1)) / math.sqrt(n)
+    if not error > 0:
+        return MeanDifference.untested(mean, "all differences are equal", n - 1)
+    return MeanDifference.by_t(mean, error, n - 1, "paired t")
+
+
+def from_both_intervals(ours: Distribution, theirs: Distribution) -> Interval:
+    """Return the interval of the difference of two means from their own intervals.
+
+    With means m, m', lower ends l, l' and upper ends u, u', by Zou and Donner (Statistics in
+    Medicine 27, 2008): from m - m' - sqrt((m - l)^2 + (u' - m')^2) to m - m' + sqrt((u - m)^2 +
+    (m' - l')^2).
+    """
+    low, high = _reach(ours)
+    low2, high2 = _reach(theirs)
+    if not all(map(math.isfinite, (low, high, low2, high2))):
+        side = ours if not ours.ci95.known else theirs
+        return Interval.none(f"no interval of one of the means: {side.ci95.reason}")
+    if max(low, high, low2, high2) == 0:
+        return Interval.none("the values do not vary on either side")
+    difference = ours.mean - theirs.mean
+    return Interval(
+        difference - math.hypot(low, high2), difference + math.hypot(high, low2), "both intervals"
+    )
+
+
+def _reach(values: Distribution) -> tuple[float, float]:
+    """Return the distances from the mean to the ends of its interval; 0 if all values are equal."""
+    if values.n > 1 and values.std == 0:
+        return 0.0, 0.0
+    return values.mean - values.ci95.low, values.ci95.high - values.mean
+
+
+POWER = 0.8
+
+
+def detectable(n: int, m: int | None = None, tests: int = 1) -> float:
+    """Return the difference that a t test finds with probability POWER, at the strictest level of
+    Holm's correction for `tests`.
+
+    For n pairs it is in standard deviations of their differences; for n and m unpaired values in
+    those of the values; NaN below 2. With N = n, f = n - 1, or N = m n / (m + n), f = m + n - 2, it
+    is (t(1 - level / 2, f) + t(POWER, f)) / sqrt(N), which is within 1.5 % of the noncentral t.
+    """
+    if n < 2 or (m is not None and m < 2):
+        return _NAN
+    if m is None:
+        degrees = n - 1
+        size = float(n)
+    else:
+        degrees = m + n - 2
+        size = m * n / (m + n)
+    level = (1 - CONFIDENCE) / tests
+    # `t_quantile` is two-sided: its bound for 2 POWER - 1 is not exceeded with POWER on one side
+    return (t_quantile(degrees, 1 - level) + t_quantile(degrees, 2 * POWER - 1)) / math.sqrt(size)
+
+
+EXACT = 60
+"""Largest number of unpaired values without ties for an exact p-value."""
+
+
+def signed_rank(differences: Floats) -> float:
+    """Return the p-value of Wilcoxon's signed-rank test that differences (n,) are centred at 0.
+
+    It is exact for up to 50 differences, of which no two are equal in size, or up to 13 otherwise.
+    Differences of exactly 0 are left out; NaN if none is left.
+    """
+    from scipy import stats  # slow to import, and needed by comparisons alone
+
+    is_different = differences != 0
+    differing = differences[is_different]
+    if not len(differing):
+        return _NAN
+    test: Any = stats.wilcoxon(differing)
+    return float(test.pvalue)
+
+
+def rank_sum(ours: Floats, theirs: Floats) -> float:
+    """Return the p-value of the rank-sum test (Wilcoxon, Mann and Whitney) of values (m,) and (n,).
+
+    It is exact for up to EXACT values without ties. NaN if one side has no values.
+    """
+    from scipy import stats
+
+    if min(len(ours), len(theirs)) == 0:
+        return _NAN
+    pooled = np.concatenate([ours, theirs])
+    if pooled.min() == pooled.max():
+        return 1.0
+    has_ties = len(np.unique(pooled)) < len(pooled)
+    exact = len(pooled) <= EXACT and not has_ties
+    method = "exact" if exact else "asymptotic"
+    return float(stats.mannwhitneyu(ours, theirs, use_continuity=False, method=method).pvalue)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return p-values corrected for multiple comparisons, by Holm (Scand. J. Statist. 6, 1979).
+
+    The i-th smallest of k p-values is multiplied by k - i + 1, and raised to the corrected value of
+    the next smaller p-value if that is larger. NaN stays NaN and is not counted in k.
+    """
+    order = sorted((p, i) for i, p in enumerate(p_values) if not math.isnan(p))
+    corrected = [_NAN] * len(p_values)
+    largest = 0.0  # of the corrected values of smaller p-values
+    for rank, (p, i) in enumerate(order):
+        largest = max(largest, min(1.0, p * (len(order) - rank)))
+        corrected[i] = largest
+    return corrected

@@ -1,0 +1,290 @@
+"""Reads the results of a batch of trials, each from its log, and says which trials count."""
+
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from glob import has_magic
+from pathlib import Path
+from typing import Any
+
+from tetractl.core.errors import LogError, UsageError
+from tetractl.core.shown import Shown
+from tetractl.log.read.find import find_logs, is_set_aside, without_others
+from tetractl.log.read.reader import read_result
+from tetractl.log.read.trial_log import ResultSummary
+from tetractl.spec.experiment import CHANGES_NO_TRIAL, Experiment
+from tetractl.tools.table.table import listing
+
+OnLog = Callable[[int, int], object]
+"""Called with the numbers of logs read and of all logs."""
+
+
+@dataclass(frozen=True, slots=True)
+class Damaged:
+    """A log without a readable trial: its path, and what is wrong."""
+
+    log: str
+    problem: str
+
+    @property
+    def set_aside(self) -> bool:
+        """Whether the log is an attempt that was set aside."""
+        return is_set_aside(Path(self.log).name)
+
+
+@dataclass(frozen=True, slots=True)
+class Batch(Shown):
+    """Trials that form one batch.
+
+    `attempts` are earlier logs of the same trials: set aside by `--resume`, or incomplete while a
+    complete log of the trial exists. `damaged` are logs without a readable trial, including
+    attempts.
+    """
+
+    trials: tuple[ResultSummary, ...]
+    attempts: tuple[ResultSummary, ...] = ()
+    damaged: tuple[Damaged, ...] = ()
+
+    def __repr__(self) -> str:
+        counts = {
+            "trials": len(self.trials),
+            "attempts": len(self.attempts),
+            "damaged": len(self.damaged),
+        }
+        return f"Batch({', '.join(f'{count} {what}' for what, count in counts.items() if count)})"
+
+    @classmethod
+    def of(cls, results: Iterable[ResultSummary], damaged: Iterable[Damaged] = ()) -> "Batch":
+        """Return the trials as a batch, with earlier attempts separated."""
+        results = list(results)
+        complete = {_key(trial) for trial in results if trial.outcome.complete}
+        trials: list[ResultSummary] = []
+        attempts: list[ResultSummary] = []
+        for trial in results:
+            replaced = not trial.outcome.complete and _key(trial) in complete
+            if replaced or is_set_aside(Path(trial.log).name):
+                attempts.append(trial)
+            else:
+                trials.append(trial)
+        return cls(
+            trials=tuple(trials),
+            attempts=tuple(attempts),
+            damaged=tuple(damaged),
+        )
+
+    @property
+    def logs(self) -> list[Path]:
+        """The paths of the trials whose logs are whole."""
+        return [Path(trial.log) for trial in self.trials if not trial.brief]
+
+    @property
+    def lost(self) -> tuple[Damaged, ...]:
+        """Damaged logs, whose trials are missing in the batch."""
+        return tuple(log for log in self.damaged if not log.set_aside)
+
+    @property
+    def lost_attempts(self) -> tuple[Damaged, ...]:
+        """Attempts that cannot be read."""
+        return tuple(log for log in self.damaged if log.set_aside)
+
+    @property
+    def whole(self) -> bool:
+        """Whether no log of the batch is damaged; attempts are ignored."""
+        return not self.lost and not any(trial.recovered for trial in self.trials)
+
+
+class Batches(Shown, dict[str, Batch]):
+    """Batches by name, such as the arms of a study."""
+
+
+def _key(trial: ResultSummary) -> tuple[int, int]:
+    return trial.seed, trial.trial
+
+
+def counts(trial: ResultSummary) -> bool:
+    """Whether a trial's errors enter the means: they are known, and its log is whole."""
+    return errors_known(trial) and not trial.recovered
+
+
+def errors_known(trial: ResultSummary) -> bool:
+    """Whether a trial is complete and its errors are known."""
+    errors = (trial.result.total_error, *trial.result.robot_errors)
+    return trial.outcome.complete and all(map(math.isfinite, errors))
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The logs of a batch that is called `name`."""
+
+    name: str
+    logs: Sequence[Path]
+
+    @classmethod
+    def of(cls, paths: Sequence[Path | str]) -> "Source":
+        """Return the logs that files, folders and patterns name, including earlier attempts.
+
+        Raises UsageError for a path without a trial.
+        """
+        places = [Path(path) for path in paths]
+        logs = find_logs(places, attempts=True)
+        first = str(paths[0])
+        name = first if has_magic(first) else places[0].resolve().name
+        if len(paths) > 1:
+            name += f" and {len(paths) - 1} more"
+        return cls(name, logs)
+
+    def read(self, on_log: OnLog = lambda done, count: None) -> Batch:
+        """Read every result; `on_log` is called with the numbers of logs read and of all logs."""
+        trials: list[ResultSummary] = []
+        damaged: list[Damaged] = []
+        for done, log in enumerate(self.logs, start=1):
+            try:
+                trials.append(read_result(log))
+            except LogError as error:
+                problem = error.message.removeprefix(f"{log}: ")
+                damaged.append(Damaged(str(log), problem))
+            on_log(done, len(self.logs))
+        return Batch.of(trials, damaged)
+
+
+def open_batch(paths: Sequence[Path | str]) -> Batch:
+    """Read the results of the logs in files, folders and patterns; UsageError for a path without a
+    trial."""
+    return Source.of(paths).read()
+
+
+def batches_in(path: Path | str) -> list[Source]:
+    """Return what a file, folder or pattern holds: one batch or, if all logs are in several folders
+    of a folder, such as a study's, one of each."""
+    source = Source.of([path])
+    by_arm: dict[Path, list[Path]] = {}
+    for log in source.logs:
+        by_arm.setdefault(log.parent, []).append(log)
+    if len(by_arm) < 2 or any(arm.parent != Path(path) for arm in by_arm):
+        return [source]
+    return [Source(arm.name, logs) for arm, logs in by_arm.items()]
+
+
+def one_source(paths: Sequence[Path | str]) -> Source:
+    """Return what all paths hold as one batch; UsageError if a path is a folder of several."""
+    source = Source.of(paths)
+    for folder in filter(Path.is_dir, map(Path, paths)):
+        batches = len(batches_in(folder))
+        if batches > 1:
+            raise UsageError(f"{folder}: holds {batches} batches", "name the folder of each")
+    return source
+
+
+def sources(paths: Sequence[str]) -> list[Source]:
+    """Return the batches that a user means: those in the only path; one per path, if all are
+    folders; else one of all paths together.
+    """
+    listed = without_others(paths)
+    if len(listed) == 1:
+        return batches_in(listed[0])
+    if not all(map(Path.is_dir, listed)):
+        return [one_source(listed)]
+    batches = [one_source([folder]) for folder in listed]
+    if len({source.name for source in batches}) == len(batches):
+        return batches
+    return [Source(str(path), source.logs) for path, source in zip(listed, batches, strict=True)]
+
+
+def experiment_of(batch: Batch) -> Experiment:
+    """Return the experiment that all trials and attempts share.
+
+    Raises UsageError if the experiments or the plants differ, or if a trial occurs twice: copies of
+    a log, or a simulation run again, would count as independent trials.
+    """
+    if not batch.trials:
+        if batch.attempts:
+            raise UsageError(
+                "all logs are earlier attempts",
+                "complete the batch with --resume",
+                "complete the batch with resume=True",
+            )
+        if batch.lost:
+            raise LogError("no log can be read: {0.log}: {0.problem}".format(batch.lost[0]))
+        raise UsageError("no trial to summarise")
+    first = batch.trials[0]
+    for trial in (*batch.trials, *batch.attempts):
+        _check_alike(first, trial)
+    _refuse_copies(batch.trials)
+    return first.experiment
+
+
+def _check_alike(first: ResultSummary, second: ResultSummary) -> None:
+    """Raise UsageError for two trials of different plants or experiments."""
+    if second.origin is not first.origin:
+        raise UsageError(
+            f"{first.log} is from the {first.origin}, {second.log} from the {second.origin}",
+            "give the logs of one plant, and the others with --against",
+            "give the logs of one plant, and the others with compare()",
+        )
+    if second.experiment is first.experiment:
+        return
+    fields = differences(first.experiment, second.experiment)
+    if fields:
+        raise UsageError(
+            f"{first.log} and {second.log} have different experiments: {listing(fields)}",
+            "give the logs of one batch, and the other batch with --against",
+            "give the logs of one batch, and the other batch with compare()",
+        )
+
+
+def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
+    """Raise UsageError if a trial occurs twice."""
+    trials_by_key: dict[object, ResultSummary] = {}
+    for trial in trials:
+        # Two trials in the lab may have the same number and seed, and are different trials.
+        key = _key(trial) if trial.simulated else trial.digest or id(trial)
+        twin = trials_by_key.setdefault(key, trial)
+        if twin is not trial:
+            raise UsageError(
+                f"{twin.log} and {trial.log} are the same trial"
+                f" (seed {trial.seed}, trial {trial.trial})",
+                "give each trial once, for instance by naming one of the two folders",
+            )
+
+
+def differences(ours: Experiment, theirs: Experiment) -> list[str]:
+    """Return a text such as `controller.horizon_max: 20 != 30` for each field in which two
+    experiments differ; only the field's path if its value is a section, or a list that differs in
+    length.
+
+    Fields that change no trial are left out; also the robots, if both trials chose them by the same
+    rule, and directions that are given: each trial has its own.
+    """
+    left_out: dict[str, Any] = dict.fromkeys(CHANGES_NO_TRIAL, True)
+    if ours.chosen is not None and ours.asked == theirs.asked:
+        left_out["robots"] = True
+        left_out["chosen"] = True
+    if ours.directions_given and theirs.directions_given:
+        left_out["controller"] = {"directions"}
+    our_fields = ours.model_dump(mode="json", exclude=left_out)
+    their_fields = theirs.model_dump(mode="json", exclude=left_out)
+    return list(_differences(our_fields, their_fields))
+
+
+def _differences(ours: Any, theirs: Any, path: str = "") -> Iterator[str]:
+    """Yield the differences between two values at a path of a spec."""
+    if ours == theirs:
+        return
+    both_lists = isinstance(ours, list) and isinstance(theirs, list)
+    if isinstance(ours, dict) and isinstance(theirs, dict):
+        for key in ours | theirs:
+            inner = f"{path}.{key}" if path else key
+            yield from _differences(ours.get(key), theirs.get(key), inner)
+    elif both_lists and len(ours) == len(theirs):
+        for i, (our_item, their_item) in enumerate(zip(ours, theirs, strict=True)):
+            yield from _differences(our_item, their_item, f"{path}.{i}")
+    elif isinstance(ours, dict | list) or isinstance(theirs, dict | list):
+        yield path
+    else:
+        yield f"{path}: {_as_text(ours)} != {_as_text(theirs)}"
+
+
+def _as_text(value: Any) -> str:
+    """Return a single value as in JSON, text without quotes."""
+    return value if isinstance(value, str) else json.dumps(value)

@@ -1,0 +1,149 @@
+"""Statistics of a batch of trials: what a statistic is, and how its results are written.
+
+A statistic computes figures of a batch and values of each trial. A `Figure` is a line of a table of
+the batch (`tables`) and items of its JSON (`as_json`); the values of a trial are columns of the CSV
+table and items of JSON. `share_figure` and `mean_figure` write figures that have an interval.
+
+`number`, `count` and `share` make the usual statistics from a function of one trial:
+
+    WORST = number("worst", "error of the worst robot", lambda result: max(result.robot_errors))
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.registries import STATISTICS
+from tetractl.core.trial import Result
+from tetractl.log.read.trial_log import ResultSummary
+from tetractl.statistics.estimate import Distribution, distributions, percent, proportion_interval
+from tetractl.statistics.open_batch import counts
+from tetractl.tools.table.table import lengths
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A figure of a batch: its `label` and `text` in tables, and its items of JSON.
+
+    `brief` is the text next to those of other batches; None if it is the same, "" if the figure is
+    left out there. A figure with the label "" is in JSON only. An `unusual` figure is one that a
+    reader must see, such as damaged logs: the other ones are shown with `--full` only.
+    """
+
+    label: str
+    text: str
+    items: Mapping[str, Any] = field(default_factory=dict)
+    unusual: bool = True
+    brief: str | None = None
+
+
+def share_figure(
+    key: str, label: str, holding: int, n: int, counting: str = "", unusual: bool = True
+) -> Figure:
+    """Return in how many of n trials a condition holds, with Wilson's interval of the fraction.
+
+    `counting` is what the condition looks at, such as "bodies", if that can differ.
+    """
+    ci95 = proportion_interval(holding, n)
+    trials = f"{holding} of {n}"
+    text = f"{trials}{percent(ci95)}"
+    items = {key: holding, f"{key}_ci95": ci95.ends}
+    if not counting:
+        return Figure(label, text, items, unusual)
+    return Figure(label, f"{text}, counting {counting}", items, unusual, f"{trials} ({counting})")
+
+
+def mean_figure(key: str, label: str, values: Distribution, states_n: bool = False) -> Figure:
+    """Return a mean with its interval; the text states the number of trials if `states_n`."""
+    show = lengths(values.mean)
+    n = f"n {values.n}, " if states_n else ""
+    text = f"{show(values.mean)} ({n}95 % interval {values.ci95.text(show)})"
+    return Figure(label, text, {key: values.as_dict()})
+
+
+@dataclass(frozen=True, slots=True)
+class Statistic:
+    """How to compute a statistic: `of_batch` returns its figures for one or more trials of one
+    experiment; `of_trial` returns the columns of one trial in CSV, which are also its items in
+    JSON.
+    """
+
+    of_batch: Callable[[Sequence[ResultSummary]], Sequence[Figure]]
+    of_trial: Callable[[ResultSummary], dict[str, Any]] = lambda trial: {}
+
+
+def number(key: str, label: str, number_in: Callable[[Result], float]) -> Statistic:
+    """Return a statistic: the mean and its 95 % interval, over complete trials, of a number per
+    trial.
+
+    A trial without a finite number is left out of the mean; its cell in the table of trials is
+    empty. Its line is in the short table, too: `stats` reads results, not the steps of the trials.
+    """
+
+    def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
+        numbers = [number_in(trial.result) for trial in trials if counts(trial)]
+        finite = [value for value in numbers if math.isfinite(value)]
+        (distribution,) = distributions(np.array([finite]))
+        mean = mean_figure(key, f"{label}, mean", distribution)
+        tail = distribution.tail
+        if not tail.above:
+            return [mean]
+        return [mean, Figure(f"  {tail.label}", tail.text())]
+
+    def of_trial(trial: ResultSummary) -> dict[str, Any]:
+        value = number_in(trial.result)
+        return {key: value if math.isfinite(value) else None}
+
+    return Statistic(of_batch, of_trial)
+
+
+def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
+    """Return a statistic: the number of trials for which the condition `holds` is true."""
+
+    def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
+        holding = sum(map(holds, trials))
+        return [Figure(label, str(holding), {key: holding})]
+
+    return Statistic(of_batch)
+
+
+def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
+    """Return a statistic: the number of trials for which the condition `holds` is true, with
+    Wilson's 95 % interval of their fraction.
+    """
+
+    def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
+        holding = sum(map(holds, trials))
+        return [share_figure(key, label, holding, len(trials))]
+
+    return Statistic(of_batch)
+
+
+def statistics() -> list[Statistic]:
+    """Return every usable statistic, the built-in ones first."""
+    return list(STATISTICS.usable().values())
+
+
+def trial_items(trial: ResultSummary) -> dict[str, Any]:
+    """Return the items of one trial in JSON, those of every statistic among them."""
+    result = trial.result
+    items = {
+        "log": trial.log,
+        "trial": trial.trial,
+        "seed": trial.seed,
+        "total_error": result.total_error,
+        "robot_errors": list(result.robot_errors),
+        "steps": result.steps,
+        "duration_s": result.duration_s,
+        "origin": trial.origin.value,
+        "outcome": result.outcome.value,
+        "reason": result.reason,
+        "warnings": trial.warnings,
+    }
+    for statistic in statistics():
+        items |= statistic.of_trial(trial)
+    items["counted"] = counts(trial)
+    return items

@@ -1,0 +1,378 @@
+"""Makes tables of batches and their comparisons: what `stats` and the report page show.
+
+summary        `stats`, and the end of a run: the errors, the verdict and what is unusual
+tables         `stats --full`: every table
+trials_listed  the trials of a batch, on the report page and in a notebook
+
+`as_json` has the same numbers for other programs, in JSON and CSV.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from tetractl.log.read.trial_log import Origin
+from tetractl.spec.experiment import Experiment
+from tetractl.statistics.built_in_statistics import MEANINGS
+from tetractl.statistics.describe import BatchComparison, BatchStatistics, Contrast
+from tetractl.statistics.estimate import Distribution, Interval, known_distribution
+from tetractl.statistics.flagged import flagged, unsafe
+from tetractl.statistics.mean_difference import MeanDifference
+from tetractl.statistics.statistic import Figure
+from tetractl.tools.table.table import NONE, Column, Table, fixed, lengths, listing, p_value
+from tetractl.tools.table.terminal_table import LISTED_MAX
+
+DECIMALS_MAX = 9
+"""Most decimals of an error."""
+SIDE_BY_SIDE = 3
+"""Most batches in one table of trials: more columns of words are too wide."""
+PUBLISHED = "difference from published"
+"""Label of the difference from the published result."""
+TINY = 1e-6
+"""Errors below this share of the arena are tiny, however many times the median they are."""
+PAIR = "one - other"
+"""The column that names the two batches of a comparison."""
+
+
+# ---- The summary ----
+
+
+def summary(comparison: BatchComparison) -> list[Table]:
+    """Return what one needs: the total errors, and below them the verdict and what is not usual.
+
+    Of three batches or more, the verdicts are in a table of their own.
+    """
+    groups = comparison.groups
+    first = groups[0]
+    errors = _errors(groups, _totals(groups))
+    notes: list[str] = []
+    if len(groups) <= 2:
+        notes += [f"{contrast.name}: {_verdict(contrast)}" for contrast in comparison.contrasts]
+    published = first.from_published
+    if len(groups) == 1 and published is not None and first.origin.comparable and first.counted:
+        notes.append(f"{PUBLISHED}: {published_text(published, first)}")
+    notes += _unusual(groups)
+    with_notes = replace(errors, note="\n".join(notes))
+    if len(groups) <= 2:
+        return [with_notes]
+    return [with_notes, differences_table(comparison.contrasts)]
+
+
+def _verdict(contrast: Contrast) -> str:
+    """Return the verdict of a comparison with its difference and test, in words."""
+    if contrast.verdict is None:
+        verdict = f"no verdict ({contrast.reason})"
+    elif contrast.verdict == "undecided":
+        verdict = "no significant difference"
+    else:
+        verdict = f"{contrast.verdict} mean error"
+    first = contrast.first
+    show = lengths(contrast.difference.value, decimals_shown(first.experiment))
+    difference = contrast.difference.text(first.unit, show, contrast.p_holm)
+    basis = contrast.test_of_means
+    if contrast.pairs:  # otherwise the numbers of trials are in the table
+        basis += f", {contrast.counted}"
+    return f"{verdict}, {difference} ({basis})"
+
+
+def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[str]:
+    """Yield a line for each label of what is unusual, `LABEL: NAMES: TEXT; NAMES: TEXT`: each text
+    with those it is true of, without names if there is one batch."""
+    names: dict[tuple[str, str], list[str]] = {}  # by label and text
+    for group in groups:
+        for label, text, name in _remarks(group, len(groups) > 1):
+            names.setdefault((label, text), []).append(name)
+    only_batch = [groups[0].name] if len(groups) == 1 else None
+    texts: dict[str, list[str]] = {}  # by label
+    for (label, text), of_text in names.items():
+        named = text if of_text == only_batch else f"{listing(of_text)}: {text}"
+        texts.setdefault(label, []).append(named)
+    for label, of_label in texts.items():
+        yield f"{label}: {listing(of_label, '; ')}"
+
+
+def _remarks(group: BatchStatistics, several: bool) -> Iterator[tuple[str, str, str]]:
+    """Yield what is unusual about a batch, shortly if it is one of several: the label of a text,
+    the text, and the name of the batch or trial that it is about."""
+    for figure in figures_of(group):
+        brief = figure.text if figure.brief is None else figure.brief
+        text = brief if several else figure.text
+        if figure.unusual and text:
+            yield figure.label, text, group.name
+    logs = flagged(group.batch)
+    notes = [", ".join(log.notes) for log in logs]
+    stems = [Path(log.log).stem for log in logs]
+    if not several:
+        for stem, note in zip(stems, notes, strict=True):
+            yield "flagged", note, stem
+    elif logs:  # the first one: `stats` of this batch alone names them all
+        more = f" and {len(logs) - 1} more" if len(logs) > 1 else ""
+        yield "flagged", f"{stems[0]} ({notes[0]}){more}", group.name
+
+
+# ---- The figures of a batch ----
+
+
+GIVEN_DIRECTIONS = "given directions"
+"""What tables and figures call a batch in which no controller decided."""
+
+
+def figures_of(group: BatchStatistics) -> Iterator[Figure]:
+    """Yield the figures of a batch that tables show below its errors, in their order."""
+    yield Figure("plant", str(group.origin), unusual=False)
+    if group.experiment.directions_given:
+        yield Figure(GIVEN_DIRECTIONS, "no controller decided; not ranked with controllers")
+    if group.origin is Origin.DISTURBED:
+        # the title of several batches says so
+        yield Figure("disturbances", "assumed in the spec, not measured", brief="")
+    valid = f"{group.counted} of {len(group.batch.trials)}"
+    yield Figure("valid trials", valid, unusual=False)
+    yield _tail(group)
+    if group.counted and group.from_published is not None:
+        text = published_text(group.from_published, group)
+        yield Figure(PUBLISHED, text, unusual=False)
+    yield from (figure for figure in group.figures if figure.label)
+    lost = len(group.batch.lost)
+    yield Figure("earlier attempts, excluded", str(group.attempts), unusual=group.attempts > 0)
+    yield Figure("logs that cannot be read", str(lost), unusual=lost > 0)
+
+
+def texts_by_label(group: BatchStatistics) -> dict[str, str]:
+    """Return the texts of the figures of a batch."""
+    return {figure.label: figure.text for figure in figures_of(group)}
+
+
+def _tail(group: BatchStatistics) -> Figure:
+    """Return how many errors are far above the others."""
+    arena = group.experiment.arena
+    tail = group.total.tail
+    tiny = group.total.max < TINY * max(arena.width, arena.height)
+    text = tail.text(group.unit)
+    return Figure(tail.label, text, unusual=tail.above > 0 and not tiny)
+
+
+def published_text(difference: MeanDifference, group: BatchStatistics) -> str:
+    """Return the difference of a batch's mean error from the published one as text."""
+    if not group.origin.comparable:
+        return f"{NONE} (not real robots)"
+    text = difference.text(group.unit, lengths(difference.value), difference.p_value)
+    return f"{text} (Welch's t)"
+
+
+# ---- Every table ----
+
+
+def tables(comparison: BatchComparison) -> list[Table]:
+    """Return every table: errors, how the trials ended, comparisons, flagged trials."""
+    groups = comparison.groups
+    parts = [groups[i : i + SIDE_BY_SIDE] for i in range(0, len(groups), SIDE_BY_SIDE)]
+    trials = [_trials(part, alone=len(groups) == 1) for part in parts]
+    named = _totals(groups)
+    if len(groups) == 1:
+        named += zip(groups[0].experiment.setup.names, groups[0].robots, strict=True)
+    errors = _errors(groups, named)
+    candidates = [errors, *trials]
+    if comparison.contrasts:
+        candidates += [differences_table(comparison.contrasts), _basis(comparison.contrasts)]
+    candidates.append(_flagged(groups))
+    return [table for table in candidates if len(table)]
+
+
+def _trials(groups: Sequence[BatchStatistics], alone: bool) -> Table:
+    """Return a table of some batches: a row per statistic, a column per batch."""
+    texts = [texts_by_label(group) for group in groups]
+    labels = list(dict.fromkeys(label for of_batch in texts for label in of_batch))
+    columns = [Column("figure", labels)]
+    for group, of_batch in zip(groups, texts, strict=True):
+        name = "value" if alone else group.name
+        columns.append(Column(name, [of_batch.get(label) for label in labels], words=True))
+    return Table("Trials", tuple(columns))
+
+
+def _flagged(groups: Sequence[BatchStatistics]) -> Table:
+    """Return the table of flagged logs, the first ones if there are many."""
+    logs = [log for group in groups for log in flagged(group.batch)]
+    rows = [(log.log, log.outcome, ", ".join(log.notes)) for log in logs[:LISTED_MAX]]
+    if len(logs) > LISTED_MAX:
+        rows.append((f"{len(logs) - LISTED_MAX} more", NONE, "in --format json"))
+    return Table.of_texts("Flagged trials", ("log", "outcome", "note"), rows)
+
+
+# ---- Errors ----
+
+
+def error_format(least: float, decimals_most: int) -> Callable[[float], str]:
+    """Return a format with three digits for errors of about `least`, the least mean; values over
+    ten times that have three digits of their own, and none has more than `decimals_most` decimals.
+    """
+    format_of_least = lengths(least, decimals_most)
+
+    def show(value: float) -> str:
+        if value > 10 * least > 0:
+            format_of_value = lengths(value, decimals_most)
+            return format_of_value(value)
+        return format_of_least(value)
+
+    return show
+
+
+def decimals_shown(experiment: Experiment) -> int:
+    """Return the number of decimals that shows about a millionth of the arena; smaller errors have
+    no meaning.
+    """
+    extent = max(experiment.arena.width, experiment.arena.height)
+    of_a_millionth = 6 - math.floor(math.log10(extent))
+    return min(max(of_a_millionth, 0), DECIMALS_MAX)
+
+
+def error_table(
+    title: str,
+    named: Sequence[tuple[str, Distribution]],
+    unit: str,
+    least: float | None = None,
+    decimals_most: int = DECIMALS_MAX,
+) -> Table:
+    """Return one row per named distribution of errors, in the format for the least mean or, if
+    given, for `least`.
+    """
+    values = [distribution for _, distribution in named]
+    if least is None:
+        least = min((value.mean for value in values if value.mean > 0), default=0.0)
+    show = error_format(least, decimals_most)
+
+    return Table(
+        title,
+        (
+            Column("error", [name for name, _ in named], unit),
+            Column("n", [value.n for value in values]),
+            Column("mean", [value.mean for value in values], format=show),
+            Column("std", [value.std for value in values], format=show),
+            Column("median", [value.median for value in values], format=show),
+            Column("min", [value.min for value in values], format=show),
+            Column("max", [value.max for value in values], format=show),
+            Column(
+                "95 % interval",
+                [value.ci95 for value in values],
+                format=lambda interval: interval.text(show),
+            ),
+        ),
+    )
+
+
+def _errors(groups: Sequence[BatchStatistics], named: Sequence[tuple[str, Distribution]]) -> Table:
+    """Return the table of the `named` errors of batches, in the format for the least total."""
+    first = groups[0]
+    return error_table(
+        _errors_title(groups),
+        named,
+        first.unit,
+        least=min((group.total.mean for group in groups if group.counted), default=math.nan),
+        decimals_most=decimals_shown(first.experiment),
+    )
+
+
+def _totals(groups: Sequence[BatchStatistics]) -> list[tuple[str, Distribution]]:
+    """Return the total error of each batch, then the published ones."""
+    if len(groups) == 1:
+        return [("total", groups[0].total), *_published(groups)]
+    return [*((group.name, group.total) for group in groups), *_published(groups)]
+
+
+def _published(groups: Sequence[BatchStatistics]) -> Iterator[tuple[str, Distribution]]:
+    """Yield each published result once; with the names of their batches, if they differ."""
+    names: dict[tuple[int, float, float], list[str]] = {}  # of batches, by n, mean and std
+    for group in groups:
+        published = group.experiment.reference
+        if published is not None:
+            key = (published.n, published.mean, published.std)
+            names.setdefault(key, []).append(group.name)
+    for (n, mean, std), of_result in names.items():
+        name = "published" if len(names) == 1 else f"published for {listing(of_result)}"
+        yield name, known_distribution(n, mean, std, Interval.none(""))
+
+
+def _errors_title(groups: Sequence[BatchStatistics]) -> str:
+    first = groups[0]
+    if len(groups) == 1:
+        valid = f"{first.counted} of {len(first.batch.trials)} trials valid"
+        return f"{first.experiment.name}, {first.origin}: final error [{first.unit}], {valid}"
+    plants = ", ".join(dict.fromkeys(str(group.origin) for group in groups))
+    title = f"Final total errors of {len(groups)} batches, {plants}"
+    if any(group.origin is Origin.DISTURBED for group in groups):
+        title += " (disturbances assumed)"
+    return title
+
+
+# ---- Comparisons ----
+
+
+def differences_table(contrasts: Sequence[Contrast]) -> Table:
+    """Return the table of the differences of the means."""
+    first = contrasts[0].first
+    sizes = [abs(contrast.difference.value) for contrast in contrasts]
+    largest = max(filter(math.isfinite, sizes), default=0.0)
+    show = lengths(largest, decimals_shown(first.experiment))
+    title = "Comparison of the mean total errors"
+    if any(contrast.alike for contrast in contrasts) and len(contrasts) > 1:
+        title += f", p corrected for {len(contrasts)} tests"
+    values = [contrast.difference.value for contrast in contrasts]
+    intervals = [contrast.difference.ci95.text(show) for contrast in contrasts]
+    verdicts = [contrast.verdict or f"none: {contrast.reason}" for contrast in contrasts]
+    return Table(
+        title,
+        (
+            Column(PAIR, [contrast.name for contrast in contrasts]),
+            Column("trials", [contrast.counted for contrast in contrasts], words=True),
+            Column("difference", values, first.unit, show),
+            Column("95 % interval", intervals),
+            Column("p (Holm)", [contrast.p_holm for contrast in contrasts], format=p_value),
+            Column("verdict on the mean error", verdicts, words=True),
+        ),
+    )
+
+
+def _basis(contrasts: Sequence[Contrast]) -> Table:
+    """Return the table of what comparisons rest on: tests, power, pairs, and other fields."""
+    header = (
+        PAIR,
+        "tests",
+        "p (rank test)",
+        "detectable at 80 % power",
+        "why not paired",
+        "differs in",
+    )
+    rows = [
+        (
+            contrast.name,
+            contrast.tests if contrast.alike else NONE,
+            p_value(contrast.rank_p_holm),
+            f"{fixed(2)(contrast.detects)} sd" if contrast.detects > 0 else NONE,
+            contrast.why_unpaired,
+            listing(contrast.differs) or "nothing",
+        )
+        for contrast in contrasts
+    ]
+    return Table.of_texts("What the comparisons rest on", header, rows)
+
+
+# ---- Every trial ----
+
+
+def trials_listed(group: BatchStatistics) -> Table:
+    """Return the table of a batch's trials: the log of each, its error and outcome."""
+    trials = group.batch.trials
+    show = lengths(group.total.mean)
+    outcomes = dict.fromkeys(trial.outcome for trial in trials)
+    return Table(
+        "",
+        (
+            Column("log", [Path(trial.log).name for trial in trials]),
+            Column("total error", [t.result.total_error for t in trials], group.unit, show),
+            Column("duration", [t.result.duration_s for t in trials], "s", fixed(2)),
+            Column("steps", [trial.result.steps for trial in trials]),
+            Column("unsafe", [", ".join(unsafe(trial)) or "no" for trial in trials]),
+            Column("outcome", [trial.outcome.value for trial in trials]),
+        ),
+        "; ".join(f"{outcome.value}: {MEANINGS[outcome]}" for outcome in outcomes),
+    )

@@ -1,0 +1,237 @@
+"""The tables of trials: one row per trial or, of one trial, per control step, pose, estimate or
+event.
+
+The unit of a column is in its name: s, ms, rad, rad/s, or the length unit of the experiment, such
+as mm and mm/s. Times count from the first direction sent. `log` (its file) and `trial` are in
+every table of `tetractl export`, so that tables can be joined.
+"""
+
+from collections.abc import Callable, Container, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.clock import MILLISECOND
+from tetractl.core.errors import printable
+from tetractl.core.motion_estimate import INNOVATIONS
+from tetractl.core.poses import Floats
+from tetractl.log.format.channels import HOST_TIMING, STEP
+from tetractl.log.format.codec import (
+    ESTIMATE_FIELDS,
+    NUMBER_NAME_MAX,
+    NUMBERS_MAX,
+    STOP_REASON_MAX,
+)
+from tetractl.log.format.tetractl_pb2 import (
+    ControllerStep,
+    Estimate,
+    Search,
+    StepTiming,
+    WheelCommand,
+)
+from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.reader import decode_errors, refuse_brief, result_of, trial_of
+from tetractl.log.read.salvage import scan
+from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
+from tetractl.statistics.built_in_statistics import LENGTHS
+from tetractl.statistics.open_batch import Batch
+from tetractl.statistics.statistic import trial_items
+from tetractl.tools.table.table import Column, Table
+
+_WORDS = ("robot", "level", "text", "stopped", "outcome", "origin", "reason")
+
+
+def trials_table(batch: Batch) -> Table:
+    """Return one row per trial, then one row per earlier attempt, with `attempt` True.
+
+    The names of lengths end in their unit.
+    """
+    trials = [_trial_row(trial) | {"attempt": False} for trial in batch.trials]
+    attempts = [_trial_row(trial) | {"attempt": True, "counted": False} for trial in batch.attempts]
+    return Table.of_records("trials", [*trials, *attempts])
+
+
+def _trial_row(trial: ResultSummary) -> dict[str, Any]:
+    """Return the row of one trial: its values by the names of the columns, errors last."""
+    unit = trial.experiment.units.length
+    items = trial_items(trial)
+    total_error = items.pop("total_error")
+    robot_errors = items.pop("robot_errors")
+    row = {f"{key}_{unit}" if key in LENGTHS else key: item for key, item in items.items()}
+    row[f"total_error_{unit}"] = total_error
+    for robot, error in zip(trial.experiment.robots, robot_errors, strict=True):
+        row[f"error_{robot.name}_{unit}"] = error
+    return row
+
+
+def steps(log: TrialLog, contents: RawLog) -> Table:
+    """Return one row per control step k: the direction sent, its plan and its searches.
+
+    Columns that begin with `left_NAME` and `right_NAME` are the wheel speeds of robot NAME by the
+    paper's equations (24)-(25); `delivered_NAME` is False if the plant knows that the command did
+    not reach it. `lag_s` is the time constant of the wheels by the spec, 0 without one; `identify`
+    reads it. Columns that begin with `plan_` are `Plan.numbers`.
+    """
+    timings = {timing.k: timing for timing in contents.messages(HOST_TIMING)}
+    untimed = StepTiming()
+    steps = list(contents.messages(STEP))
+    rows = [_step_row(log, step, timings.get(step.k, untimed)) for step in steps]
+    no_command = WheelCommand(delivered=[False] * len(log.start.setup.names))
+    no_step = ControllerStep(command=no_command, searches=[Search()])
+    columns: dict[str, list[Any]] = {}
+    for name in _step_row(log, no_step, untimed):  # a trial without steps has columns, too
+        columns[name] = [row[name] for row in rows]
+    return _table("steps", columns | _number_columns(steps))
+
+
+def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[str, Any]:
+    """Return the row of one control step."""
+    setup = log.start.setup
+    sent = step.command
+    chosen = step.searches[step.chosen]
+    row = {
+        "k": step.k,
+        "time_s": log.elapsed_s(sent.sent_ns),
+        "observed_s": log.elapsed_s(step.observation.sampled_ns),
+        "direction_rad": sent.direction if sent.HasField("direction") else None,
+        "lag_s": setup.lag_s,
+        f"cost_{setup.unit}": step.cost,
+        f"target_cost_{setup.unit}": step.target_cost,
+        "obstacle_cost": step.obstacle_cost,
+        "signals": len(step.signals),
+        "searches": len(step.searches),
+        "iterations": len(chosen.history) - 1,
+        "evaluations": sum(search.evaluations for search in step.searches),
+        "stopped": printable(chosen.stopped, STOP_REASON_MAX),
+        "solve_ms": timing.solve_ns / MILLISECOND,
+        "deadline_missed": timing.deadline_missed,
+    }
+    for robot, delivered in zip(setup.names, sent.delivered, strict=True):
+        row[f"delivered_{robot}"] = delivered
+    if not setup.on_wheels:
+        return row
+    unknown = [None] * len(setup.names)
+    wheels = zip(setup.names, sent.left or unknown, sent.right or unknown, strict=True)
+    for robot, left_speed, right_speed in wheels:
+        row[f"left_{robot}_{setup.unit}_s"] = left_speed
+        row[f"right_{robot}_{setup.unit}_s"] = right_speed
+    return row
+
+
+def _number_columns(steps: Sequence[ControllerStep]) -> dict[str, list[float | None]]:
+    """Return a column for each name of the controller's numbers, None where a step has none of this
+    name."""
+    numbers = [{number.name: number.value for number in step.numbers} for step in steps]
+    names = dict.fromkeys(name for of_step in numbers for name in of_step)
+    if len(names) > NUMBERS_MAX:
+        raise ValueError(f"the controller's numbers have {len(names)} names")
+    return {
+        f"plan_{printable(name, NUMBER_NAME_MAX)}": [of_step.get(name) for of_step in numbers]
+        for name in names
+    }
+
+
+def poses(log: TrialLog) -> Table:
+    """Return one row per camera frame and robot: the measured pose, and a simulation's true one.
+
+    `valid` is False if the robot was not tracked.
+    """
+    setup = log.start.setup
+    unit = setup.unit
+    frames = len(log.frames)
+    robots = len(setup.names)
+    columns: dict[str, Any] = {
+        "time_s": np.repeat(log.frames_s, robots),
+        "frame": np.repeat(log.frames, robots),
+        "robot": np.tile(setup.names, frames),
+    }
+    truth = np.full_like(log.mocap, np.nan) if log.truth is None else log.truth
+    for prefix, poses in (("", log.mocap), ("true_", truth)):
+        columns[f"{prefix}x_{unit}"] = poses[..., 0].ravel()
+        columns[f"{prefix}y_{unit}"] = poses[..., 1].ravel()
+        columns[f"{prefix}heading_rad"] = poses[..., 2].ravel()
+    columns["valid"] = log.valid.ravel()
+    columns[f"distance_{unit}"] = setup.distances(log.mocap[..., :2]).ravel()
+    return _table("poses", columns)
+
+
+def estimates(log: TrialLog, contents: RawLog) -> Table:
+    """Return one row per control step and robot: the controller's estimates and their standard
+    deviations."""
+    setup = log.start.setup
+    robots = len(setup.names)
+    steps = [step for step in contents.messages(STEP) if step.HasField("estimate")]
+    sent_s = [log.elapsed_s(step.command.sent_ns) for step in steps]
+    columns: dict[str, Any] = {
+        "k": np.repeat([step.k for step in steps], robots),
+        "time_s": np.repeat(sent_s, robots),
+        "robot": np.tile(setup.names, len(steps)),
+    }
+    units = {"a": "rad_s", "speed": f"{setup.unit}_s", "heading_bias": "rad", "dead_time": "s"}
+    for field in ESTIMATE_FIELDS:
+        rows = [_of_each_robot(step.estimate, field, robots) for step in steps]
+        unit = units.get(field.removesuffix("_std"))
+        name = field if unit is None else f"{field}_{unit}"
+        columns[name] = np.array(rows, dtype=float).ravel()
+    return _table("estimates", columns)
+
+
+def _of_each_robot(estimate: Estimate, field: str, robots: int) -> Floats:
+    """Return a field of an estimate (N,): NaN if it is not logged, the same for all robots if it is
+    one number, and the largest misfit of each robot.
+    """
+    if field not in {logged.name for logged, _ in estimate.ListFields()}:
+        return np.full(robots, np.nan)
+    values = np.array(getattr(estimate, field), dtype=float)
+    if values.ndim == 0:
+        return np.full(robots, values)
+    width = len(INNOVATIONS) if field == "misfit" else 1
+    return values.reshape(robots, width).max(axis=1)
+
+
+def events(log: TrialLog) -> Table:
+    """Return one row per event, such as a lost command, lost tracking, or the end of the trial."""
+    return _table(
+        "events",
+        {
+            "time_s": [event.time_s for event in log.events],
+            "level": [event.level for event in log.events],
+            "text": [event.text for event in log.events],
+        },
+    )
+
+
+OF_TRIAL: Mapping[str, Callable[[TrialLog, RawLog], Table]] = {
+    "steps": steps,
+    "poses": lambda log, _: poses(log),
+    "estimates": estimates,
+    "events": lambda log, _: events(log),
+}
+TABLES = ("trials", *OF_TRIAL)
+
+
+def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage | None]:
+    """Return the named tables of a log, each with the columns `log` and `trial` in front, and
+    its damage. Plans are not decoded, so values of theirs that no table shows are not checked.
+
+    Raises LogError if the log cannot be read.
+    """
+    contents = scan(path)
+    tables: dict[str, Table] = {}
+    if "trials" in names:
+        tables["trials"] = trials_table(Batch.of([result_of(contents)]))
+    if any(name in names for name in OF_TRIAL):
+        refuse_brief(contents)
+    log = trial_of(contents, 1)
+    for name, table in OF_TRIAL.items():
+        if name in names:
+            with decode_errors(contents):
+                rows = table(log, contents)
+            tables[name] = rows.with_first(log=str(path), trial=log.start.trial)
+    return tables, log.damage
+
+
+def _table(name: str, columns: Mapping[str, Any]) -> Table:
+    described = [Column(key, values, words=key in _WORDS) for key, values in columns.items()]
+    return Table(name, tuple(described))

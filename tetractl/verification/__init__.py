@@ -1,0 +1,1 @@
+"""Verification of recorded trials by re-computation."""

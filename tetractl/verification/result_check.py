@@ -1,0 +1,156 @@
+"""Compares the result in a log with the records that it follows from.
+
+The errors must follow from the final poses, the final poses must be those of a logged frame, and a
+lab's result must name the obstacles that the logged path enters. How fast a lab's robots turned by
+themselves is computed again by a guard that takes the logged commands and frames, if this code
+wrote the log. A log that somebody changed together with its digests can still pass: only a
+signature protects against that (docs/reference/durability.md).
+"""
+
+from collections.abc import Iterator
+from pkgutil import resolve_name
+
+import numpy as np
+
+from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.protocols import EMULATED_NAME
+from tetractl.core.trial import EMULATED_DEVICES, EMULATED_PLANT, HALTS, Result
+from tetractl.lab.guard import Guard, GuardState
+from tetractl.lab.guard_rules import GuardRules
+from tetractl.log.provenance import CODE
+from tetractl.log.read.reader import trial_path
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.model.path_check import check_path
+from tetractl.model.wheels import body_velocity
+from tetractl.run.task import code_of
+from tetractl.spec.lab_section import LabSection
+from tetractl.verification.comparison import Difference, first_difference
+
+TURN_ERRORS = 1.0
+"""Largest difference between a stated turn and the one computed again, in standard errors.
+
+In virtual time both are the same. In real time a frame that arrives in the last millisecond before
+a start may be seen before or after it, so all blocks of motion begin one frame earlier or later: a
+turn then differs by up to 0.71 standard errors (20 emulated trials of cubes, whose poses are
+coarse)."""
+TURN_STD_SHARE = 0.1
+"""Largest relative difference of a turn's standard error, for the same reason: up to 0.046."""
+
+
+def result_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
+    """Yield what the result states and the other records contradict.
+
+    Args:
+        log: An undamaged log.
+        result: The result to compare, usually `log.result`.
+
+    Yields:
+        A difference for each contradicted value. Of the errors, only the first one.
+    """
+    yield from _emulation(log)
+    again = Result.of(
+        log.start.setup,
+        result.verdict,
+        outcome=result.outcome,
+        reason=result.reason,
+        duration_s=result.duration_s,
+        solve_ns=tuple(step.solve_ns for step in log.steps),
+        deadline_misses=result.deadline_misses,
+        drove=result.drove,
+        tour=log.tour,
+    )
+    difference = first_difference(again, result, name="result")
+    if difference is not None:
+        yield difference
+    has_ended = result.outcome.complete or not np.isnan(result.verdict.final.array()).all()
+    if has_ended and len(log.mocap) and not log.start.plant.simulated:
+        yield from _places(log, result)
+    is_own = log.facts.get(CODE) == code_of(log.experiment)
+    if is_own and result.outcome.complete:  # no log says when the guard of another trial aborted it
+        yield from _turns(log, result)
+
+
+def _emulation(log: TrialLog) -> Iterator[Difference]:
+    """Yield that a trial of emulated devices does not name them: so it cannot pass for a lab's."""
+    plant = log.start.plant
+    says_so = any(EMULATED_NAME in value for value in plant.facts.values())
+    is_emulated = log.experiment.plant.type == EMULATED_PLANT or says_so
+    if is_emulated and not plant.facts.get(EMULATED_DEVICES):
+        text = "does not say which devices are emulated"
+        yield Difference(None, f"run.facts.{EMULATED_DEVICES}", text)
+
+
+def _places(log: TrialLog, result: Result) -> Iterator[Difference]:
+    """Yield how a lab's final poses and entered obstacles contradict its frames.
+
+    Robots that stop have the poses of the last frame. Cells swim on after the stop, so their final
+    poses may come from any frame.
+    """
+    final = result.verdict.final.array()
+    swim_on = log.start.plant.facts.get(HALTS) == "no"
+    frames = log.mocap if swim_on else log.mocap[-1:]
+    if not any(np.array_equal(frame, final, equal_nan=True) for frame in frames):
+        yield Difference(None, "result.final", "differs from the robots' last poses")
+    path, _ = trial_path(log)
+    is_known = np.asarray(np.isfinite(path).all(axis=2))
+    entered = check_path(log.start.setup, path, is_known, result.verdict.final).entered
+    for i, (stated, again) in enumerate(zip(result.verdict.entered, entered, strict=True)):
+        if stated != again:
+            text = f"states {stated}, but the logged path gives {again}"
+            yield Difference(None, f"result.entered.{i}", text)
+
+
+def _turns(log: TrialLog, result: Result) -> Iterator[Difference]:
+    """Yield how the stated turning of a lab's robots contradicts commands and frames."""
+    verdict = result.verdict
+    rates, errors = _turning(log)
+    if len(rates) != len(verdict.turn):
+        text = f"states {len(verdict.turn)} turns, the frames show {len(rates)}"
+        yield Difference(None, "result.turn", text)
+        return
+    stated = zip(verdict.turn, verdict.turn_std, rates, errors, strict=True)
+    for i, (rate, error, again, std) in enumerate(stated):
+        if np.isfinite(std) and not abs(rate - again) <= TURN_ERRORS * std:
+            yield Difference(None, f"result.turn.{i}", f"states {rate}, the frames show {again}")
+        if not np.isclose(error, std, rtol=TURN_STD_SHARE):
+            yield Difference(None, f"result.turn_std.{i}", f"states {error}, not {std}")
+
+
+def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the rates (N,) at which robots on wheels turn by themselves, and their standard errors
+    [rad/s], as a guard that sees the trial again finds them; both empty if it finds none."""
+    lab = log.experiment.plant
+    setup = log.start.setup
+    radius = setup.wheel_radius
+    if not isinstance(lab, LabSection) or radius is None:
+        return (), ()
+    guard = Guard(GuardRules.of(setup, lab.limits), resolve_name(lab.actuator.checks))
+    guard.pass_preflight()
+    # the inner loop first takes the frames that have come, and then sends
+    events = [(int(t_ns), False, i) for i, t_ns in enumerate(log.received_ns)]
+    events += [(command.sent_ns, True, i) for i, command in enumerate(log.commands)]
+    for t_ns, is_command, i in sorted(events):
+        if not is_command:
+            guard.check_frame(_camera_frame(log, i))
+            continue
+        command = log.commands[i]
+        if command.stops:
+            guard.end_run()
+        elif guard.state is GuardState.READY:
+            guard.start_run(t_ns)
+        if command.left is not None and command.right is not None:
+            speed, turning = body_velocity(command.left, command.right, radius)
+            guard.note_transmission(t_ns, speed.tolist(), turning.tolist())
+    return guard.drift.turning()
+
+
+def _camera_frame(log: TrialLog, i: int) -> CameraFrame:
+    """Return the camera frame of row i."""
+    poses = tuple(
+        Pose(*row) if valid else None
+        for row, valid in zip(log.mocap[i].tolist(), log.valid[i], strict=True)
+    )
+    seen = log.sample(i).observation
+    return CameraFrame(
+        seen.frame, seen.sampled_ns, seen.received_ns, poses, exposed_ns=seen.exposed_ns
+    )

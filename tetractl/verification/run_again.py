@@ -1,0 +1,73 @@
+"""Runs the simulation of a log again, on the host and with the code that wrote it, and compares the
+two logs record by record.
+"""
+
+from collections.abc import Iterator
+
+from tetractl.core.errors import TetractlError
+from tetractl.core.plan import Outcome, StopReason
+from tetractl.log.format.channels import WRITER, Record
+from tetractl.log.provenance import CODE
+from tetractl.log.read import limits
+from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.write.encoder import Encoder, RecordSink
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.spec_trial import ready_trial
+from tetractl.run.task import code_of
+from tetractl.tools.kernels.kernel_cache import computing_s
+from tetractl.verification.comparison import Difference, Unchecked, log_differences
+
+
+class Recorder(RecordSink):
+    """A sink that keeps all records of a trial, and asks to stop it once `until_s` [s of processor
+    time, as `computing_s` returns it] has passed."""
+
+    def __init__(self, until_s: float) -> None:
+        self.records: list[Record] = []
+        self.interrupt = Interrupt()
+        self.late = False
+        self._until_s = until_s
+
+    def add(self, record: Record) -> None:
+        """Keep a record."""
+        self.records.append(record)
+        if computing_s() > self._until_s and not self.late:
+            self.late = True
+            self.interrupt.request()
+
+
+def why_not_again(log: TrialLog, elsewhere: tuple[str, ...]) -> str:
+    """Return why the trial of an undamaged log does not repeat here; "" if it does. `elsewhere` are
+    the differences between its host and this one."""
+    plant = log.experiment.plant
+    result = log.result
+    searches = (search for step in log.steps for search in step.plan.searches)
+    if not (log.start.plant.simulated and plant.simulated) or plant.real_time or result is None:
+        return "it is no simulation in virtual time"
+    if elsewhere or log.facts.get(CODE) != code_of(log.experiment):
+        return "another host, or other code, wrote it"
+    if result.outcome is Outcome.INTERRUPTED:
+        return "it was interrupted"
+    if any(search.stopped == StopReason.DEADLINE for search in searches):
+        return "a deadline ended a search"
+    return ""
+
+
+def differences(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
+    """Run the trial of a log again, and yield the differences between its records and those in the
+    log."""
+    sink = Recorder(computing_s() + 2 * limits.seconds_limit())
+    try:
+        with ready_trial([Encoder(sink)], log.spec, log.start.trial, (), sink.interrupt) as again:
+            again.run()
+    except (TetractlError, ValueError, OverflowError) as error:
+        why = str(error).partition("\n")[0]
+        yield Difference(None, "plant", f"cannot be simulated again: {why}")
+        return
+    if sink.late:
+        text = f"not compared: it would take over {2 * limits.seconds_limit():g} s"
+        yield Unchecked(None, "records", f"{text}; {limits.FACTOR}=2 allows twice as much")
+        return
+    repeated = RawLog(raw.path, records=sink.records, library=WRITER)
+    yield from log_differences(repeated, raw)

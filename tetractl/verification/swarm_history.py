@@ -1,0 +1,132 @@
+"""Repeats a logged search to obtain its particle swarm, which logs do not contain, and says whether
+the cost is the logged one, as the figure `swarm` states.
+
+The controller, rebuilt from the log, repeats a control step and receives the logged searches; the
+problem, the warm start and the key that it passes to `search` determine the swarm.
+"""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.control.search.evaluate import compiled_costs
+from tetractl.control.search.optimizers.pso import Pso
+from tetractl.core.errors import LogError, TetractlError
+from tetractl.core.plan import Problem
+from tetractl.core.poses import Floats
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.model.motion.motion import LOWER, UPPER
+from tetractl.run.spec_trial import trial_seeds
+from tetractl.verification.recompute import NoSearchError, SearchRequest, StepSearches
+
+GRID = 61
+SEEN = [0, 1]
+"""Indices, in a sequence of signals, of the two signals on the axes of the figure."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """The swarm after iteration z: two signals [rad] of each of np particles (np, 2) and of the
+    best sequence found so far, u_gb (2,), and its `cost` J.
+    """
+
+    z: int
+    particles: Floats
+    best: Floats
+    cost: float
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmHistory:
+    """A particle swarm search, reduced to two dimensions: the first two signals of each sequence.
+
+    `path` (Z + 1, 2) is the course of the first particle over Z iterations, `path_best` (2,) that
+    particle's local best at the end. `costs` (GRID, GRID) is J on a grid over the range of the two
+    signals, given by the paper's equation (12), with the lowest row first; the other signals are
+    those of u_gb, the best sequence found. `repeated` is whether J(u_gb) agrees with the log in
+    every iteration.
+    """
+
+    frames: tuple[Frame, ...]
+    path: Floats
+    path_best: Floats
+    costs: Floats
+    repeated: bool
+
+
+def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
+    """Run the chosen search of control step 0 again and return its swarm.
+
+    `shares` are the instants to keep as frames, each as a fraction of the iterations from 0 to 1.
+    Raises LogError for a search that was not by a particle swarm, has a single signal, does not
+    follow from the log, or takes longer than `limits` allows.
+    """
+    searches = StepSearches(search_again=False)
+    request = _first_request(log, searches)
+    section = request.optimizer
+    if not isinstance(section, Pso):
+        raise LogError(
+            f"{log.log}: has no swarm: its optimiser is {section.type}",
+            "run it with --set controller.optimizer.type=pso",
+            'run it with "controller.optimizer.type=pso"',
+        )
+    if request.length < 2:
+        raise LogError(f"{log.log}: the plan has one signal, but the figure needs two")
+    logged_costs = log.steps[0].plan.search.history
+    last = min(len(logged_costs) - 1, section.iterations)
+    wanted = {round(share * last) for share in shares}
+    frames: list[Frame] = []
+    path: list[Floats] = []
+    costs: list[float] = []
+    swarm = section.swarm(request.problem, request.length, request.warm, request.key)
+    for z in range(last + 1):
+        if searches.expired():
+            raise LogError(f"{log.log}: the first search of the trial takes too long to run again")
+        if z > 0:
+            swarm.iterate()
+        particles = swarm.u[SEEN].T.copy()
+        path.append(particles[0])
+        costs.append(swarm.best.cost)
+        if z in wanted:
+            frames.append(Frame(z, particles, swarm.best.signals[SEEN], swarm.best.cost))
+    return SwarmHistory(
+        tuple(frames),
+        np.array(path),
+        swarm.u_lb[SEEN, 0],
+        _landscape(request.problem, swarm.best.signals),
+        bool(np.array_equal(costs, logged_costs)),
+    )
+
+
+def _first_request(log: TrialLog, searches: StepSearches) -> SearchRequest:
+    """Return what the log's controller, which decides control step 0 again, wants of the chosen
+    search; LogError if it does not come to this search.
+    """
+    step = log.steps[0]
+    searches.begin(step.plan.searches)
+    key, _ = trial_seeds(log.start.seed, log.start.trial)
+    with suppress(TetractlError, NoSearchError):  # the searches before the error are recorded
+        searches.controller(log, key).plan(step.observation)
+    request = searches.requests.get(step.plan.chosen)
+    if step.k != 0 or request is None:
+        raise LogError(
+            f"{log.log}: the first search of the trial cannot be run again",
+            "tetractl verify prints the difference",
+        )
+    return request
+
+
+def _landscape(problem: Problem, u_gb: Floats) -> Floats:
+    """Return J on a grid over the two signals of the figure; the other signals are those of
+    `u_gb`.
+    """
+    axis = np.linspace(LOWER, UPPER, GRID)
+    costs = np.empty((GRID, GRID))
+    cost_of = compiled_costs(problem, GRID)
+    for row, value in enumerate(axis):
+        signals = np.repeat(u_gb[None], GRID, axis=0)
+        signals[:, SEEN] = np.column_stack([axis, np.full(GRID, value)])
+        costs[row] = cost_of(np.ascontiguousarray(signals.T))
+    return costs

@@ -1,0 +1,245 @@
+"""Verifies a log: runs its simulation again, or computes its decisions again.
+
+The end of the trial is compared with what gives it again (`EndCheck`). A simulation that was run
+again to the same records has decided each step again; of any other log the decisions are computed
+from its frames (`recompute`). Then the records are compared with what the log says of them
+(`_differences_of_records`): the plant, numbers in a row, digests, damage.
+
+If another machine or version wrote the log, costs must agree within a tolerance.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+from pathlib import Path
+
+from tetractl.control.methods.build import warm_up
+from tetractl.core.errors import TetractlError
+from tetractl.core.plan import Outcome
+from tetractl.core.shown import Shown
+from tetractl.log import provenance
+from tetractl.log.read.raw_log import ALTERED, RawLog
+from tetractl.log.read.reader import trial_of
+from tetractl.log.read.salvage import scan
+from tetractl.log.read.trial_log import TrialLog, frame_gaps, step_gaps
+from tetractl.spec.experiment import packages
+from tetractl.tools.table.terminal_table import LISTED_MAX
+from tetractl.verification import run_again
+from tetractl.verification.comparison import Difference, Unchecked
+from tetractl.verification.recompute import TOLERANCE, Recomputed, recompute
+from tetractl.verification.result_check import result_differences
+
+DECIDES_BITS = (
+    "machine",
+    "numba_settings",
+    "code",
+    "python",
+    "numpy",
+    "numba",
+    "llvmlite",
+)
+"""Facts of a host that must agree for results with the same bits."""
+
+
+class Method(StrEnum):
+    """How the decisions of a log are checked; see `recompute`."""
+
+    RECOMPUTED = "re-computed, bit-identical"
+    REEVALUATED = f"costs of the logged plans re-evaluated, to {TOLERANCE:g}"
+
+
+class EndCheck(Enum):
+    """What the end of a trial is compared with."""
+
+    NOTHING = "nothing: run and spec dispute the plant, or the log is damaged or without a result"
+    RECORDS = "the steps, frames and poses in the log: a lab, or a simulation that does not repeat"
+    AGAIN = "the simulation, run again"
+
+
+@dataclass(frozen=True, slots=True)
+class Verification(Shown):
+    """The result of verifying one log.
+
+    `rewritten` is the program that wrote the file again from a log of tetractl, "" if none did.
+    `method` is REEVALUATED only if `elsewhere` names differences between the host that wrote the
+    log and this one. `checked` is the number of steps whose repeated decision agrees with the log.
+    """
+
+    log: str
+    rewritten: str
+    steps: int
+    checked: int
+    method: Method
+    elsewhere: tuple[str, ...]
+    problems: tuple[Difference, ...]  # the first decision that differs comes first
+    unchecked: tuple[Difference, ...]  # what was not compared, because it takes too long
+    notes: tuple[str, ...]
+    seconds: float
+
+    @property
+    def ok(self) -> bool:
+        """Whether the log was checked to its end, and no problem was found."""
+        return not (self.problems or self.unchecked)
+
+    @property
+    def verdict(self) -> str:
+        """The verdict in words: "ok", "FAILED", or that the check did not reach the end."""
+        if self.problems:
+            return "FAILED"
+        return "not checked to the end" if self.unchecked else "ok"
+
+    @property
+    def lines(self) -> Iterator[str]:
+        """The lines on the log: whether it is ok, by which check, and what is wrong."""
+        verdict = self.verdict
+        if self.rewritten:
+            verdict += f", written again by {self.rewritten}"
+            if self.ok:
+                verdict += ": the same messages"
+        decisions = f"{self.checked} of {self.steps} decisions {self.method}"
+        yield f"{self.log}: {verdict}: {decisions} ({self.seconds:.2f} s)"
+        if self.method is Method.REEVALUATED:
+            yield from (f"  written elsewhere: {line}" for line in self.elsewhere)
+        yield from (f"  {unchecked}" for unchecked in self.unchecked)
+        for problem in self.problems[:LISTED_MAX]:
+            yield f"  {problem}"
+        if len(self.problems) > LISTED_MAX:
+            yield f"  and {len(self.problems) - LISTED_MAX} more"
+        yield from (f"  note: {note}" for note in self.notes)
+
+
+def verify(path: Path, announce: Callable[[str], None] = lambda text: None) -> Verification:
+    """Verify one log. A brief log is only run again.
+
+    Args:
+        path: File of the log.
+        announce: Called with a message if code must be compiled first, as by `warm_up`.
+
+    Raises:
+        LogError: If nothing in the file can be read.
+    """
+    raw = scan(path)
+    log = trial_of(raw)
+    with suppress(TetractlError):  # that the controller cannot plan is found below
+        warm_up(log.experiment, announce)
+    began_s = time.perf_counter()
+    elsewhere = host_differences(log)
+    why_not_again = run_again.why_not_again(log, elsewhere)
+    end_check = _end_check(log, why_not_again)
+    of_end = list(_differences_of_end(end_check, raw, log))
+    method = Method.RECOMPUTED
+    decisions = Recomputed(len(log.steps), None)
+    is_repeated = end_check is EndCheck.AGAIN and not of_end
+    if not is_repeated and not raw.brief:
+        method, decisions = _decisions(log, elsewhere)
+    found = [] if decisions.difference is None else [decisions.difference]
+    found += of_end
+    found += _differences_of_records(raw, log)
+    unchecked = tuple(item for item in found if isinstance(item, Unchecked))
+    notes = list(_notes(raw, log))
+    if end_check is EndCheck.RECORDS and log.start.plant.simulated:
+        notes.append(f"the trial is not run again: {why_not_again}")
+    return Verification(
+        log=str(path),
+        rewritten=raw.rewritten_by,
+        steps=len(log.steps),
+        checked=decisions.agreeing,
+        method=method,
+        elsewhere=elsewhere,
+        problems=tuple(item for item in found if not isinstance(item, Unchecked)),
+        unchecked=unchecked,
+        notes=tuple(notes),
+        seconds=time.perf_counter() - began_s,
+    )
+
+
+def _decisions(log: TrialLog, elsewhere: tuple[str, ...]) -> tuple[Method, Recomputed]:
+    """Return how decisions are checked, and how far they agree.
+
+    Searches are repeated on another host too: if none differs, that is the stricter check; else the
+    hosts may be the cause, and the logged searches are evaluated.
+    """
+    decisions = recompute(log, search_again=True)
+    if decisions.difference is None or not elsewhere:
+        return Method.RECOMPUTED, decisions
+    return Method.REEVALUATED, recompute(log, search_again=False)
+
+
+def _end_check(log: TrialLog, why_not_again: str) -> EndCheck:
+    """Return how the end of a trial is checked: the first row of EndCheck that holds."""
+    is_simulated = log.start.plant.simulated
+    is_disputed = is_simulated != log.experiment.plant.simulated
+    if is_disputed or log.damage is not None or log.result is None:
+        return EndCheck.NOTHING
+    return EndCheck.RECORDS if why_not_again else EndCheck.AGAIN
+
+
+def _differences_of_end(check: EndCheck, raw: RawLog, log: TrialLog) -> Iterator[Difference]:
+    """Yield how the end of a trial differs from what gives it again; a brief log lacks the records
+    from which stop, reason, messages and errors follow."""
+    result = log.result
+    if check is EndCheck.NOTHING or result is None:
+        return
+    is_whole = not raw.brief
+    if is_whole and log.stop is None:
+        yield Difference(None, "stop", "missing: no stop is on /commands")
+    if is_whole and result.outcome is Outcome.ABORTED and not result.reason:
+        yield Difference(None, "result.reason", "aborted without a reason")
+    if check is EndCheck.AGAIN:
+        yield from run_again.differences(raw, log)
+    elif is_whole:
+        yield from result_differences(log, result)
+
+
+def _differences_of_records(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
+    """Yield whether run and spec dispute the plant, which frames and steps are missing, which
+    digests do not match, and the damage."""
+    if log.start.plant.simulated != log.experiment.plant.simulated:
+        yield Difference(None, "run.mode", "differs from the plant of the spec")
+    if not _may_lose_frames(log):
+        for gap in frame_gaps(log):
+            yield Difference(None, "frames", f"missing: {gap}")
+    for gap in step_gaps(log):
+        yield Difference(gap.first, "k", f"missing: {gap}")
+    if raw.altered:
+        yield Difference(None, "content_digest", ALTERED)
+    if log.damage is not None:
+        for text in (*log.damage.problems, *(f"lost: {lost}" for lost in log.damage.lost)):
+            yield Difference(None, "damage", text)
+    elif raw.host_altered:  # records of the host may be lost in a damaged log
+        text = "the records of the host do not match the digest that the log states"
+        yield Difference(None, "host_digest", text)
+
+
+def _notes(raw: RawLog, log: TrialLog) -> Iterator[str]:
+    """Yield what a reader must know of a log that is not wrong for it."""
+    if _may_lose_frames(log):
+        for gap in frame_gaps(log):
+            yield f"missing: {gap}"
+    if raw.reordered:
+        yield "the content digest is of another order of the messages: not compared"
+
+
+def _may_lose_frames(log: TrialLog) -> bool:
+    """Return whether missing frames may be those that the camera lost."""
+    return log.experiment.plant.loses_frames and log.damage is None
+
+
+def host_differences(log: TrialLog) -> tuple[str, ...]:
+    """Return the differences between the log's host and this one that may change bits, one per
+    line.
+    """
+    used = provenance.plugins(packages(log.experiment))
+    these_facts = {**provenance.host(), **provenance.versions(), **used}
+    return tuple(
+        _difference(key, log.facts.get(key), these_facts.get(key))
+        for key in (*DECIDES_BITS, *used)
+        if these_facts.get(key) != log.facts.get(key)
+    )
+
+
+def _difference(key: str, logged: str | None, present: str | None) -> str:
+    """Say how the fact `key` of the log's host differs from this host's."""
+    return f"{key}: {logged or 'unknown'} on the log's host, {present or 'unknown'} on this one"

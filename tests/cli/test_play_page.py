@@ -257,6 +257,36 @@ def test_the_controllers_trial_is_played_after_yours_and_both_errors_are_named(g
 
 
 @needs_chromium
+def test_a_try_with_changed_robots_is_not_compared_with_the_controllers(game):
+    def try_once():
+        game.key("ArrowRight")
+        advance(game, 1.0)
+        game.key(" ")
+        advance(game, 0.4)
+
+    try_once()
+    original = text(game, "results")
+    game.run("document.getElementById('equal').click()")
+    try_once()
+    results = text(game, "results")
+    assert results.startswith(original)
+    assert "you, best of 1" in results
+    assert "you, last" in results and "with changed robots" in results
+
+
+@needs_chromium
+def test_an_obstacle_that_was_dragged_is_shown_where_it_is(game):
+    """The picture of the ground is drawn again, also for another colour scheme."""
+    still = "game.scene.still.toDataURL()"
+    before = game.run(still)
+    game.run("(() => { shift(game.world.obstacles[0], 100, -50); game.show(); })()")
+    moved = game.run(still)
+    assert moved != before
+    game.run("document.getElementById('theme').click()")
+    assert game.run(still) != moved
+
+
+@needs_chromium
 @pytest.mark.parametrize("width", [360, 800, 1600])
 def test_the_page_is_as_wide_as_the_screen_and_no_wider(browser, tmp_path, width):
     show(browser, tmp_path, page_of(parse_spec(SPEC, "spec")), width, 740)

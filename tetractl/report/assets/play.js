@@ -355,7 +355,7 @@ class Game {
     this.time = this.watched.end;
     this.phase = "watched";
     this.watchedOnce = true;
-    const best = this.best(), mine = best ? ` Your best of ${this.tries.length}: ${this.length(best.total)}.` : "";
+    const best = this.best(), mine = best ? ` Your best of ${this.compared().length}: ${this.length(best.total)}.` : "";
     const which = this.changed ? " (with the original robots)" : "";
     this.say(`The controller${which}: ${this.length(sum(this.watched.final.errors))} after ${this.time.toFixed(1)} s.${mine}`
       + " All robots received the same directions. Because each turns at its own rate, every turn changes the gaps"
@@ -441,6 +441,15 @@ class Game {
     if (this.scene.trial !== picture) this.scene.show(picture, () => {});
     this.scene.options.plan = this.phase === "driving" || this.phase === "watching";
     this.scene.draw(time);
+    const moves = this.phase === "driving" || this.phase === "watching";
+    const tenth = moves && `${this.phase} ${Math.floor(10 * time)}`;
+    if (!tenth || tenth !== this.tenth) this.numbers(time, watching);
+    this.tenth = tenth;
+  }
+
+  // Write what stands beside the arena. While robots move, this is done ten times a second: nobody
+  // could read more, and the browser lays out the page each time.
+  numbers(time, watching) {
     const distances = watching ? distancesAt(this.watched, time) : this.trial.distances;
     [...byId("distances").children].forEach((one, r) => { one.lastChild.data = digits(distances[r]); });
     byId("total").textContent = `${watching ? "controller's" : "total"} error ${this.length(sum(distances))}, ${time.toFixed(1)} s`;
@@ -455,7 +464,7 @@ class Game {
 
   results() {
     const rows = [], best = this.best();
-    if (best) rows.push([`you, best of ${this.tries.length}`, this.described(best)]);
+    if (best) rows.push([`you, best of ${this.compared().length}`, this.described(best)]);
     if (this.tries.length > 1) rows.push(["you, last", this.described(this.tries.at(-1))]);
     if (this.watchedOnce) {
       const other = this.changed ? ", computed for the original robots, targets and obstacles" : "";
@@ -480,10 +489,17 @@ class Game {
     return `${this.length(total)} after ${seconds.toFixed(1)} s${notes.length ? ` (${notes.join("; ")})` : ""}`;
   }
 
+  // The tries that can be compared with the controller's: those with the original robots, if there
+  // are any.
+  compared() {
+    const original = this.tries.filter(({ changed }) => !changed);
+    return original.length ? original : this.tries;
+  }
+
   // The try with the least error that is not lost; if all are lost, of all.
   best() {
-    const kept = this.tries.filter(({ lost }) => !lost);
-    return (kept.length ? kept : this.tries).toSorted((one, other) => one.total - other.total)[0];
+    const tries = this.compared(), kept = tries.filter(({ lost }) => !lost);
+    return (kept.length ? kept : tries).toSorted((one, other) => one.total - other.total)[0];
   }
 
   length(value) {

@@ -73,7 +73,7 @@ class Scene {
     this.place = (x, y) => [dx + (x - left) * scale, height - dy - (y - bottom) * scale];
     this.world = (px, py) => [left + (px - dx) / scale, bottom + (height - dy - py) / scale];
     this.end = dx + scale * (right - left);
-    this.ground(context, width, t);
+    this.background(context, width, height, t);
     if (this.options.trail) this.trails(context, t);
     this.targets(context);
     if (this.options.plan && this.trial.plan) this.plan(context, t);
@@ -108,6 +108,26 @@ class Scene {
     context.globalAlpha = 0.55;
     context.drawImage(image, 0, 0, 1, 1);
     context.restore();
+  }
+
+  // Draw what lies below the robots. While it stays the same, a picture of it is copied.
+  background(context, width, height, t) {
+    if (this.trial.dish || this.options.follow) {
+      this.ground(context, width, t);
+      return;
+    }
+    const { canvas, trial: { arena, obstacles } } = this;
+    const looks = JSON.stringify([canvas.width, canvas.height, arena, obstacles, color("arena")]);
+    if (looks !== this.looks) {
+      this.looks = looks;
+      this.still = document.createElement("canvas");
+      this.still.width = canvas.width;
+      this.still.height = canvas.height;
+      const still = this.still.getContext("2d");
+      still.setTransform(context.getTransform());
+      this.ground(still, width, t);
+    }
+    context.drawImage(this.still, 0, 0, width, height);
   }
 
   ground(context, width, t) {

@@ -33,8 +33,10 @@ def executed() -> nbformat.NotebookNode:
 
 
 def small(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
-    """Return an executed notebook with what is stored of it: one form of each output, without
-    times of the run, with small pictures."""
+    """Return an executed notebook without the times of the run, and with small images.
+
+    Of each output, only one form is kept.
+    """
     for cell in notebook.cells:
         cell.metadata.pop("execution", None)
         if cell.cell_type == "code":
@@ -43,8 +45,10 @@ def small(notebook: nbformat.NotebookNode) -> nbformat.NotebookNode:
 
 
 def words(notebook: nbformat.NotebookNode) -> list[list[str]]:
-    """Return the words of each cell's stored outputs, the same on every machine: no numbers, which
-    may differ in their last digits, and no pictures."""
+    """Return the words of each cell's stored outputs, which are the same on every machine.
+
+    Numbers may differ in their last digits. They are left out, and so are images.
+    """
     of_cells = []
     for cell in notebook.cells:
         outputs = cell.get("outputs", [])

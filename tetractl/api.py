@@ -1,14 +1,14 @@
-"""The functions of `import tetractl`, for notebooks and scripts.
+"""Functions of `import tetractl`, for notebooks and scripts.
 
     specs        load_spec, parse_spec, experiment_schema
-    simulating   run_trial, run_batch, run_study; open_trial, for a script that decides itself
+    simulation   run_trial, run_batch, run_study; open_trial, for a script that steers by itself
     reading      read_log, read_batch; to_arrays, to_dataframe
     checking     verify, summarise, compare
-    drawing      plot, show
+    drawing      plot, show, play_page
 
-Where a spec, a trial or a batch is needed, its file or folder will do. Slow libraries (numba,
-matplotlib, pandas) are imported by the functions that need them. None drives a lab: only commands
-do, because their user can stop the robots.
+A function that needs a spec, a trial or a batch also accepts its file or folder. Slow libraries
+(numba, matplotlib, pandas) are imported by the functions that need them. No function drives a lab:
+only commands do, because their user can stop the robots.
 """
 
 import logging
@@ -55,9 +55,22 @@ Strings = NDArray[np.str_]
 
 
 def load_spec(path: str | Path, *sets: str) -> LoadedSpec:
-    """Read and check a spec file; `sets`, such as "trials.count=5", replace its values.
+    """Read a spec from a YAML file and check it.
 
-    Raises SpecError with one line per problem.
+    Args:
+        path: The YAML file.
+        *sets: Values that replace those in the file, such as "trials.count=5".
+
+    Returns:
+        The checked spec. Its attribute `experiment` holds the fields.
+
+    Raises:
+        SpecError: If the spec is wrong. The message has one line per problem.
+
+    Example:
+        >>> spec = tetractl.load_spec("experiments/single_cell.yaml", "trials.count=2")
+        >>> spec.experiment.trials.count
+        2
     """
     demand(path, str | Path, "load_spec reads a file, parse_spec a dict")
     _demand_texts(sets)
@@ -65,7 +78,23 @@ def load_spec(path: str | Path, *sets: str) -> LoadedSpec:
 
 
 def parse_spec(text: str | Mapping[str, Any], *sets: str) -> LoadedSpec:
-    """Check a spec given as YAML text or as a mapping; `sets` and errors are as in `load_spec`."""
+    """Check a spec that is given as YAML text or as a mapping.
+
+    Args:
+        text: The contents of a spec: YAML text, or a mapping such as `yaml.safe_load` returns.
+        *sets: Values that replace those in the contents, such as "trials.count=5".
+
+    Returns:
+        The checked spec. Its attribute `experiment` holds the fields.
+
+    Raises:
+        SpecError: If the spec is wrong. The message has one line per problem.
+
+    Example:
+        >>> text = Path("experiments/single_cell.yaml").read_text()
+        >>> tetractl.parse_spec(text).experiment.name
+        'single-cell'
+    """
     _demand_texts(sets)
     if isinstance(text, Mapping):
         return load.parse_contents(text, "spec", sets)
@@ -74,7 +103,12 @@ def parse_spec(text: str | Mapping[str, Any], *sets: str) -> LoadedSpec:
 
 
 def experiment_schema() -> dict[str, Any]:
-    """Return the JSON schema of a spec, with the kinds that installed packages add."""
+    """Return the JSON schema of a spec, including the kinds that installed packages add.
+
+    Example:
+        >>> tetractl.experiment_schema()["required"]
+        ['name', 'arena', 'robots']
+    """
     from tetractl.spec.experiment import Experiment
     from tetractl.spec.schema import schema_of
 
@@ -82,11 +116,11 @@ def experiment_schema() -> dict[str, Any]:
 
 
 Spec = LoadedSpec | str | Path | Mapping[str, Any]
-"""A spec, its file, or its contents."""
+"""An experiment: a loaded spec, a YAML file, or the contents of one."""
 
 
 def _spec(spec: Spec) -> LoadedSpec:
-    """Return a spec that is loaded, given as a file, or as the contents of one."""
+    """Load a spec that is given as a file or as contents; return a loaded spec unchanged."""
     if isinstance(spec, LoadedSpec):
         return spec
     if isinstance(spec, Mapping):
@@ -110,13 +144,29 @@ def run_trial(
     folder: str | Path | None = None,
     observers: Sequence[Observer] = (),
 ) -> TrialLog:
-    """Simulate one trial and return it; its log is kept only if a `folder` is given.
+    """Simulate one trial and return it.
 
-    `trial` counts from 0; the log of trial 0 is trial-000.mcap. The spec's seed and `trial`
-    determine every random draw. `observers` watch the trial. If code must be compiled first, a line
-    on stderr says so. Raises UsageError for a spec whose
-    plant is the lab and for a log that exists already, KeyboardInterrupt after Ctrl-C has ended the
-    trial.
+    The spec's seed and `trial` determine every random draw. If code must be compiled first, a line
+    on stderr says so.
+
+    Args:
+        spec: The experiment: a loaded spec, a YAML file, or its contents.
+        trial: Index of the trial, from 0. Trial 0 is logged to trial-000.mcap.
+        folder: Where to keep the log. By default, the log is discarded.
+        observers: Observers that watch the trial while it runs.
+
+    Returns:
+        The trial, as `read_log` returns it.
+
+    Raises:
+        SpecError: If the spec is wrong.
+        UsageError: If the spec's plant is the lab, or if the log already exists.
+        KeyboardInterrupt: After Ctrl-C has ended the trial.
+
+    Example:
+        >>> trial = tetractl.run_trial("experiments/single_cell.yaml")
+        >>> trial.result.outcome.value
+        'arrived'
     """
     from tetractl.log.read.reader import read_trial
     from tetractl.run import spec_trial
@@ -141,12 +191,26 @@ def run_trial(
 
 
 def open_trial(spec: Spec, trial: int = 0, seed: int | None = None) -> "OpenTrial":
-    """Return a simulated trial that a script steps: it asks for a direction at each control step.
+    """Open a simulated trial that your script steers, one control step at a time.
 
-    It is the trial of the controller `sequence` with the directions sent: `step` sends one,
-    `observation` is the newest camera frame, `result` is there once the trial has ended, and `save`
-    writes a log like any other. `seed` replaces the spec's. Raises SpecError for what `sequence`
-    refuses, such as a hold, and UsageError for a lab.
+    Call `step` with a direction until `result` is no longer None. `observation` is the newest
+    camera frame, and `save` writes a log like any other. The trial is the same as one of the
+    controller `sequence` with the directions that the script has sent.
+
+    Args:
+        spec: The experiment: a loaded spec, a YAML file, or its contents.
+        trial: Index of the trial, from 0. It selects the random draws, together with the seed.
+        seed: Seed to use instead of the spec's. None keeps the spec's seed.
+
+    Raises:
+        SpecError: If the controller `sequence` cannot run the spec, for example because of a hold.
+        UsageError: If the spec's plant is the lab.
+
+    Example:
+        >>> trial = tetractl.open_trial("experiments/single_cell.yaml")
+        >>> observation = trial.step(0.5)  # steer by 0.5 rad for one control step
+        >>> trial.stop().outcome.value
+        'sequence completed'
     """
     from tetractl.run.open_trial import OpenTrial
 
@@ -155,8 +219,10 @@ def open_trial(spec: Spec, trial: int = 0, seed: int | None = None) -> "OpenTria
 
 
 def stepped(spec: Spec) -> LoadedSpec:
-    """Return a spec for trials that a script steps, checked and compiled; errors are those of
-    `open_trial`."""
+    """Return a spec for trials that a script steps, checked and compiled.
+
+    It raises the same errors as `open_trial`.
+    """
     from tetractl.run.open_trial import directed_spec
 
     loaded = _spec(spec)
@@ -182,13 +248,33 @@ def run_batch(
     on_result: Callable[[int, Result], object] = _ignore,
     progress: bool = True,
 ) -> "Batch":
-    """Simulate all trials of a spec, `jobs` at a time, and return the results in the folder.
+    """Simulate all trials of a spec and return their results.
 
-    The logs are trial-000.mcap and so on. `resume` runs only the trials that the folder lacks;
-    without it, a folder that holds logs is refused. `on_result` is called with each trial's number
-    and result. `progress` prints to stderr what is compiled and, now and then, how many trials have
-    ended. An aborted trial ends the batch; in an emulated lab only if somebody would have to touch
-    a robot or a device. Errors are those of `run_trial`.
+    The logs are written to trial-000.mcap, trial-001.mcap and so on. An aborted trial ends the
+    batch. In an emulated lab, it does so only if a person would have to touch a robot or a device.
+
+    Args:
+        spec: The experiment: a loaded spec, a YAML file, or its contents.
+        folder: Where to write the logs.
+        jobs: How many trials to run at the same time, each in its own process.
+        resume: Whether to run only the trials that the folder lacks. If False, a folder that
+            already holds logs is refused.
+        on_result: Called with the index and the result of each trial that has ended.
+        progress: Whether to print to stderr what is compiled and how many trials have ended.
+
+    Returns:
+        The trials in the folder, as `read_batch` returns them.
+
+    Raises:
+        SpecError: If the spec is wrong.
+        UsageError: If the spec's plant is the lab, or if the folder already holds logs.
+        KeyboardInterrupt: After Ctrl-C has ended the batch.
+
+    Example:
+        >>> spec = tetractl.load_spec("experiments/single_cell.yaml", "trials.count=3")
+        >>> batch = tetractl.run_batch(spec, "logs/cell")
+        >>> len(batch.trials)
+        3
     """
     from tetractl.run import batch
     from tetractl.run.executors import on_this_machine
@@ -221,13 +307,31 @@ def run_study(
     logs: Literal["all", "none"] = "all",
     progress: bool = True,
 ) -> "Batches":
-    """Simulate the trials of a study that its folder lacks, write its tables and figures, and
-    return the results of each arm by the arm's name.
+    """Simulate the trials of a study that its folder lacks, and write its tables and figures.
 
-    The study is a file, or its contents; the `base` of contents is a file or a spec's contents. The
-    folder is logs/NAME if none is given; `logs` says which trials have whole logs, not brief ones.
-    A trial that fails does not stop the others; its error is raised at the end. `progress` and
-    errors are those of `run_batch`.
+    A trial that fails does not stop the others. Its error is raised at the end.
+
+    Args:
+        study: A YAML file, or its contents. In contents, `base` is a spec's file or contents.
+        folder: Where to write the logs, tables and figures. By default, logs/NAME.
+        jobs: How many trials to run at the same time, each in its own process.
+        logs: Which trials get complete logs: "all", or "none" for summary logs only.
+        progress: Whether to print to stderr what is compiled and how many trials have ended.
+
+    Returns:
+        The results of each arm, by the arm's name.
+
+    Raises:
+        SpecError: If the study or its base is wrong.
+        UsageError: If an argument is wrong.
+        KeyboardInterrupt: After Ctrl-C has ended the study.
+
+    Example:
+        >>> arms = {"small": {}, "large": {"controller.optimizer.particles": 80}}
+        >>> base = "experiments/single_cell.yaml"
+        >>> study = {"name": "swarms", "base": base, "controllers": arms, "trials": {"count": 2}}
+        >>> list(tetractl.run_study(study, "logs/swarms"))
+        ['small', 'large']
     """
     from tetractl.run import batch
     from tetractl.run.executors import on_this_machine
@@ -263,8 +367,10 @@ def run_study(
 
 
 def _check(spec: LoadedSpec, announce: Callable[[str], None]) -> None:
-    """Check that a spec can be simulated, log its warnings, and compile its kernels, as `warm_up`
-    announces."""
+    """Check that a spec can be simulated, log its warnings, and compile its kernels.
+
+    `announce` is called with a line of text before anything is compiled.
+    """
     from tetractl.control.methods.build import warm_up
     from tetractl.run.plausibility import find_warnings
 
@@ -279,8 +385,10 @@ def _check(spec: LoadedSpec, announce: Callable[[str], None]) -> None:
 
 
 def _announcer(progress: bool) -> Callable[[str], None]:
-    """Return the function that announces compiling: it prints to stderr if `progress` is True, and
-    otherwise logs the message at level INFO."""
+    """Return the function that announces compiling.
+
+    The function prints to stderr if `progress` is True. Otherwise, it logs at level INFO.
+    """
     if progress:
         return partial(print, file=sys.stderr, flush=True)
     return logging.getLogger("tetractl").info
@@ -288,8 +396,10 @@ def _announcer(progress: bool) -> Callable[[str], None]:
 
 @contextmanager
 def _interruptible(after: str = "") -> "Iterator[Interrupt]":
-    """Yield an `Interrupt` that counts signals such as Ctrl-C during the `with` block; after the
-    block, KeyboardInterrupt if there were any, with `after`: what can be done then."""
+    """Count signals such as Ctrl-C during the `with` block, and raise KeyboardInterrupt after it.
+
+    Nothing is raised if no signal arrived. `after` is the error's message: what can be done now.
+    """
     from tetractl.run.interrupt import Interrupt
 
     interrupt = Interrupt()
@@ -304,7 +414,7 @@ def _interruptible(after: str = "") -> "Iterator[Interrupt]":
 
 @dataclass(frozen=True, slots=True)
 class _Watcher:
-    """A `RunObserver` that calls `on_result` for each trial, and shows the progress if wanted."""
+    """An observer of a run that shows its progress and calls `on_result` for each trial."""
 
     on_result: Callable[[int, Result], object]
     progress: "RunObserver | None" = None
@@ -313,7 +423,7 @@ class _Watcher:
         """Do nothing."""
 
     def trial_ended(self, ending: "Ending") -> None:
-        """Show the progress; call `on_result` with the trial's number and result."""
+        """Show the progress, and call `on_result` with the trial's index and result."""
         if self.progress:
             self.progress.trial_ended(ending)
         if ending.result:
@@ -328,10 +438,21 @@ Trial = TrialLog | str | Path
 
 
 def read_log(path: str | Path) -> TrialLog:
-    """Read a trial from its log. If the log is damaged, the intact part is read and the trial's
-    `damage` describes what is missing.
+    """Read a trial from its log.
 
-    Raises LogError if nothing can be read.
+    If the log is damaged, the intact part is read, and the trial's `damage` describes what is
+    missing.
+
+    Args:
+        path: The log, a file such as trial-000.mcap.
+
+    Raises:
+        LogError: If nothing can be read.
+
+    Example:
+        >>> trial = tetractl.read_log("logs/cell/trial-000.mcap")
+        >>> f"{trial.result.duration_s:.1f} s"
+        '7.6 s'
     """
     from tetractl.log.read.reader import read_trial
 
@@ -340,11 +461,21 @@ def read_log(path: str | Path) -> TrialLog:
 
 
 def read_batch(*paths: str | Path) -> "Batch":
-    """Read the results of trials, in about a millisecond per log; paths are logs, folders or
-    patterns.
+    """Read the results of many trials, at about a millisecond per log.
 
-    The batch has `trials`, earlier `attempts` at them, and `damaged` logs. Raises UsageError for a
-    path without a trial.
+    Args:
+        *paths: Logs, folders of logs, or patterns such as "logs/cell/trial-00*.mcap".
+
+    Returns:
+        A batch. It has the `trials`, the earlier `attempts` at them, and the `damaged` logs.
+
+    Raises:
+        UsageError: If a path holds no trial.
+
+    Example:
+        >>> batch = tetractl.read_batch("logs/cell")
+        >>> [trial.outcome.value for trial in batch.trials]
+        ['arrived', 'arrived', 'arrived']
     """
     from tetractl.statistics.open_batch import open_batch
 
@@ -363,7 +494,7 @@ def _trial(trial: Trial) -> TrialLog:
 
 
 def _batch(batch: "Batch | str | Path | Sequence[str | Path]") -> "Batch":
-    """Return a batch that is read, given as a folder, or as the paths of its logs."""
+    """Return a batch that is given as a folder, as paths of logs, or already read."""
     from tetractl.statistics.open_batch import Batch
 
     if isinstance(batch, Batch):
@@ -375,7 +506,7 @@ def _batch(batch: "Batch | str | Path | Sequence[str | Path]") -> "Batch":
 
 
 def _trials(data: "Trial | Sequence[Trial] | Batch") -> list[TrialLog]:
-    """Return trials that are read, given as one, several, a batch or its folder."""
+    """Read the trials that are given as one trial, several, a batch, or a folder."""
     from tetractl.statistics.open_batch import Batch
 
     if isinstance(data, str | Path) and Path(data).is_dir():
@@ -393,30 +524,54 @@ def _trials(data: "Trial | Sequence[Trial] | Batch") -> list[TrialLog]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrialArrays:
-    """A trial of M camera frames, K control steps and N robots.
+    """A trial of M camera frames, K control steps and N robots, as arrays.
 
-    Lengths are in `unit`, angles in radians; times count from the first direction sent. The last
-    axis of poses is x, y, heading. `truth` is NaN if the true poses are not known, as in a lab.
+    Times count from the first direction that was sent.
+
+    Attributes:
+        unit: Length unit of the spec, such as "mm". Poses and distances use it.
+        robots: Names of the robots, shape (N,).
+        time_s: When each frame was exposed [s], shape (M,).
+        frame: Number of each frame, shape (M,).
+        poses: Measured poses, shape (M, N, 3): x and y [length unit], heading [rad].
+        valid: Whether each robot was tracked, shape (M, N).
+        truth: True poses, like `poses`. NaN if they are not known, as in a lab.
+        distance: Distance from the measured position to the target [length unit], shape (M, N).
+        step_time_s: When each command was sent [s], shape (K,).
+        direction: The common direction u [rad], shape (K,). NaN while the field is off.
+        cost: Cost J of the chosen sequence, equation (7) of the paper, shape (K,).
+        length: Number of signals in the chosen sequence, shape (K,).
+        evaluations: Number of costs evaluated, shape (K,).
+        solve_ms: Wall time of the search [ms], shape (K,).
     """
 
     unit: str
-    robots: Strings  # (N,) names
-    time_s: Floats = field(repr=False)  # (M,) when each frame was exposed
-    frame: NDArray[np.int64] = field(repr=False)  # (M,) number of each frame
-    poses: Floats = field(repr=False)  # (M, N, 3) as measured
-    valid: Bools = field(repr=False)  # (M, N) whether the robot was tracked
-    truth: Floats = field(repr=False)  # (M, N, 3)
-    distance: Floats = field(repr=False)  # (M, N) from the measured position to the target
-    step_time_s: Floats = field(repr=False)  # (K,) when each command was sent
-    direction: Floats = field(repr=False)  # (K,) the common direction u, NaN while the field is off
-    cost: Floats = field(repr=False)  # (K,) J of the chosen sequence, (7)
-    length: NDArray[np.int64] = field(repr=False)  # (K,) number of signals in the chosen sequence
-    evaluations: NDArray[np.int64] = field(repr=False)  # (K,) number of costs evaluated
-    solve_ms: Floats = field(repr=False)  # (K,) wall time
+    robots: Strings
+    time_s: Floats = field(repr=False)
+    frame: NDArray[np.int64] = field(repr=False)
+    poses: Floats = field(repr=False)
+    valid: Bools = field(repr=False)
+    truth: Floats = field(repr=False)
+    distance: Floats = field(repr=False)
+    step_time_s: Floats = field(repr=False)
+    direction: Floats = field(repr=False)
+    cost: Floats = field(repr=False)
+    length: NDArray[np.int64] = field(repr=False)
+    evaluations: NDArray[np.int64] = field(repr=False)
+    solve_ms: Floats = field(repr=False)
 
 
 def to_arrays(trial: Trial) -> TrialArrays:
-    """Return poses, commands and decisions of a trial, or of its log, as arrays."""
+    """Convert a trial's poses, commands and decisions to NumPy arrays.
+
+    Args:
+        trial: A trial, or its log.
+
+    Example:
+        >>> arrays = tetractl.to_arrays("logs/cell/trial-000.mcap")
+        >>> arrays.poses.shape  # camera frames, robots, (x, y, heading)
+        (915, 1, 3)
+    """
     trial = _trial(trial)
     setup = trial.start.setup
     steps = trial.steps
@@ -440,11 +595,25 @@ def to_arrays(trial: Trial) -> TrialArrays:
 
 
 def to_dataframe(data: "TrialLog | Batch | str | Path") -> "pandas.DataFrame":
-    """Return a trial with one row for each frame and robot, or a batch with one row for each trial.
+    """Convert a trial or a batch to a pandas DataFrame.
 
-    These are the tables `poses` and `trials` of `tetractl export`. A trial's DataFrame names the
-    plant, such as "emulated lab", in `attrs["origin"]`; a batch's names it in the column `origin`.
-    Earlier attempts at a trial have `attempt` True. Raises UsageError if pandas is not installed.
+    The columns are those of the tables `poses` and `trials` that `tetractl export` writes.
+
+    Args:
+        data: A trial or its log, or a batch or its folder.
+
+    Returns:
+        For a trial, one row for each frame and robot. `attrs["origin"]` names the plant, such as
+        "emulated lab". For a batch, one row for each trial. The column `origin` names the plant,
+        and `attempt` is True for earlier attempts at a trial.
+
+    Raises:
+        UsageError: If pandas is not installed.
+
+    Example:
+        >>> table = tetractl.to_dataframe("logs/cell")
+        >>> len(table)
+        3
     """
     try:
         import pandas
@@ -470,8 +639,20 @@ def to_dataframe(data: "TrialLog | Batch | str | Path") -> "pandas.DataFrame":
 
 
 def verify(path: str | Path) -> "Verification":
-    """Compute every decision in a log again, and check that the log's records agree with each
-    other.
+    """Compute every decision in a log again, and check the log for contradictions.
+
+    Args:
+        path: The log of one trial.
+
+    Returns:
+        What was compared, and every difference. Its attribute `ok` is True if there is none.
+
+    Raises:
+        UsageError: If `path` is a folder.
+
+    Example:
+        >>> tetractl.verify("logs/cell/trial-000.mcap").ok
+        True
     """
     from tetractl.verification import verify
 
@@ -487,10 +668,19 @@ def verify(path: str | Path) -> "Verification":
 def summarise(
     batch: "Batch | str | Path | Sequence[str | Path]", name: str = ""
 ) -> "BatchStatistics":
-    """Return the statistics of a batch: errors with intervals, outcomes, the published result.
+    """Compute the statistics of a batch: errors with intervals, outcomes, the published result.
 
-    `name` is the batch's name in tables and figures. Raises UsageError if the trials are not of one
-    experiment.
+    Args:
+        batch: A batch, its folder, or the paths of its logs.
+        name: The batch's name in tables and figures. By default, the experiment's name.
+
+    Raises:
+        UsageError: If the trials belong to different experiments.
+
+    Example:
+        >>> statistics = tetractl.summarise("logs/cell")
+        >>> statistics.total.n
+        3
     """
     from tetractl.statistics.describe import describe
 
@@ -500,8 +690,17 @@ def summarise(
 def compare(
     *batches: "BatchStatistics | Batch | str | Path | Sequence[str | Path]",
 ) -> "BatchComparison":
-    """Compare the total errors of every two batches; differences are the first batch minus the
-    second. Batches have the names of their folders, others those of `summarise`.
+    """Compare the total errors of every pair of batches.
+
+    Differences are the first batch minus the second. A batch is named after its folder, and
+    statistics keep the name that `summarise` gave them.
+
+    Args:
+        *batches: Batches, their folders, the paths of their logs, or statistics from `summarise`.
+
+    Example:
+        >>> small, large = "logs/swarms/small", "logs/swarms/large"
+        >>> comparison = tetractl.compare(small, large)
     """
     from tetractl.statistics.describe import BatchStatistics, contrast
     from tetractl.statistics.open_batch import Batch
@@ -543,11 +742,25 @@ def plot(
     *,
     file: str | Path | None = None,
 ) -> "Figure | Video":
-    """Draw a matplotlib figure, and write it to `file` (.png, .svg or .pdf) if given.
+    """Draw a figure of trials or statistics with matplotlib, and optionally save it.
 
-    `kind` names a figure of `tetractl plot`; "trajectory", "errors" and "batch" show several
-    trials, those of a batch or its folder too. Statistics and comparisons are shown by "batch",
-    whatever `kind` is. "video" is a video of one trial (.mp4, .gif or .webp).
+    Args:
+        data: What to draw: a trial, several trials, a batch, statistics or a comparison. Logs and
+            folders are read.
+        kind: A figure of `tetractl plot`, such as "trajectory", or "video" for a video of one
+            trial. The kinds "trajectory", "errors" and "batch" can show several trials. Statistics
+            and comparisons are always drawn as "batch".
+        file: Where to save the figure (.png, .svg, .pdf) or the video (.mp4, .gif, .webp). By
+            default, it is not saved.
+
+    Returns:
+        The matplotlib figure, or the video.
+
+    Raises:
+        UsageError: If the kind is unknown, or cannot show this many trials.
+
+    Example:
+        >>> figure = tetractl.plot("logs/cell/trial-000.mcap", file="trial.png")
     """
     from tetractl.statistics.describe import BatchComparison, BatchStatistics
     from tetractl.view import style
@@ -576,8 +789,13 @@ def _video(trials: Sequence[TrialLog], file: str | Path | None) -> "Video":
 
 
 def show(data: "Trial | Sequence[Trial] | Batch") -> "FramedPage":
-    """Return the player of the report, of a trial, several trials, a batch or its folder; a
-    notebook shows it.
+    """Return the report's interactive player for one or more trials, for a notebook to display.
+
+    Args:
+        data: A trial or its log, several trials, a batch, or the folder of a batch.
+
+    Example:
+        >>> player = tetractl.show("logs/cell/trial-000.mcap")
     """
     from tetractl.report.page import player
 
@@ -585,10 +803,11 @@ def show(data: "Trial | Sequence[Trial] | Batch") -> "FramedPage":
 
 
 def play_page(spec: Spec, *, file: str | Path | None = None) -> "FramedPage":
-    """Make a web page in which anybody steers the robots of a spec by hand.
+    """Make a web page on which anybody can steer the robots of a spec by hand.
 
-    The page needs no server and no network. Its robots move by the spec's model, without
-    disturbances. It carries one trial of the spec's controller, which this function simulates.
+    The page needs no server and no network. Its robots follow the spec's model, without
+    disturbances. The page also contains one trial of the spec's controller, which this function
+    simulates.
 
     Args:
         spec: The experiment: a loaded spec, a YAML file, or its contents.
@@ -599,11 +818,11 @@ def play_page(spec: Spec, *, file: str | Path | None = None) -> "FramedPage":
 
     Raises:
         SpecError: If the spec has a hold or way-points, which cannot be played.
-        UsageError: If the robots are found by a camera, or move by a motion that the page does not
-            know.
+        UsageError: If a camera must first find the robots, or if they follow a motion that the page
+            does not know.
 
     Example:
-        >>> tetractl.play_page("experiments/three_m3pi.yaml", file="play.html")
+        >>> page = tetractl.play_page("experiments/single_cell.yaml", file="play.html")
     """
     from tetractl.report import play_page as page
     from tetractl.run.open_trial import directed_spec

@@ -36,8 +36,10 @@ def crc16(data):
 
 
 def number(word, least, greatest):
-    """Return a decimal number of at most 6 digits from `least` to `greatest`; ValueError for
-    others."""
+    """Parse a decimal number of at most 6 digits from `least` to `greatest`.
+
+    Any other text raises ValueError.
+    """
     digits = word[1:] if word[:1] == b"-" else word
     if not 0 < len(digits) <= 6 or not digits.isdigit():
         raise ValueError

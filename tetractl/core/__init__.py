@@ -1,3 +1,3 @@
-"""What all packages share: poses, commands, plans, trials, protocols, kinds, clock, errors."""
+"""Records and protocols that all packages share: poses, commands, plans, trials, clock, errors."""
 
 __version__ = "0.1.0"

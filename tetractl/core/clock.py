@@ -49,8 +49,9 @@ class VirtualClock:
 
 
 def host_ns() -> int:
-    """Return the time on the host's monotonic clock [ns], which goes on while the computer sleeps:
-    what waited meanwhile is old, and that nothing was decided meanwhile is noticed.
+    """Return the time [ns] on the host's monotonic clock, which runs while the computer sleeps.
+
+    After a sleep, data that waited therefore counts as old, and the missed decisions are noticed.
     """
     if sys.platform == "linux":
         return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
@@ -78,20 +79,32 @@ class MonotonicClock:
 
 
 def next_due_ns(due_ns: int, sent_ns: int, period_ns: int) -> int:
-    """Return when what is sent every period is next due, if it was due at `due_ns` and sent at
-    `sent_ns`: the rate is kept in the mean, but nothing follows within half a period, nor later
-    than after two, as it would where new values come faster than the period."""
+    """Compute when to repeat something that is sent once a period [ns].
+
+    The average rate stays constant. However, the next time is never less than half a period after
+    the last, and never more than two periods after it: that would happen if new values came faster
+    than the period.
+
+    Args:
+        due_ns: When it was due last.
+        sent_ns: When it was really sent.
+        period_ns: The period.
+    """
     earliest_ns = sent_ns + period_ns // 2
     latest_ns = sent_ns + 2 * period_ns
     return min(max(due_ns + period_ns, earliest_ns), latest_ns)
 
 
 def wait_for(clock: Clock, done: Callable[[], bool], timeout_s: float) -> bool:
-    """Call `done` every 2 ms of a clock until it returns true, and return True; return False after
-    `timeout_s`.
+    """Wait until a condition holds, and return whether it did before the timeout.
 
-    In virtual time, the devices that run on the clock advance during the wait, so that tests need
-    no thread.
+    In virtual time, the devices that use the clock advance during the wait. Tests therefore need no
+    thread.
+
+    Args:
+        clock: The clock to wait on.
+        done: The condition. It is called every 2 ms.
+        timeout_s: How long to wait [s].
     """
     end = clock.now() + round(timeout_s * SECOND)
     while not done():

@@ -12,8 +12,10 @@ GREEN = "#009E73"
 BLUE = "#0072B2"
 RED = "#D55E00"
 PALETTE = (GREEN, BLUE, RED, "#CC79A7", "#E69F00", "#56B4E9", "#8C564B", "#6F4E9C")
-"""The colours of robots: the colour-blind safe ones of Okabe and Ito (2008) without yellow and
-black, and two further ones."""
+"""Colours of the robots.
+
+They are the colour-blind safe ones of Okabe and Ito (2008) without yellow and black, and two more.
+"""
 NAMED = {"green": GREEN, "blue": BLUE, "red": RED}
 """The paper's colours by name, in shades that colour-blind readers can distinguish."""
 SLATES = ("#2B3A4A", "#7A8EA3", "#B3C0CC")
@@ -27,8 +29,15 @@ ALARM = "#B00020"
 
 
 def robot_colors(names: Sequence[str], colors: Sequence[str | None]) -> list[str]:
-    """Return a colour (#rrggbb) for each robot: the spec's, or the colour that the robot is named
-    after, or the next unused colour of the palette."""
+    """Choose a colour (#rrggbb) for each robot.
+
+    A robot gets the spec's colour, or else the colour it is named after, or else the next unused
+    colour of the palette.
+
+    Args:
+        names: Names of the robots.
+        colors: The spec's colour for each robot. None if the spec gives none.
+    """
     chosen = [_own_color(name, color) for name, color in zip(names, colors, strict=True)]
     free = [color for color in PALETTE if color not in chosen] or list(PALETTE)
     unnamed = iter(range(len(chosen)))

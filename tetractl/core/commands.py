@@ -1,4 +1,4 @@
-"""What robots are commanded to do, and what was sent to them for it."""
+"""What robots are commanded to do, and what was really sent to them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,19 +15,19 @@ class Steer:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """All robots stand and turn on the spot towards a direction [rad], by (3) at speed 0."""
+    """All robots stand and turn on the spot towards a direction [rad], as in (3) with speed 0."""
 
     facing: float
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """All robots stand."""
+    """All robots stand still."""
 
 
 @dataclass(frozen=True, slots=True)
 class FieldOff:
-    """The field is off: no robot is turned, and all go straight on."""
+    """The magnetic field is off: no robot is turned, and all go straight on."""
 
 
 Action = Steer | Turn | Stop | FieldOff
@@ -36,11 +36,15 @@ Action = Steer | Turn | Stop | FieldOff
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """An action as it was sent to N robots, at `sent_ns` [ns] on the clock of the trial or run.
+    """An action as it was sent to N robots.
 
-    `delivered` (N,) is False for a robot that did not receive it, as far as is known. `left`,
-    `right` (N,) are the wheel speeds of the paper's equations (24)-(25) [length unit/s], None for
-    robots without wheels; these arrays cannot be written.
+    Attributes:
+        action: What the robots were to do.
+        sent_ns: When it was sent, on the clock of the trial or run [ns].
+        delivered: Whether each robot received it, as far as is known, N entries.
+        left: Speeds of the left wheels in the paper's equation (24) [length unit/s], shape (N,),
+            read-only. None for robots without wheels.
+        right: Speeds of the right wheels in the paper's equation (25), like `left`.
     """
 
     action: Action
@@ -56,7 +60,7 @@ class Command:
 
     @property
     def direction(self) -> float | None:
-        """The common direction u [rad], None if the action gives none."""
+        """The common direction u [rad]. None if the action has no direction."""
         return self.action.direction if isinstance(self.action, Steer) else None
 
     @property
@@ -67,12 +71,16 @@ class Command:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transmission(Command):
-    """A command as the actuator of a lab has sent it: an action is sent to robots again and again.
+    """A command as the actuator of a lab sent it.
 
-    A robot that is held still while others move counts as one that did not receive the action.
-    `speed` (N,) [length unit/s] and `turning` (N,) [rad/s] are the motion commanded to each robot.
-    `outputs` are further numbers of the actuator by a name that includes the unit, such as
-    `current_x_a`.
+    The actuator sends an action repeatedly. A robot that is held still while others move counts as
+    one that did not receive the action.
+
+    Attributes:
+        speed: Commanded speed of each robot [length unit/s], shape (N,).
+        turning: Commanded turning rate of each robot [rad/s], shape (N,).
+        outputs: Further values of the actuator. Each name ends with its unit, such as
+            `current_x_a`.
     """
 
     speed: Floats

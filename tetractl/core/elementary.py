@@ -192,7 +192,7 @@ def tanh(x):
 
 
 def atan(x):
-    """Compute the angle whose tangent is x [rad], from -pi/2 to pi/2."""
+    """Compute the angle with tangent x [rad], from -pi/2 to pi/2."""
     return atan2(x, 1.0)
 
 

@@ -23,10 +23,11 @@ class Exit(IntEnum):
 
 
 class TetractlError(Exception):
-    """An error that the user can fix: one clear line, a hint, an exit code.
+    """An error that the user can fix, with a one-line message, a hint and an exit code.
 
-    The command line prints `message` and `hint`. `str` is for Python: the message, and below it the
-    hint, or `in_python` in its place, for a hint that names an option: functions have none.
+    The command line prints `message` and `hint`. In Python, `str` returns the message, and the hint
+    on a second line. If the hint names a command-line option, which functions do not have,
+    `in_python` replaces it.
     """
 
     exit = Exit.FAILED
@@ -41,8 +42,10 @@ class TetractlError(Exception):
         return f"{self.message}\nhint: {self.in_python}" if self.in_python else self.message
 
     def _render_traceback_(self) -> list[str]:
-        """Return what IPython prints in place of a traceback: the message, and which line of the
-        user called tetractl."""
+        """Return what IPython prints instead of a traceback.
+
+        That is the message, and the line of the user's code that called tetractl.
+        """
         lines = [f"{type(self).__name__}: {self}"]
         package = str(Path(__file__).parents[1])
         for caller, called in pairwise(traceback.extract_tb(self.__traceback__)):
@@ -59,13 +62,30 @@ class UsageError(TetractlError):
 
 
 def demand(value: object, kind: Any, words: str) -> None:
-    """Raise UsageError, with what is expected in words, if a value is not of a kind."""
+    """Check the type of an argument.
+
+    Args:
+        value: The argument.
+        kind: The type that it must have, or a union of types.
+        words: What is expected, as the start of the message.
+
+    Raises:
+        UsageError: If the value has another type.
+    """
     if not isinstance(value, kind):
         raise UsageError(f"{words}, but this is of type {type(value).__name__}")
 
 
 def whole_number(value: object, what: str) -> int:
-    """Return a whole number from 0, such as a trial's; UsageError with `what` it is otherwise."""
+    """Convert a value to a whole number from 0, such as the index of a trial.
+
+    Args:
+        value: The value.
+        what: What the value is, as the start of the message.
+
+    Raises:
+        UsageError: If the value is not a whole number, or is negative.
+    """
     try:
         number = operator.index(value)  # pyright: ignore[reportArgumentType] - the error says so
     except TypeError:

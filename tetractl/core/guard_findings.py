@@ -1,5 +1,7 @@
-"""What a check of the guard can find: a robot's newest pose is refused, a robot is lost, the
-operator is warned, or the run is aborted.
+"""What a check of the guard can find.
+
+A finding refuses a robot's newest pose, declares a robot lost, warns the operator, or aborts the
+run.
 """
 
 from dataclasses import dataclass
@@ -9,7 +11,7 @@ from tetractl.core.poses import Pose
 
 @dataclass(frozen=True, slots=True)
 class Refuse:
-    """The newest pose of a robot is not accepted, since the robot cannot have come there."""
+    """The newest pose of a robot is rejected, because the robot cannot have come there."""
 
     robot: int
     text: str
@@ -17,7 +19,7 @@ class Refuse:
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """A robot was seen to move in a pause, in which none is commanded to."""
+    """A robot was seen to move during a pause, when no robot is commanded to move."""
 
     robot: int
     text: str
@@ -25,7 +27,10 @@ class Moved:
 
 @dataclass(frozen=True, slots=True)
 class Lose:
-    """The run goes on without a robot; it is aborted if its spec does not allow that."""
+    """A robot is lost, and the run goes on without it.
+
+    If the spec does not allow that, the run is aborted.
+    """
 
     robot: int
     text: str
@@ -33,16 +38,20 @@ class Lose:
 
 @dataclass(frozen=True, slots=True)
 class Warn:
-    """The operator is warned once; nothing else follows."""
+    """The operator is warned once, and the run goes on."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class Abort:
-    """The run ends. The poses of the robots `false` are not accepted any more. `suspect` is the one
-    robot that seems to be at fault, None if it is none or several: the guard then asks whether it
-    was the camera, the radio or another robot.
+    """The run has to end.
+
+    Attributes:
+        text: Why.
+        false: Indices of the robots whose poses can no longer be trusted.
+        suspect: Index of the robot that seems to have failed. None if it is not a single robot. The
+            guard then checks whether the camera, the radio or another robot was the cause.
     """
 
     text: str
@@ -55,8 +64,12 @@ Finding = Refuse | Moved | Lose | Warn | Abort
 
 @dataclass(frozen=True, slots=True)
 class RobotPlace:
-    """Where a robot is at a tick: its `pose`, None if it is not tracked, the last one if it is
-    `lost`. It may drive the `way` [length unit] before it can be stopped.
+    """Where a robot is when the guard decides whether robots may go on.
+
+    Attributes:
+        pose: Its pose. None if it is untracked. For a lost robot, its last pose.
+        lost: Whether the robot is lost.
+        way: How far it may still drive before it can be stopped [length unit].
     """
 
     pose: Pose | None

@@ -40,17 +40,18 @@ class LossRule:
 
 
 class Standing:
-    """Finds out which of N robots stand while another one drives.
+    """A detector of robots that stand still while another robot drives.
 
-    All robots receive the same commands, so that one that stands for long while another drives is
-    dead. The frames alone tell: if all robots stand, commanded or not, none is dead. Ways are
-    counted in seconds of driving at the spec's speed; a robot of speed 0 is never dead.
+    All robots receive the same commands. A robot that stands still for a long time while another
+    one drives is therefore dead. Camera frames decide this, not commands: if all robots stand
+    still, none is dead. Distances are counted in seconds of driving at the spec's speed. A robot
+    with speed 0 is never dead.
     """
 
     def __init__(self, speed: Floats) -> None:
         count = len(speed)
         self.due_ns = 0
-        """Time of the next frame to look at [ns]."""
+        """Time of the next frame to check [ns]."""
         self._can_drive = speed > 0
         self._speed = np.where(self._can_drive, speed, np.inf)
         self._moved_at = np.full((count, 2), np.nan)
@@ -61,8 +62,12 @@ class Standing:
         """Row i: the ways of all robots when robot i last moved (N, N) [s]."""
 
     def add_frame(self, frame: Observation) -> Bools | None:
-        """Look at the robots of a frame; return which (N,) have stood while one drove for DEAD_S,
-        None if none moved."""
+        """Check the robots of a frame.
+
+        Returns:
+            Which robots have stood still while another one drove for DEAD_S, shape (N,). None if no
+            robot moved.
+        """
         self.due_ns = (frame.sampled_ns // LOSS_LOOK_NS + 1) * LOSS_LOOK_NS
         xy = frame.poses.xy
         since_s = elementwise.hypot(*(xy - self._moved_at).T) / self._speed
@@ -97,7 +102,10 @@ class Losses:
         self._rule = rule
         self._standing = Standing(speed)
         self._tracked_ns: Integers | None = None
-        """Time of the last frame in which each robot was tracked (N,); None before the first."""
+        """Time of the last frame in which each robot was tracked, (N,).
+
+        None before the first frame.
+        """
         self._waiting = list[Observation]()
         """Frames that are not counted yet, as no robot can be lost or back in them."""
         self._due_ns = 0
@@ -120,7 +128,7 @@ class Losses:
         return self._count_waiting(self._rule)
 
     def _add_dead(self, dead: Bools | None) -> None:
-        """Take it that some robots (N,) are dead, too; they are lost if the rule says so."""
+        """Mark robots as dead, shape (N,), and as lost if the rule says so."""
         if dead is None or not (dead & ~self.dead).any():
             return
         self.dead = self.dead | dead
@@ -155,11 +163,16 @@ class Losses:
 
 
 STOOD = "while others drive", "though commanded to move"
-"""How the reason in the result of a trial ends in which a robot stood: now, and in earlier logs."""
+"""Endings of the reason of a result if a robot stood still: today's, and those of older logs."""
 
 
 def told_dead(names: Sequence[str], dead: Bools) -> str:
-    """Return the text that some of the robots `names` are dead, "" for none."""
+    """Describe which robots are dead. The text is empty if none is.
+
+    Args:
+        names: Names of the robots.
+        dead: Which of them are dead, shape (N,).
+    """
     who = [name for name, is_dead in zip(names, dead.tolist(), strict=True) if is_dead]
     if not who:
         return ""

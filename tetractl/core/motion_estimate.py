@@ -12,9 +12,12 @@ import numpy as np
 from tetractl.core.poses import Bools, Floats
 
 STANDS_PROBABILITY = 0.9
-"""Probability above which a robot counts as standing. Of robots that stuck at 5 and 20 Hz, 170 of
-176 stands reached it; where ten pictures a second came 0.06 s late, 3 of 67 false ones did, all
-simulated (`benchmarks/unmodelled.py`, `sticking`, `sticking-5hz` and `slow-pictures`)."""
+"""Probability above which a robot counts as standing still.
+
+In simulations, 170 of 176 robots that stuck at frame rates of 5 and 20 Hz reached it. Where ten
+images a second arrived 0.06 s late, 3 of 67 false alarms reached it (`benchmarks/unmodelled.py`:
+`sticking`, `sticking-5hz` and `slow-pictures`).
+"""
 
 INNOVATIONS = "along-track motion", "cross-track motion", "heading"
 """What the columns of `Estimate.misfit` are about."""
@@ -25,24 +28,29 @@ OF_PLACES = INNOVATIONS[:2]
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A controller's estimates of N robots while they move, with standard deviations, named
-    `..._std`.
+    """What a controller estimates about N robots while they move.
 
-    `a` (N,) [rad/s] and `speed` (N,) [length unit/s] are the values used for the plan.
-    `heading_bias` (N,) [rad] is the heading that a robot turns to minus the direction sent.
-    `dead_time` [s] is the time from the sending of a direction to the moment when it acts, for all
-    robots. `heading_bias` and `dead_time` are None if they are not estimated. `misfit` (N, 3) is
-    how far from independent the errors of the predictions are, in the order of INNOVATIONS: above
-    1, the model does not fit at the level 0.001. None if it is not tested. `side` (N,) is the k of
-    a robot that turns by a exp(k) to the left and a exp(-k) to the right, and `saturation`
-    (N,) its greatest turning rate over the greater of these. `stands` (N,) is the probability that
-    a robot stands although it is sent a direction: it is stuck, or a cell rests, or backs off and
-    turns. `own_dead_time` (N,) [s] is the dead time of each robot, which no log has. None if they
-    are not estimated.
+    Fields that end in `_std` are standard deviations. Except for `a` and `speed`, a field is None
+    if its quantity is not estimated.
 
-    A new number of the filters is a field here and of `Forecast`
-    (`control/estimation/kernels/filter_state`), which `kernels/bank` and its oracle compute; logs
-    keep it as a field of the message in `log/format/tetractl.proto`, written and read in
+    Attributes:
+        a: Turning rates used for the plan [rad/s], shape (N,).
+        speed: Speeds used for the plan [length unit/s], shape (N,).
+        heading_bias: Heading that each robot turns to, minus the direction sent [rad], shape (N,).
+        dead_time: Time from sending a direction until it acts [s], the same for all robots.
+        misfit: How strongly the prediction errors deviate from independence, shape (N, 3), in the
+            order of INNOVATIONS. Above 1, the model does not fit at the level 0.001. None if it is
+            not tested.
+        side: The k of robots that turn by a exp(k) to the left and a exp(-k) to the right, shape
+            (N,).
+        saturation: Maximum turning rate, divided by the larger of these two rates, shape (N,).
+        stands: Probability that a robot stands still although it receives a direction, shape (N,).
+            It may be stuck; a cell may also rest, or back off and turn.
+        own_dead_time: Dead time of each robot [s], shape (N,). Logs do not contain it.
+
+    To add a quantity to the filters, add a field here and to `Forecast`
+    (`control/estimation/kernels/filter_state`), and compute it in `kernels/bank` and its oracle. To
+    log it, add a field to the message in `log/format/tetractl.proto`, and write and read it in
     `codec.py`.
     """
 
@@ -63,19 +71,26 @@ class Estimate:
     own_dead_time_std: Floats | None = field(default=None, compare=False)
 
     def standing(self, names: Sequence[str]) -> list[str]:
-        """Return the robots, of these `names`, that surely stand although they are to drive."""
+        """List the robots that almost certainly stand still although they should drive.
+
+        Args:
+            names: Names of the robots.
+        """
         probabilities = [] if self.stands is None else self.stands.tolist()
         return [
             name for name, p in zip(names, probabilities, strict=False) if p > STANDS_PROBABILITY
         ]
 
     def unexplained(self, names: Sequence[str], parts: Sequence[str]) -> set[str]:
-        """Return what the model does not explain, such as "heading of red", of the parts OF_TURNING
-        or OF_PLACES.
+        """List the parts of the motion that the model does not explain, such as "heading of red".
 
-        Where a motion OF_TURNING is not explained, a may be wrong by more than its deviation. Where
-        one OF_PLACES is not, deviations have grown by it, and a holds within its own
+        If a part OF_TURNING is unexplained, a may be wrong by more than its standard deviation. If
+        a part OF_PLACES is unexplained, the standard deviations already include that error
         (docs/decisions/filter.md).
+
+        Args:
+            names: Names of the robots.
+            parts: The parts to consider: OF_TURNING or OF_PLACES.
         """
         if self.misfit is None:
             return set()

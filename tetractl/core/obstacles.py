@@ -47,13 +47,19 @@ class Obstacles:
     high: Floats
     """Greatest x, y of them, (M, 2)."""
     walls: Floats
-    """The walls at LEFT, BOTTOM, RIGHT and TOP, (4,); (0,) for none."""
+    """The walls at LEFT, BOTTOM, RIGHT and TOP, shape (4,). Shape (0,) if there are no walls."""
 
     @classmethod
     def of(
         cls, shapes: Sequence[Shape] = (), margin: float = 0.0, walls: Bounds | None = None
     ) -> Self:
-        """Return the union of shapes and of the walls of an arena, all grown by a margin."""
+        """Combine shapes and the walls of an arena, all grown by a margin.
+
+        Args:
+            shapes: The obstacles.
+            margin: How far to grow each shape and wall [length unit].
+            walls: The arena. None if its walls are no obstacles.
+        """
         corners_max = max((len(shape.corners) for shape in shapes), default=0)
         corners = np.zeros((len(shapes), corners_max, 2))
         low = np.zeros((len(shapes), 2))
@@ -79,7 +85,11 @@ class Obstacles:
         return len(self.radii) + self.walls.size
 
     def grown(self, margins: Floats) -> Self:
-        """Return the obstacles, each grown by its own margin, (O,)."""
+        """Grow each obstacle by its own margin.
+
+        Args:
+            margins: The margin of each shape and wall [length unit], shape (O,).
+        """
         shapes = len(self.radii)
         walls = self.walls.copy()
         if walls.size:
@@ -98,7 +108,7 @@ class Obstacles:
 
     @property
     def inside(self) -> Bounds | None:
-        """The region between the walls, None for no walls."""
+        """The region between the walls. None if there are no walls."""
         if not self.walls.size:
             return None
         left, bottom, right, top = self.walls.tolist()
@@ -118,7 +128,14 @@ class Obstacles:
         return self.distance(x, y) <= 0
 
     def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
-        """Return whether each straight segment from (x0, y0) to (x1, y1) touches an obstacle."""
+        """Check which straight segments touch an obstacle.
+
+        Args:
+            x0: x of the start of each segment.
+            y0: y of the start of each segment.
+            x1: x of the end of each segment.
+            y1: y of the end of each segment.
+        """
         touched = np.zeros(np.broadcast(x0, y0, x1, y1).shape, dtype=np.bool_)
         for shape in self.shapes:
             touched |= shape.cross(x0, y0, x1, y1)
@@ -128,12 +145,15 @@ class Obstacles:
         return touched
 
     def distance(self, x: Floats, y: Floats) -> Floats:
-        """Return the distance to the nearest obstacle, negative inside; inf if there is none."""
+        """Compute the distance to the nearest obstacle: negative inside, inf if there is none."""
         return self.distances(x, y).min(axis=0, initial=np.inf)
 
     def at_least(self, x: Floats, y: Floats) -> Floats:
-        """Return a lower bound of `distance`, or of 0 inside, that is quick to compute: the
-        distance to the nearest box of a shape, or wall; inf if there is no obstacle."""
+        """Compute a quick lower bound of `distance`.
+
+        It is the distance to the nearest wall or bounding box of a shape. Inside an obstacle, the
+        bound is 0. It is inf if there is no obstacle.
+        """
         least_squared = np.full(x.shape, np.inf)
         lows = (self.low - self.radii[:, None]).tolist()
         highs = (self.high + self.radii[:, None]).tolist()

@@ -1,6 +1,8 @@
-"""What is planned in one control step, in the order of the file: a `Problem`; within `Limits`, one
-`Search` of the optimiser for each horizon; and the controller's `Decision`, which is a `Plan`, made
-of the best search, or the `Outcome` of the trial.
+"""What is planned in one control step.
+
+In the order of this file: a `Problem`; the `Limits` of a search; one `Search` of the optimiser for
+each horizon; and the controller's `Decision`. The decision is a `Plan` made from the best search,
+or the `Outcome` of the trial.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,32 +20,56 @@ from tetractl.core.poses import Bools, Floats, Poses
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """The problem of one control step for N robots; lengths in the spec's unit.
+    """What the optimiser solves in one control step, for N robots.
 
-    Problems are compared by identity, so that a problem can be the key of a cache.
+    Lengths are in the spec's unit. Problems are compared by identity, so that a problem can be the
+    key of a cache.
+
+    Attributes:
+        poses: Poses from which the prediction starts.
+        targets: Where the robots are to go, shape (N, 2).
+        a: Turning rate of each robot [rad/s], shape (N,).
+        speed: Speed of each robot [length unit/s], shape (N,).
+        motion: Name of the motion model used for the prediction.
+        period: How long each signal except the first is held [s].
+        first_period: How long the first signal is held [s].
+        obstacles: Obstacles to avoid.
+        obstacle_weight: Weight omega_p in the paper's equation (7).
+        swept: Whether the segments between predicted positions are tested, not only the positions.
+        separation: Minimum distance between the centres of two robots at the predicted positions.
+        bias: Angle added to the direction that each robot turns towards [rad], shape (N,). None if
+            all are 0.
+        flow: Drift that carries each robot [length unit/s], shape (N, 2). None if there is none.
+        within: Distance from their targets within which robots are to stay. None if they need not.
+        side: How unequally each robot turns left and right, shape (N,), as in
+            `tetractl.model.motion.turn_rate`. None for robots that turn by equation (3).
+        saturation: At which rate each robot's turning saturates, shape (N,), as in the same module.
+            None for robots that turn by equation (3).
     """
 
     poses: Poses
-    targets: Floats  # (N, 2)
-    a: Floats  # (N,) [rad/s]
-    speed: Floats  # (N,) [length unit/s]
-    motion: str  # name of the model of the prediction
-    period: float  # for which each signal is held but the first [s]
-    first_period: float  # for which the first one is held [s]
+    targets: Floats
+    a: Floats
+    speed: Floats
+    motion: str
+    period: float
+    first_period: float
     obstacles: Obstacles
-    obstacle_weight: float  # omega_p of the paper's equation (7)
-    swept: bool  # whether segments between predicted positions are tested, not only positions
-    # distance that two robots are to keep between their centres at the predicted positions
+    obstacle_weight: float
+    swept: bool
     separation: float = 0.0
-    bias: Floats | None = None  # (N,) added to the direction that a robot turns towards [rad]
-    flow: Floats | None = None  # (N, 2) the drift that carries it [length unit/s]
-    within: float | None = None  # distance of their targets within which robots are to stay
-    # (N,) how robots turn (`tetractl.model.motion.turn_rate`); None for those that turn by (3)
+    bias: Floats | None = None
+    flow: Floats | None = None
+    within: float | None = None
     side: Floats | None = None
     saturation: Floats | None = None
 
     def only(self, chosen: Bools) -> "Problem":
-        """Return the problem of the robots for which `chosen` (N,) is true."""
+        """Return the same problem for some of the robots.
+
+        Args:
+            chosen: Which robots to keep, shape (N,).
+        """
         if chosen.all():
             return self
 
@@ -64,28 +90,33 @@ class Problem:
 
     @property
     def drift(self) -> Floats:
-        """Return cos(bias), sin(bias) and x and y of the flow, as rows (4, N) for compiled code."""
+        """The bias and the flow for compiled code, shape (4, N).
+
+        The rows are cos(bias), sin(bias), x of the flow and y of the flow.
+        """
         none = np.zeros(len(self.a))
         bias = none if self.bias is None else self.bias
         flow = (none, none) if self.flow is None else self.flow.T
         return np.array([elementwise.cos(bias), elementwise.sin(bias), *flow])
 
     def seconds(self, length: int) -> float:
-        """Return the duration of a sequence of `length` signals [s]."""
+        """Compute the duration of a sequence with `length` signals [s]."""
         return self.first_period + (length - 1) * self.period
 
 
 def never(evaluations: int) -> bool:
-    """Return False: the default of `Limits.expired`, for no deadline."""
+    """Return False. It is the default of `Limits.expired`, for a search without a deadline."""
     return False
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The limits of one search.
+    """When a search has to end early.
 
-    `evaluations` bounds the cost evaluations, None for no bound. Once `expired(spent)`, given the
-    evaluations spent so far, is true, a search returns the best sequence so far.
+    Attributes:
+        evaluations: Maximum number of cost evaluations. None for no limit.
+        expired: Called with the number of evaluations so far. Once it returns True, the search
+            returns the best sequence found so far.
     """
 
     evaluations: int | None = None
@@ -93,7 +124,7 @@ class Limits:
 
     @property
     def timed(self) -> bool:
-        """Whether there is a deadline."""
+        """Whether the search has a deadline."""
         return self.expired is not never
 
     def allow(self, evaluations: int) -> bool:
@@ -102,7 +133,7 @@ class Limits:
 
 
 class StopReason(StrEnum):
-    """Why a search ended; the value is the text in a log."""
+    """Why a search ended. The value is the text in a log."""
 
     CRITERION = "criterion"  # the stop criterion of the optimiser, such as (20)
     ITERATIONS = "iterations"  # the optimiser's limit of iterations was reached
@@ -116,73 +147,94 @@ class StopReason(StrEnum):
 class Search:
     """One search of the optimiser: one horizon in one control step.
 
-    `length` counts signals; the paper's horizon is h = length - 1. `history[z]` is J(u_gb) after
-    iteration z, and `history[0]` is J(u_gb) before the first (the paper's Figure 3). `stopped` is
-    the reason why the search ended, or a text if a log of another version of tetractl gives a
-    reason that is not a StopReason.
+    Attributes:
+        length: Number of signals. The paper's horizon is h = length - 1.
+        signals: The best sequence found [rad], shape (length,).
+        cost: Its cost J, equation (7).
+        history: Cost J(u_gb) of the best sequence after each iteration, shape (iterations + 1,).
+            `history[0]` is the cost before the first iteration (the paper's Figure 3).
+        evaluations: Number of cost evaluations.
+        stopped: Why the search ended. It is a plain string if a log of another version of tetractl
+            gives a reason that StopReason lacks.
     """
 
     length: int
-    signals: Floats = field(repr=False)  # (length,) rad
-    cost: float  # J, (7)
-    history: Floats = field(repr=False)  # (iterations + 1,)
+    signals: Floats = field(repr=False)
+    cost: float
+    history: Floats = field(repr=False)
     evaluations: int
     stopped: StopReason | str
 
 
 class State(StrEnum):
-    """What the robots do in a control step; the value is the text in a log."""
+    """What the robots do in a control step. The value is the text in a log."""
 
-    DRIVING = "driving"  # they follow the plan
-    RESTING = "resting"  # they stand; the next plan is for standing robots
-    PASSING = "passing"  # they follow a plan that leads them through a passage one by one
-    TURNING = "turning"  # they stand and turn on the spot
-    HOLDING = "holding"  # they cannot stand, and stay near their targets
-    STUCK = "stuck"  # they stand, and the trial ends: no candidate helps
+    DRIVING = "driving"
+    RESTING = "resting"
+    PASSING = "passing"
+    TURNING = "turning"
+    HOLDING = "holding"
+    STUCK = "stuck"
 
 
 PAUSE_S = 0.5
-"""Time for which robots stand by a plan that pauses, in addition to one control period [s]."""
+"""How long robots stand still in a pause, in addition to one control period [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The decision by which a trial goes on: what is sent in a control step, and how it was found.
+    """A decision to continue the trial: what to send in this control step, and how it was found.
 
-    What is sent is the direction signals[0], unless there is another action `instead`: a stop or a
-    turn on the spot, for which robots pause, or a field that is off.
+    The plan sends the direction `signals[0]`, unless `instead` holds another action.
+
+    Attributes:
+        signals: The chosen sequence of directions [rad], shape (L,).
+        path: Predicted poses, shape (L + 1, N, 3), beginning where the plan starts.
+        cost: target_cost + obstacle_weight * obstacle_cost, the paper's equation (7).
+        target_cost: The part of the cost that measures the distances to the targets.
+        obstacle_cost: The part of the cost that measures contacts with obstacles.
+        searches: The searches of all horizons tried, in order.
+        chosen: Index of the search that found the chosen sequence.
+        generator: Key of all random numbers in this step.
+        estimate: The estimate that the plan was made with. None if the controller estimates
+            nothing.
+        instead: An action to send instead of a direction: a stop or a turn on the spot, during
+            which robots pause, or a field that is off. None to send the direction.
+        state: What the robots do.
+        delay_ns: Time from the decision until a pause begins [ns].
+        leg: Number of way-points passed. While robots hold, one more than there are way-points.
+        numbers: Anything else that a controller reports about the step. Each name ends with its
+            unit, such as "margin_mm".
     """
 
-    signals: Floats = field(repr=False)  # (L,) rad, the sequence chosen
-    path: Floats = field(repr=False)  # (L + 1, N, 3), poses predicted, from where the plan starts
-    cost: float  # target_cost + obstacle_weight * obstacle_cost, the paper's equation (7)
+    signals: Floats = field(repr=False)
+    path: Floats = field(repr=False)
+    cost: float
     target_cost: float
     obstacle_cost: float
-    searches: tuple[Search, ...] = field(repr=False)  # of all horizons tried, in order
-    chosen: int  # index of the best search, which found the signals
-    generator: int  # the key of all random numbers of the step
-    # that the plan was made with; None if the controller estimates nothing
+    searches: tuple[Search, ...] = field(repr=False)
+    chosen: int
+    generator: int
     estimate: Estimate | None = field(default=None, repr=False)
     instead: Turn | Stop | FieldOff | None = None
     state: State = State.DRIVING
-    delay_ns: int = 0  # from the decision until a pause begins
-    leg: int = 0  # number of way-points passed; while robots hold, one more than there are
-    # whatever else a controller says of the step, by a name that ends in its unit: "margin_mm"
+    delay_ns: int = 0
+    leg: int = 0
     numbers: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     @property
     def action(self) -> Action:
-        """What is to be sent in this step."""
+        """The action to send in this step."""
         return self.instead or Steer(float(self.signals[0]))
 
     @property
     def direction(self) -> float | None:
-        """The direction to be sent in this step [rad], None if none is sent."""
+        """The direction to send in this step [rad]. None if no direction is sent."""
         return float(self.signals[0]) if self.instead is None else None
 
     @property
     def pauses(self) -> bool:
-        """Whether all robots stand for PAUSE_S, in place of driving; they may turn on the spot."""
+        """Whether all robots pause for PAUSE_S instead of driving. They may turn on the spot."""
         return isinstance(self.instead, Stop | Turn)
 
     @property
@@ -196,8 +248,12 @@ class Plan:
         return sum(search.evaluations for search in self.searches)
 
     def of_all(self, present: Bools, poses: Poses) -> "Plan":
-        """Return the plan of the robots whose `present` (N,) is true as one of all N robots: in its
-        path, those that are lost stay at their poses in `poses`."""
+        """Extend a plan for the robots that are present to all N robots.
+
+        Args:
+            present: Which robots the plan is for, shape (N,).
+            poses: Poses at which the lost robots stay in the plan's path.
+        """
         if present.all():
             return self
         path = np.repeat(poses.array()[None], len(self.path), axis=0)
@@ -218,18 +274,20 @@ class Outcome(StrEnum):
 
     @property
     def complete(self) -> bool:
-        """Whether the controller ended the trial, so that the trial's error counts."""
+        """Whether the controller ended the trial. Only then does the trial's error count."""
         return self not in (Outcome.INTERRUPTED, Outcome.ABORTED)
 
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """The decision to end a trial by a stop that is sent `delay_ns` after the decision."""
+    """A decision to end the trial with a stop that is sent `delay_ns` after the decision."""
 
     outcome: Outcome
     delay_ns: int
 
 
 Decision = Plan | Outcome | End
-"""What a controller decides in a control step: a plan, or the end of the trial, at once by an
-Outcome or later by an End."""
+"""What a controller decides in a control step.
+
+It is a plan, or the end of the trial: an Outcome ends the trial at once, an End after a delay.
+"""

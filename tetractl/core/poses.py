@@ -1,14 +1,13 @@
-"""Where robots are, and what of it a camera shows.
+"""Poses of robots, and what a camera shows of them.
 
-    Pose           where one robot is, and in which direction it heads
-    Poses          the same of N robots, in arrays
-    Sight          how well a camera sees robots
-    CameraFrame    what a camera of the lab shows at one instant; robots may be missing in it
-    Observation    what a controller gets of a frame: each robot has a pose, if it is missing the
-                   last one
+    Pose           position and heading of one robot
+    Poses          the same for N robots, in arrays
+    Sight          how precisely a camera measures poses
+    CameraFrame    what a camera of the lab shows at one instant; robots may be missing
+    Observation    what a controller receives from a frame; a missing robot has its last pose
     Sample         what a log keeps of a frame: the observation, true poses in a simulation, and
                    messages
-    FrameAddition  such messages, as a camera has them with its frames
+    FrameAddition  messages that a camera adds to its frames
 
 All coordinates are in the spec's length unit, headings and angles in rad.
 """
@@ -57,8 +56,13 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Where N robots are: x, y [length unit] and headings, anticlockwise from +x and not wrapped
-    [rad], (N,) each."""
+    """Positions and headings of N robots.
+
+    Attributes:
+        x: x of each robot [length unit], shape (N,).
+        y: y of each robot [length unit], shape (N,).
+        heading: Heading of each robot, anticlockwise from +x and not wrapped [rad], shape (N,).
+    """
 
     x: Floats
     y: Floats
@@ -94,8 +98,11 @@ def wrap(angles: Floats) -> Floats:
 
 
 def turn_problem(angle: float) -> tuple[str, str] | None:
-    """Return what is wrong with an angle [rad] of more than a whole turn, which is probably in
-    degrees, and a hint; None for other angles."""
+    """Describe what is wrong with an angle of more than a whole turn, which is probably in degrees.
+
+    Returns:
+        The problem and a hint. None if the angle [rad] is not larger than a whole turn.
+    """
     if not abs(angle) > 2 * math.pi:
         return None
     return (
@@ -106,17 +113,21 @@ def turn_problem(angle: float) -> tuple[str, str] | None:
 
 @dataclass(frozen=True, slots=True)
 class CameraFrame:
-    """What a camera of the lab shows of N robots at one instant, in the spec's coordinates.
+    """What a camera in the lab shows of N robots at one instant, in the spec's coordinates.
 
-    `poses` has one entry per robot, None if a robot is not tracked. `sampled_ns` is the time of
-    exposure and `received_ns` the time of arrival at the host, both on the run's clock. `strangers`
-    are tracked bodies that are not robots. `fault` is the reason why the poses must not be used, ""
-    if there is none.
+    Most cameras measure all poses at the same time, and `exposed_ns` is empty. Robots that measure
+    their own poses do so one after another. Then `exposed_ns` holds the time of each pose, and
+    `sampled_ns` is the latest of them. A pose that is no newer than in the previous frame keeps its
+    time.
 
-    A camera exposes all poses at once, and then `exposed_ns` is empty. Robots that measure their
-    poses themselves do so one by one: `exposed_ns` (N,) are the times of the poses, and
-    `sampled_ns` is the latest of them. A pose that is no newer than in the frame before has the
-    same time again.
+    Attributes:
+        number: Number of the frame.
+        sampled_ns: Time of exposure on the run's clock [ns].
+        received_ns: Time of arrival at the host on the run's clock [ns].
+        poses: Pose of each robot, N entries. None if a robot is untracked.
+        strangers: Poses of tracked bodies that are not robots.
+        fault: Why the poses must not be used. Empty if they can be used.
+        exposed_ns: Time at which each pose was measured [ns], N entries, or empty.
     """
 
     number: int
@@ -128,10 +139,13 @@ class CameraFrame:
     exposed_ns: tuple[int, ...] = ()
 
     def times(self, last_ns: Sequence[int]) -> tuple[int, ...]:
-        """Return the times (N,) of the poses [ns], given those of the poses before, `last_ns` (N,).
+        """Return the time at which each pose was measured [ns], N entries.
 
-        Of robots that measure their own poses, a time never goes back: one that is not tracked
-        keeps the last time, and so does one whose pose comes late.
+        If robots measure their own poses, a time never goes back: an untracked robot, or one whose
+        pose arrives late, keeps its previous time.
+
+        Args:
+            last_ns: The times of the previous poses [ns], N entries.
         """
         if not self.exposed_ns:
             return (self.sampled_ns,) * len(self.poses)
@@ -175,8 +189,10 @@ class Sight:
 
     @property
     def spread(self) -> tuple[float, float, float]:
-        """Standard deviations of x, y [mm] and heading [rad], by noise and grid: the error of a
-        grid is uniform, so that its variance is a twelfth of the step's square."""
+        """Standard deviations of x, y [mm] and heading [rad] that noise and the grid cause.
+
+        The error of a grid is uniform, so its variance is a twelfth of the step squared.
+        """
         mm = hypot(self.noise_mm, self.grid_mm / math.sqrt(12))
         return mm, mm, hypot(self.noise_rad, self.grid_rad / math.sqrt(12))
 
@@ -187,14 +203,18 @@ UNSTATED = Sight()
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What a controller gets of a camera frame, the newest one at some instant.
+    """What a controller receives from a camera frame.
 
-    `frame` is its number, `sampled_ns` the time of exposure and `received_ns` the time of arrival
-    at the host, both on the trial's clock. `valid` (N,) is True for robots that are tracked in the
-    frame; another one keeps its last pose. `exposed_ns` (N,) are the times of the poses if each has
-    its own, none of them after `sampled_ns`; else it is empty.
+    The arrays are shared with the log and therefore read-only.
 
-    The log shares the arrays: they are made read-only.
+    Attributes:
+        frame: Number of the frame.
+        sampled_ns: Time of exposure on the trial's clock [ns].
+        received_ns: Time of arrival at the host on the trial's clock [ns].
+        poses: Measured poses. An untracked robot keeps its last pose.
+        valid: Whether each robot is tracked in this frame, shape (N,).
+        exposed_ns: Time at which each pose was measured [ns], N entries, none after `sampled_ns`.
+            Empty if all were measured at `sampled_ns`.
     """
 
     frame: int
@@ -217,10 +237,12 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class FrameAddition:
-    """What a camera knows of the frame that it exposed at `sampled_ns`, beyond its poses.
+    """What a camera knows about one of its frames besides the poses.
 
-    `messages`, each a topic and protobuf bytes, are logged as they are; a camera may use the
-    channels of pictures, `log.format.channels`.
+    Attributes:
+        sampled_ns: When the frame was exposed [ns].
+        messages: Messages for the log, each a topic and protobuf bytes. They are logged unchanged.
+            A camera may use the image channels of `log.format.channels`.
     """
 
     sampled_ns: int
@@ -231,8 +253,10 @@ class FrameAddition:
 class Sample:
     """What a log keeps of a camera frame.
 
-    `truth` are the true poses at its exposure, None outside simulations; `messages` are those of
-    the camera's `FrameAddition`.
+    Attributes:
+        observation: The measured poses.
+        truth: The true poses at the exposure. None except in simulations.
+        messages: The messages of the camera's `FrameAddition`.
     """
 
     observation: Observation

@@ -13,15 +13,19 @@ from tetractl.core.trial import Note, PlantInfo, Result, Start, Step, Verdict
 
 
 class Plant(Protocol):
-    """N robots under one control signal, simulated or real.
+    """The robots of a trial, simulated or real, under one control signal.
 
-    Calls come in this order: open, then any of observe, send, samples and news, then stop, settle,
-    close. Times are nanoseconds on the clock with which the plant was created, 0 at the trial's
-    start.
+    Calls come in this order: `open`, then any of `observe`, `send`, `samples` and `news`, then
+    `stop`, `settle` and `close`. Times are nanoseconds on the clock with which the plant was
+    created. That clock is at 0 when the trial starts.
     """
 
     def open(self) -> PlantInfo:
-        """Prepare the plant and return its description; raise AbortError if it cannot run."""
+        """Prepare the plant and return its description.
+
+        Raises:
+            AbortError: If the plant cannot run.
+        """
         ...
 
     def observe(self) -> Observation:
@@ -29,10 +33,15 @@ class Plant(Protocol):
         ...
 
     def send(self, action: Action) -> Command:
-        """Make all robots do what `action` says, and return the command that was really sent.
+        """Make all robots perform an action.
 
-        `FieldOff` is allowed only for plants whose section has `switches_field`, `Stop` only for
-        robots that can stand still, and `Turn` only for robots with wheels that stand.
+        Args:
+            action: What the robots are to do. `FieldOff` is allowed only if the plant's section has
+                `switches_field`, `Stop` only if the robots can stand still, and `Turn` only if they
+                can turn on the spot with their wheels.
+
+        Returns:
+            The command that was really sent.
         """
         ...
 
@@ -41,34 +50,41 @@ class Plant(Protocol):
         ...
 
     def news(self) -> list[Command | Note]:
-        """Return the commands sent outside `send`, and the notes, since the last call, oldest
-        first."""
+        """Return what else happened since the last call, oldest first.
+
+        This includes notes to the operator, and commands that the plant sent without a call of
+        `send`.
+        """
         ...
 
     def stop(self) -> Command:
-        """Stop every robot; idempotent, never raises."""
+        """Stop every robot. It may be called repeatedly and never raises."""
         ...
 
     def settle(self) -> Verdict:
-        """Wait, after `stop`, until the robots stand still, and return how the trial ended."""
+        """Wait until the robots stand still after `stop`, and return how the trial ended."""
         ...
 
     def close(self) -> None:
-        """Release all resources that `open` acquired; idempotent, never raises."""
+        """Release everything that `open` acquired. It may be called repeatedly and never raises."""
         ...
 
 
 EMULATED_NAME = "EMULATED by tetractl"
-"""Text in the name that an emulated device reports to its client."""
+"""Part of the name that an emulated device reports to its client."""
 
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """The state of a device of the lab before a run.
+    """The state of a lab device before a run.
 
-    `problems` prevent a run from starting, `warnings` do not, and `questions` need the operator's
-    consent; all are lines of text. The log's metadata hold the `facts`. `emulated` is True if the
-    device reports that it is not real; all tables and figures then mark the trial as emulated.
+    Attributes:
+        problems: What prevents a run from starting, one line each.
+        warnings: What the operator should know, one line each. Warnings do not prevent a run.
+        facts: Facts about the device for the log's metadata.
+        questions: What the operator has to agree to before a run, one line each.
+        emulated: Whether the device reports that it is not real. All tables and figures then mark
+            the trial as emulated.
     """
 
     problems: tuple[str, ...] = ()
@@ -79,10 +95,10 @@ class Health:
 
 
 class Device(Protocol):
-    """A device of the lab that is opened, checked and closed; a context manager.
+    """A lab device that is opened, checked and closed.
 
-    Entering connects to the device and raises AbortError if that fails; leaving releases
-    everything, is idempotent and never raises.
+    A device is a context manager. Entering it connects to the device, and raises AbortError if that
+    fails. Leaving it releases everything. Leaving may be repeated and never raises.
     """
 
     def __enter__(self) -> Self: ...
@@ -90,19 +106,22 @@ class Device(Protocol):
     def __exit__(self, *error: object) -> None: ...
 
     def check(self) -> Health:
-        """Return problems, warnings and facts, without moving a robot.
+        """Check the device without moving a robot.
 
-        `check` may be called several times between entering the device and a run.
+        It may be called several times between entering the device and a run.
+
+        Returns:
+            Problems, warnings, questions and facts.
         """
         ...
 
 
 class Camera(Device, Protocol):
-    """Tracks N robots in the spec's coordinates.
+    """A device that tracks N robots in the spec's coordinates.
 
-    Once its context is entered, the camera has a frame and receives further frames in the
-    background. After each frame it calls the function `wake` that its constructor was given; times
-    are ns on the clock that its constructor was given.
+    Once its context is entered, the camera has a frame, and receives more frames in the background.
+    After each frame, it calls the function `wake` that its constructor received. Times are ns on
+    the clock that its constructor received.
     """
 
     @property
@@ -117,8 +136,15 @@ class Camera(Device, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RobotStatus:
-    """The answer of one robot to a poll; `answers` is None for a robot that cannot answer. It gives
-    the voltage of its battery [V], or its charge [%], or neither."""
+    """The answer of one robot to a poll.
+
+    Attributes:
+        answers: Whether the robot answered. None if it cannot answer.
+        battery_v: Battery voltage [V]. None if the robot does not report it.
+        problems: What prevents a run with this robot, one line each.
+        warnings: What the operator should know about this robot, one line each.
+        charge: Battery charge [%]. None if the robot does not report it.
+    """
 
     answers: bool | None
     battery_v: float | None = None
@@ -128,32 +154,32 @@ class RobotStatus:
 
     @property
     def battery(self) -> str | None:
-        """The voltage or the charge, for display; None if neither is known."""
+        """The battery's voltage or charge, for display. None if neither is known."""
         if self.battery_v is not None:
             return f"{self.battery_v:.2f} V"
         return None if self.charge is None else f"{self.charge} %"
 
 
 class Actuator(Device, Protocol):
-    """Turns the common direction into motion of N robots.
+    """A device that turns the common direction into motion of N robots.
 
-    Sending raises AbortError if the device does not accept the command; `failure` then gives the
-    reason. Times are ns on the clock with which the actuator was created.
+    `send` and `stop` raise AbortError if the device does not accept the command, and `failure` then
+    gives the reason. Times are ns on the clock with which the actuator was created.
     """
 
     @property
     def halts(self) -> bool:
-        """Whether robots stand still after a stop; swimmers in a magnetic field go on."""
+        """Whether robots stand still after a stop. Swimmers in a magnetic field do not."""
         ...
 
     @property
     def period_ns(self) -> int:
-        """Time between two transmissions under a held direction [ns]."""
+        """Time between two transmissions while a direction is held [ns]."""
         ...
 
     @property
     def failure(self) -> str | None:
-        """The reason why commands can no longer be sent, None if there is no fault."""
+        """Why commands can no longer be sent. None if there is no fault."""
         ...
 
     def send(
@@ -163,89 +189,190 @@ class Actuator(Device, Protocol):
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Steer the robots or turn them on the spot, and return what was really sent.
+        """Steer the robots, or turn them on the spot.
 
-        `poses` are the newest pose of each robot at the time `exposed_ns`, None for a robot that is
-        not tracked; a pose measured earlier is brought to that time by the commands sent. Robots
-        for which `moving` is false are held still; for robots that are stopped `together`, as the
-        guard's checks say, `moving` is true for all. Raises AbortError for a `Turn` of robots that
-        cannot stand still, as `halts` says.
+        Args:
+            action: The common direction to steer in, or the direction to turn to.
+            poses: Newest pose of each robot at the time `exposed_ns`, N entries. None if a robot is
+                untracked. The commands sent since then have already been used to bring an older
+                pose to that time.
+            moving: Whether each robot may move, N entries. Robots that may not are held still. If
+                the guard's checks stop robots `together`, all entries are True.
+            exposed_ns: The time of the poses [ns].
+
+        Returns:
+            What was really sent.
+
+        Raises:
+            AbortError: If the device does not accept the command, or for a `Turn` of robots that
+                cannot stand still (see `halts`).
         """
         ...
 
     def stop(self, emergency: bool = False) -> Transmission:
-        """Stop every robot; a device that can latch an emergency stop does so."""
+        """Stop every robot.
+
+        Args:
+            emergency: Whether to latch the stop, if the device can do that.
+
+        Returns:
+            What was really sent.
+        """
         ...
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Ask every robot for its status, for at most `timeout_s`, and return the answers; only
-        before a run."""
+        """Ask every robot for its status before a run.
+
+        Args:
+            timeout_s: How long to wait for all answers [s].
+
+        Returns:
+            The status of each robot, N entries.
+        """
         ...
 
 
 class GuardCheck(Protocol):
-    """One check of what robots do in a lab; an actuator's section names the list of its robots'. A
-    check that inherits from this class answers some of these questions, and finds nothing else.
+    """A check of what the robots in a lab do, which can warn or end a run.
 
-    `start` is called before each run, then `sent` for each transmission, `exposed` for each frame,
-    then for each new pose that its robot can have reached `pose`, or `repeat` if it equals the last
-    one, `frame` once the poses are accepted, and `tick` before each ruling. Between runs `pause` is
-    called in place of `pose` and `repeat`. Findings take effect in the order in which they are
-    yielded. Lengths are in the spec's length unit, times ns.
+    The section of an actuator names the checks for its robots. A check derives from this class and
+    overrides the methods that it needs; the others find nothing. The guard calls the methods in
+    this order:
+
+    1. `start` before each run.
+    2. `sent` for each transmission.
+    3. `exposed` for each frame. Then `pose` for each new pose that its robot can have reached, or
+       `repeat` if the pose equals the last one. Then `frame`, once the poses are accepted. Between
+       two runs, `pause` replaces `pose` and `repeat`.
+    4. `tick` each time before the guard decides whether the robots may go on.
+
+    Findings take effect in the order in which they are yielded. Lengths are in the spec's length
+    unit, times in ns.
+
+    Example:
+        >>> from tetractl.core.guard_findings import Abort
+        >>> class Fence(tetractl.core.protocols.GuardCheck):
+        ...     def pose(self, robot, before, pose):
+        ...         if pose.x > 1000:
+        ...             yield Abort(f"robot {robot} crossed the fence", suspect=robot)
     """
 
     def start(self) -> None:
-        """Forget what was seen before: robots start from rest."""
+        """Forget everything from earlier runs: the robots start from standstill."""
 
     def replace(self, robot: int) -> None:
-        """Forget a lost robot, in place of which another body is followed from now on."""
+        """Forget a lost robot, because another body is tracked in its place from now on.
+
+        Args:
+            robot: Index of the robot.
+        """
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
+        """Take note of a transmission.
+
+        Args:
+            now_ns: When it was sent.
+            speed: Commanded speed of each robot [length unit/s], N entries.
+            turning: Commanded turning rate of each robot [rad/s], N entries.
+        """
 
     def exposed(self, times: tuple[int, ...]) -> None:
-        """Take the times (N,) of the poses of a frame."""
+        """Take note of the times at which the poses of a frame were measured, N entries."""
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterable[Finding]:
-        """Check the newest pose of a robot in a run, by its last accepted one."""
+        """Check a robot's new pose during a run.
+
+        Args:
+            robot: Index of the robot.
+            before: Its last accepted pose.
+            pose: Its new pose.
+        """
         return ()
 
     def repeat(self, robot: int) -> Iterable[Finding]:
-        """Check a robot in a run whose newest pose equals its last accepted one to the bit."""
+        """Check a robot whose new pose equals its last accepted pose exactly.
+
+        Args:
+            robot: Index of the robot.
+        """
         return ()
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
-        """Check the newest pose of a robot in a pause between two runs."""
+        """Check a robot's new pose in a pause between two runs.
+
+        Args:
+            robot: Index of the robot.
+            before: Its last accepted pose.
+            pose: Its new pose.
+            now_ns: The current time.
+        """
         return ()
 
     def frame(
         self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
     ) -> Iterable[Finding]:
-        """Check the last accepted poses (N,) of a frame in a run, whose poses have the `times`."""
+        """Check all accepted poses of a frame during a run.
+
+        Args:
+            now_ns: The current time.
+            times: When each pose was measured, N entries.
+            poses: Last accepted pose of each robot, N entries. None before the first.
+        """
         return ()
 
     def tick(self, robots: Sequence[RobotPlace]) -> Iterable[Finding]:
-        """Check where the robots (N,) are at a tick of a run."""
+        """Check where the robots are, whether or not a frame has arrived.
+
+        Args:
+            robots: Where each robot is, N entries.
+        """
         return ()
 
 
 class Optimizer(Protocol):
-    """Finds a sequence of directions with a low cost."""
+    """A search for a sequence of directions with a low cost.
+
+    Example:
+        >>> import numpy as np
+        >>> from tetractl.core.plan import Search, StopReason
+        >>> class StraightOn:
+        ...     def search(self, problem, length, warm, key, limits):
+        ...         signals = np.zeros(length)
+        ...         return Search(length, signals, 0.0, np.zeros(1), 0, StopReason.CRITERION)
+    """
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Return the record of a search for the best sequence of `length` signals.
+        """Search for the best sequence of signals with a given length.
 
-        `warm` (length,) is a sequence to start from, None for none; it is not changed. `key`
-        determines all random numbers: the same arguments give the same bits. Raises ControlError if
-        a cost is not finite.
+        The same arguments give the same result, to the bit.
+
+        Args:
+            problem: What to minimise: the robots, their targets and the obstacles.
+            length: Number of signals in the sequence.
+            warm: A sequence to start from [rad], shape (length,). None if there is none. It is not
+                changed.
+            key: Determines all random numbers of the search.
+            limits: When the search has to end early.
+
+        Returns:
+            The best sequence found, and how the search went.
+
+        Raises:
+            ControlError: If a cost is not finite.
         """
         ...
 
 
 class Controller(Protocol):
-    """Chooses the common direction at each control step; each trial has its own controller."""
+    """An object that chooses the common direction at each control step of one trial.
+
+    Example:
+        >>> class EndAtOnce:
+        ...     def plan(self, observation, last_command=None, earlier=()):
+        ...         return tetractl.Outcome.ARRIVED
+    """
 
     def plan(
         self,
@@ -253,50 +380,65 @@ class Controller(Protocol):
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Decision:
-        """Return the plan whose `action` is sent next, or the end of the trial. Called once in each
-        control step.
+        """Decide what to send next, or that the trial ends.
 
-        `observation` is the newest camera frame; `earlier` are the frames exposed since the
-        previous control step's observation, oldest first. `last_command` is the command of the
-        previous control step, None at the first.
+        This method is called once in each control step.
+
+        Args:
+            observation: The newest camera frame.
+            last_command: The command of the previous control step. None at the first step.
+            earlier: Frames since the observation of the previous control step, oldest first.
+
+        Returns:
+            The plan whose `action` is sent next, or the end of the trial.
         """
         ...
 
 
 class Observer(Protocol):
-    """An object that is notified of the events of a trial, such as the log writer or live view.
+    """An object that is notified of the events of a trial, such as the log writer or the live view.
 
-    What a subclass does not define does nothing.
+    Derive from this class, and override the methods that you need. The others do nothing.
+
+    Example:
+        >>> class Printer(tetractl.Observer):
+        ...     def on_stop(self, stop, result):
+        ...         print(f"{result.outcome.value} after {result.steps} steps")
+        >>> trial = tetractl.run_trial("experiments/single_cell.yaml", observers=[Printer()])
+        arrived after 38 steps
     """
 
     def on_start(self, start: Start) -> None:
         """Called before the first step."""
 
     def on_samples(self, samples: list[Sample]) -> None:
-        """Called with new camera frames, oldest first, each once."""
+        """Called with new camera frames, oldest first. Each frame is passed once."""
 
     def on_step(self, step: Step) -> None:
-        """Called after each control step, instead of `on_command` for the step's command."""
+        """Called after each control step. `on_command` is not called for the step's command."""
 
     def on_command(self, command: Command) -> None:
-        """Called for a command outside control steps, as in the square before the first plan."""
+        """Called for a command outside control steps, for example before the first plan."""
 
     def on_note(self, note: Note) -> None:
-        """Called for a message to the operator, such as that a robot does not move as commanded."""
+        """Called for a message to the operator, for example that a robot does not move."""
 
     def on_stop(self, stop: Command, result: Result) -> None:
         """Called after the robots were stopped, for any reason."""
 
 
 class PlacementPrompt(Protocol):
-    """Asks a person to put robots on their starts."""
+    """A way to ask a person to put the robots on their starts."""
 
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
-        """Show the problems that prevent a start, one line each; without lines, all robots are
-        ready.
+        """Show what still prevents the start.
 
-        By letting the robots start, the operator answers yes to all `questions`, one line each.
-        This method is called repeatedly while robots are placed.
+        This method is called repeatedly while robots are placed. By letting the robots start, the
+        operator answers yes to all questions.
+
+        Args:
+            lines: The problems, one line each. Empty if all robots are ready.
+            questions: What the operator has to agree to, one line each.
         """
         ...
 
@@ -309,10 +451,13 @@ class PlacementPrompt(Protocol):
 class LabSupervision:
     """How people supervise a run in the lab.
 
-    Setting `emergency` triggers the emergency stop. If `prompt` is None, no person is asked, and
-    the run ends if robots are not on their starts within the spec's `placing` time. `cancelled`
-    returns whether the operator has cancelled the wait. An emulated lab calls `signalled` to ask
-    the trial to end, as a signal does, and `fail_log` to fail the disk of its log.
+    Attributes:
+        emergency: Setting this event triggers the emergency stop.
+        prompt: How to ask a person to place the robots. If None, nobody is asked, and the run ends
+            if the robots are not on their starts within the spec's `placing` time.
+        cancelled: Returns whether the operator has cancelled the wait.
+        signalled: An emulated lab calls it to ask the trial to end, as a signal would.
+        fail_log: An emulated lab calls it to make the log's disk fail with an error.
     """
 
     emergency: threading.Event = field(default_factory=threading.Event)

@@ -1,7 +1,8 @@
-"""All registries of kinds: the names by which a spec finds optimisers, cameras, figures and so on.
+"""All registries: the names by which a spec finds optimisers, cameras, figures and so on.
 
-A new kind needs a file, and a line in this module or an entry point; docs/how-to/extend.md has the
-rest. Kinds are text, "module:attribute", so that `core` imports no package above it.
+A new kind needs a file, and a line in this module or an entry point; docs/how-to/extend.md
+describes both. Kinds are strings of the form "module:attribute", so that `core` does not import
+packages above it.
 """
 
 from tetractl.core.registry import Registry
@@ -180,13 +181,13 @@ LAB_COMMANDS = Registry(
         "calibrate": "tetractl.cli.lab:calibrate",
     },
 )
-"""Commands, and those of `tetractl lab`, in the order in which the help lists them."""
+"""The commands, and the subcommands of `tetractl lab`, in the order of the help."""
 EXAMPLES = Registry("tetractl.examples", {})
-"""The folders of further examples, each a `Path`: by the name of what brings it."""
+"""Folders of further examples. Each is a `Path`, named after the package that brings it."""
 TEMPLATES = Registry("tetractl.templates", {})
-"""Likewise, folders of further parts of the specs that `init --lab` writes."""
+"""Folders with further parts for the specs that `init --lab` writes. Each is a `Path`."""
 
 
 def all_registries() -> list[Registry]:
-    """Return all registries, with those that other packages declare in the group of registries."""
+    """Return all registries, including those that other packages declare."""
     return [*REGISTRIES, *Registry("tetractl.registries", {}).usable().values()]

@@ -1,4 +1,4 @@
-"""Registries of kinds, the objects that a spec names by `type`, of tetractl and other packages."""
+"""Registries of kinds: objects that a spec names by `type`, from tetractl and other packages."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -19,10 +19,13 @@ class PluginError(UsageError):
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """One kind of an interface: its name in a spec, its "module:attribute", and the package that
-    provides it.
+    """One kind of an interface, such as one of the optimisers.
 
-    `version` is the package's version; `package` and `version` are "" for a built-in kind.
+    Attributes:
+        name: The name by which a spec chooses the kind.
+        code: Where its object is: "module:attribute".
+        package: The package that provides it. Empty for a built-in kind.
+        version: The version of that package. Empty for a built-in kind.
     """
 
     name: str
@@ -35,13 +38,18 @@ class Kind:
 
 
 class Registry:
-    """The kinds of one interface by name, such as the optimisers.
+    """The kinds of one interface by name, such as all optimisers.
 
-    `builtin` maps a name to "module:attribute"; `base` is the "module:attribute" of the class from
-    which every kind is derived, "" if kinds are not classes. Other packages add kinds as entry
-    points of `group`, "tetractl." and the kinds' name in the plural, which is `what` in the
-    singular; built-in names take precedence, and if two packages offer the same name, the
-    first package in alphabetical order is used. A module is imported when its kind is loaded.
+    Other packages can add kinds as entry points. Built-in names take precedence. If two packages
+    offer the same name, the first package in alphabetical order is used. A module is imported only
+    when its kind is loaded.
+
+    Args:
+        group: The group of the entry points: "tetractl." and the plural name of the interface. Its
+            singular is the attribute `what`.
+        builtin: The "module:attribute" of each built-in kind, by name.
+        base: The "module:attribute" of the class from which every kind is derived. Empty if kinds
+            are not classes.
     """
 
     def __init__(self, group: str, builtin: Mapping[str, str], base: str = "") -> None:
@@ -55,11 +63,15 @@ class Registry:
         return (*self.builtin, *sorted(self._installed.keys() - self.builtin.keys()))
 
     def kinds(self) -> tuple[Kind, ...]:
-        """Return all kinds, the built-in ones first; nothing is loaded."""
+        """Return all kinds, the built-in ones first, without loading any."""
         return tuple(map(self.kind, self.names()))
 
     def kind(self, name: str) -> Kind:
-        """Return the kind with this name; KeyError if there is none."""
+        """Return the kind with this name.
+
+        Raises:
+            KeyError: If there is none.
+        """
         if name in self.builtin:
             return Kind(name, self.builtin[name])
         return Kind(name, self._installed[name].value, *self._packages[name])
@@ -70,8 +82,10 @@ class Registry:
     def load(self, name: str) -> Any:
         """Import and return the object with this name.
 
-        Raises KeyError for an unknown name, and PluginError if another package offers the kind but
-        its object cannot be imported or is not derived from `base`.
+        Raises:
+            KeyError: If there is no such name.
+            PluginError: If another package offers the kind, but its object cannot be imported or is
+                not derived from `base`.
         """
         if name in self.builtin:
             return _builtin(self.builtin[name])
@@ -88,7 +102,7 @@ class Registry:
         return loaded
 
     def usable(self) -> dict[str, Any]:
-        """Return the loaded object of each name, leaving out kinds that raise PluginError."""
+        """Load the object of each name, leaving out kinds that raise PluginError."""
         objects: dict[str, Any] = {}
         for name in self.names():
             with suppress(PluginError):
@@ -96,7 +110,12 @@ class Registry:
         return objects
 
     def unusable(self, name: str, why: str) -> PluginError:
-        """Return the error that says why another package's object with this name is of no use."""
+        """Return an error that says why another package's object cannot be used.
+
+        Args:
+            name: The name of the kind.
+            why: The reason, as the end of a sentence.
+        """
         point = self._installed[name]
         package, version = _package(point)
         where = f"{point.name} = {point.value} of {self.group}"
@@ -113,8 +132,11 @@ class Registry:
 
     @cached_property
     def _packages(self) -> dict[str, tuple[str, str]]:
-        """Name and version of the package of each installed kind: read once, since the loop that
-        stops robots asks for all of them in each step after a plug-in's error."""
+        """Name and version of the package of each installed kind.
+
+        They are read once: after a plug-in's error, the loop that stops robots asks for all of them
+        at every step.
+        """
         return {name: _package(point) for name, point in self._installed.items()}
 
 
@@ -127,7 +149,7 @@ def _package(point: EntryPoint) -> tuple[str, str]:
 
 
 def package_files(package: str) -> Iterator[Path]:
-    """Yield all source files of a package that adds to tetractl; nothing is imported."""
+    """Yield all source files of a package that extends tetractl, without importing anything."""
     modules = list[str]()
     with suppress(PackageNotFoundError):
         points = distribution(package).entry_points

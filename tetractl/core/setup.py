@@ -1,5 +1,6 @@
-"""The resolved constants of an experiment (`Setup`, which only `Experiment.setup` makes), the
-bounds of its arena, and the length units.
+"""The constants of an experiment, the bounds of its arena, and the length units.
+
+Only `Experiment.setup` makes a `Setup`.
 """
 
 import math
@@ -48,8 +49,9 @@ class Bounds:
         return self.left <= x <= self.right and self.bottom <= y <= self.top
 
     def inside(self, x: Floats, y: Floats) -> Floats:
-        """Return the distance of each point to the nearest edge line [length unit], negative
-        outside.
+        """Compute the distance of each point to the nearest edge line [length unit].
+
+        It is negative for points outside.
         """
         across = np.minimum(x - self.left, self.right - x)
         return np.minimum(across, np.minimum(y - self.bottom, self.top - y))
@@ -57,20 +59,35 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
-    """The constants of an experiment of N robots.
+    """The constants of an experiment with N robots.
 
-    `unit` is the unit of all lengths and `metres` the length of one unit [m]. `targets` (N, 2); `a`
-    (N,) rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `time_limit_s` the
-    longest time from the first command to the end, `iterations_max` the largest number of
-    iterations of one search. `wheel_radius` is the distance from a wheel to a robot's centre, None
-    for robots without wheels; `watchdog_s` the time without a command after which a robot stops,
-    inf if it never does; `lag_s` the time constant with which wheels follow a command.
-    `body_radius` is that of every robot, 0 for points. `way_points` (M, N, 2) are passed before the
-    targets, by all robots together; `hold` is the task after the targets, None if the trial ends
-    there. `sight` is what the plant's camera can see. `loss` is the rule by which a robot counts as
-    lost and the trial goes on without it, or ends; None if robots that are not tracked end the
-    trial, by the plant, and others never do. `strength` is that of the field, at which robots turn
-    at the rates `a`, in `strength_unit`; None if it is not stated.
+    Attributes:
+        name: Name of the experiment.
+        unit: Unit of all lengths.
+        metres: Length of one unit [m].
+        names: Names of the robots.
+        colors: Colour of each robot (#rrggbb). None if the spec gives none.
+        starts: Poses at the start.
+        targets: Final targets, shape (N, 2).
+        a: Turning rates [rad/s], shape (N,).
+        speed: Speeds [length unit/s], shape (N,).
+        arena: Bounds of the arena.
+        obstacles: Shapes that robots have to avoid.
+        period_s: Control period [s].
+        time_limit_s: Maximum time from the first command to the end [s].
+        iterations_max: Maximum number of iterations of one search.
+        wheel_radius: Distance from a wheel to the robot's centre. None for robots without wheels.
+        way_points: Points that all robots pass together before the targets, shape (M, N, 2).
+        hold: The task at the targets. None if the trial ends there.
+        loss: The rule by which a robot counts as lost, and whether the trial then goes on without
+            it. If None, the plant ends the trial when a robot is untracked, and nothing else makes
+            a robot lost.
+        watchdog_s: Time without a command after which a robot stops [s]. inf if it never stops.
+        lag_s: Time constant with which wheels follow a command [s].
+        body_radius: Radius of every robot. 0 for points.
+        sight: What the plant's camera can see.
+        strength: Strength of the field at which robots turn at the rates `a`, in `strength_unit`.
+            None if it is not stated.
     """
 
     name: str
@@ -111,7 +128,7 @@ class Setup:
         )
 
     def only(self, robots: Sequence[int]) -> "Setup":
-        """Return the setup of some of the robots, by their indices."""
+        """Return the setup of some of the robots, given by their indices."""
         rows = list(robots)
         return replace(
             self,

@@ -37,7 +37,7 @@ class Shape:
 
     @cached_property
     def box(self) -> tuple[float, float, float, float]:
-        """The least and the greatest coordinates: left, bottom, right, top."""
+        """The bounding box: left, bottom, right, top."""
         low = self.corners.min(axis=0)
         high = self.corners.max(axis=0)
         return *(low - self.radius).tolist(), *(high + self.radius).tolist()
@@ -62,7 +62,14 @@ class Shape:
         return (np.where(inside, -least, least) - self.radius).reshape(shape)
 
     def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
-        """Return whether each straight segment from (x0, y0) to (x1, y1) touches the shape."""
+        """Check which straight segments touch the shape.
+
+        Args:
+            x0: x of the start of each segment.
+            y0: y of the start of each segment.
+            x1: x of the end of each segment.
+            y1: y of the end of each segment.
+        """
         x0, y0, x1, y1 = np.broadcast_arrays(x0, y0, x1, y1)
         left, bottom, right, top = self.box
         near = np.asarray((np.maximum(x0, x1) >= left) & (np.minimum(x0, x1) <= right))
@@ -82,7 +89,7 @@ class Shape:
         return touched | inside
 
     def outline(self) -> Floats:
-        """Return the corners (M, 2), anticlockwise, of a polygon with which to draw the shape."""
+        """Return a polygon for drawing the shape: corners in anticlockwise order, shape (M, 2)."""
         if self.radius == 0:
             return self.corners
         angle = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
@@ -100,12 +107,32 @@ class Shape:
 
 
 def turn(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any) -> Any:
-    """Return twice the signed area of a triangle, positive if it turns anticlockwise."""
+    """Compute twice the signed area of the triangle a, b, c. It is positive if a, b, c turn left.
+
+    Args:
+        ax: x of corner a.
+        ay: y of corner a.
+        bx: x of corner b.
+        by: y of corner b.
+        cx: x of corner c.
+        cy: y of corner c.
+    """
     return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
 
 def meet(x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
-    """Return whether two segments have a point in common, ends included."""
+    """Check whether two segments have a point in common. Their ends belong to them.
+
+    Args:
+        x0: x of the start of the first segment.
+        y0: y of the start of the first segment.
+        x1: x of the end of the first segment.
+        y1: y of the end of the first segment.
+        ax: x of the start of the second segment.
+        ay: y of the start of the second segment.
+        bx: x of the end of the second segment.
+        by: y of the end of the second segment.
+    """
     a = turn(x0, y0, x1, y1, ax, ay)
     b = turn(x0, y0, x1, y1, bx, by)
     c = turn(ax, ay, bx, by, x0, y0)
@@ -121,7 +148,16 @@ def meet(x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any, by: Any)
 
 
 def offset(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> tuple[Any, Any]:
-    """Return the x and y by which a point is off the nearest point of a segment from a to b."""
+    """Compute the vector from the nearest point of a segment to a point, as x and y.
+
+    Args:
+        x: x of the point.
+        y: y of the point.
+        ax: x of the segment's start.
+        ay: y of the segment's start.
+        bx: x of the segment's end.
+        by: y of the segment's end.
+    """
     ex = bx - ax
     ey = by - ay
     px = x - ax
@@ -133,13 +169,33 @@ def offset(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> tuple[Any, Any
 
 
 def gap2(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
-    """Return the squared distance of a point to a segment from a to b."""
+    """Compute the squared distance between a point and a segment.
+
+    Args:
+        x: x of the point.
+        y: y of the point.
+        ax: x of the segment's start.
+        ay: y of the segment's start.
+        bx: x of the segment's end.
+        by: y of the segment's end.
+    """
     off_x, off_y = offset(x, y, ax, ay, bx, by)
     return off_x * off_x + off_y * off_y
 
 
 def segments_gap2(x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
-    """Return the squared distance of two segments, 0 if they meet."""
+    """Compute the squared distance between two segments. It is 0 if they meet.
+
+    Args:
+        x0: x of the start of the first segment.
+        y0: y of the start of the first segment.
+        x1: x of the end of the first segment.
+        y1: y of the end of the first segment.
+        ax: x of the start of the second segment.
+        ay: y of the start of the second segment.
+        bx: x of the end of the second segment.
+        by: y of the end of the second segment.
+    """
     ends2 = np.minimum(gap2(x0, y0, ax, ay, bx, by), gap2(x1, y1, ax, ay, bx, by))
     corners2 = np.minimum(gap2(ax, ay, x0, y0, x1, y1), gap2(bx, by, x0, y0, x1, y1))
     are_apart = np.logical_not(meet(x0, y0, x1, y1, ax, ay, bx, by))
@@ -147,6 +203,16 @@ def segments_gap2(x0: Any, y0: Any, x1: Any, y1: Any, ax: Any, ay: Any, bx: Any,
 
 
 def ray_crosses(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Any:
-    """Return whether the ray from a point along x crosses the edge from a to b of a polygon: a
-    point whose ray crosses an odd number of edges is inside."""
+    """Check whether the ray from a point in the direction +x crosses an edge of a polygon.
+
+    A point is inside the polygon if its ray crosses an odd number of edges.
+
+    Args:
+        x: x of the point.
+        y: y of the point.
+        ax: x of the edge's start.
+        ay: y of the edge's start.
+        bx: x of the edge's end.
+        by: y of the edge's end.
+    """
     return ((ay > y) != (by > y)) & ((turn(ax, ay, bx, by, x, y) > 0) == (by > ay))

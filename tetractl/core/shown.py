@@ -1,4 +1,4 @@
-"""What shows itself in a notebook, by the method that every front end asks for."""
+"""Objects that a notebook displays, through the method that every notebook front end calls."""
 
 from pkgutil import resolve_name
 

@@ -1,7 +1,7 @@
-"""Measures how accurately robots kept to their way-points, and to their targets in a hold.
+"""Measures how accurately robots pass their way-points, and stay at their targets in a hold.
 
-All robots pass their M way-points together: leg j = 0, ..., M - 1 ends when the robots are nearest
-to their way-points j + 1, leg M at the targets, and leg M + 1 is the hold.
+All robots pass their M way-points together. Leg j = 0, ..., M - 1 ends when the robots are nearest
+to their way-points j + 1. Leg M ends at the targets, and leg M + 1 is the hold.
 """
 
 from collections.abc import Iterable
@@ -22,33 +22,43 @@ class HoldTask:
 
 
 class TourMeasure:
-    """Measures how accurately N robots passed their way-points and held at their targets.
-
-    `legs` (M + 1, N, 2) are the M way-points of each robot and then its target [length unit].
+    """A measurement of how accurately N robots pass their way-points and hold at their targets.
 
     For each control step, call `step` with its leg and observation, then `add` with its frames.
-    `loss` is the rule by which one of the robots, of the given
-    speeds (N,), is lost.
+
+    Args:
+        legs: The M way-points of each robot and then its target [length unit], shape (M + 1, N, 2).
+        hold: The task at the targets. None if there is none.
+        loss: The rule by which a robot is lost. None if no robot can be lost.
+        speed: Speeds of the robots [length unit/s], shape (N,).
     """
 
     def __init__(
         self, legs: Floats, hold: HoldTask | None, loss: LossRule | None, speed: Floats
     ) -> None:
         self.losses = Losses(loss, speed)
-        """Which robots were lost, or are dead."""
+        """Which robots were lost, and which are dead."""
         self._legs = legs
         self._hold = hold
         self._leg = 0
         self._hold_began_ns: int | None = None
-        """When robots began to hold [ns], None before that."""
+        """When the hold began [ns]. None before that."""
         self._passed: list[float] = []
         self._hold_frames = 0
         """Number of frames of the hold."""
         self._frames_inside = np.zeros(legs.shape[1], dtype=np.int64)
-        """In how many of them each robot was within the hold's radius of its target (N,)."""
+        """Number of these frames in which each robot was near enough to its target, shape (N,)."""
 
     def step(self, leg: int, observation: Observation) -> str:
-        """Set the leg of a control step; return a message if a new leg begins, otherwise ""."""
+        """Set the leg of a control step, and describe a new leg in a message.
+
+        Args:
+            leg: Number of way-points passed.
+            observation: The observation of the step.
+
+        Returns:
+            The message. Empty if no new leg begins.
+        """
         way_points = len(self._legs) - 1
         for way_point in self._legs[self._leg : min(leg, way_points)]:
             distances = observation.poses.distances(way_point)
@@ -61,7 +71,12 @@ class TourMeasure:
         return f"way-point {leg} of {way_points} is passed" if begins else ""
 
     def add(self, samples: Iterable[Sample], until_ns: int | None = None) -> None:
-        """Add the frames of a control step; those after `until_ns` are ignored."""
+        """Add the frames of a control step.
+
+        Args:
+            samples: The frames.
+            until_ns: Frames after this time are ignored [ns]. None to use all.
+        """
         for sample in samples:
             if until_ns and sample.observation.sampled_ns > until_ns:
                 continue
@@ -73,8 +88,10 @@ class TourMeasure:
                 self._frames_inside += self._are_inside(sample, self._hold.radius)
 
     def _are_inside(self, sample: Sample, radius: float) -> Bools:
-        """Return which robots (N,) are within a radius of their targets, by their true poses if
-        these are known; else a robot that is not tracked counts as outside."""
+        """Check which robots are within a radius of their targets, shape (N,).
+
+        True poses are used if they are known. Otherwise, an untracked robot counts as outside.
+        """
         targets = self._legs[-1]
         if sample.truth:
             return sample.truth.distances(targets) <= radius
@@ -83,25 +100,29 @@ class TourMeasure:
 
     @property
     def passed(self) -> tuple[float, ...]:
-        """The sum of the robots' observed distances to each way-point, at the control step in which
-        the way-point counts as passed [length unit]."""
+        """The sum of the robots' observed distances to each way-point passed [length unit].
+
+        It is measured at the control step in which the way-point counts as passed.
+        """
         return tuple(self._passed)
 
     @property
     def stood(self) -> Bools:
-        """Which robots (N,) are dead and were not lost for it."""
+        """Which robots are dead but were not counted as lost for it, shape (N,)."""
         return self.losses.dead & self.losses.present
 
     @property
     def lost(self) -> tuple[int, ...]:
-        """How often each robot was lost, (N,); empty if none ever was."""
+        """How often each robot was lost, N entries. Empty if no robot was ever lost."""
         times = self.losses.times
         return tuple(times.tolist()) if times.any() else ()
 
     @property
     def inside(self) -> tuple[float, ...]:
-        """Fraction of the hold's frames in which each robot was within the hold's radius of its
-        target, (N,); empty without a hold."""
+        """Fraction of the hold's frames in which each robot was near its target, N entries.
+
+        Near means within the hold's radius. The result is empty if there was no hold.
+        """
         if self._hold_frames == 0:
             return ()
         return tuple((self._frames_inside / self._hold_frames).tolist())

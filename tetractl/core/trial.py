@@ -24,7 +24,7 @@ HALTS = "halts"
 EMULATED_PLANT = "emulated"
 """The type of the plant that emulates a lab in virtual time."""
 EMULATED_DEVICES = "emulated"
-"""The key of `PlantInfo.facts` whose value names the emulated devices."""
+"""Key in `PlantInfo.facts` for the names of the emulated devices."""
 REAL_DEVICE = "real"
 """The key of `PlantInfo.facts` that names the real device of plant `emulated`, if there is one."""
 
@@ -44,8 +44,10 @@ class PlantInfo:
 
     @property
     def virtual(self) -> bool:
-        """Whether trials run in virtual time: those of a simulation, or of plant `emulated` without
-        a real device."""
+        """Whether the trial ran in virtual time.
+
+        Simulations do, and the plant `emulated` without a real device.
+        """
         if self.kind == EMULATED_PLANT:
             return REAL_DEVICE not in self.facts
         return self.simulated
@@ -53,8 +55,14 @@ class PlantInfo:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A message for the operator with its time in the trial; `level` is "info", "warning",
-    "error", or "debug" for one of the calls that led to an exception, which only the log has."""
+    """A message for the operator, with its time in the trial.
+
+    Attributes:
+        t_ns: When it was sent [ns].
+        level: "info", "warning", "error" or "debug". A debug note is one line of an exception's
+            traceback, and only the log contains it.
+        text: The message.
+    """
 
     t_ns: int
     level: str
@@ -63,20 +71,28 @@ class Note:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """How a trial of N robots ended, from the plant's finest samples of their paths.
+    """How the trial of N robots ended, measured on the finest samples of their paths.
 
-    `final` are the poses after the stop. `entered` (N,) is True for robots whose path touched an
-    obstacle, by `model.path_check`; `clearance` (N,) is the least distance of each robot to an
-    obstacle [length unit], negative inside, inf without obstacles. `not_at_rest` is a text on the
-    robots that did not stand still after the stop, "" if all stood still; `unrest` names those that
-    may still drive when the trial has ended. `edge` (N,) is the least
-    distance of each robot to the edge of the arena, negative outside the arena, and `apart` (N,)
-    the least distance of each robot to another robot, inf for a single robot; both are empty in
-    older logs. All distances are measured from the robots' centres; the methods count bodies of a
-    `radius` [length unit], by default the centres. In a lab with robots on wheels `turn` (N,)
-    is the rate at which each robot turned by itself while it drove, and `turn_std` (N,) its
-    standard error, inf if it is unknown [rad/s]; otherwise both are empty. `can_restart` is False
-    if somebody has to touch a robot or a device before another trial can start. Logs lack it.
+    Distances are in the spec's length unit, between the centres of robots. The methods can take a
+    body `radius` into account.
+
+    Attributes:
+        final: Poses after the stop.
+        entered: Whether the path of each robot touched an obstacle, according to
+            `model.path_check`.
+        clearance: Minimum distance of each robot to an obstacle. Negative inside, inf without
+            obstacles.
+        not_at_rest: Describes the robots that did not stand still after the stop. Empty if all did.
+        edge: Minimum distance of each robot to the edge of the arena. Negative outside. Empty in
+            older logs.
+        apart: Minimum distance of each robot to another robot. inf for a single robot. Empty in
+            older logs.
+        turn: Rate at which each robot turned off course while it drove [rad/s]. Empty except in a
+            lab with robots on wheels.
+        turn_std: Standard error of `turn` [rad/s]. inf if it is unknown. Empty where `turn` is.
+        unrest: Names the robots that may still be driving after the trial.
+        can_restart: Whether another trial can start without anybody touching a robot or a device.
+            Logs do not contain it.
     """
 
     final: Poses
@@ -92,7 +108,7 @@ class Verdict:
 
     @classmethod
     def unknown(cls, robots: int) -> Self:
-        """Return the verdict on N robots of which the plant could not tell where they stopped."""
+        """Return a verdict for N robots whose final positions are unknown."""
         nowhere = Poses.of(np.full((robots, 3), np.nan))
         return cls(nowhere, (False,) * robots, (math.inf,) * robots, can_restart=False)
 
@@ -153,21 +169,32 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """How a trial of N robots ended.
+    """How a trial of N robots ended, in numbers.
 
-    `robot_errors` (N,) are the distances of the final positions to the targets and `total_error` is
-    their sum [length unit]. `duration_s` is the time from the first direction sent to the stop, or
-    from the opening of the plant if none was sent. `passed` (M,) are the sums of the robots'
-    distances to the M way-points passed, `inside` (N,) the fraction of a hold's time that each
-    robot was within the radius of its target, as defined by `TourMeasure`, and `lost` (N,) how
-    often each robot was lost. `solve_ns` is the wall time that the controller needed for each
-    control step, and `deadline_misses` the number of steps that took longer than the control
-    period; both differ from run to run on the same seed. `drove` says of each step whether robots
-    drove while it was planned, and is empty in older logs.
+    Attributes:
+        outcome: How the trial ended.
+        reason: Why, as a sentence. Empty if the outcome says it all.
+        steps: Number of control steps.
+        duration_s: Time from the first direction sent to the stop [s]. If none was sent, time since
+            the plant was opened.
+        total_error: Sum of `robot_errors` [length unit].
+        robot_errors: Distance of each robot's final position to its target [length unit], N
+            entries.
+        verdict: What the plant measured.
+        solve_ns: Wall time that the controller needed in each control step [ns]. It differs from
+            run to run, even with the same seed.
+        deadline_misses: Number of steps in which the controller took longer than the control
+            period. It also differs from run to run.
+        drove: Whether robots drove while each step was planned. Empty in older logs.
+        passed: Sum of the robots' distances to each way-point that was passed [length unit].
+        inside: Fraction of a hold's time that each robot was near its target, as `TourMeasure`
+            defines it. Empty without a hold.
+        lost: How often each robot was lost. Empty if no robot was.
 
-    A new number of a result is a field here, computed in `of` from what its callers pass
-    (`run/control_loop.py`; `replay/result_check.py`, which checks it); a field of the message in
-    `log/format/tetractl.proto`, written and read, or left empty by older logs, in `run_records.py`.
+    To add a number, add a field here and compute it in `of` from the arguments of its callers
+    (`run/control_loop.py`, and `verification/result_check.py`, which checks it). Then add a field
+    to the message in `log/format/tetractl.proto`, and write and read it in `run_records.py`; older
+    logs leave it empty.
     """
 
     outcome: Outcome
@@ -198,7 +225,19 @@ class Result:
         tour: TourMeasure,
         drove: tuple[bool, ...] = (),
     ) -> Self:
-        """Return the result of a trial from the verdict and the record of its steps."""
+        """Compute the result of a trial from its verdict and the record of its steps.
+
+        Args:
+            setup: The constants of the experiment.
+            verdict: What the plant measured.
+            outcome: How the trial ended.
+            reason: Why, as a sentence. Empty if the outcome says it all.
+            duration_s: Time from the first direction sent to the stop [s].
+            solve_ns: Wall time of the controller in each control step [ns].
+            deadline_misses: Number of steps that took longer than the control period.
+            tour: The measurement of way-points, hold and lost robots.
+            drove: Whether robots drove while each step was planned.
+        """
         errors = verdict.final.distances(setup.targets)
         return cls(
             outcome=outcome,
@@ -224,8 +263,11 @@ class Result:
 
     @property
     def driving_ns(self) -> tuple[int, ...]:
-        """The solve times of plans that were made while robots drove [ns]: there a plan must take
-        less than a control period. In older logs, all but the first plan count."""
+        """The solve times of plans that were made while robots drove [ns].
+
+        Only these plans must take less than a control period. In older logs, all plans but the
+        first count.
+        """
         drove = self.drove or (False, *(True,) * (len(self.solve_ns) - 1))
         return tuple(compress(self.solve_ns, drove))
 
@@ -242,15 +284,23 @@ class Result:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialRecords:
-    """All records of a trial of N robots with M camera frames, each kind in its order.
+    """All records of a trial of N robots with M camera frames.
 
-    Times are ns on the trial's clock, lengths in the experiment's unit, headings in rad. `mocap`
-    (M, N, 3) are the measured poses at the times of exposure `mocap_ns` (M,), in the frames
-    numbered `frames` (M,), which reached the host at `received_ns` (M,); `valid` (M, N) is False if
-    a robot was not tracked, and `exposed_ns` (M, N) are when each pose was measured. `truth` (M, N,
-    3) are the true poses of a simulation, None for a trial in the lab. `commands` are all commands:
-    of the control steps, between them, and the stop; `notes` are the operator messages, such as a
-    command that did not arrive. `result` is None if the run crashed or the end of the log is lost.
+    Times are ns on the trial's clock, lengths in the experiment's unit, headings in rad.
+
+    Attributes:
+        start: What was known at the start.
+        frames: Number of each camera frame, shape (M,).
+        mocap_ns: Time of exposure of each frame, shape (M,).
+        received_ns: When each frame reached the host, shape (M,).
+        exposed_ns: When each pose was measured, shape (M, N).
+        mocap: Measured poses, shape (M, N, 3): x, y, heading.
+        valid: Whether each robot was tracked, shape (M, N).
+        truth: True poses, shape (M, N, 3). None for a trial in the lab.
+        commands: All commands: in the control steps, between them, and the stop.
+        steps: The control steps.
+        notes: Messages to the operator, for example that a command did not arrive.
+        result: How the trial ended. None if the run crashed or the end of the log is lost.
     """
 
     start: Start = field(repr=False)

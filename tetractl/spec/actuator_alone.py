@@ -1,7 +1,7 @@
-"""The actuator of a spec of which another part is wrong: what is needed to stop its robots.
+"""Load only the actuator of a spec, to stop its robots even if another part of the spec is wrong.
 
-A stop needs the actuator's ports and the names of its robots. Their motion, the camera, the
-controller and the calibration do not matter to it.
+A stop needs only the actuator's ports and the names of its robots. The motion of the robots, the
+camera, the controller and the calibration do not matter.
 """
 
 from typing import Annotated, Any
@@ -23,8 +23,10 @@ STAND_IN_WHEEL_RADIUS = 1.0
 
 
 def actuator_alone(spec: Document) -> tuple[ActuatorSection, Setup] | None:
-    """Return the actuator of a spec's plant or lab, and a setup with the names of its robots; None
-    if that section is missing or invalid."""
+    """Return the actuator of a spec's plant or lab, and a setup with the names of its robots.
+
+    The result is None if the section `actuator` is missing or invalid.
+    """
     section = _valid_actuator(spec.data.get("plant")) or _valid_actuator(spec.data.get("lab"))
     if section is None:
         return None
@@ -42,7 +44,7 @@ def actuator_alone(spec: Document) -> tuple[ActuatorSection, Setup] | None:
 
 
 def _valid_actuator(lab: Any) -> ActuatorSection | None:
-    """Return the valid section `actuator` of a section of a lab, None if there is none."""
+    """Return the valid section `actuator` of a lab's section. None if there is no such section."""
     if not isinstance(lab, dict) or "actuator" not in lab:
         return None
     adapter = TypeAdapter[ActuatorSection](

@@ -11,7 +11,7 @@ from tetractl.spec.yaml.document import Document
 from tetractl.spec.yaml.problems import InvalidSpecError
 
 STRICT = {"strict": True}
-"""Validation context in which values of another type are refused, as when a spec is read."""
+"""Validation context in which values of another type are refused, as they are in a spec."""
 
 
 class Model(BaseModel):
@@ -30,8 +30,11 @@ Section = TypeVar("Section", bound=BaseModel)
 
 
 def validated(model: type[Section], document: Document) -> Section:
-    """Return a document's data as a given type; InvalidSpecError with the problems of the document
-    so far and with all its wrong values, if there are any."""
+    """Convert a document's data to a given type.
+
+    Raises:
+        InvalidSpecError: If the document has problems or wrong values. The error lists all of them.
+    """
     try:
         return model.model_validate(with_tuples(document.data), strict=True, context=STRICT)
     except ValidationError as error:
@@ -64,8 +67,7 @@ def defaults(**values: Any) -> Callable[[type[Section]], type[Section]]:
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 PositiveIfStated = Annotated[Positive | None, Field(exclude_if=lambda value: value is None)]
-"""A number that specs leave out, also where they are written again with every field, if it is not
-stated."""
+"""A positive number that is left out of a spec if it is not stated, even of a complete spec."""
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 """A length in a published result, bounded so that squares do not overflow."""

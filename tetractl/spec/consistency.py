@@ -1,9 +1,9 @@
-"""The errors of a spec whose parts are valid, but contradict each other: `errors_of`.
+"""Find contradictions between the parts of a spec, each of which is valid alone (`errors_of`).
 
-A lab that a command chooses again is checked by the rules of sections alone, `section_errors`. A
-spec in a log, which tetractl has written, may have places that a person's spec may not have: there,
-starts may have been measured. Warnings, for which a spec is not refused, are findings of the same
-kind: `tetractl.run.plausibility` has their rules.
+If a command chooses a lab again, only the rules of sections are checked again (`section_errors`). A
+spec in a log was written by tetractl, and its starts may have been measured. It may therefore have
+places that a person's spec may not have. Warnings, which do not make a spec invalid, are findings
+of the same kind; their rules are in `tetractl.run.plausibility`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,8 +25,7 @@ MEMORY_GB = 1.0
 GB_PER_NUMBER = 8e-9
 """Memory of a number of 64 bits [GB]."""
 ROUNDING = 1e-9
-"""Bodies whose distance differs from two radii by less than this fraction touch but for rounding,
-and do not overlap."""
+"""Relative difference below which two bodies count as touching instead of overlapping."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,8 +76,9 @@ def same_names(experiment: Experiment) -> Findings:
 
 
 def misplaced(experiment: Experiment) -> Findings:
-    """Starts, targets and way-points are in the arena and in no obstacle; no obstacle is entirely
-    outside the arena.
+    """Find starts, targets and way-points outside the arena or in an obstacle.
+
+    Obstacles that are entirely outside the arena are also found.
     """
     arena = experiment.arena
     places = [] if experiment.chosen else _places(experiment.robots)  # others are stand-ins
@@ -135,12 +135,12 @@ def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
 
 
 def section_errors(experiment: Experiment) -> Findings:
-    """Yield the contradictions between the sections of controller, plant and lab, in the order in
-    which a command that takes the first error applies them.
+    """Find contradictions between the sections of controller, plant and lab.
 
-    A controller that switches the field off has a plant that can do so, and a spec with way-points
-    or a hold a controller for them. Devices that have to find the robots of a trial can. Then the
-    rules of the sections themselves.
+    A controller that switches the field off needs a plant that can do so. A spec with way-points or
+    a hold needs a controller that supports them. If trials have to find their robots, the devices
+    must be able to. Finally, the rules of the sections themselves are checked. A command that shows
+    only the first error relies on this order.
     """
     control = experiment.controller
     if control.switches_field and not experiment.plant.switches_field:
@@ -166,8 +166,7 @@ def section_errors(experiment: Experiment) -> Findings:
 
 
 def overlapping(experiment: Experiment) -> Findings:
-    """No robot's body overlaps that of an earlier robot at the starts, at way-points that robots
-    pass together, or at the targets."""
+    """Find robots that overlap an earlier robot at the starts, way-points or targets."""
     if experiment.chosen is not None:
         return
     setup = experiment.setup
@@ -186,8 +185,10 @@ def overlapping(experiment: Experiment) -> Findings:
 
 
 def unreachable(experiment: Experiment) -> Findings:
-    """At no target would a robot's body be in an obstacle or, if plans keep to the walls, over the
-    arena's edge. Targets that are themselves there are reported by `misplaced` alone.
+    """Find targets where a robot's body would be in an obstacle or over the arena's edge.
+
+    The edge counts only if plans keep a distance to walls. If the target itself is in an obstacle
+    or outside the arena, `misplaced` alone reports it.
     """
     control = experiment.controller
     if not isinstance(control, KeepsClear) or experiment.chosen is not None:
@@ -208,8 +209,16 @@ def unreachable(experiment: Experiment) -> Findings:
 
 
 def nearest(setup: Setup, points: Floats) -> Iterator[tuple[int, str, float]]:
-    """Yield the index of each robot but the first, the name of the nearest of the earlier robots,
-    and the distance to it [length unit], if each is at its one of `points` (N, 2)."""
+    """Find the nearest earlier robot to each robot except the first.
+
+    Args:
+        setup: The constants of the experiment.
+        points: The position of each robot, shape (N, 2).
+
+    Yields:
+        The index of the robot, the name of the nearest earlier robot, and the distance [length
+        unit].
+    """
     for i in range(1, len(points)):
         gaps = elementwise.hypot(*(points[:i] - points[i]).T)
         k = int(gaps.argmin())

@@ -31,7 +31,7 @@ class OptimizerSection(Model):
     @property
     @abstractmethod
     def iterations_max(self) -> int:
-        """Largest number of iterations of a search; of each start if there are several."""
+        """Maximum number of iterations of a search, or of each start if it has several."""
 
     @property
     @abstractmethod
@@ -40,52 +40,73 @@ class OptimizerSection(Model):
 
     @property
     def evaluations_max(self) -> int | None:
-        """Largest number of cost evaluations of a search without `Limits`, None if unknown."""
+        """Maximum number of cost evaluations of a search without `Limits`. None if unknown."""
         return None
 
     @property
     def good_enough(self) -> float | None:
-        """Cost J that is low enough to end a search, None if a lower cost is always better."""
+        """Cost J that is low enough to end a search.
+
+        None if a search never ends because of its cost.
+        """
         return None
 
     @abstractmethod
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search sequences of `length` signals; see `tetractl.core.protocols.Optimizer`."""
+        """Search for the best sequence of signals; see `tetractl.core.protocols.Optimizer`.
+
+        Args:
+            problem: What to minimise.
+            length: Number of signals in the sequence.
+            warm: A sequence to start from [rad], shape (length,). None if there is none.
+            key: Determines all random numbers of the search.
+            limits: When the search has to end early.
+        """
 
 
 @dataclass(frozen=True, slots=True)
 class Host:
-    """What a controller uses of the program that runs it: `wrap`, through which it passes each
-    optimiser, and `timer`, the only clock that it reads [ns]. So a log can be verified by repeating
-    every search."""
+    """What a controller uses of the program that runs it.
+
+    With another host, a log can be verified by repeating every search.
+
+    Attributes:
+        wrap: The controller passes each of its optimisers through this function.
+        timer: The only clock that the controller reads [ns].
+    """
 
     wrap: Callable[[OptimizerSection], Optimizer] = lambda optimizer: optimizer
     timer: Callable[[], int] = time.perf_counter_ns
 
 
 ALONE = Host()
-"""The host of a controller whose searches are neither counted nor repeated."""
+"""The host of a controller when nothing counts or repeats its searches."""
 
 
 class ControllerSection(Model):
-    """A controller's parameters, and the methods by which tetractl checks, builds and describes
-    it."""
+    """A controller's parameters, with methods to check, build and describe the controller."""
 
     type: Any  # the section's name, a Literal in each subclass
     period: float = Field(default=0.2, ge=1e-3, allow_inf_nan=False)
     """Control period T [s] (the paper's experiment: 5 Hz)."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """Time from measurement to actuation that the controller assumes [s]: plans start where the
-    robots will be after that time under the directions already sent.
+    """Time from measurement to actuation that the controller assumes [s].
+
+    Plans start at the poses that the robots will reach in that time with the directions already
+    sent.
     """
     time_limit: float = Field(default=160.0, gt=0, le=1e6, allow_inf_nan=False)
-    """Time from the first command after which a trial ends [s], turns, rests and the hold at the
-    targets included."""
+    """Time after the first command at which a trial ends [s].
+
+    It includes turns, pauses and the hold at the targets.
+    """
     arrival_tolerance: NonNegative = 0.0
-    """The robots have arrived when each is within this distance of its target [length unit]; with
-    0, no trial ends early for this reason."""
+    """The robots have arrived when each is within this distance of its target [length unit].
+
+    With 0, no trial ends early for this reason.
+    """
 
     switches_field: ClassVar[bool] = False
     """Whether the controller ever switches the field off, which not every plant supports."""
@@ -99,12 +120,16 @@ class ControllerSection(Model):
 
     @property
     def body_radius(self) -> float:
-        """Radius of every robot's body [length unit], 0 if the spec gives none."""
+        """Radius of every robot's body [length unit]. 0 if the spec gives none."""
         return 0.0
 
     def fitted(self, stands: bool, speed: float) -> Self:
-        """Return the section with those defaults set that depend on the robots: whether they can
-        stand still, and the sum of their speeds [length unit/s]."""
+        """Return the section with those defaults set that depend on the robots.
+
+        Args:
+            stands: Whether the robots can stand still.
+            speed: Sum of their speeds [length unit/s].
+        """
         return self
 
     def arrived(self, gaps: Floats) -> bool:
@@ -128,7 +153,13 @@ class ControllerSection(Model):
 
     @abstractmethod
     def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
-        """Return the controller of one trial; `key` seeds all its random numbers."""
+        """Create the controller of one trial.
+
+        Args:
+            setup: The constants of the experiment.
+            key: Seed of all random numbers of the controller.
+            host: The program that runs the controller.
+        """
 
     def warm_up(self, setup: Setup) -> None:
         """Compile the functions that the controller needs, or load them from the cache."""

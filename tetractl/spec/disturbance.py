@@ -15,12 +15,18 @@ from tetractl.spec.base import Model
 
 @dataclass(frozen=True, slots=True)
 class DelayedCommand:
-    """A command on its way to N robots: sent at `sent_ns`, it acts from `due_ns` on.
+    """A command to N robots that has been sent but may not have taken effect yet.
 
-    `reached` (N,) is True for robots that receive the command; it acts on each robot `late_ns` (N,)
-    after `due_ns`, None for no further delay. `headings` (N,) are the headings that the host had
-    measured when it sent the command [rad]; `wheels` (2, N) are the left and right wheel speeds
-    commanded [length unit/s], None if robots are sent the direction itself.
+    Attributes:
+        sent_ns: When it was sent [ns].
+        due_ns: When it takes effect [ns].
+        action: What the robots are to do.
+        reached: Whether each robot receives it, shape (N,).
+        late_ns: How much later it takes effect on each robot [ns], shape (N,). None for no further
+            delay.
+        headings: Headings that the host had measured when it sent the command [rad], shape (N,).
+        wheels: Commanded speeds of the left and right wheels [length unit/s], shape (2, N). None if
+            the robots receive the direction itself.
     """
 
     sent_ns: int
@@ -33,8 +39,7 @@ class DelayedCommand:
 
 
 class Disturbance:
-    """A disturbance of one trial of N robots; by default each method returns its argument
-    unchanged.
+    """A disturbance of one trial with N robots. By default, it changes nothing.
 
     Several disturbances act one after another, in the order of the spec. Times are on the trial's
     clock, which starts when the plant is opened.
@@ -52,17 +57,27 @@ class Disturbance:
         return poses
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Return the true turning rates a and speeds from `time_s` to the next call, (N,) each.
+        """Change the true turning rates and speeds from `time_s` until the next call.
 
-        `a` and `speed` are what `parameters` returned, as varied by the disturbances before this
-        one. A robot with a = 0 and speed 0 is held still. Called when a camera frame is exposed and
-        when a command acts, after `moved` for the same time.
+        It is called when a camera frame is exposed and when a command takes effect, after `moved`
+        for the same time.
+
+        Args:
+            a: Turning rates [rad/s], shape (N,): those that `parameters` returned, as varied by the
+                disturbances before this one.
+            speed: Speeds [length unit/s], shape (N,), like `a`.
+            time_s: The time [s].
+
+        Returns:
+            Turning rates and speeds, shape (N,) each. A robot with a = 0 and speed 0 is held still.
         """
         return a, speed
 
     def planning_s(self, time_s: float) -> float:
-        """Return the planning time [s]: from `time_s`, when the frame is read, to the sending of
-        the command or stop. The times of all disturbances are added.
+        """Return how long the controller plans [s], for a frame that it reads at `time_s`.
+
+        The planning time ends when the command or stop is sent. The times of all disturbances are
+        added.
         """
         return 0.0
 
@@ -75,27 +90,41 @@ class Disturbance:
         return command
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        """Return the true poses at `time_s`, given the poses that the motion and the disturbances
-        before this one led to.
+        """Change the true poses that the robots have reached.
 
-        What is returned is what happened in `seconds`, the time since the last call; `moving` (N,)
-        says to which robots: 1 for a robot that was commanded to move and was not held still by
-        another disturbance, 0 for one that stood. Called when `varied` is, just before it.
+        The change is the one that happened since the last call. It is called just before `varied`,
+        for the same time.
+
+        Args:
+            poses: Where the motion, and the disturbances before this one, have led.
+            moving: 1 for a robot that was commanded to move and not held still by another
+                disturbance, 0 for a robot that stood still, shape (N,).
+            seconds: Time since the last call [s].
+            time_s: The time [s].
         """
         return poses
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return a camera frame's content: poses, and whether each robot was tracked, (N,).
+        """Change what a camera frame contains.
 
-        `time_s` is the time of exposure. The pose of a robot that is not tracked is not used.
+        Args:
+            poses: Measured poses. The pose of an untracked robot is not used.
+            valid: Whether each robot is tracked, shape (N,).
+            time_s: Time of exposure [s].
+
+        Returns:
+            The poses, and whether each robot is tracked, shape (N,).
         """
         return poses, valid
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
-        """Return the time [ns] when a frame exposed at `exposed_ns` arrives; None if it is lost.
+        """Return the time at which a camera frame arrives [ns]. None if it is lost.
 
-        `received_ns` is the time of arrival after the disturbances before this one. Frames arrive
-        in order: a frame that would overtake another arrives together with it.
+        Frames arrive in order: a frame that would overtake another arrives together with it.
+
+        Args:
+            exposed_ns: Time of exposure [ns].
+            received_ns: Time of arrival after the disturbances before this one [ns].
         """
         return received_ns
 

@@ -1,4 +1,4 @@
-"""The example specs: those that tetractl ships, and those of other packages."""
+"""The example specs that tetractl and other packages ship."""
 
 from pathlib import Path
 
@@ -19,8 +19,10 @@ def shipped_folder() -> Path:
 
 
 def examples() -> dict[str, Path]:
-    """Return the files of all examples, those of other packages too, by name: a path in their
-    folder, without `.yaml`."""
+    """Return the files of all examples, including those of other packages, by name.
+
+    The name is the path in its folder, without `.yaml`.
+    """
     files: dict[str, Path] = {}
     for folder in (shipped_folder(), *EXAMPLES.usable().values()):
         for file in sorted(folder.rglob("*.yaml")):

@@ -64,12 +64,12 @@ Obstacle = Annotated[ShapeSection, KindSection(SHAPES, ShapeSection)]
 
 
 class Arena(Model):
-    """The field of view: the rectangle in which robots and obstacles stand."""
+    """The field of view: the rectangle that holds the robots and obstacles."""
 
     left: Finite
-    """Least x [length unit]."""
+    """Minimum x [length unit]."""
     bottom: Finite
-    """Least y [length unit]."""
+    """Minimum y [length unit]."""
     width: Positive
     """Extent in x [length unit]."""
     height: Positive
@@ -103,7 +103,7 @@ class PerStrength(Model):
 
     @property
     def key(self) -> str:
-        """The key that is given, one of STRENGTH_UNITS."""
+        """The key that is used, one of STRENGTH_UNITS."""
         return "per_mT" if self.per_mt is not None else "per_V_cm"
 
     @property
@@ -125,9 +125,9 @@ def rate(a: float | PerStrength, strength: float | None) -> float:
 
 
 def strength_unit(rates: tuple[float | PerStrength, ...]) -> str:
-    """Return the unit of the strength for turning rates, mT if none depends on it.
+    """Return the unit of the field strength for some turning rates.
 
-    Raises the error of a spec that mixes units.
+    It is mT if no rate depends on the strength. A spec that mixes units is an error.
     """
     units = {STRENGTH_UNITS[a.key] for a in rates if isinstance(a, PerStrength)} or {"mT"}
     if len(units) > 1:
@@ -140,7 +140,7 @@ class Robot(Model):
 
     name: Name
     """Unique name of the robot: letters without accents (a to z, A to Z), digits, spaces, dots,
-    underscores and hyphens, starting with a letter or digit.
+    underscores and hyphens. It starts with a letter or digit.
     """
     start: Point
     """Start position [x, y] [length unit]."""
@@ -149,17 +149,19 @@ class Robot(Model):
     target: Point
     """Target position [x, y] [length unit]."""
     via: tuple[Point, ...] = Field(default=(), max_length=100)
-    """Way-points [x, y] before the target, in order [length unit]; all robots pass their way-points
-    together, so all have the same number of them.
+    """Way-points [x, y] before the target, in order [length unit].
+
+    All robots pass their way-points together, so all have the same number of them.
     """
     a: TurningRate
-    """Turning rate a towards the common direction [rad/s], in the paper's equation (3); or a
-    mapping, if it is in proportion to the spec's `strength`.
+    """Turning rate a towards the common direction [rad/s], in the paper's equation (3).
+
+    It can also be a mapping, if it is proportional to the spec's `strength`.
     """
     speed: NonNegative
     """Speed v [length unit/s]."""
     color: str | None = Field(default=None, pattern=r"^(#[0-9a-fA-F]{6}|[a-z]{3,20})$")
-    """Colour in pictures: a name of CSS or #rrggbb; by default from a colour-blind safe list."""
+    """Colour in figures: a CSS name or #rrggbb. Default: a colour from a colour-blind safe list."""
 
     @field_validator("color")
     @classmethod
@@ -176,7 +178,7 @@ class HoldSection(Model):
     """A hold after the arrival: robots on wheels stand, others circle near their targets."""
 
     radius: Positive
-    """Distance from its target within which a robot is to stay [length unit]."""
+    """Distance from its target within which a robot has to stay [length unit]."""
     time: float = Field(gt=0, le=1e5, allow_inf_nan=False)
     """Duration of the hold [s]; it counts towards `controller.time_limit`."""
 
@@ -210,16 +212,19 @@ _CONTROLLER = KindSection(CONTROLLERS, ControllerSection, default=DEFAULT_CONTRO
 
 
 CHANGES_NO_TRIAL = frozenset({"trials", "description", "error_bound"})
-"""Fields of an experiment that change no trial: batches that differ in them may be put together,
-and compared."""
+"""Fields of an experiment that change no trial.
+
+Batches that differ in these fields can be combined and compared.
+"""
 
 
 class Experiment(Model):
     """One experiment, as read from a YAML spec."""
 
     name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
-    """Name of the experiment and, by default, of its log folders: letters without accents
-    (a to z, A to Z), digits, dots, underscores and hyphens, starting with a letter or digit."""
+    """Name of the experiment and, by default, of its log folders: letters without accents (a to z,
+    A to Z), digits, dots, underscores and hyphens. It starts with a letter or digit.
+    """
     description: str = ""
     """Description in one or two sentences."""
     units: Units = Units()
@@ -227,34 +232,42 @@ class Experiment(Model):
     arena: Arena
     """The field of view; starts and targets must lie in it."""
     robots: Annotated[_Listed, OrTrialRobots(_Listed)]
-    """The robots, all steered by the one direction u; or a mapping with `choose`: then each trial
-    finds its robots.
+    """The robots, all steered by the one direction u.
+
+    Instead of a list, this can be a mapping with `choose`: then each trial finds its robots.
     """
     strength: PositiveIfStated = None
-    """Strength B of the field: in V/cm if robots have `a: {per_V_cm: ...}`, otherwise in mT, as
-    coils need it. Turning rates a in rad/s are those at this strength.
+    """Strength B of the field: in V/cm if robots have `a: {per_V_cm: ...}`, otherwise in mT.
+
+    Coils need it. Turning rates a in rad/s apply at this strength.
     """
     chosen: Annotated[TrialRobots | None, OrTrialRobots(None)] = None
-    """In a resolved spec, the mapping given as `robots`; `robots` then holds placeholders until a
-    trial has found its robots.
+    """In a resolved spec, the mapping that was given as `robots`.
+
+    Then `robots` holds placeholders until a trial has found its robots.
     """
     assign: Literal["given", "free"] = "given"
-    """`free` if any robot may go to any target: targets are then assigned so that the sum of the
-    squared distances from start to target is least, which minimises the motion that is not common
-    to all robots. The resolved spec holds the assigned targets, and `given`.
+    """With `free`, any robot may go to any target.
+
+    Targets are then assigned so that the sum of the squared distances from start to target is
+    minimal, which minimises the motion that robots do not have in common. The resolved spec holds
+    the assigned targets, and `given`.
     """
     hold: HoldSection | None = None
-    """Task to stay near the targets after the arrival; results report the fraction of the time that
-    each robot is within the radius.
+    """Task to stay near the targets after the arrival.
+
+    Results report the fraction of the time that each robot is within the radius.
     """
     on_lost: Literal["stop", "drop", "replace"] = "stop"
-    """What happens if a robot is not tracked for `lab.limits.untracked_abort`, if a robot on wheels
-    is seen and does not move while another drives for 5 s, or if a cell is about to leave the
-    arena, has divided, or cannot be identified: the trial ends (`stop`), goes on without the robot
-    (`drop`), or with the most similar free cell in its place (`replace`, which needs
-    `robots: {choose: N}` and no obstacles). The error of a dropped robot is the distance from its
-    last pose to the target. In simulations, untracked robots are lost after 0.3 s, but `stop` ends
-    a trial only for a robot on wheels that does not move.
+    """What happens if a robot is lost.
+
+    The trial ends (`stop`), goes on without the robot (`drop`), or goes on with the most similar
+    free cell in its place (`replace`, which needs `robots: {choose: N}` and no obstacles). A robot
+    is lost if it is untracked for `lab.limits.untracked_abort`. A robot on wheels is also lost if
+    it is seen, but does not move while another drives for 5 s. A cell is also lost if it is about
+    to leave the arena, has divided, or cannot be identified. The error of a dropped robot is the
+    distance from its last pose to the target. In simulations, untracked robots are lost after 0.3
+    s, but `stop` ends a trial only if a robot on wheels does not move.
     """
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
     """Obstacles, which no robot may enter."""
@@ -265,16 +278,19 @@ class Experiment(Model):
     plant: Annotated[PlantSection, _PLANT] = Field(default_factory=_PLANT.make)
     """The plant; a simulation if no `type` is given."""
     lab: Annotated[LabSection, KindSection(PLANTS, LabSection, default="lab")] | None = None
-    """The lab that `--plant lab`, or `emulated`, takes in place of `plant`."""
+    """The lab that `--plant lab` or `--plant emulated` uses instead of `plant`."""
     identified: str | None = Field(default=None, max_length=1000)
-    """File written by `tetractl identify`, relative to the spec: the turning rate a and speed of
-    each robot and the dead time in the file replace the spec's values.
+    """File written by `tetractl identify`, relative to the spec.
+
+    Its dead time, and the turning rate a and speed of each robot, replace the spec's values.
     """
     trials: Trials = Trials()
     """Number and seed of the trials."""
     error_bound: Positive | None = None
-    """Total error [length unit] above which a trial counts as far off: the tables show how many
-    trials are far off. The default is 10 times the batch's median."""
+    """Total error [length unit] above which a trial counts as far off.
+
+    Tables show how many trials are far off. Default: 10 times the batch's median.
+    """
     reference: Reference | None = None
     """A published result to compare with."""
 
@@ -346,14 +362,18 @@ class Experiment(Model):
 
     @property
     def directions_given(self) -> bool:
-        """Whether no controller decides: the spec gives the directions. Errors may come from
-        hindsight then, so they are no controller's."""
+        """Whether the spec gives the directions, and no controller decides.
+
+        The directions may have been chosen in hindsight, so the errors say nothing about a
+        controller.
+        """
         return isinstance(self.controller, GivenDirections)
 
     @property
     def asked(self) -> tuple[Robot, ...] | TrialRobots:
-        """The robots as the spec asks for them, which is the same in all trials of a spec: listed,
-        or the rule by which each trial chooses its own.
+        """The robots as the spec describes them: a list, or a rule for choosing them in each trial.
+
+        This is the same for all trials of a spec.
         """
         return self.chosen.sought() if self.chosen else self.robots
 
@@ -402,7 +422,7 @@ class Experiment(Model):
 
     @property
     def _loss(self) -> LossRule | None:
-        """What happens if a robot is lost, None if the plant alone decides it."""
+        """What happens if a robot is lost. None if the plant alone decides it."""
         on_wheels = self.wheels is not None
         if self.on_lost == "stop" and not on_wheels:
             return None
@@ -416,10 +436,16 @@ class Experiment(Model):
 
 
 def dealt(starts: Floats, targets: Floats) -> list[int]:
-    """Return the index (N,) of the target that each start gets: starts (N, 2), targets (M, 2).
+    """Assign a target to each start, so that the sum of the squared distances is minimal.
 
-    M must be at least N. The sum of the squared distances from start to target is minimal, which
-    minimises the motion that is not common to all robots.
+    This minimises the motion that robots do not have in common.
+
+    Args:
+        starts: Start positions, shape (N, 2).
+        targets: Target positions, shape (M, 2), M at least N.
+
+    Returns:
+        Index of the target for each start, N entries.
     """
     from scipy.optimize import linear_sum_assignment  # slow to import, and seldom needed
 

@@ -1,5 +1,8 @@
-"""Turns pydantic's errors in a spec into plain messages with their location in the YAML: unknown
-keys with those that were meant, wrong types and values."""
+"""Turn pydantic's errors in a spec into plain messages with their place in the YAML file.
+
+The errors are unknown keys, for which the most similar known key is suggested, wrong types and
+wrong values.
+"""
 
 import re
 from collections.abc import Iterator
@@ -53,15 +56,16 @@ MESSAGES = {
 
 
 LISTED = {"number": "numbers", "integer": "whole numbers", "string": "texts"}
-"""What the entries of a list are called, by their type in a schema."""
+"""The plural of each type in a schema, for lists."""
 ERRORS_MAX = 1000
 """Largest number of pydantic's errors that are explained."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """An error of pydantic, with the location and the value in the file's data, and the part of
-    the schema that is `about` the value.
+    """An error of pydantic, with its location and value in the file's data.
+
+    `about` is the part of the schema that describes the value.
     """
 
     details: ErrorDetails
@@ -83,8 +87,15 @@ class Mistake:
 def explain(
     error: ValidationError, document: Document, model: type[BaseModel]
 ) -> Iterator[SpecProblem]:
-    """Yield pydantic's errors in a document, whose type is `model`, as problems, except errors
-    already in the document."""
+    """Convert pydantic's errors in a document to problems.
+
+    Errors that are already in the document are left out.
+
+    Args:
+        error: Pydantic's errors.
+        document: The document.
+        model: The type that the document should have.
+    """
     schema = schema_of(model)
     for details in error.errors(include_url=False, include_input=False)[:ERRORS_MAX]:
         loc = data_loc(details, document.data)
@@ -146,7 +157,7 @@ def _problem(mistake: Mistake, document: Document, schema: Schema) -> SpecProble
 
 
 def _wrong_type(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
-    """Return the problem of a type that is missing, or is none that may be chosen."""
+    """Report a `type` that is missing or unknown."""
     loc = (*mistake.loc, "type")
     place = document.place(loc)
     types = _types(mistake, schema)
@@ -173,7 +184,7 @@ def _missing(mistake: Mistake, document: Document, schema: Schema) -> SpecProble
 
 
 def _types(mistake: Mistake, schema: Schema) -> dict[str, str]:
-    """Return the texts of the types that may be chosen, by name."""
+    """Return a text for each type that can be chosen here, by name."""
     if mistake.context.get("known"):
         return mistake.context["known"]
     tags = map(tag, alternatives(mistake.about, schema))
@@ -235,9 +246,7 @@ def words(details: ErrorDetails, value: Any) -> str:
 
 
 def _meant_key(key: str, parent: Loc, data: Any, schema: Schema) -> str:
-    """Return what was probably meant by an unknown key in the section `parent`, to follow "unknown
-    key".
-    """
+    """Suggest what was meant by an unknown key, as a text that follows "unknown key"."""
     spaced = with_space(key)
     if spaced:
         return f"; {spaced}"
@@ -253,7 +262,7 @@ def _meant_key(key: str, parent: Loc, data: Any, schema: Schema) -> str:
 
 
 def _hint(kind: str, value: Any) -> str:
-    """Return how a value was probably meant, "" if nothing says so."""
+    """Suggest how a wrong value was probably meant. Empty if there is no suggestion."""
     if isinstance(value, str):
         comma = re.fullmatch(r"([+-]?\d+),(\d+)", value)
         point = f"a decimal number has a point: {comma[1]}.{comma[2]}" if comma else ""

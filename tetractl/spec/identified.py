@@ -57,7 +57,7 @@ class Identified(Model):
     strength: Positive | None = None
     """Strength of the field at which the robots turn at their rates a, in the spec's unit."""
     robots: dict[Name, IdentifiedRobot]
-    """Identified values of each robot, by its name."""
+    """Identified values, by the name of the robot."""
 
 
 def read_identified(path: Path) -> tuple[Identified, str]:
@@ -74,11 +74,17 @@ def read_identified(path: Path) -> tuple[Identified, str]:
 
 
 def merge(document: Document, identified: Identified, origin: str, estimates: bool) -> None:
-    """Replace a spec's values by the identified values; add problems to the document.
+    """Replace a spec's values by identified values, and record problems in the document.
 
-    Each robot's turning rate a and speed, and the controller's dead time, are replaced; an alpha by
-    a over the strength at which a was identified. The dead time counts from sending a command if
-    the controller `estimates` while it drives, otherwise from the exposure of the frame.
+    The turning rate a and speed of each robot, and the controller's dead time, are replaced. An
+    alpha is replaced by a, divided by the strength at which a was identified.
+
+    Args:
+        document: The spec, which is changed.
+        identified: The identified values.
+        origin: The file that holds them.
+        estimates: Whether the controller identifies robots while it drives. Then the dead time
+            counts from sending a command. Otherwise it counts from the exposure of the frame.
     """
     place = Place(origin)
     unit = _length_unit(document)
@@ -110,7 +116,7 @@ def _length_unit(document: Document) -> Any:
 
 
 def _listed_robots(document: Document) -> dict[int, dict[str, Any]]:
-    """Return the robots of a spec that are mappings, by their index in its list."""
+    """Return the robots of a spec that are mappings, by their index in the list."""
     robots = document.data.get("robots")
     if not isinstance(robots, list):
         return {}
@@ -120,7 +126,7 @@ def _listed_robots(document: Document) -> dict[int, dict[str, Any]]:
 def _put_rate(
     document: Document, loc: Loc, a_rad_s: float, strength: float | None, place: Place
 ) -> None:
-    """Replace a robot's a, at a location, by one that was identified at a strength."""
+    """Replace a robot's turning rate a by the one that was identified at a field strength."""
     stated = document.holder(loc).get("a")
     if not isinstance(stated, dict) or len(stated) != 1:
         document.put(loc, a_rad_s, place)

@@ -1,8 +1,8 @@
-"""The lab's section of a spec: a camera, an actuator, and the limits of a run.
+"""The lab section of a spec: a camera, an actuator, and the limits of a run.
 
-Each section of a camera or actuator is in the file of its adapter, and named in
-`tetractl.core.registries`. Lengths whose name ends in `_mm` are in millimetres, independently of
-the spec's length unit; times are in seconds.
+The section of each camera or actuator is in the file of its adapter, and registered in
+`tetractl.core.registries`. Lengths with a name that ends in `_mm` are in millimetres, whatever the
+spec's length unit is. Times are in seconds.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -33,8 +33,10 @@ from tetractl.spec.registry_fields import KindSection
 from tetractl.spec.yaml.problems import Loc
 
 UNTRACKED_STOP_S = 0.05
-"""A robot is stopped if it was not tracked for this time [s], unless the actuator cannot hold a
-single robot still."""
+"""Time without tracking after which a robot is stopped [s].
+
+It does not apply if the actuator cannot hold a single robot still.
+"""
 STANDSTILL_MM_S = 10.0
 """Speed below which a robot stands still [mm/s]."""
 REACTION_S = 0.15
@@ -75,10 +77,10 @@ class DeviceSection(Model):
     """Whether the device has the method `settle`, which trials that choose their robots need."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the location (in this section) and text of each contradiction in the section or
-        with the experiment.
+        """Yield each contradiction in the section, or with the experiment, as location and text.
 
-        If the section has `robots`, `mismatches` checks them.
+        Locations are relative to this section. If the section has `robots`, `mismatches` checks
+        them.
         """
         yield from ()
 
@@ -91,20 +93,28 @@ class CameraSection(DeviceSection):
     """A camera system and its parameters."""
 
     def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
-        """Return the camera of the setup's robots, in their order; nothing is opened.
+        """Create the camera for the setup's robots, in their order, without opening it.
 
-        `wake` is called after each frame. AbortError if the camera's software is not installed.
+        Args:
+            setup: The constants of the experiment.
+            clock: The clock of the run.
+            wake: Called after each frame.
+
+        Raises:
+            AbortError: If the camera's software is not installed.
         """
         return resolve_name(self.device)(self, setup, clock, wake)
 
     @property
     def sight(self) -> Sight:
-        """What the camera can see: a grid, noise, frames a second; by default nothing is known."""
+        """What the camera can see: grid, noise and frame rate. By default, nothing is known."""
         return UNSTATED
 
     def heading_offset(self, name: str) -> float | None:
-        """Return the angle that the camera adds to a robot's measured heading [rad], None if its
-        section has none."""
+        """Return the angle that the camera adds to a robot's measured heading [rad].
+
+        None if the section has no such angle.
+        """
         return None
 
 
@@ -112,14 +122,14 @@ class ActuatorSection(DeviceSection):
     """An actuator and its parameters."""
 
     calibration: ClassVar[str] = ""
-    """The function that implements `calibrate`, as "module:function"; "" if there is none."""
+    """The function that implements `calibrate`, as "module:function". Empty if there is none."""
     checks: ClassVar[str] = "tetractl.lab.guard_checks:robot_checks"
     """The function that makes the guard's checks of the robots, as "module:function"."""
     stopping: ClassVar[str] = "tetractl.lab.stop_all:stop_all"
     """The function that implements `stop_all`, as "module:function"."""
 
     def beside(self, camera: CameraSection) -> Iterator[tuple[Loc, str]]:
-        """Yield, as `contradictions`, each contradiction with the lab's camera."""
+        """Yield each contradiction with the lab's camera, in the form of `contradictions`."""
         yield from ()
 
     def require_port(self) -> None:
@@ -130,9 +140,20 @@ class ActuatorSection(DeviceSection):
         return resolve_name(self.device)(self, setup, clock)
 
     def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
-        """Stop every robot that the actuator reaches, with a latched stop if it has one. Only its
-        port is needed; if `alone` is False, a run uses the port at the same time. Returns a text
-        about the stops sent; AbortError if one could not be sent to all robots.
+        """Stop every robot that the actuator reaches, with a latched stop if it has one.
+
+        Only the actuator's port is needed.
+
+        Args:
+            setup: The names of the robots.
+            clock: The clock for timeouts.
+            alone: False if a run uses the port at the same time.
+
+        Returns:
+            A description of the stops that were sent.
+
+        Raises:
+            AbortError: If a stop could not be sent to all robots.
         """
         return resolve_name(self.stopping)(self, setup, clock, alone)
 
@@ -145,10 +166,19 @@ class ActuatorSection(DeviceSection):
         limit: int,
         report: Callable[[str], None],
     ) -> Measured:
-        """Calibrate the named robots by moving one after another; AbortError if this fails.
+        """Calibrate robots by moving one after another.
 
-        `make_rig` returns the `Rig` of the lab for a setup with other limits. `limit` bounds the
-        output, in 127ths of full speed. `report` is called with lines for the operator.
+        Args:
+            lab: The lab.
+            make_rig: Returns the `Rig` of the lab for a setup with other limits.
+            setup: The constants of the experiment.
+            names: The robots to calibrate.
+            limit: Maximum output, in 127ths of full speed.
+            report: Called with lines for the operator.
+
+        Raises:
+            AbortError: If the calibration fails.
+            UsageError: If this actuator cannot be calibrated by moving robots.
         """
         if not self.calibration:
             raise UsageError(
@@ -159,8 +189,9 @@ class ActuatorSection(DeviceSection):
 
 
 class LabLimits(Model):
-    """Limits that stop robots or end a run, and waiting times of a run. The fault table assumes the
-    defaults.
+    """Limits that stop robots or end a run, and waiting times of a run.
+
+    The fault table assumes the defaults.
     """
 
     stale: Positive = 0.1
@@ -168,32 +199,42 @@ class LabLimits(Model):
     stream_lost: Positive = 0.5
     """The run aborts after this time without a new frame [s]."""
     untracked_abort: Positive = 0.3
-    """A robot that was not tracked for this time [s], or is seen too rarely, is lost, and the run
-    aborts unless `on_lost` says otherwise."""
+    """A robot is lost if it is untracked for this time [s], or is seen too rarely.
+
+    The run then aborts, unless `on_lost` says otherwise.
+    """
     identity: Positive = 3.0
-    """A robot is lost if its cell has met another and the camera cannot distinguish them for this
-    time [s], and the run aborts unless `on_lost` says otherwise; only with cameras that report
+    """A cell is lost if it has met another cell, and the camera could not tell them apart for this
+    time [s]. The run then aborts, unless `on_lost` says otherwise. Only for cameras that report
     identities.
     """
     jump_mm: NonNegative = 30.0
-    """A pose is rejected if it is further from an accepted pose of the last second than the robot
-    drives in that time at twice its speed, plus this length [mm]."""
+    """A pose is rejected if it is too far from an accepted pose of the last second: further than
+    the robot drives in that time at twice its speed, plus this length [mm].
+    """
     height_mm: tuple[Finite, Finite] = (-100.0, 500.0)
-    """Least and greatest height of a body above the floor, the camera system's zero [mm]; a body
-    outside this range is rejected, since it may have come off its robot. In a run it is also
-    rejected more than 40 mm above or below where it was at the start. Only for cameras that report
-    heights.
+    """Minimum and maximum height of a body above the camera system's zero, the floor [mm].
+
+    A body outside this range is rejected, because it may have come off its robot. During a run, a
+    body is also rejected if it is more than 40 mm above or below its height at the start. Only for
+    cameras that report heights.
     """
     tilt: PositiveAngle = 0.5
-    """Largest tilt of a body's upward axis from the vertical [rad]; a greater tilt is rejected."""
+    """Maximum tilt of a body's upward axis from the vertical [rad].
+
+    A body with a larger tilt is rejected.
+    """
     separation_mm: NonNegative = 110.0
-    """Least distance between the centres of two robots [mm]; 0 disables the test."""
+    """Minimum distance between the centres of two robots [mm]. 0 disables the test."""
     reaction: NonNegative = REACTION_S
-    """Time from detecting an edge, an obstacle or another robot until a robot stands still [s]; the
-    guard predicts motion over this time."""
+    """Time from detecting an edge, an obstacle or another robot until a robot stands still [s].
+
+    The guard predicts the motion over this time.
+    """
     wheel_error: Annotated[float, Field(ge=0, le=1)] = 0.12
-    """Largest error of a wheel's speed, as a fraction of the commanded speed; a larger error ends
-    the run.
+    """Maximum error of a wheel's speed, as a fraction of the commanded speed.
+
+    A larger error ends the run.
     """
     late_steps: int = Field(default=5, ge=1, le=100_000)
     """The run aborts after this many control steps in a row that missed their deadline."""
@@ -204,8 +245,10 @@ class LabLimits(Model):
     start_heading: PositiveAngle = 0.3
     """Largest difference of a robot's heading from its start heading [rad]."""
     placing: NonNegative = 0.0
-    """Longest time to wait for robots to be put on their starts [s], at least 1 s; for a run that a
-    person starts in a terminal, without `--yes`, there is no limit."""
+    """Maximum time to wait for robots to be put on their starts [s], at least 1 s.
+
+    There is no limit if a person starts the run in a terminal without `--yes`.
+    """
 
     @model_validator(mode="after")
     def _heights_in_order(self) -> Self:
@@ -225,20 +268,26 @@ class LabSection(PlantSection):
     limits: LabLimits = LabLimits()
     """Limits that stop robots or end a run, and waiting times of a run."""
     calibration: str | None = Field(default=None, min_length=1, max_length=500)
-    """A file written by `tetractl lab calibrate` or `tetractl lab survey --micrometer`, relative to
-    the spec; its values replace values in `camera` and `actuator`."""
+    """File written by `tetractl lab calibrate` or `tetractl lab survey --micrometer`, relative to
+    the spec. Its values replace values in `camera` and `actuator`.
+    """
     lag: NonNegative | None = None
-    """Time constant with which the wheels of the lab's robots follow a command [s], real or
-    emulated; by default `wheels.lag`, which simulations have too."""
+    """Time constant with which the wheels of real and emulated robots follow a command [s].
+
+    Default: `wheels.lag`, which also applies to simulations.
+    """
 
     def with_files(self, folder: Path | None) -> Self:
-        """Return the section with the contents of files that it names relative to `folder`, None if
-        the spec comes from no file."""
+        """Return the section with the contents of the files that it names.
+
+        Args:
+            folder: The folder that file names are relative to. None if the spec comes from no file.
+        """
         return self
 
     @property
     def microscope(self) -> Microscope | None:
-        """The camera, if its pictures have a known scale and place."""
+        """The camera, if its images have a known scale and position. Otherwise None."""
         return self.camera if isinstance(self.camera, Microscope) else None
 
     @property
@@ -287,9 +336,15 @@ def entry(robots: Sequence[Part], name: str) -> Part:
 def mismatches(
     robots: Sequence[RobotPart], names: Sequence[str], unique: Sequence[str] = ()
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield location and text of each mismatch between a device's `robots` and the spec's `names`.
+    """Find mismatches between the `robots` of a device and the robots of the spec.
 
-    `unique` are further fields in which two robots must differ unless the value is None.
+    Args:
+        robots: The entries of the device's section.
+        names: The names of the spec's robots.
+        unique: Further fields in which two robots must differ, unless the value is None.
+
+    Yields:
+        The location and text of each mismatch.
     """
     for missing in sorted(set(names) - {robot.name for robot in robots}):
         yield ("robots",), f"has no {missing}; list every robot of the spec"
@@ -315,8 +370,15 @@ def too_fast(setup: Setup, speed_max_mm_s: float) -> Iterator[tuple[Loc, str]]:
 
 
 def unknown_radii(setup: Setup, radii_mm: Iterable[float | None]) -> Iterator[tuple[Loc, str]]:
-    """Yield, as a section's `contradictions`, the robots of which neither their entries, by the
-    radii (N,), nor the spec says how far the wheels are from the centre."""
+    """Find robots for which nothing states how far the wheels are from the centre.
+
+    Args:
+        setup: The constants of the experiment, which may state one radius for all robots.
+        radii_mm: The radius in each robot's entry [mm], N entries. None if the entry has none.
+
+    Yields:
+        Location and text of each problem, in the form of `contradictions`.
+    """
     if setup.on_wheels:
         return
     for i, radius_mm in enumerate(radii_mm):

@@ -1,9 +1,10 @@
-"""The spec with a lab that `tetractl init --lab` writes, of a part for robots and one for cameras.
+"""The spec that `tetractl init --lab` writes, made from a part for robots and one for cameras.
 
-A part is a file `robots/KIND.yaml` or `cameras/KIND.yaml` of this package or in a folder of the
-registry TEMPLATES. That of robots is a spec whose line `@CAMERA@` becomes that of a camera; robots
-that measure their own poses have no such line. In a camera's part a line with `@ROBOT@` is repeated
-for each robot, which has the number `@I@`, and `@WIDTH@` and `@HEIGHT@` are the arena's.
+A part is a file `robots/KIND.yaml` or `cameras/KIND.yaml`, in this package or in a folder of the
+registry TEMPLATES. The robots' part is a spec. Its line `@CAMERA@` is replaced by the camera's
+part. Robots that measure their own poses have no such line. In a camera's part, a line with
+`@ROBOT@` is repeated for each robot. `@I@` is the robot's index, `@WIDTH@` and `@HEIGHT@` are the
+size of the arena.
 """
 
 from collections.abc import Sequence
@@ -20,8 +21,14 @@ PLACE = "@CAMERA@\n"
 
 
 def lab_template(robots: str, camera: str | None) -> str:
-    """Return the spec for these kinds of robots and camera, by default the robots' own camera or
-    else `optitrack`; UsageError if there is no such part, or the robots have a camera of their own.
+    """Return the spec for a kind of robots and a kind of camera.
+
+    Args:
+        robots: The kind of robots.
+        camera: The kind of camera. None for the robots' own camera, or else `optitrack`.
+
+    Raises:
+        UsageError: If there is no such part, or if the robots have a camera of their own.
     """
     text = _part("robots", robots)
     if PLACE not in text:
@@ -37,7 +44,7 @@ def lab_template(robots: str, camera: str | None) -> str:
 
 
 def _for_each_robot(text: str, names: Sequence[str]) -> str:
-    """Return the text of a part, whose lines with `@ROBOT@` are repeated for each robot."""
+    """Repeat the lines with `@ROBOT@` in the text of a part for each robot."""
     lines: list[str] = []
     for line in text.splitlines(keepends=True):
         if "@ROBOT@" not in line:

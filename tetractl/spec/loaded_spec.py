@@ -25,9 +25,17 @@ Attached = tuple[tuple[str, str], ...]
 class LoadedSpec(Shown):
     """A valid spec: the experiment with `--set` applied, and the spec's original text.
 
-    `resolved`, its YAML with every field, and `hash` are computed once, for all trials. `logged` is
-    the data of a resolved spec that tetractl has written into a log. `document` says which file,
-    line or option states each value; None for a spec that was not read from a text.
+    `resolved`, the YAML with every field, and `hash` are computed once for all trials.
+
+    Attributes:
+        experiment: The fields of the spec.
+        text: The spec as written.
+        name: The file name, without its folder.
+        path: The file. None if the spec comes from no file.
+        attached: Further files that belong to the spec, as names and texts.
+        logged: Data of a resolved spec that tetractl wrote into a log. None for other specs.
+        document: Which file, line or option states each value. None if the spec was not read from
+            text.
     """
 
     experiment: Experiment
@@ -40,12 +48,12 @@ class LoadedSpec(Shown):
 
     @cached_property
     def resolved(self) -> str:
-        """The experiment's spec as YAML with every field, by `resolved_yaml`."""
+        """The experiment's spec as YAML with every field."""
         return resolved_yaml(self.experiment)
 
     @cached_property
     def hash(self) -> str:
-        """The SHA-256 of the experiment, by `spec_hash`."""
+        """The SHA-256 of the experiment; see `spec_hash`."""
         return spec_hash(self.experiment, self.logged)
 
 
@@ -56,8 +64,11 @@ def with_controller(spec: LoadedSpec, controller: ControllerSection) -> LoadedSp
 
 
 def with_seed(spec: LoadedSpec, seed: int) -> LoadedSpec:
-    """Return a spec whose random numbers have another seed; its text has every field. Raises
-    SpecError for a wrong seed."""
+    """Return a spec with another seed. Its text states every field.
+
+    Raises:
+        SpecError: If the seed is wrong.
+    """
     try:
         trials = Trials(count=spec.experiment.trials.count, seed=seed)
     except ValidationError as error:
@@ -72,8 +83,14 @@ def resolved_yaml(experiment: Experiment) -> str:
 
 
 def spec_hash(experiment: Experiment, logged: Any = None) -> str:
-    """Return the SHA-256 of the experiment, as 64 hex digits; comments and order do not count. Of
-    an earlier log it is that of the keys of its resolved spec, `logged`."""
+    """Compute the SHA-256 of an experiment, as 64 hex digits.
+
+    Comments and the order of keys have no influence.
+
+    Args:
+        experiment: The experiment.
+        logged: For a spec from an earlier log, its data. Then only its keys are hashed.
+    """
     # -0.0 equals 0.0 but is written differently; adding 0.0 turns it into 0.0
     fields = json.loads(experiment.model_dump_json(), parse_float=lambda text: float(text) + 0.0)
     if logged is not None:
@@ -83,8 +100,7 @@ def spec_hash(experiment: Experiment, logged: Any = None) -> str:
 
 
 def _with_logged_keys(fields: Any, logged: Any) -> Any:
-    """Return the fields of a spec without those that the spec `logged` in a log lacks, since they
-    were added later."""
+    """Remove the fields that a logged spec lacks because they were added to tetractl later."""
     if isinstance(fields, dict) and isinstance(logged, dict):
         return {
             key: _with_logged_keys(fields[key], value) if key in fields else value
@@ -103,7 +119,14 @@ def arm_hash(experiment: Experiment) -> str:
 
 
 def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int) -> Start:
-    """Return the start record of a trial; its `plant` may be replaced once the plant is opened."""
+    """Return the start record of a trial.
+
+    Args:
+        spec: The spec of the trial.
+        trial: Index of the trial, from 0.
+        plant: Description of the plant. It can be replaced once the plant is opened.
+        start_unix_ns: When the trial starts [ns since 1970].
+    """
     experiment = spec.experiment
     return Start(
         setup=experiment.setup,
@@ -121,8 +144,16 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
 
 
 def attach(attached: Attached, path: Path, text: str) -> Attached:
-    """Return the attached files and the further file `path`; SpecError if a file with its name is
-    attached to the log already."""
+    """Add a file to the files that are attached to a log.
+
+    Args:
+        attached: The files that are already attached.
+        path: The new file.
+        text: Its contents.
+
+    Raises:
+        SpecError: If the log already has a file with this name.
+    """
     name = printable(path.name)
     if name in OWN_FILES or name in dict(attached):
         raise SpecError(

@@ -1,5 +1,6 @@
-"""Packages in this repository that are installed apart, and what each brings: a name that is not
-installed is answered by the command that installs it.
+"""The packages of this repository that are installed separately, and what each of them provides.
+
+If a name belongs to a package that is not installed, the error shows how to install it.
 """
 
 from collections.abc import Sequence
@@ -31,12 +32,14 @@ BRINGS = {
     ("tetractl.examples", "two_cells"): MICROSCOPE,
     ("tetractl.examples", "faults"): EMULATOR,
 }
-"""For a group of entry points and a name in it, the package that provides it; for an example, its
-name or that of its folder."""
+"""The package that provides a name of a group of entry points.
+
+For an example, the name is that of the example or its folder.
+"""
 
 
 def missing(group: str, present: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the names of a group that are not present, each with the package that brings it."""
+    """List the names of a group that are not present, each with the package that provides it."""
     return [
         (name, package)
         for (its_group, name), package in BRINGS.items()
@@ -45,7 +48,7 @@ def missing(group: str, present: Sequence[str]) -> list[tuple[str, str]]:
 
 
 def not_installed(group: str, name: str) -> tuple[str, str] | None:
-    """Return the sentence and the hint that say which package brings a name, None if none does."""
+    """Explain which package provides a name, with a hint how to install it. None if none does."""
     package = BRINGS.get((group, name))
     if package is None:
         return None

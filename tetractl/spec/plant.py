@@ -18,7 +18,7 @@ Lengths = TypeVar("Lengths", float, Floats)
 
 @runtime_checkable
 class Microscope(Protocol):
-    """The section of a camera whose logged pictures can be put in their place in the arena."""
+    """The section of a camera whose logged images can be placed in the arena."""
 
     @property
     def um_px(self) -> float:
@@ -26,8 +26,12 @@ class Microscope(Protocol):
         ...
 
     def placed(self, x_um: Lengths, y_um: Lengths, metres: float) -> tuple[Lengths, Lengths]:
-        """Convert a position, or positions (N,), in the picture [um] from its lower left corner to
-        the spec's coordinates, whose length unit is `metres` [m].
+        """Convert positions in an image to the spec's coordinates.
+
+        Args:
+            x_um: x from the lower left corner of the image [um], a number or shape (N,).
+            y_um: y from the lower left corner of the image [um], like `x_um`.
+            metres: The spec's length unit [m].
         """
         ...
 
@@ -37,8 +41,9 @@ class PlantSection(Model):
 
     type: Any  # the section's name, a Literal in each subclass
     simulated: ClassVar[bool]
-    """Whether the plant is a simulation: it runs in virtual time and repeats exactly for the same
-    seed.
+    """Whether the plant is a simulation, which runs in virtual time.
+
+    With the same seed, a simulation repeats exactly.
     """
     switches_field: ClassVar[bool] = False
     """Whether `steer(None)` works: the plant can switch the field off while robots move."""
@@ -59,7 +64,7 @@ class PlantSection(Model):
 
     @property
     def microscope(self) -> Microscope | None:
-        """The camera, if its pictures have a known scale and place; only labs have cameras."""
+        """The camera, if its images have a known scale and position. Only labs have cameras."""
         return None
 
     @property
@@ -74,15 +79,20 @@ class PlantSection(Model):
     def build(
         self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
     ) -> Plant:
-        """Return the plant of one trial; `seed` is for a simulation's disturbances.
+        """Create the plant of one trial.
 
-        Only real robots need `supervision`.
+        Args:
+            setup: The constants of the experiment.
+            clock: The clock of the trial.
+            seed: Seed of a simulation's disturbances.
+            supervision: How people supervise the run. Only real robots need it.
         """
 
     @property
     def disturbed(self) -> bool:
-        """Whether a simulation has any disturbance; only then are its results compared with a
-        published result.
+        """Whether a simulation has any disturbance.
+
+        Only disturbed simulations are compared with a published result.
         """
         return False
 
@@ -91,8 +101,9 @@ class PlantSection(Model):
         return {}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the location (in this section) and text of each contradiction in the section or
-        with the experiment.
+        """Yield each contradiction in the section, or with the experiment, as location and text.
+
+        Locations are relative to this section.
         """
         yield from ()
 
@@ -103,11 +114,12 @@ class Wheels(Model):
     radius: Positive
     """Distance r from a wheel to the robot's centre [length unit]."""
     watchdog: Positive | None = None
-    """Time after which a robot that receives nothing stops by itself [s], 0.25 for the m3pi
-    firmware; by default a robot never stops by itself. Its next command moves it again.
+    """Time without a command after which a robot stops by itself [s]; 0.25 for the m3pi firmware.
+    Its next command moves it again. By default, a robot never stops by itself.
     """
     lag: NonNegative = 0.0
-    """Time constant with which the wheels follow a command [s]. If it is not 0, the host computes
-    wheel speeds for the headings that the wheels will have reached, and the controller predicts
-    the poses in which the robots come to rest.
+    """Time constant with which the wheels follow a command [s].
+
+    If it is not 0, the host computes wheel speeds for the headings that the robots will have by
+    then, and the controller predicts the poses in which the robots come to a standstill.
     """

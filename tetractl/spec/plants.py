@@ -42,9 +42,12 @@ class PreparedTrial:
 
 
 Prepare = Callable[[Experiment, Clock, np.random.SeedSequence, LabSupervision], PreparedTrial]
-"""Finds the robots of a trial. The clock and the seed are the trial's; only real robots need the
-supervision. UsageError if robots cannot be found on the experiment's plant, AbortError if they were
-not found."""
+"""A function that finds the robots of a trial.
+
+It takes the experiment, the clock and the seed of the trial, and how people supervise it, which
+only real robots need. It raises UsageError if robots cannot be found on the experiment's plant, and
+AbortError if they were not found.
+"""
 
 
 class Calibration(Model):
@@ -53,7 +56,7 @@ class Calibration(Model):
     measured: str = Field(max_length=100)
     """Date and time of the measurement."""
     emulated: str | None = Field(default=None, max_length=100)
-    """The devices that were not real, such as `camera, actuator`; none in a lab."""
+    """The devices that were not real, such as `camera, actuator`. None in a real lab."""
     camera: dict[str, Any] = Field(default={})
     """Values that replace values in `lab.camera`."""
     actuator: dict[str, Any] = Field(default={})
@@ -61,11 +64,18 @@ class Calibration(Model):
 
 
 def on_plant(loaded: LoadedSpec, kind: str | None, with_calibration: bool = True) -> LoadedSpec:
-    """Return the spec with the plant that will be run: of a given kind, or the spec's own.
+    """Return the spec with the plant that will be run.
 
-    Values of the lab's calibration file, `with_calibration`, replace the spec's; the file's text is
-    attached to the log. SpecError if the file is relative to a spec that comes from no file. An
-    unused `lab` section is kept for other runs.
+    A `lab` section that is not used is kept for other runs.
+
+    Args:
+        loaded: The spec.
+        kind: The kind of plant. None for the spec's own plant.
+        with_calibration: Whether values of the lab's calibration file replace the spec's. The
+            file's text is then attached to the log.
+
+    Raises:
+        SpecError: If the calibration file is relative to a spec that comes from no file.
     """
     experiment = loaded.experiment
     if experiment.plant.simulated and kind in (None, "sim", experiment.plant.type):
@@ -99,8 +109,14 @@ def _with_defaults(kind: str) -> PlantSection:
 
 
 def settings_on(spec: Document, sets: Sequence[str], kind: str | None) -> list[str]:
-    """Return the settings of a spec that will run on the plant of a kind: those of `plant` are of
-    the spec's `lab`, if that will be the plant.
+    """Adapt settings to the plant on which the spec will run.
+
+    If that is the spec's `lab`, settings of `plant` become settings of `lab`.
+
+    Args:
+        spec: The spec.
+        sets: The settings, such as "plant.limits.stale=0.2".
+        kind: The kind of plant. None for the spec's own plant.
     """
     named = any(setting.startswith("plant.") for setting in sets)
     if kind is None or not named or not of_lab(kind):
@@ -112,7 +128,11 @@ def settings_on(spec: Document, sets: Sequence[str], kind: str | None) -> list[s
 
 
 def of_lab(kind: str) -> bool:
-    """Return whether a kind of plant has the fields of a lab; UsageError if there is none."""
+    """Check whether a kind of plant has the fields of a lab.
+
+    Raises:
+        UsageError: If there is no such kind.
+    """
     if kind not in PLANTS:
         why, hint = not_installed(PLANTS.group, kind) or ("there is no such plant", None)
         raise UsageError(f"--plant {kind}: {why}", hint or f"one of {', '.join(PLANTS.names())}")
@@ -121,7 +141,10 @@ def of_lab(kind: str) -> bool:
 
 
 def lab_as(kind: str | None, lab: LabSection) -> LabSection:
-    """Return a lab as a plant of a kind; None, and "lab" for one that is real, change nothing."""
+    """Return a lab as a plant of another kind.
+
+    The lab is unchanged if `kind` is None, or if it is "lab" and the lab is real.
+    """
     if kind is None or kind == lab.type or (kind == "lab" and lab.real_time):
         return lab
     section: type[LabSection] = PLANTS.load(kind)
@@ -130,7 +153,11 @@ def lab_as(kind: str | None, lab: LabSection) -> LabSection:
 
 
 def lab_of(experiment: Experiment, name: str) -> LabSection:
-    """Return the lab of an experiment; SpecError if it has none."""
+    """Return the lab of an experiment.
+
+    Raises:
+        SpecError: If it has none.
+    """
     lab = experiment.lab if experiment.plant.simulated else experiment.plant
     if not isinstance(lab, LabSection):
         raise SpecError(
@@ -141,9 +168,12 @@ def lab_of(experiment: Experiment, name: str) -> LabSection:
 
 
 def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
-    """Return an experiment in the lab with the values of a calibration in its lab section.
+    """Apply a calibration to the lab section of an experiment in the lab.
 
-    `text` is the calibration file, `origin` its name; its problems are reported as in a spec.
+    Args:
+        experiment: The experiment.
+        text: The contents of the calibration file.
+        origin: The name of the file. Its problems are reported like those of a spec.
     """
     document = _calibration(text, origin)
     validated(Calibration, document)
@@ -182,9 +212,11 @@ def _calibration(text: str, origin: str) -> Document:
 def _single_values(
     value: Any, path: tuple[str, ...], loc: Loc
 ) -> Iterator[tuple[tuple[str, ...], Loc, Any]]:
-    """Yield the path of each value inside a mapping, or a list of entries with names, in the lab's
-    section, by the names of entries; its location in the file; and the value. Of another value, or
-    one with nothing inside, that is itself."""
+    """Yield every single value in a mapping, or in a list of named entries, in the lab section.
+
+    Each value comes with its path by the names of entries, and its location in the file. A value
+    that is neither a mapping nor such a list, or is empty, is itself yielded.
+    """
     inside: list[tuple[str, str | int, Any]] = []
     if isinstance(value, dict):
         inside = [(key, key, item) for key, item in value.items()]

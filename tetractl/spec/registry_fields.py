@@ -1,5 +1,6 @@
-"""Fields of a spec that name a kind of something, such as `type: mpc`: each kind is a class in a
-registry, and plug-ins add more.
+"""Fields of a spec that name a kind of something, such as `type: mpc`.
+
+Each kind is a class in a registry, and plug-ins can add more.
 """
 
 from collections.abc import Callable, Iterable
@@ -15,21 +16,30 @@ from tetractl.spec.packages import not_installed
 
 
 def read(section: type[BaseModel], value: Any, info: core_schema.ValidationInfo) -> Any:
-    """Return the section that a mapping describes, in the context of what holds it."""
+    """Validate the section that a mapping describes, in the context of its parent.
+
+    Args:
+        section: The section's class.
+        value: The mapping.
+        info: Pydantic's information about the parent.
+    """
     strict = bool(info.context and info.context.get("strict"))
     return section.model_validate(value, strict=strict, context=info.context)
 
 
 @dataclass(eq=False)
 class KindSection:
-    """Annotation of a field that holds a mapping with a `type`, the name of a class in a registry;
-    this class validates the mapping.
+    """Annotation of a field that holds a mapping with a `type`, the name of a class in a registry.
 
-    `Annotated[Base, KindSection(REGISTRY, Base)]` accepts an instance of Base, or a mapping whose
-    `type` is a name in the registry; `default` is the type of a mapping without `type`. Each class
-    of the registry is a `Model` with its name as the `Literal` of its `type`; classes not derived
-    from Base cannot be chosen here. A class is imported when it is first chosen; PluginError if
-    another package's class cannot be used.
+    `Annotated[Base, KindSection(REGISTRY, Base)]` accepts an instance of Base, or a mapping with a
+    `type` that the registry knows. Each class of the registry is a `Model`, with its name as the
+    `Literal` of its `type`. A class is imported when it is first chosen. If another package's class
+    cannot be used, PluginError is raised.
+
+    Attributes:
+        registry: The registry.
+        base: Only classes derived from it can be chosen here.
+        default: The type of a mapping without `type`. None if `type` is required.
     """
 
     registry: Registry
@@ -95,8 +105,9 @@ class KindSection:
     def _wrong_type(
         self, kind: LiteralString, text: LiteralString, without: str = ""
     ) -> PydanticCustomError:
-        """Return the error of a mapping whose type cannot be used, with the types that can, which
-        are all `without` one; reads what other packages say of theirs.
+        """Return the error for a type that cannot be used, listing the types that can.
+
+        The listed types are all except `without`. Other packages are asked for theirs.
         """
         texts = {
             usable.name: str(usable) for usable in self.registry.kinds() if usable.name != without
@@ -106,10 +117,15 @@ class KindSection:
 
 @dataclass(eq=False)
 class OrMapping:
-    """Annotation of a field that holds a `value` or, as a mapping, a section of the type `base`:
-    `section_of` returns its class, and `sections` all there are.
+    """Annotation of a field that holds either a value or, as a mapping, a section.
 
-    A union of pydantic's would report a wrong value once for each alternative.
+    A pydantic union would report a wrong value once for each alternative.
+
+    Attributes:
+        value: The type of the value.
+        base: The base class of the sections.
+        section_of: Returns the section's class for a mapping.
+        sections: Returns all sections that can be chosen.
     """
 
     value: Any
@@ -142,7 +158,7 @@ class OrMapping:
 
 @dataclass(eq=False)
 class KindName:
-    """Annotation of a text field whose value is a name in a registry; no kind is imported."""
+    """Annotation of a text field that holds a name in a registry. No kind is imported."""
 
     registry: Registry
 

@@ -18,9 +18,14 @@ def schema_of(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def describe(loc: Loc, data: Any, root: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of the value at `loc` in a file's data, {} if there is none.
+    """Return the schema of a value in a file. Empty if there is none.
 
-    The `type` in `data` selects the alternative of a union; `root` is the schema of the file.
+    If the schema is a union, the `type` in the data selects the alternative.
+
+    Args:
+        loc: The location of the value.
+        data: The file's data.
+        root: The schema of the file.
     """
     node = _resolved(root, data, root)
     for step in loc:
@@ -37,7 +42,7 @@ def describe(loc: Loc, data: Any, root: dict[str, Any]) -> dict[str, Any]:
 
 
 def child(data: Any, step: str | int) -> Any:
-    """Return the value of a key or at an index, None if it does not exist."""
+    """Return the value at a key or index. None if it does not exist."""
     if isinstance(data, dict):
         return data.get(step)
     if isinstance(data, list) and isinstance(step, int) and step < len(data):
@@ -57,7 +62,7 @@ def tag(node: dict[str, Any]) -> str | None:
 
 
 def homes(key: str, root: dict[str, Any]) -> Iterator[str]:
-    """Yield the dotted paths, as for `--set`, of all fields called `key`."""
+    """Yield the dotted paths of all fields with this name, as `--set` takes them."""
 
     def walk(node: dict[str, Any], path: str) -> Iterator[str]:
         node = dereferenced(node, root)
@@ -74,9 +79,12 @@ def homes(key: str, root: dict[str, Any]) -> Iterator[str]:
 
 
 def _resolved(node: dict[str, Any], data: Any, root: dict[str, Any]) -> dict[str, Any]:
-    """Return the one schema of a node's alternatives that is meant by `data`: the only one; that of
-    its `type`, or of the default's `type` if it states none; or the only one for mappings, or for
-    lists. If none of these decides, the node itself."""
+    """Return the alternative of a schema that the data means.
+
+    That is the only alternative, or the one with the data's `type`, or the default's `type` if the
+    data has none, or the only alternative for mappings or lists. If none of these decides, the
+    schema is returned unchanged.
+    """
     node = dereferenced(node, root)
     options = alternatives(node, root)
     if len(options) == 1:
@@ -103,7 +111,7 @@ def dereferenced(node: dict[str, Any], root: dict[str, Any]) -> dict[str, Any]:
 
 
 def _unwrapped(value: Any) -> Any:
-    """Replace line breaks in the descriptions, which are docstrings, by spaces."""
+    """Replace line breaks by spaces in descriptions, which come from docstrings."""
     if isinstance(value, dict):
         return {
             key: " ".join(item.split())

@@ -1,5 +1,7 @@
-"""What sections of controllers, plants and devices may have besides their interface, for checks and
-predictions: ask by isinstance. A section of a plug-in has an ability if it has these fields.
+"""Optional abilities of the sections of controllers, plants and devices.
+
+Checks and predictions ask for an ability with isinstance. A section of a plug-in has an ability if
+it has these fields.
 """
 
 from typing import Protocol, runtime_checkable
@@ -16,7 +18,7 @@ class OnPort(Protocol):
 
 @runtime_checkable
 class Addressed(Protocol):
-    """A camera at an address, whose messages come `latency` [s] after their exposure."""
+    """A camera at an address, from which frames arrive `latency` [s] after their exposure."""
 
     @property
     def address(self) -> str:
@@ -31,7 +33,7 @@ class Addressed(Protocol):
 
 @runtime_checkable
 class PlansSignals(Protocol):
-    """A controller whose plans hold at most `horizon_max` signals."""
+    """A controller with plans of at most `horizon_max` signals."""
 
     horizon_max: int
 
@@ -79,9 +81,15 @@ class Estimating(Protocol):
 
 
 class Clearance(Protocol):
-    """The distance that plans keep to obstacles: `margin` besides the `radius` of a robot [length
-    unit]; the least `separation` of two robots [length unit]; whether an `adaptive` margin gives
-    way, and whether it is kept to `walls` too."""
+    """The distances that plans keep to obstacles, walls and other robots.
+
+    Attributes:
+        radius: Radius of a robot [length unit].
+        margin: Distance in addition to the radius [length unit].
+        separation: Minimum distance between the centres of two robots [length unit].
+        adaptive: Whether the margin gives way where it leaves no path.
+        walls: Whether the margin is also kept to the walls of the arena.
+    """
 
     radius: float
     margin: float
@@ -92,14 +100,18 @@ class Clearance(Protocol):
 
 @runtime_checkable
 class KeepsClear(Protocol):
-    """A controller whose plans keep a distance to obstacles."""
+    """A controller with plans that keep a distance to obstacles."""
 
     collision: Clearance
 
 
 class KnownNoise(Protocol):
-    """The stated deviations of a measured position [length unit] and heading [rad], 0 if
-    unknown."""
+    """Stated standard deviations of measured positions and headings.
+
+    Attributes:
+        position_noise: Standard deviation of a position [length unit]. 0 if unknown.
+        heading_noise: Standard deviation of a heading [rad]. 0 if unknown.
+    """
 
     position_noise: float
     heading_noise: float
@@ -107,8 +119,12 @@ class KnownNoise(Protocol):
 
 @runtime_checkable
 class Accepting(Protocol):
-    """A controller that goes on, within its time, while it expects a total error above the one that
-    it accepts [length unit]."""
+    """A controller that keeps driving while it expects a total error above the one that it accepts.
+
+    Attributes:
+        accept_error: The total error that it accepts [length unit].
+        prior: The measurement noise that it assumes.
+    """
 
     accept_error: float
     prior: KnownNoise
@@ -130,8 +146,14 @@ class MeasurementErrors(Protocol):
 
 @runtime_checkable
 class Noisy(Protocol):
-    """A plant with stated disturbances: the largest relative errors of turning rate and speed, the
-    random walk of the heading [rad/sqrt(s)], and the errors of measurements."""
+    """A plant with stated disturbances.
+
+    Attributes:
+        a_error: Maximum relative error of the turning rate.
+        speed_error: Maximum relative error of the speed.
+        heading_noise: Random walk of the heading [rad/sqrt(s)].
+        measurement_noise: Errors of the measurements.
+    """
 
     a_error: float
     speed_error: float

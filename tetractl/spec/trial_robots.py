@@ -1,7 +1,7 @@
-"""The mapping in place of a list of `robots`, by which each trial finds its own.
+"""A mapping that replaces the list of `robots`: a rule by which each trial finds its robots.
 
-A package brings it: an entry point of the group `tetractl.trial_robots` maps a key of the mapping,
-such as `choose` of `robots: {choose: 3, ...}`, to its class.
+Packages provide such rules. An entry point of the group `tetractl.trial_robots` maps a key of the
+mapping, such as `choose` in `robots: {choose: 3, ...}`, to its class.
 """
 
 from abc import abstractmethod
@@ -20,8 +20,14 @@ from tetractl.spec.registry_fields import OrMapping
 
 @dataclass(frozen=True, slots=True)
 class StandIn:
-    """A robot of which only what is asked for is known: its place is still to be found. `target`
-    [length unit], turning rate `a` [rad/s], `speed` [length unit/s]."""
+    """A placeholder for a robot that a trial has not found yet.
+
+    Attributes:
+        name: The robot's name.
+        target: Its target [length unit].
+        a: The turning rate that is asked for [rad/s].
+        speed: The speed that is asked for [length unit/s].
+    """
 
     name: str
     target: tuple[float, float]
@@ -33,10 +39,12 @@ class TrialRobots(Model):
     """A rule by which each trial finds its robots."""
 
     key: ClassVar[str]
-    """The name of the class in the registry, which the mapping must have as a key."""
+    """The name of the class in the registry. The mapping must have it as a key."""
     prepare: ClassVar[str]
-    """The function that finds the robots of a trial, a `tetractl.spec.plants.Prepare`, as
-    "module:function"."""
+    """The function that finds the robots of a trial, as "module:function".
+
+    It is a `tetractl.spec.plants.Prepare`.
+    """
 
     @property
     @abstractmethod
@@ -54,8 +62,11 @@ class TrialRobots(Model):
 
 
 def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:
-    """Return the class that is named after a key of the mapping; PydanticCustomError if there is
-    none."""
+    """Return the class that is named after one of the mapping's keys.
+
+    Raises:
+        PydanticCustomError: If there is none.
+    """
     installed = TRIAL_ROBOTS.names()
     for name in installed:
         if name in mapping:
@@ -80,5 +91,4 @@ OrTrialRobots = partial(
     section_of=rule_of,
     sections=lambda: TRIAL_ROBOTS.usable().values(),
 )
-"""Makes the annotation of a field that holds a value, or a rule by which trials find their robots,
-as a mapping."""
+"""Annotation of a field that holds a value, or a mapping by which trials find their robots."""

@@ -114,6 +114,8 @@ def parameters_without_entry(tree: ast.AST) -> Iterator[str]:
         if len(names) < 3 or "overload" in decorators:
             continue
         text = inspect.cleandoc(ast.get_docstring(node) or "")
+        if "; see `" in text.partition("\n")[0]:  # overrides a method that describes them
+            continue
         section = re.search(r"^Args:\n((?: .*\n?)*)", text, re.M)
         entries = ENTRY.findall(section[1]) if section else []
         yield from (f"{node.name}: {name}" for name in names if name not in entries)

@@ -1,19 +1,21 @@
-"""Steers robots exactly as the paper does: its Algorithm 2, as published, with nothing added.
+"""The paper's Algorithm 2, exactly as published, with nothing added.
 
-A *sequence* of signals, the directions [rad] that all robots follow in one control period each, is
-to bring the robots to their targets. At each control step k, counted from 0, the optimiser searches
-several sequences, the one of least cost J is chosen, and its first signal is sent:
+A *sequence* consists of signals: directions [rad] that all robots follow, each for one control
+period. It is to bring the robots to their targets. At each control step k, counted from 0, the
+optimiser searches several sequences, the one with the lowest cost J is chosen, and its first signal
+is sent:
 
-    k = 0    a search for each length from 1 to `horizon_max`, from nothing      lines 1 to 7
-    k > 0    what is left of the sequence chosen before, its H signals, is the   lines 8 to 26
-             start of three searches: of its last H - 1 signals, of all H, and
-             of all H with a 0 behind them
+    k = 0    a search for each length from 1 to `horizon_max`, without a      lines 1 to 7
+             start
+    k > 0    the rest of the sequence chosen before, H signals, starts three  lines 8 to 26
+             searches: from its last H - 1 signals, from all H signals, and
+             from all H signals followed by a 0
 
-The trial ends when all robots are near enough to their targets (line 13), after step k_max
-(line 9), or when all signals of the sequence have been sent.
+The trial ends when all robots are near enough to their targets (line 13), after step k_max (line
+9), or when all signals of the sequence have been sent.
 
-Comments give the lines of the paper's Algorithm 2. `tetractl.control.methods.mpc` is the controller
-that we recommend.
+Comments give the lines of the paper's Algorithm 2. The controller that we recommend is
+`tetractl.control.methods.mpc`.
 """
 
 import math
@@ -53,7 +55,7 @@ class Algorithm2:
         limit_s = section.time_limit if section.time_limit < steps_s else math.inf
         self.time = TrialTime(limit_s, section.period)
         self.warm: Floats | None = None
-        """The paper's u_(warm), None before the first step."""
+        """The paper's u_(warm). None before the first step."""
         self.k = 0
 
     def plan(
@@ -62,7 +64,7 @@ class Algorithm2:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Decision:
-        """Decide what is sent in one control step, or end the trial."""
+        """Decide what to send in one control step, or end the trial; see `Controller.plan`."""
         problem = self.estimator.add_step(observation, last_command, earlier)  # line 12
         if self.section.arrived(problem.poses.distances(problem.targets)):  # line 13
             return Outcome.ARRIVED

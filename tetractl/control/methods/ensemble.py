@@ -31,36 +31,39 @@ from tetractl.spec.controller import ALONE, Host
 
 
 class EnsembleSection(PlainSection):
-    """Feedback Ensemble Control: the field rotates until the sum of distances to the targets would
-    fall without a field; then it is off as long as the sum falls. The controller ignores obstacles
-    and works in simulations only."""
+    """Feedback Ensemble Control: the field alternately rotates and is off.
+
+    It rotates until the sum of distances to the targets would fall without a field. Then it is off
+    as long as the sum falls. The controller ignores obstacles and works in simulations only.
+    """
 
     switches_field: ClassVar[bool] = True
     type: Literal["ensemble"]
     rate: Positive = 1.3
-    """Angular velocity of the rotating field, in units of the robots' least turning rate. Up to 1
-    every robot follows with a constant lag; above 1 the robot with the least turning rate cannot
+    """Angular velocity of the rotating field, in units of the robots' lowest turning rate. Up to 1,
+    every robot follows with a constant lag. Above 1, the robot with the lowest turning rate cannot
     follow.
     """
     fall: Fraction = 0.3
-    """The field is switched off if, over the coming control period, the sum of distances would fall
-    by more than this fraction of the robots' summed path lengths, which is the largest possible
-    fall.
+    """The field is switched off if the sum of distances would fall by more than this fraction of
+    the largest possible fall in the coming control period. The largest possible fall is the sum of
+    the robots' path lengths.
     """
     turns: float = Field(default=3.0, gt=0, le=1000, allow_inf_nan=False)
-    """The trial ends if the field has made this number of turns without being switched off, and
-    the next step would not reduce the sum of distances."""
+    """The trial ends if the field has made this number of turns without being switched off, and the
+    next step would not reduce the sum of distances.
+    """
 
     def warm_up(self, setup: Setup) -> None:
         """Do nothing: nothing is compiled."""
 
     def build(self, setup: Setup, key: int, host: Host = ALONE) -> "Ensemble":
-        """Return the controller of one trial."""
+        """Create the controller of one trial; see `ControllerSection.build`."""
         return Ensemble(self, setup, key)
 
 
 class HeldDirection(NamedTuple):
-    """What robots follow from a time on: a direction of the field [rad], or None for no field."""
+    """What robots follow from some time on: a direction of the field [rad]. None for no field."""
 
     since_ns: int
     direction: float | None
@@ -79,13 +82,15 @@ class Ensemble(PlainController):
         self._held: list[HeldDirection] = []
         """The decisions that act or are still to act, oldest first."""
         self._field: float | None = None
-        """The direction of the rotating field [rad], None while it is off."""
+        """The direction of the rotating field [rad]. None while it is off."""
         self._turned_rad = 0.0
-        """Angle by which the field has turned since it was switched on."""
+        """Angle by which the field has turned since it was switched on [rad]."""
 
     def predicted(self, observation: Observation, last_command: Command | None) -> Problem:
-        """Return the problem with the poses one dead time after the frame's exposure, when the
-        decision acts."""
+        """Return the problem with the poses at which the decision will act.
+
+        That is one dead time after the exposure of the frame.
+        """
         now_ns = observation.sampled_ns
         while len(self._held) > 1 and self._held[1].since_ns <= now_ns:
             self._held.pop(0)  # another decision has replaced it
@@ -99,7 +104,7 @@ class Ensemble(PlainController):
         return replace(self.problem, poses=poses)
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan | Outcome:
-        """Rotate the field further, switch it off, or end the trial."""
+        """Rotate the field, switch it off, or end the trial; see `PlainController.decided`."""
         section = self.section
         error = problem.poses.distances(problem.targets).sum()  # V
         straight = driven(problem, problem.poses, None, section.period)
@@ -143,9 +148,15 @@ class Ensemble(PlainController):
 
 
 def driven(problem: Problem, poses: Poses, direction: float | None, seconds: float) -> Poses:
-    """Return the poses after a time [s] under a field's direction [rad], or without a field.
+    """Predict the poses of robots under a field, or without one.
 
-    Without a field, robots follow their own headings and so do not turn.
+    Without a field, robots keep their headings and do not turn.
+
+    Args:
+        problem: The robots' parameters.
+        poses: Poses at the start.
+        direction: Direction of the field [rad]. None for no field.
+        seconds: How long they drive [s].
     """
     towards = poses.heading if direction is None else np.array(direction)
     x, y, heading = exact_step(

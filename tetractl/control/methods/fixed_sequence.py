@@ -1,5 +1,7 @@
-"""Functions that controllers share: search records of given signals, plans from search records,
-where robots will be, and the best moment to stop.
+"""Functions that several controllers use.
+
+They make search records of given signals and plans of search records, predict where robots will be,
+and find the best moment to stop.
 """
 
 from collections.abc import Sequence
@@ -15,14 +17,26 @@ from tetractl.core.poses import Floats
 
 
 def given_search(problem: Problem, signals: Floats, foreseen: Foreseen) -> Search:
-    """Return a search record of given signals (L,) [rad], whose prediction is known."""
+    """Make a search record of a given sequence.
+
+    Args:
+        problem: The problem of the control step.
+        signals: The sequence [rad], shape (L,).
+        foreseen: Its prediction.
+    """
     cost = foreseen.target + problem.obstacle_weight * foreseen.obstacle  # (7)
     return Search(len(signals), signals, cost, np.array([cost]), 1, StopReason.FIXED)
 
 
 def make_plan(searches: Sequence[Search], chosen: int, step_key: int, foreseen: Foreseen) -> Plan:
-    """Return the plan of a control step from its searches, given the prediction for the chosen
-    one."""
+    """Make the plan of a control step from its searches.
+
+    Args:
+        searches: All searches of the step.
+        chosen: Index of the chosen search.
+        step_key: Key of all random numbers in the step.
+        foreseen: The prediction for the chosen search.
+    """
     best = searches[chosen]
     return Plan(
         signals=best.signals,
@@ -37,14 +51,26 @@ def make_plan(searches: Sequence[Search], chosen: int, step_key: int, foreseen: 
 
 
 def given_plan(problem: Problem, signals: Floats, step_key: int) -> Plan:
-    """Return the plan of given signals (L,) [rad]."""
+    """Make a plan of a given sequence.
+
+    Args:
+        problem: The problem of the control step.
+        signals: The sequence [rad], shape (L,).
+        step_key: Key of all random numbers in the step.
+    """
     foreseen = foresee(problem, signals)
     return make_plan([given_search(problem, signals, foreseen)], 0, step_key, foreseen)
 
 
 def least_error(problem: Problem, period_s: float) -> float:
-    """Return a bound that no stop in the coming `period_s` can better: the sum of distances that
-    would be left if every robot drove straight to its target."""
+    """Compute a lower bound of the error after any stop in the coming period.
+
+    The bound is the sum of distances that would remain if every robot drove straight to its target.
+
+    Args:
+        problem: The problem of the control step.
+        period_s: Duration of the period [s].
+    """
     speed = problem.speed
     if problem.flow is not None:
         speed = speed + elementwise.hypot(problem.flow[:, 0], problem.flow[:, 1])
@@ -54,11 +80,19 @@ def least_error(problem: Problem, period_s: float) -> float:
 def best_stop(
     problem: Problem, direction: Floats, period_s: float, moments: int = 40
 ) -> tuple[int, float]:
-    """Return in how long to stop [ns], at one of `moments` in the coming control period, to leave
-    the least sum of distances to the targets, and that sum.
+    """Find the best moment in the coming control period to stop the robots.
 
-    The problem's poses are those at which a stop sent now acts. Until a later stop acts, robots
-    follow `direction` (N,) [rad], NaN for a robot that stands still.
+    The problem's poses are those at which a stop that is sent now takes effect.
+
+    Args:
+        problem: The problem of the control step.
+        direction: Direction that each robot follows until the stop takes effect [rad], shape (N,).
+            NaN if a robot stands still.
+        period_s: Duration of the control period [s].
+        moments: How many moments to compare.
+
+    Returns:
+        The time until that moment [ns], and the sum of distances to the targets after the stop.
     """
     delays = np.arange(moments, dtype=np.float64) * (period_s / moments)
     path = compiled_drive(problem, direction, delays)

@@ -1,10 +1,11 @@
 """The searches of one control step of `mpc`: the lengths to try, and their limits.
 
-A search at rest begins with plans about as long as the way; if none of a length is good, with
-longer ones. A good plan is then *shortened*: drawn together in time and polished, as long as it
-stays good. So is the plan under way, in each step. If that one is no longer good, as near the end
-the few signals left cannot correct the 2N coordinates of N robots, it is drawn out, or longer ones
-(detours) lead the robots away from their targets and back.
+A search at rest starts with plans that are about as long as the path. If no plan of a length is
+good, longer plans are tried. A good plan is then *shortened*: it is compressed in time and
+polished, as long as it stays good. In each step, the plan under way is shortened in the same way.
+Near the end of a plan, the few signals left cannot correct the 2N coordinates of N robots. If the
+plan under way is then no longer good, it is stretched, or longer plans (detours) lead the robots
+away from their targets and back.
 """
 
 import math
@@ -25,8 +26,10 @@ SIGNALS_PER_ROBOT = 6  # least number of signals per robot in a plan for several
 
 
 def least_length(problem: Problem) -> int:
-    """Return the least length to try: enough signals for each robot to drive straight to its
-    target, and at least SIGNALS_PER_ROBOT per robot.
+    """Compute the minimum length to try.
+
+    It has enough signals for each robot to drive straight to its target, and at least
+    SIGNALS_PER_ROBOT signals per robot.
     """
     gaps = problem.poses.distances(problem.targets).tolist()
     pairs = zip(gaps, problem.speed.tolist(), strict=True)
@@ -40,7 +43,7 @@ def least_length(problem: Problem) -> int:
 
 
 def longer(count: int, most: int) -> Iterator[int]:
-    """Yield growing lengths [signals] above `count`, that of the plan under way, up to `most`."""
+    """Yield increasing lengths above `count`, up to `most` [signals]."""
     length = count + 1
     while length <= most:
         yield length
@@ -94,9 +97,19 @@ class Searcher:
         return search
 
     def spread(self, least: int, most: int, good: Callable[[Search], bool]) -> bool:
-        """Search growing lengths, of which `least` is the shortest and `most` the longest that can
-        be good, until a plan is good, and shorten it; do so several times, as plans that begin with
-        other random numbers come to other lengths. Return whether one was found."""
+        """Search increasing lengths until a plan is good, and shorten that plan.
+
+        This is repeated several times, because plans that start from other random numbers reach
+        other lengths.
+
+        Args:
+            least: The shortest length that can be good.
+            most: The longest length that can be good.
+            good: Decides whether a plan is good.
+
+        Returns:
+            Whether a good plan was found.
+        """
         reached = False
         for _ in range(TRIES):
             if self._grow(least, most, good):
@@ -120,8 +133,15 @@ class Searcher:
             length = min(most, max(length + 1, round(SPREAD * length)))
 
     def shorten(self, least: int, good: Callable[[Search], bool]) -> int:
-        """Draw the plan found last, which is good, together in time, as far as it stays good when
-        it is polished, but not below `least`; return its length then."""
+        """Compress the good plan that was found last, as long as it stays good after polishing.
+
+        Args:
+            least: The minimum length.
+            good: Decides whether a plan is good.
+
+        Returns:
+            The length of the shortest good plan.
+        """
         best = self.found[-1]
         cut = max(1, round(CUT * best.length))
         while cut > 0:
@@ -140,9 +160,15 @@ class Searcher:
     def onward(
         self, problem: Problem, starts: Iterable[Floats], good: Callable[[Search], bool]
     ) -> bool:
-        """Search from each of `starts` until a plan is good; return whether the least cost of all
-        searches was found so. The searches are for `problem`, which has the same robots as the
-        searcher's own.
+        """Search from given sequences until a plan is good.
+
+        Args:
+            problem: The problem to search. Its robots are those of the searcher.
+            starts: The sequences to start from.
+            good: Decides whether a plan is good.
+
+        Returns:
+            Whether these searches found the lowest cost of all searches.
         """
         before = len(self.found)
         for start in starts:

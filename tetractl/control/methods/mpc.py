@@ -100,28 +100,41 @@ from tetractl.spec.controller import Host
 from tetractl.spec.lab_section import REACTION_S
 
 SEARCH_S = 1.0
-"""Time after which the searches of a step end for standing robots [s]. Those of driving robots end
-after the spec's `deadline`, as they drive on meanwhile."""
+"""Time after which the searches of a step end if robots stand still [s].
+
+While robots drive, they move on during the search, so the searches end after the spec's `deadline`.
+"""
 LATE = 2.0
-"""Number of dead times after which a stop has acted for certain: it may be lost once, and is sent
-again."""
+"""Number of dead times after which a stop has certainly taken effect.
+
+One stop may be lost. It is then sent again.
+"""
 SLACK = 1.15
-"""Ratio of lengths of the plan under way and of the least one, below which it is not shortened: a
-plan without slack cannot be mended, as robots do not drive faster."""
+"""Ratio of the length of the plan under way to the minimum length, below which it is not shortened.
+
+A plan without slack cannot be corrected, because robots do not drive faster.
+"""
 END_OF_LEG = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
 """Outcomes after which the next leg begins, if there is one."""
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A part of a trial, and where robots go in it: up to way-point `index` or to the targets, or
-    the hold after them.
+    """A part of a trial: up to a way-point, up to the targets, or the hold after them.
 
-    `began_s` is the time of the trial [s] and `began_ns` that of the clock [ns] at its beginning.
-    `outcome` is how the leg before ended. `present` tells which of all robots are not lost;
-    `targets` (N, 2) are those of these N robots, `parted` if they are too near to each other,
-    `discs` their bodies, and `margins` what plans keep clear by. A leg that `holds` is the hold;
-    the trial ends with the leg that `is_last`: the hold, or without one the leg to the targets.
+    Attributes:
+        index: Index of the way-point, or the number of way-points for the targets.
+        holds: Whether this leg is the hold.
+        is_last: Whether the trial ends with this leg. That is the hold, or the leg to the targets
+            if there is no hold.
+        began_s: Time of the trial at which the leg began [s].
+        began_ns: Time of the clock at which the leg began [ns].
+        outcome: How the previous leg ended.
+        present: Which of all robots are not lost.
+        targets: Where the N robots go that are not lost, shape (N, 2). Targets that are too close
+            to each other have been moved apart.
+        discs: Bodies of the robots.
+        margins: Distances that plans keep.
     """
 
     index: int
@@ -138,12 +151,15 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class TrialProgress:
-    """What robots have done so far.
+    """What the robots have done so far.
 
-    `k` is the number of the step, and `last` the plan of the step before, None if the leg begins.
-    `moving` tells whether robots drive when the step begins, `driven` for how many steps of the leg
-    they have driven without a pause: a plan of it is under way unless this is 0. `turning` is how
-    they have turned on the spot.
+    Attributes:
+        k: Number of the control step.
+        last: The plan of the previous step. None if the leg begins.
+        moving: Whether robots drive when the step begins.
+        driven: For how many steps of the leg they have driven without a pause. A plan is under way
+            unless this is 0.
+        turning: How they have turned on the spot.
     """
 
     k: int = 0
@@ -158,7 +174,7 @@ class TrialProgress:
         return State.RESTING if self.last is None else self.last.state
 
     def after(self, plan: Plan) -> "TrialProgress":
-        """Return the progress after a step in which `plan` was decided."""
+        """Return the progress after a step that decided on this plan."""
         moving = not plan.pauses
         driven = self.driven + 1 if moving else 0
         facing = plan.instead.facing if isinstance(plan.instead, Turn) else None
@@ -168,12 +184,15 @@ class TrialProgress:
 
 @dataclass(frozen=True, slots=True)
 class ControlStep:
-    """What a step begins with.
+    """The situation at the beginning of a control step.
 
-    The `problem` is to bring robots from where they will be when the next command acts to their
-    targets; `warm` (L,) are the signals left of the plan under way, None if none is;
-    `horizon_max` is the longest plan and `signals_left` the time until the limit of time, both in
-    signals; `value` is how plans are valued.
+    Attributes:
+        problem: How to bring the robots from where they will be when the next command acts to their
+            targets.
+        warm: The remaining signals of the plan under way, shape (L,). None if no plan is under way.
+        horizon_max: Length of the longest plan [signals].
+        signals_left: Time until the time limit [signals].
+        value: How plans are valued.
     """
 
     problem: Problem
@@ -192,14 +211,21 @@ class ControlStep:
         return self.warm is None or len(signals) > len(self.warm) + 1
 
     def allows(self, length: int) -> bool:
-        """Return whether there is time for a plan of `length` signals; if the targets are farther
-        away than the longest plan leads, for the longest plan."""
+        """Check whether there is time for a plan with `length` signals.
+
+        If the targets are further away than the longest plan leads, check for the longest plan.
+        """
         return min(length, self.horizon_max) <= self.signals_left
 
 
 class Searched(NamedTuple):
-    """What the searches of a step found: the `plans` of all of them for the `problem`, that of
-    least value first; `by_tree`: whether a tree led to the best."""
+    """The result of a step's searches.
+
+    Attributes:
+        problem: The problem that was searched.
+        plans: The plans of all searches, the one with the lowest value first.
+        by_tree: Whether a tree of directions led to the best plan.
+    """
 
     problem: Problem
     plans: Sequence[Plan]
@@ -234,7 +260,7 @@ class Mpc:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Decision:
-        """Decide what the robots do in one step, or end the trial."""
+        """Decide what the robots do in one step, or end the trial; see `Controller.plan`."""
         self.time.add_step(observation, last_command)
         motion = self.estimator.add_step(observation, last_command, earlier)
         dead = self.estimator.losses.dead
@@ -267,15 +293,17 @@ class Mpc:
         return not gave_up and not self.leg.is_last
 
     def _begin(self, leg: Leg) -> None:
-        """Begin a leg, in which plans are made afresh."""
+        """Begin a leg with new plans."""
         self.leg = leg
         self.progress = replace(self.progress, last=None, driven=0)
 
     def _leg(
         self, index: int, began_s: float, began_ns: int, outcome: Outcome, poses: Poses
     ) -> Leg:
-        """Return a leg of the robots that are not lost. Lost ones on wheels, at `poses`, are
-        obstacles."""
+        """Return a leg for the robots that are not lost.
+
+        Lost robots on wheels become obstacles at their `poses`.
+        """
         present = self.estimator.present
         collision = self.section.collision
         legs = self.setup.legs
@@ -303,7 +331,7 @@ class Mpc:
     # a step
 
     def _decide(self, motion: Problem, observation: Observation) -> Decision:
-        """Return what the robots do, or how the leg ends, given their states and motion."""
+        """Decide what the robots do or how the leg ends, given their states and motion."""
         step = self._step(motion)
         outcome = self._outcome(step, observation)
         if outcome is not None:
@@ -315,11 +343,11 @@ class Mpc:
         return self._under_way(step, step.warm)
 
     def _step(self, motion: Problem) -> ControlStep:
-        """Return what the step begins with, given the robots' states and motion.
+        """Return the situation at the beginning of the step, given the robots' states and motion.
 
-        A plan may hold each signal for several control periods. The lengths of plans and the time
-        left count from the beginning of the signal that is held now; in the prediction, only the
-        rest of it is still to come.
+        A plan may hold each signal for several control periods. The lengths of plans and the
+        remaining time count from the beginning of the signal that is held now. The prediction
+        contains only the rest of that signal.
         """
         section = self.section
         held_periods = self.progress.driven % section.signal_periods
@@ -341,8 +369,10 @@ class Mpc:
         )
 
     def _signals_left(self) -> Floats | None:
-        """Return what is left of the plan under way (L,), None if none is. Its first signal is over
-        when it has been held for all its periods."""
+        """Return the rest of the plan under way, shape (L,). None if no plan is under way.
+
+        The first signal is over when it has been held for all its periods.
+        """
         last = self.progress.last
         if last is None or last.pauses:
             return None
@@ -350,7 +380,7 @@ class Mpc:
         return last.signals[1:] if is_over else last.signals
 
     def _outcome(self, step: ControlStep, observation: Observation) -> Outcome | None:
-        """Return how the leg ends whatever robots could do, None if it goes on."""
+        """Return how the leg ends, whatever the robots could do. None if it continues."""
         if self.leg.holds:
             assert self.setup.hold is not None
             if observation.sampled_ns - self.leg.began_ns >= self.setup.hold.seconds * SECOND:
@@ -364,7 +394,7 @@ class Mpc:
         return None
 
     def _circle(self, step: ControlStep) -> Plan:
-        """Return a plan by which robots that cannot stand hold: they swim within its radius."""
+        """Plan how robots that cannot stand still hold: they stay within the hold's radius."""
         assert self.setup.hold is not None
         problem = replace(step.problem, within=self.setup.hold.radius)
         length = max(2, math.ceil(CircleSearch.ahead_s / problem.period))
@@ -387,11 +417,11 @@ class Mpc:
         return self._go_on(self._search_under_way(step, warm))
 
     def _near_the_limit(self, step: ControlStep, warm: Floats) -> Decision:
-        """Decide while a plan is under way and no time is left for a new one; for robots that rest
-        at the end, as the log of an outcome has no searches.
+        """Decide while a plan is under way and no time is left for a new one.
 
-        The plan is polished before it is compared with a stop. As it is, it may lead far from the
-        targets after a disturbance in its last signals, where the polished one comes near them.
+        This applies only to robots that stop at the end, because the log of an outcome has no
+        searches. The plan is polished before it is compared with a stop. After a disturbance, its
+        last signals may lead far from the targets, but those of the polished plan come near them.
         """
         searched = self._search_under_way(step, warm)
         best = searched.plans[0]
@@ -401,8 +431,10 @@ class Mpc:
         return self._go_on(searched)
 
     def _bound_of_going_on(self, step: ControlStep, warm: Floats) -> float:
-        """Return a lower bound of the value of going on: that of the plan under way as it is, or of
-        the shortest new plan if it led exactly to the targets. There must be time for a new plan.
+        """Compute a lower bound of the value of driving on.
+
+        It is the value of the plan under way, or of the shortest new plan if that led exactly to
+        the targets. A new plan counts only if there is time for it.
         """
         bound = np.inf
         if len(warm) > 0:
@@ -420,15 +452,17 @@ class Mpc:
     def _stop(
         self, step: ControlStep, warm: Floats, bound: float, searches: Sequence[Search] = ()
     ) -> Decision | None:
-        """Stop at the best moment of the coming control period, if the error that is left then is
-        at most the lower `bound` of anything else: robots would drive past their targets, on a
-        detour that costs more than it can win. As nothing found can be better, nothing is searched:
-        a search takes up to a control period, in which that moment would pass. (Near the limit
-        there are `searches`, of which the best plan has the value `bound`.)
+        """Stop at the best moment of the coming control period, if nothing else can be better.
 
-        Robots that can stand rest at first on the last leg. They are measured there, and the next
-        step ends the leg (`_finish`) or finds a plan from where they really are. Others, and those
-        at a way-point, end the leg at once.
+        That is the case if the error after the stop is at most `bound`, a lower bound of the value
+        of anything else. Driving on would take the robots past their targets, on a detour that
+        costs more than it can gain. Nothing is searched then, because a search takes up to a
+        control period, and the moment would pass. (Near the time limit there are `searches`; the
+        value of their best plan is `bound`.)
+
+        On the last leg, robots that can stand still first pause. They are measured there, and the
+        next step ends the leg (`_finish`) or finds a plan from where they really are. Other robots,
+        and robots at a way-point, end the leg at once.
         """
         # at a way-point the next leg begins with a new plan: a later moment is not worth waiting
         within_s = self.section.period if self.leg.is_last else 0.0
@@ -446,12 +480,14 @@ class Mpc:
         return outcome
 
     def _best_stop(self, problem: Problem, within_s: float) -> tuple[int, float]:
-        """Return in how long to stop [ns], within a time, to leave the least error, and that error.
-        Until then robots follow what they were sent last.
+        """Find the best moment to stop within a time, and the error after that stop.
 
-        It is a stop now if a body would come near something before a later one. The guard aborts a
-        trial if a body would touch something within its time to react; it does not know that a stop
-        is due.
+        Until then, robots follow what was sent last. If a body would come near something before
+        that moment, the robots stop now. The guard aborts a trial if a body would touch something
+        within its reaction time, and it does not know that a stop is planned.
+
+        Returns:
+            The time until that moment [ns], and the error [length unit].
         """
         held = self.estimator.held_at_action
         delay_ns, error = best_stop(problem, held, within_s)
@@ -463,10 +499,10 @@ class Mpc:
         return delay_ns, error
 
     def _go_on(self, searched: Searched) -> Plan:
-        """Follow the plan of least value that does not collide soon. If there is none, rest, and
-        search from there.
+        """Follow the plan with the lowest value that does not collide soon.
 
-        Robots that cannot stand follow the first: there is nothing safer that they could do.
+        If there is none, pause and search from there. Robots that cannot stand still follow the
+        first plan, because nothing they could do is safer.
         """
         for plan in searched.plans:
             if not (self.stands and self._collides_soon(searched.problem, plan.signals)):
@@ -474,8 +510,10 @@ class Mpc:
         return self._standing(searched.problem, State.RESTING, searched.plans[0].searches)
 
     def _search_under_way(self, step: ControlStep, warm: Floats) -> Searched:
-        """Polish the plan under way; shorten it if it is good, and search longer ones if it is not.
-        Within a signal that is kept, it is followed as it is."""
+        """Polish the plan under way, and shorten it if it is good, or else search longer plans.
+
+        While a signal is kept, the plan is followed unchanged.
+        """
         if self._is_kept(step, warm):
             return Searched(step.problem, [self._given(step.problem, warm)])
         searcher = self._searcher(step)
@@ -490,17 +528,22 @@ class Mpc:
         return self._searched(step, step.problem, searcher.found, by_tree=False)
 
     def _is_kept(self, step: ControlStep, warm: Floats) -> bool:
-        """Return whether the present signal is kept to its end, as the radio lets few directions
-        through: robots follow the one that they receive for about a signal period, and not for the
-        rest of it. A plan that is longer than the time left is to be searched."""
+        """Decide whether the present signal is kept to its end because the radio is sparse.
+
+        Robots then follow the direction that they receive for about a whole signal period, not for
+        the rest of one. A plan that is longer than the remaining time has to be searched.
+        """
         is_within_signal = step.problem.first_period < step.problem.period
         fits = len(warm) <= step.signals_max
         return self.estimator.is_radio_sparse and is_within_signal and fits
 
     def _search_longer(self, step: ControlStep, searcher: Searcher, start: Floats) -> None:
-        """Search the plan under way without its next signal, and longer ones, as far as these can
-        have a lower value than those found: near the end of a plan, the few signals left cannot
-        correct what has gone wrong. With one signal more it is still the plan under way."""
+        """Search the plan under way without its next signal, and longer plans.
+
+        Near the end of a plan, the few signals left cannot correct what has gone wrong. Longer
+        plans are searched only as long as they can have a lower value than those found. A plan that
+        is only one signal longer still counts as the plan under way.
+        """
         if len(start) > 1:
             searcher.search(len(start) - 1, start[1:])
         least = min(self._value(step, plan) for plan in self._plans(step.problem, searcher.found))
@@ -516,12 +559,14 @@ class Mpc:
     # under way through a passage
 
     def _thread(self, step: ControlStep, warm: Floats) -> Plan:
-        """Go on through a passage by a long plan made at rest: search only its next AHEAD signals
-        again, so that they bring robots to where the plan led them after these; keep the others.
+        """Continue through a passage with a long plan that was made at rest.
 
-        Errors of the model in the first of some 90 signals add up until the last, and the plan
-        would lead robots into the wall; but a search of all 90 would not find the passage again.
-        Robots rest for another plan if they stray from this one, or would touch something.
+        Only its next AHEAD signals are searched again, so that they bring the robots to where the
+        plan led after these signals. The other signals are kept.
+
+        Errors of the model in the first of about 90 signals add up until the last, so the unchanged
+        plan would lead robots into the wall. A search of all 90 signals would not find the passage
+        again. Robots pause for another plan if they stray from this one, or would touch something.
         """
         last = self.progress.last
         assert last is not None
@@ -570,20 +615,25 @@ class Mpc:
         return self._give_up(best)
 
     def _stay(self, step: ControlStep) -> Plan | None:
-        """Stand on in a hold while all robots are within its radius; to drive nearer could lead
-        them out of it, and counts for nothing."""
+        """Keep standing still in a hold while all robots are within its radius.
+
+        Driving nearer could lead them out of the radius, and gains nothing.
+        """
         gaps = step.problem.poses.distances(step.problem.targets)
         if self.leg.holds and self.setup.hold and (gaps <= self.setup.hold.radius).all():
             return self._standing(step.problem, State.RESTING)
         return None
 
     def _finish(self, step: ControlStep) -> Plan | Outcome | None:
-        """End the leg, or stand on in a hold, if robots stand and the error is at most the least
-        value of a new plan, the shortest if it led exactly to the targets; or if there is no time
-        for it. Without this rule, robots would try again until the limit of time.
+        """End the leg, or continue to stand still in a hold, if a new plan cannot gain enough.
 
-        The first step of a trial does not end it: a plan is what it is for. Nor do robots that
-        drive, as when a leg begins, stand where they are measured.
+        This applies only to robots that stand still, and only if the error is at most the lowest
+        value of a new plan (the shortest plan that would lead exactly to the targets), or if there
+        is no time for a new plan. Without this rule, robots would try again until the time limit.
+
+        The first step does not end a trial, because a trial is there to be planned. Robots that are
+        still driving, for example when a leg begins, do not end it either, because they do not stop
+        where they are measured.
         """
         if self.progress.k == 0 or self.progress.moving:
             return None
@@ -598,7 +648,7 @@ class Mpc:
         return Outcome.NO_BETTER_PLAN
 
     def _turn(self, searched: Searched) -> Plan | None:
-        """Turn on the spot, as in a corner that robots face, unless all turns were in vain."""
+        """Turn on the spot, for example in a corner, unless all turns have failed."""
         apart = self.section.collision.separation
         turning = self.progress.turning
         facing = next_facing(searched.problem, self.leg.discs, apart, turning)
@@ -609,8 +659,10 @@ class Mpc:
         return replace(standing, instead=Turn(facing))
 
     def _give_up(self, best: Plan) -> Plan:
-        """Stand, and end the trial in the next step (`_outcome`): so the log has the best plan
-        found and what was searched."""
+        """Stop, and end the trial in the next step (`_outcome`).
+
+        In this way, the log contains the best plan found and all searches.
+        """
         return replace(best, state=State.STUCK, instead=Stop())
 
     def _drive(self, searched: Searched, best: Plan) -> Plan:
@@ -623,12 +675,13 @@ class Mpc:
         return best
 
     def _search_at_rest(self, step: ControlStep) -> Searched:
-        """Search plans of growing lengths until one is good. If none is, search from the plans to
-        which a tree of directions leads: through gaps, or of many robots at once.
+        """Search plans of increasing length until one is good.
 
-        A tree takes long, so robots must stand; and it needs the walls that bound it. Its plans may
-        take half a minute: they keep the margins of a motion that is known for certain, as it will
-        be identified by the time that it matters, and wider ones would close a gap.
+        If none is, search from plans that a tree of directions finds: through gaps, or for many
+        robots at once. A tree takes long, so robots must stand still. It also needs walls that
+        bound it. Its plans may take half a minute. They keep the margins of a motion that is known
+        exactly, because the motion will be identified by the time it matters, and wider margins
+        would close a gap.
         """
         searcher = self._searcher(step)
         longest = max(1, step.signals_max)
@@ -661,11 +714,14 @@ class Mpc:
         return mix(self.key, self.progress.k)
 
     def _searcher(self, step: ControlStep) -> Searcher:
-        """Return what runs the searches of a step, whose time counts from now."""
+        """Return what runs the searches of a step. Their time counts from now."""
         return Searcher(self.optimizer, step.problem, self._step_key, self._limits())
 
     def _limits(self) -> Limits:
-        """Return the limits of the step's searches, whose time begins now: until the deadline."""
+        """Return the limits of the step's searches.
+
+        Their time begins now and ends at the deadline.
+        """
         seconds = self.section.deadline if self.progress.moving else SEARCH_S
         end_ns = self.host.timer() + round(seconds * SECOND)
         return Limits(expired=lambda _: self.host.timer() >= end_ns)
@@ -698,20 +754,26 @@ class Mpc:
         return make_plan(all_searches, len(all_searches) - 1, self._step_key, foreseen)
 
     def _standing(self, problem: Problem, state: State, searches: Iterable[Search] = ()) -> Plan:
-        """Return a plan by which robots stand; `searches` are those of this step, for the log. Its
-        one signal is not sent: a stop is, or a turn."""
+        """Return a plan that makes robots stand still.
+
+        Its one signal is not sent; a stop or a turn is sent instead. `searches` are this step's
+        searches, for the log.
+        """
         plan = self._given(problem, np.zeros(1), searches)
         return replace(plan, state=state, instead=Stop())
 
     def _with_margins(self, problem: Problem, estimate: Estimate | None) -> Problem:
-        """Return the problem with its margins, given the estimate `estimate`, None if certain."""
+        """Add margins to the problem, given the estimate. None if the motion is known exactly."""
         return self.leg.margins.applied(
             problem, self.section.period, self.estimator.dead_time_s, estimate
         )
 
     def _collides_soon(self, problem: Problem, signals: Floats) -> bool:
-        """Return whether a body enters something before a stop can act, which the next step may
-        send: whatever is wrong with the first of these signals (L,) is too late to mend then."""
+        """Check whether a body enters something before a stop can take effect.
+
+        The next step may send a stop. An error in the first of these signals (L,) is then too late
+        to correct.
+        """
         seconds = self.section.period + LATE * self.estimator.dead_time_s
         directions = np.full(len(problem.a), signals[0])
         return self.leg.discs.enters_if_held(problem, directions, seconds)

@@ -1,5 +1,7 @@
-"""The fields of model predictive control in a spec: `pso-mpc` as published has those of
-`SearchFields`, and `mpc`, the recommended controller, all of them.
+"""The fields of model predictive control in a spec.
+
+`pso-mpc`, as published, has the fields of `SearchFields`. The recommended controller `mpc` has all
+of them.
 """
 
 from collections.abc import Iterator
@@ -37,29 +39,34 @@ _MULTISTART = KindSection(OPTIMIZERS, OptimizerSection, default="multistart")
 
 
 class Collision(Model):
-    """How the planner avoids obstacles, the arena's edge, and other robots. Robots without wheels
-    do not stop by default."""
+    """How the planner avoids obstacles, the arena's edge, and other robots.
+
+    By default, robots without wheels do not stop.
+    """
 
     margin: NonNegative = 0.0
     """Distance by which obstacles are grown for the planner [length unit]."""
     walls: bool = True
     """Whether leaving the arena counts as entering an obstacle."""
     radius: NonNegative = 0.0
-    """Radius of a robot, by which obstacles are grown as well [length unit]; 0 for points."""
+    """Radius of a robot [length unit]. Obstacles are grown by it as well. 0 for points."""
     separation: NonNegative = Field(default_factory=lambda fields: 2 * fields.get("radius", 0.0))
-    """Least distance of the centres of two robots in the plan [length unit]; 0 for robots that may
-    meet. The distance is tested at the predicted positions. The default is two radii."""
+    """Minimum distance between the centres of two robots in the plan [length unit].
+
+    0 if robots may meet. The distance is tested at the predicted positions. Default: two radii.
+    """
     adaptive: bool = True
-    """Whether the margin grows by a robot's greatest deviation from its course before the next
+    """Whether the margin grows by a robot's maximum deviation from its course before the next
     command acts, given the uncertainty of its motion. If a robot or target is within the margin,
     the margin is reduced to its distance.
     """
     stop_before_collision: bool = True
-    """Whether all robots rest if the best plan found leads one into an obstacle, or if a new plan
-    from rest is worth more. From rest, robots of which no plan keeps clear turn on
-    the spot first; the trial ends if that does not help either. Robots also end at rest,
-    and drive on if their total error is then too large. Only for robots that can stand still, which
-    have `wheels`."""
+    """Whether all robots pause if the best plan found leads one of them into an obstacle, or if a
+    new plan from standstill has a better value. If no plan from standstill keeps clear, the robots
+    turn on the spot first. If that does not help either, the trial ends. Robots also stop at the
+    end, and drive on if their total error is then too large. Only for robots that can stand still,
+    which have `wheels`.
+    """
 
 
 class PriorSection(Model):
@@ -73,33 +80,46 @@ class PriorSection(Model):
     """Standard deviation of the dead time [s]."""
     heading_bias: PositiveAngle = 0.05
     """Standard deviation of the angle between the direction sent and the direction that a robot
-    turns towards [rad]."""
+    turns towards [rad].
+    """
     flow: NonNegative | None = None
     """Standard deviation of each component of the flow that carries a robot, or of its slide
-    [length unit/s]; by default a twentieth of the robots' mean speed."""
+    [length unit/s]. Default: a twentieth of the robots' mean speed.
+    """
     position_noise: NonNegative = 0.0
     """Standard deviation of a measured position [length unit]; 0 if unknown."""
     heading_noise: NonNegativeAngle = 0.0
     """Standard deviation of a measured heading [rad]; 0 if unknown."""
 
     helix: NonNegative | None = None
-    """Radius of the helix on which a cell swims [length unit]; by default 8 um, as *T. pyriformis*
-    has it, and 0 for robots on wheels."""
+    """Radius of the helix on which a cell swims [length unit].
+
+    Default: 8 um, as for *T. pyriformis*, and 0 for robots on wheels.
+    """
 
     marker_bias: ClassVar[float] = 0.05
     """Standard deviation of the angle between the measured heading and the course [rad]."""
     side: ClassVar[float] = 0.1
-    """Standard deviation of k of robots that turn by a exp(k) to the left, a exp(-k) to the
-    right."""
+    """Standard deviation of k, for robots that turn by a exp(k) to the left and a exp(-k) to the
+    right.
+    """
 
     def rests(self, setup: Setup) -> bool:
-        """Return whether cells are to be expected to rest: a stray can be distinguished from the
-        noise only if that is known."""
+        """Check whether cells are expected to rest sometimes.
+
+        A resting cell that strays can be distinguished from noise only if the noise is known.
+        """
         is_noise_known = self.position_noise > 0 and self.heading_noise > 0
         return not setup.on_wheels and is_noise_known
 
     def of(self, problem: Problem, dead_time: float, setup: Setup) -> Prior:
-        """Return the prior of a problem's robots; those without wheels are taken for cells."""
+        """Return the prior for the robots of a problem.
+
+        Args:
+            problem: The robots' parameters.
+            dead_time: The expected dead time [s].
+            setup: The constants of the experiment. Robots without wheels are treated as cells.
+        """
         is_cell = not setup.on_wheels
         mean_speed = float(problem.speed.mean())
         x, y, heading = setup.sight.spread
@@ -138,11 +158,17 @@ class SearchFields(PlainSection):
     """The controller as "module:class", called with (section, setup, key, host)."""
 
     motion: Annotated[str, KindName(MOTIONS)] = "euler"
-    """Predicted motion, by equations of the paper: `euler` is (4)-(6); `arc` holds the wheel speeds
-    of (24)-(25) over a period; `exact` is the closed form of (1)-(3) under a held direction."""
+    """Predicted motion.
+
+    `euler` is the paper's equations (4)-(6). `arc` holds the wheel speeds of (24)-(25) over a
+    period. `exact` is the closed form of (1)-(3) under a held direction.
+    """
     horizon_max: int = Field(default=51, ge=1, le=2000)
-    """Longest sequence tried, in signals; by `pso-mpc` at step 0, as its later ones are never
-    longer. A sequence of `length` signals is the paper's horizon h = length - 1."""
+    """Length of the longest sequence tried, in signals.
+
+    In `pso-mpc` this applies to step 0, because its later sequences are never longer. A sequence of
+    `length` signals is the paper's horizon h = length - 1.
+    """
     obstacle_weight: NonNegative = 1000.0
     """Weight omega_p of the obstacle potential in the paper's equation (7) [length unit]."""
     optimizer: Annotated[OptimizerSection, _PSO] = Field(default_factory=_PSO.make)
@@ -161,8 +187,10 @@ class SearchFields(PlainSection):
         return texts
 
     def numbers_held(self, setup: Setup) -> int:
-        """Return the number of floats that the longest search stores: positions, velocities, bests
-        and poses of particles, and the Jacobian of a polish.
+        """Estimate how many floats the longest search stores.
+
+        These are the positions, velocities, bests and poses of particles, and the Jacobian of a
+        polish.
         """
         robots = len(setup.names)
         length = self.horizon_max
@@ -171,16 +199,21 @@ class SearchFields(PlainSection):
         return swarm + residuals * length
 
     def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:
-        """Return the problem with the robots at `poses`, or at their starts; obstacles are tested
-        at the predicted samples, as in the paper's equation (13)."""
+        """Return the problem for robots at given poses, or at their starts if `poses` is None.
+
+        Obstacles are tested at the predicted samples, as in the paper's equation (13).
+        """
         problem = replace(
             super().problem(setup), motion=self.motion, obstacle_weight=self.obstacle_weight
         )
         return problem if poses is None else replace(problem, poses=poses)
 
     def warm_up(self, setup: Setup) -> None:
-        """Call the planner's functions once so that they are compiled: search for one signal,
-        predict the robots' paths under it, and follow robots in a few frames."""
+        """Call the planner's functions once, so that they are compiled.
+
+        It searches for one signal, predicts the robots' paths under it, and follows robots through
+        a few frames.
+        """
         from tetractl.control.search.evaluate import compiled_foresee
 
         problem = self.problem(setup)
@@ -189,13 +222,16 @@ class SearchFields(PlainSection):
         super().warm_up(setup)
 
     def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
-        """Return the controller of one trial."""
+        """Create the controller of one trial; see `ControllerSection.build`."""
         return resolve_name(self.controller)(self, setup, key, host)
 
 
 class PsoMpc(SearchFields):
-    """Algorithm 2 as published: the Euler model, particle swarms, obstacles tested at the predicted
-    samples, 5 Hz, and no extensions. Every default is the paper's."""
+    """Algorithm 2 as published, without extensions. Every default is the paper's.
+
+    It uses the Euler model and particle swarms, tests obstacles at the predicted samples, and runs
+    at 5 Hz.
+    """
 
     type: Literal["pso-mpc"] = "pso-mpc"
     steps_max: int = Field(default=100, ge=1, le=1_000_000)
@@ -216,36 +252,46 @@ class PsoMpc(SearchFields):
 
 @defaults(period=0.05, motion="exact")
 class RecommendedMpc(SearchFields):
-    """The recommended controller: Algorithm 2 with the exact motion under a held direction, many
-    polished starts in place of a particle swarm, identification while robots drive, paths that keep
-    clear, and one value that decides between a plan, a longer way and a stop. Every default
-    is what we recommend for robots on wheels."""
+    """The recommended controller. Every default is what we recommend for robots on wheels.
+
+    It extends Algorithm 2: the exact motion under a held direction, many polished starts instead of
+    a particle swarm, identification while robots drive, paths that keep clear of obstacles, and one
+    value that decides between a plan, a detour and a stop.
+    """
 
     type: Literal["mpc"] = "mpc"
     signal_periods: PositiveInt = Field(
         default_factory=lambda fields: max(1, round(SIGNAL_S / fields.get("period", SIGNAL_S)))
     )
-    """Number of control periods for which a plan holds each signal. The plan's time grid is so many
-    times coarser than the control's, and a signal can still be changed at each control step. The
-    default is as many as last about 0.2 s."""
+    """Number of control periods for which a plan holds each signal.
+
+    The plan's time grid is coarser than the control's by this factor, but a signal can still be
+    changed at each control step. Default: the number of periods that last about 0.2 s.
+    """
     deadline: Positive = Field(default_factory=lambda fields: 0.8 * fields.get("period", SIGNAL_S))
-    """Time after which the searches of a control step end and the best sequence so far is used [s];
-    for standing robots it is 1 s. The default is 80 % of the control period. In virtual time the
-    searches' work is counted, so that a simulation depends only on its seed."""
+    """Time after which the searches of a control step end and the best sequence so far is used [s].
+
+    For robots that stand still, it is 1 s. Default: 80 % of the control period. In virtual time,
+    the work of the searches is counted instead, so that a simulation depends only on its seed.
+    """
     estimate: bool = True
-    """Whether turning rate a, speed and heading bias of each robot, and their common dead time, are
-    identified while they drive, starting from the spec's values.
+    """Whether the turning rate a, the speed and the heading bias of each robot, and their common
+    dead time, are identified while they drive, starting from the spec's values.
     """
     prior: PriorSection = PriorSection()
     """The prior uncertainty of the identified values."""
     accept_error: Positive = Field(default=1.0)
-    """Total error to accept [length unit]. It is the scale of the value by which the controller
-    decides between a stop and a longer way: a second costs 2 % of it. A smaller value
-    makes trials longer. The default is 0.45 of the path that all robots together drive in a control
-    period."""
+    """Total error to accept [length unit].
+
+    It is the scale of the value by which the controller decides between a stop and a detour: a
+    second costs 2 % of it. A smaller value makes trials longer. Default: 0.45 of the path that all
+    robots together drive in a control period.
+    """
     collision: Collision = Collision()
-    """How the planner avoids obstacles, the arena's edge, and other robots. Robots without wheels
-    do not pause by default."""
+    """How the planner avoids obstacles, the arena's edge, and other robots.
+
+    By default, robots without wheels do not pause.
+    """
     optimizer: Annotated[OptimizerSection, _MULTISTART] = Field(default_factory=_MULTISTART.make)
     """The optimiser of each search."""
 
@@ -254,7 +300,7 @@ class RecommendedMpc(SearchFields):
 
     @property
     def body_radius(self) -> float:
-        """Radius of every robot's body [length unit], 0 if the spec gives none."""
+        """Radius of every robot's body [length unit]. 0 if the spec gives none."""
         return self.collision.radius
 
     def fitted(self, stands: bool, speed: float) -> Self:
@@ -288,14 +334,17 @@ class RecommendedMpc(SearchFields):
         )
 
     def known(self, setup: Setup) -> Prior:
-        """Return what is assumed of the robots' motion, without uncertainty unless `estimate`."""
+        """Return the prior of the robots' motion. It is certain if `estimate` is False."""
         if not self.estimate:
             return super().known(setup)
         return self.prior.of(self.problem(setup), self.dead_time, setup)
 
     def patience_s(self, setup: Setup) -> float:
-        """Return the time in which the price of an attempt doubles [s]. Cells that rest may begin
-        again and again until the time is over: for them it is at most half the time limit."""
+        """Return the time in which the price of an attempt doubles [s].
+
+        Cells that rest may make attempts until the time is over. For them, it is at most half the
+        time limit.
+        """
         from tetractl.control.methods.value import (
             PATIENCE_S,  # late: reading a spec needs no controller
         )
@@ -303,8 +352,10 @@ class RecommendedMpc(SearchFields):
         return min(PATIENCE_S, self.time_limit / 2) if self.prior.rests(setup) else PATIENCE_S
 
     def warm_up(self, setup: Setup) -> None:
-        """Call the functions of the planner, of the margins and of the tree once, so that they are
-        compiled, and what they import is loaded: loading it in a run kept frames waiting."""
+        """Compile the functions of the planner, the margins and the tree by calling each once.
+
+        This also loads what they import. Loading it during a run would delay frames.
+        """
         from tetractl.control.methods.passage import ways
         from tetractl.control.search.discs import Discs
         from tetractl.control.search.evaluate import compiled_branches, compiled_drive

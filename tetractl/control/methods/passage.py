@@ -1,22 +1,23 @@
-"""Ways for many robots, or through passages that are too narrow for all robots abreast.
+"""Paths for many robots, or through passages that are too narrow for all robots side by side.
 
-A common direction moves all robots nearly alike, so that robots pass a gap one after the other, and
-hardly any random sequence of directions leads many robots, or several through a gap, to targets far
-apart. `ways` finds sequences that do, for an optimiser to begin with.
+A common direction moves all robots in nearly the same way, so robots pass a gap one after another.
+Hardly any random sequence of directions leads many robots to targets far apart, or several robots
+through a gap. `ways` finds sequences that do, as starts for an optimiser.
 
-It grows a `Tree`. A *node* is where all robots are after some signals; a *branch* grows from it by
-one direction, held for HELD_S, and its end may be a node of the next *level*. For each level
+It grows a `Tree`. A *node* is where all robots are after some signals. A *branch* grows from it
+with one direction, held for HELD_S, and its end may be a node of the next *level*. For each level
 
-    _grid_ways      say how far each robot still has to go, round the obstacles, to its target
-    _best_branches  keeps the branches with the least sum of squares of these ways (beam search;
-                    Lowerre, The HARPY speech recognition system, 1976), if bodies keep clear
+    _grid_ways      computes how far each robot still has to go to its target, around obstacles
+    _best_branches  keeps the branches with the smallest sum of squares of these distances (beam
+                    search; Lowerre, The HARPY speech recognition system, 1976), if bodies keep
+                    clear
 
-and the signals to nodes at which all robots are near their targets are yielded, or at last those to
-the nearest one. Nothing depends on a clock: the number of nodes bounds the time.
+The signals to nodes where all robots are near their targets are yielded, and finally those to the
+nearest node. Nothing depends on a clock: the number of nodes limits the time.
 
-Such a plan is long, and small errors of the model at its beginning are large at its end. Robots
-that follow it therefore search only the next AHEAD signals again, with the places where the plan
-leads them as targets.
+Such a plan is long, and small errors of the model at its beginning become large at its end. Robots
+that follow it therefore search only the next AHEAD signals again. Their targets are then the
+positions to which the plan leads.
 
 Shapes: N robots, T moments along a branch, B branches of a level, C cells of the arena, O obstacles
 and walls. Lengths are in the spec's length unit.
@@ -45,9 +46,9 @@ CELLS_ACROSS = 90
 HELD_S = 0.4
 """Time for which a branch is held [s]."""
 NODES_KEPT = 400
-"""Number of nodes kept of each level, times that of the robots."""
+"""Number of nodes kept in each level, multiplied by the number of robots."""
 NODES_COMPUTED = 4
-"""Of so many times that number, the best, the bodies' distances are computed."""
+"""Bodies' distances are computed for this many times that number of branches, the best ones."""
 WAYS_LEFT = 2.3
 """Sum of the ways left from which an optimiser begins, in units of the sum of all v / a."""
 STARTS_OF_LEVEL = 6
@@ -80,10 +81,10 @@ class Nodes(NamedTuple):
 
 
 class Tree:
-    """A tree of directions, of which the nodes of the last level can grow branches.
+    """A tree of directions. The nodes of its last level can grow branches.
 
-    A node is where robots are, poses (N, 3), after the signals that lead to it. A branch is one
-    direction, held for `held` signals. `key` seeds the first of the directions of each level.
+    A node holds the robots' poses (N, 3) after the signals that lead to it. A branch is one
+    direction, held for `held` signals. `key` seeds the first direction of each level.
     """
 
     def __init__(self, problem: Problem, key: int, held: int) -> None:
@@ -96,8 +97,11 @@ class Tree:
         """What may become the nodes of the next level: the root, or the branches grown last."""
 
     def grow(self) -> Floats:
-        """Grow BRANCHES of them from each node of the last level; return the poses
-        (PARTS held, B, N, 3) along them."""
+        """Grow BRANCHES branches from each node of the last level.
+
+        Returns:
+            The poses along all branches, shape (PARTS held, B, N, 3).
+        """
         first = uniform(self._key, len(self.levels), 1)
         all_round = wrap(2 * np.pi / BRANCHES * (np.arange(BRANCHES) + first))
         nodes = self.levels[-1] if self.levels else self._grown
@@ -144,9 +148,17 @@ class Squares:
         return column_and_row[..., 1] * columns + column_and_row[..., 0]
 
     def ways(self, free: Bools, targets: Floats) -> Floats:
-        """Return the lengths (N C,) of ways through free cells (C,) from each to each of the
-        targets (N, 2), inf if there is none; they lead from a cell to one of its eight
-        neighbours."""
+        """Compute the lengths of the shortest paths from each cell to each target, shape (N C,).
+
+        Paths lead through free cells, from a cell to one of its eight neighbours.
+
+        Args:
+            free: Whether each cell is free, shape (C,).
+            targets: The targets, shape (N, 2).
+
+        Returns:
+            The lengths [length unit], inf where there is no path.
+        """
         from scipy.sparse import coo_array
         from scipy.sparse.csgraph import dijkstra  # slow to import, and seldom needed
 
@@ -170,9 +182,17 @@ class Squares:
 
 
 def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Floats]:
-    """Yield up to STARTS_IN_ALL sequences of up to `most` signals that lead all robots near their
-    targets, about the shortest first, and at last the one that leads nearest. `key` seeds the first
-    direction of each level."""
+    """Find sequences that lead all robots near their targets, roughly the shortest first.
+
+    Args:
+        problem: The problem of the control step.
+        arena: The arena.
+        most: Maximum length of a sequence [signals].
+        key: Seed of the first direction in each level.
+
+    Yields:
+        Up to STARTS_IN_ALL sequences [rad], and finally the one that leads nearest to the targets.
+    """
     count = len(problem.a)
     held = max(1, round(HELD_S / problem.period))
     nodes_max = max(1, NODES_KEPT // count)
@@ -206,8 +226,10 @@ def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Float
 
 
 def _grid_ways(problem: Problem, grid: Squares) -> Floats:
-    """Return the lengths of each robot's ways from each cell to its target (N C,), through cells
-    whose centres are free, or inside an obstacle by less than half a cell."""
+    """Compute the length of each robot's path from each cell to its target, shape (N C,).
+
+    A cell is passable if its centre is free, or inside an obstacle by less than half a cell.
+    """
     x = grid.centres[:, 0].copy()
     y = grid.centres[:, 1].copy()
     free = gaps(problem.obstacles, x, y).min(axis=0, initial=np.inf) > -grid.side / 2
@@ -215,8 +237,15 @@ def _grid_ways(problem: Problem, grid: Squares) -> Floats:
 
 
 def _best_branches(problem: Problem, path: Floats, ways_left: Floats, nodes_max: int) -> Integers:
-    """Return the branches grown last, with poses path (T, B, N, 3), whose ends become nodes: up to
-    `nodes_max`, the best first. Clearances take time, so only those of the best are computed.
+    """Select the branches grown last whose ends become nodes, the best first.
+
+    Clearances take time, so they are computed only for the best branches.
+
+    Args:
+        problem: The problem of the control step.
+        path: The poses along the branches, shape (T, B, N, 3).
+        ways_left: The remaining distance of each robot along each branch.
+        nodes_max: Maximum number of nodes.
     """
     squares = np.square(ways_left[-1]).sum(axis=1)
     order = np.argsort(squares, kind="stable")
@@ -227,8 +256,10 @@ def _best_branches(problem: Problem, path: Floats, ways_left: Floats, nodes_max:
 
 
 def _keep_clear(problem: Problem, xy: Floats) -> Bools:
-    """Return along which branches robots at xy (T, B, N, 2) keep their distances to each other and
-    to obstacles (B,)."""
+    """Check along which branches robots keep their distances to each other and to obstacles, (B,).
+
+    `xy` are the positions along the branches, shape (T, B, N, 2).
+    """
     x = xy[..., 0].copy()
     y = xy[..., 1].copy()
     i, k = np.triu_indices(xy.shape[2], 1)  # the pairs of robots
@@ -241,5 +272,5 @@ def _keep_clear(problem: Problem, xy: Floats) -> Bools:
 
 
 def ahead(problem: Problem, way: Floats) -> Problem:
-    """Return the problem whose targets are where a way (M, N, 3) leads after AHEAD signals."""
+    """Return a problem with the positions after AHEAD signals of a path (M, N, 3) as targets."""
     return replace(problem, targets=np.ascontiguousarray(way[AHEAD, :, :2]))

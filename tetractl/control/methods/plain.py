@@ -1,4 +1,4 @@
-"""What the controllers without a search share: the problem whose cost is logged, and a step."""
+"""Base classes of controllers that do not search, with the problem that gives the logged cost."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -23,8 +23,10 @@ class PlainSection(ControllerSection):
     """A controller that knows the robots' motion, and predicts them over the dead time."""
 
     def problem(self, setup: Setup) -> Problem:
-        """Return the problem used to compute the logged cost, for robots at their starts, predicted
-        by the exact motion; touching an obstacle costs nothing."""
+        """Return the problem used to compute the logged cost, for robots at their starts.
+
+        It predicts the exact motion. Touching an obstacle costs nothing.
+        """
         return Problem(
             poses=setup.starts,
             targets=setup.targets,
@@ -39,7 +41,7 @@ class PlainSection(ControllerSection):
         )
 
     def known(self, setup: Setup) -> Prior:
-        """Return what is assumed of the robots' motion: nothing is uncertain."""
+        """Return the prior of the robots' motion, without any uncertainty."""
         return nothing(self.problem(setup), self.dead_time)
 
     def warm_up(self, setup: Setup) -> None:
@@ -50,8 +52,11 @@ class PlainSection(ControllerSection):
 
 
 class PlainController:
-    """The controller of one trial: its number of the step, k, and its estimator; `key` seeds all
-    its random numbers."""
+    """A controller without a search, for one trial. Derive from it and implement `decided`.
+
+    It counts the control steps, k, and estimates the robots' poses. `key` seeds all its random
+    numbers.
+    """
 
     def __init__(self, section: PlainSection, setup: Setup, key: int) -> None:
         self.key = key
@@ -74,7 +79,7 @@ class PlainController:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Decision:
-        """Decide what the robots do in one step, or end the trial."""
+        """Decide what the robots do in one step, or end the trial; see `Controller.plan`."""
         problem = self.step(observation, last_command)
         if isinstance(problem, Outcome):
             return problem
@@ -83,8 +88,11 @@ class PlainController:
         return decision
 
     def step(self, observation: Observation, last_command: Command | None) -> Problem | Outcome:
-        """Return the problem of one step, with the poses at which the next direction acts, or the
-        outcome if the trial is over; `open_trial` decides by itself what is sent."""
+        """Return the problem of one step, or the outcome if the trial is over.
+
+        The problem has the poses at which the next direction acts. `open_trial` uses it, and lets
+        the script decide what to send.
+        """
         self._time.add_step(observation, last_command)
         problem = self.predicted(observation, last_command)
         if self._ends.arrived(problem.poses.distances(problem.targets)):
@@ -99,4 +107,10 @@ class PlainController:
 
     @abstractmethod
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Decision:
-        """Return the decision of step k, whose random numbers `step_key` seeds."""
+        """Decide what to send in step k.
+
+        Args:
+            problem: The problem, with the poses at which the next direction acts.
+            observation: The newest camera frame.
+            step_key: Seed of the step's random numbers.
+        """

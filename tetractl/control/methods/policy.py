@@ -1,18 +1,19 @@
-"""A controller that asks a learnt policy: a small network, whose weights are in the spec.
+"""A controller that asks a learnt policy: a small network whose weights are in the spec.
 
-The input of the network is what `features` makes of an observation: for N robots 4 N + 2 numbers,
+The function `features` computes the input of the network from an observation. For N robots it has 4
+N + 2 numbers:
 
     gaps to the targets / the arena's longer side   x_1, y_1, ..., x_N, y_N
     headings                                        cos theta_1, sin theta_1, ..., cos theta_N, ...
     last direction sent                             cos u, sin u; 0, 0 before the first
 
-Each layer is y = W x + b; between layers stands the `activation`, behind the last one none. The two
-outputs are clipped to [-1, 1], as learners clip an action to its range, and point in the direction
-that is sent: u = atan2(y_2, y_1). No random numbers are drawn, so that `verify` decides each step
-again, to the bit on one computer.
+Each layer is y = W x + b. The `activation` follows each layer except the last. The two outputs are
+clipped to [-1, 1], as learners clip an action to its range. They point in the direction that is
+sent: u = atan2(y_2, y_1). No random numbers are used, so `verify` can repeat each decision, to the
+bit on one computer.
 
-Nothing of the truth goes in: poses are those that the camera measured, of a robot that is not
-tracked the last ones.
+The policy knows nothing of the true poses. It uses the poses that the camera measured, and the last
+measured pose of an untracked robot.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -39,14 +40,17 @@ OUTPUTS = 2
 
 
 def features_of(robots: int) -> int:
-    """Return how many numbers `features` returns for a number of robots."""
+    """Return the number of input features for a number of robots."""
     return 4 * robots + 2
 
 
 def features(setup: Setup, observation: Observation, last_direction: float | None) -> Floats:
-    """Return what a policy sees (4 N + 2,): the module's docstring has the order.
+    """Compute the input of a policy, shape (4 N + 2,), in the order of the module's docstring.
 
-    `last_direction` is the direction sent before [rad], None if there was none.
+    Args:
+        setup: The constants of the experiment.
+        observation: The newest camera frame.
+        last_direction: The direction sent before [rad]. None if there was none.
     """
     side = max(setup.arena.width, setup.arena.height)
     gaps = (setup.targets - observation.poses.xy) / side
@@ -62,7 +66,7 @@ ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {
     "tanh": elementwise.tanh,
     "relu": lambda values: np.maximum(values, 0.0),
 }
-"""What may stand between two layers, by its name in a spec."""
+"""The functions that can be used between two layers, by their names in a spec."""
 
 
 class PolicySection(PlainSection):
@@ -70,12 +74,13 @@ class PolicySection(PlainSection):
 
     type: Literal["policy"]
     weights: str | None = Field(default=None, max_length=1000)
-    """A file of weights, JSON: {"layers": [{"weights": W, "bias": b}, ...]}, W as a list of rows.
-    The log keeps the file, and a resolved spec has its numbers as `layers`."""
+    """A JSON file of weights: {"layers": [{"weights": W, "bias": b}, ...]}, with W as a list of
+    rows. The log keeps the file, and a resolved spec has its numbers as `layers`.
+    """
     layers: Annotated[tuple[Layer, ...], Field(max_length=10)] = ()
     """The layers of the network, as tetractl writes them for `weights`."""
     activation: Literal["tanh", "relu"] = "tanh"
-    """What stands between two layers."""
+    """The function between two layers."""
 
     def bounds(self) -> dict[str, str]:
         """Return the size of the network, for display: {name: text}."""
@@ -83,8 +88,11 @@ class PolicySection(PlainSection):
         return {"network": " to ".join(map(str, [*widths, OUTPUTS]))}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield an error for each layer that does not fit the layer before it, the robots or the
-        direction."""
+        """Yield an error for each layer that does not fit.
+
+        A layer has to fit the previous layer, the number of robots, or the two components of a
+        direction.
+        """
         if not self.layers:
             yield (), "needs weights: a JSON file"
             return
@@ -100,7 +108,7 @@ class PolicySection(PlainSection):
             yield ("layers", len(self.layers) - 1), message
 
     def build(self, setup: Setup, key: int, host: Host = ALONE) -> "PolicyController":
-        """Return the controller of one trial."""
+        """Create the controller of one trial; see `ControllerSection.build`."""
         return PolicyController(self, setup, key)
 
 
@@ -120,13 +128,13 @@ class PolicyController(PlainController):
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Decision:
-        """Take the direction that was sent; decide what the robots do, or end the trial."""
+        """Note the direction that was sent, and decide what to send next; see `Controller.plan`."""
         if last_command is not None and last_command.direction is not None:
             self._last_direction = last_command.direction
         return super().plan(observation, last_command, earlier)
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan:
-        """Return the plan of one direction, the policy's."""
+        """Plan the direction that the policy chooses; see `PlainController.decided`."""
         outputs = forward(
             self._layers,
             self._activation,
@@ -145,8 +153,13 @@ class PolicyController(PlainController):
 def forward(
     layers: Sequence[tuple[Floats, Floats]], activation: Callable[[Floats], Floats], inputs: Floats
 ) -> Floats:
-    """Return the network's outputs for `inputs`; each layer is its W (outputs, inputs) and its b
-    (outputs,)."""
+    """Compute the outputs of the network.
+
+    Args:
+        layers: For each layer, W of shape (outputs, inputs) and b of shape (outputs,).
+        activation: The function between two layers.
+        inputs: The inputs of the first layer.
+    """
     values = inputs
     with np.errstate(over="ignore", invalid="ignore"):  # who asks looks at the outputs
         for number, (weights, bias) in enumerate(layers):

@@ -31,25 +31,30 @@ from tetractl.spec.yaml.problems import Loc
 
 
 class RrtSection(PlainSection):
-    """A rapidly-exploring random tree with feedback, for one robot: the field points at the next
-    corner of a path that keeps clear of obstacles and walls."""
+    """A rapidly-exploring random tree with feedback, for one robot.
+
+    The field points at the next corner of a path that keeps clear of obstacles and walls.
+    """
 
     type: Literal["rrt"]
     edge: Positive = 8.0
     """Length of an edge of the tree, in units of the robot's v/a (speed over turning rate)."""
     reach: Positive = 2.5
-    """Distance from which a corner of the path counts as passed, in units of the robot's v/a; at
-    least the distance driven in a control period."""
+    """Distance from which a corner of the path counts as passed, in units of the robot's v/a.
+
+    It is at least the distance driven in a control period.
+    """
     margin: NonNegative = 0.0
     """Obstacles and walls are grown by this much for the tree [length unit]."""
 
     goal_bias: ClassVar[float] = 0.1
     """Fraction of the draws that give the target instead of a random point."""
     draws: ClassVar[int] = 5000
-    """Largest number of points drawn to grow one tree. If the tree does not reach the target, the
-    robot drives straight to it."""
+    """Maximum number of random points used to grow one tree. If the tree does not reach the target,
+    the robot drives straight to it.
+    """
     ahead: ClassVar[float] = 0.7
-    """A robot heads for a target if the cosine of the angle to it is at least this."""
+    """A robot is heading for a target if the cosine of the angle between them is at least this."""
 
     def bounds(self) -> dict[str, str]:
         """Return the largest size of a tree, for display: {name: text}."""
@@ -69,7 +74,7 @@ class RrtSection(PlainSection):
         return replace(super().problem(setup), obstacles=obstacles, swept=True)
 
     def build(self, setup: Setup, key: int, host: Host = ALONE) -> "Rrt":
-        """Return the controller of one trial."""
+        """Create the controller of one trial; see `ControllerSection.build`."""
         return Rrt(self, setup, key)
 
 
@@ -86,7 +91,7 @@ class Rrt(PlainController):
         self._path = setup.targets  # corners still to be passed (M, 2), the target last
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Decision:
-        """Point the field at the next corner of the path, or end the trial."""
+        """Point the field at the next corner, or end the trial; see `PlainController.decided`."""
         signals = np.array([self._towards(problem, step_key)])
         ended = self._passing(problem, signals, float(problem.poses.distances(problem.targets)[0]))
         return ended or given_plan(problem, signals, step_key)
@@ -115,8 +120,9 @@ class Rrt(PlainController):
         return heading if beside and elementwise.cos(u - heading) < self.section.ahead else u
 
     def _passing(self, problem: Problem, signals: Floats, gap: float) -> Outcome | End | None:
-        """Return the end of the trial for the moment when the robot passes its target, None if that
-        does not happen in this step.
+        """Return the end of the trial for the moment when the robot passes its target.
+
+        None if that does not happen in this step.
         """
         off = signals[0] - problem.poses.heading[0]
         if len(self._path) > 1 or gap > self._reach or elementwise.cos(off) < self.section.ahead:
@@ -136,11 +142,19 @@ def grow(
     edge: float,
     draws: Floats,
 ) -> Floats | None:
-    """Grow a tree from `start` (2,); return the corners (M, 2) of a path to `target` (2,) or None.
+    """Grow a random tree from the start until it reaches the target.
 
-    Each row of `draws` (D, 3) holds numbers uniform in [0, 1) for one draw: the choice of the
-    target, and a point of the arena. `edge` is in the
-    length unit.
+    Args:
+        region: The obstacles to avoid.
+        arena: The arena.
+        start: Where the tree starts, shape (2,).
+        target: Where the path should lead, shape (2,).
+        edge: Length of an edge [length unit].
+        draws: Random numbers in [0, 1), shape (D, 3). Each row is used for one point: the first
+            number decides whether to use the target, the others give a point in the arena.
+
+    Returns:
+        The corners of the path, shape (M, 2). None if the tree does not reach the target.
     """
     nodes = np.empty((len(draws) + 1, 2))
     before = np.zeros(len(draws) + 1, dtype=np.int64)

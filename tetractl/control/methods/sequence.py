@@ -32,7 +32,7 @@ class SequenceSection(PlainSection):
         return {"directions": f"{len(self.directions)}"}
 
     def build(self, setup: Setup, key: int, host: Host = ALONE) -> "SequenceController":
-        """Return the controller of one trial."""
+        """Create the controller of one trial; see `ControllerSection.build`."""
         return SequenceController(self, setup, key)
 
 
@@ -44,8 +44,9 @@ class SequenceController(PlainController):
         self.section = section
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Decision:
-        """Return the plan of the next direction, with the path predicted for up to `ahead`
-        directions.
+        """Plan the next direction; see `PlainController.decided`.
+
+        The predicted path contains up to `ahead` directions.
         """
         section = self.section
         if self.k == len(section.directions):

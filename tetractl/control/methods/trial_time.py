@@ -23,8 +23,10 @@ class TrialTime:
         self._passed_ns = 0
 
     def add_step(self, observation: Observation, last_command: Command | None) -> None:
-        """Take the time of a control step from its frame and the command before it; the first
-        command begins the trial."""
+        """Update the time with the frame of a control step and the command before it.
+
+        The trial begins with the first command.
+        """
         now_ns = observation.sampled_ns
         if last_command is not None:
             self._began_ns = last_command.sent_ns if self._began_ns is None else self._began_ns
@@ -39,8 +41,10 @@ class TrialTime:
 
     @property
     def periods_left(self) -> float:
-        """The time left in control periods, and half a period more: its integer part is the number
-        of steps until the limit."""
+        """The remaining time in control periods, plus half a period.
+
+        Its integer part is the number of steps until the limit.
+        """
         left_ns = self._limit_ns - self._passed_ns + self._period_ns // 2
         return left_ns / self._period_ns
 

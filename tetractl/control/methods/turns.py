@@ -1,15 +1,16 @@
-"""Turns on the spot out of a corner, for standing robots of which no plan found is safe.
+"""Turns on the spot out of a corner, for stationary robots without a safe plan.
 
-A robot nearer to a wall than its turning circle, v / a, that faces the wall cannot drive away from
-it. But robots on wheels can turn on the spot: all turn to one direction u by (3) at speed 0, and
-then plans are searched again. Of FACINGS directions u the first is the one in which robots have
-most room straight ahead: that for which the mean over t in (0, AHEAD_S] of
+A robot that faces a wall, and is nearer to it than its turning circle v / a, cannot drive away from
+it. However, robots on wheels can turn on the spot: all turn to one direction u, by (3) with speed
+0, and then plans are searched again. The first of FACINGS directions u to be tried is the one with
+the most free space straight ahead (`roomiest`). That is the direction with the largest mean over t
+in (0, AHEAD_S] of
 
-    the least clearance of any robot at x_i + v_i t (cos u, sin u)   to obstacles, walls and robots
+    the minimum clearance of any robot at x_i + v_i t (cos u, sin u)  to obstacles, walls and robots
 
-is greatest (`roomiest`). Robots in a row along a wall so drive away from it or, if the fastest
-is in front, also along it. After a turn in vain robots turn to the direction EVERY places on,
-because other headings and another picture allow other plans.
+Robots in a row along a wall therefore drive away from it or, if the fastest robot is in front,
+along it. If a turn fails, robots turn to the direction that is EVERY places further, because other
+headings and another frame allow other plans.
 """
 
 from typing import NamedTuple
@@ -30,14 +31,22 @@ TURNS_IN_VAIN = 12  # number of turns in vain, one after the other, after which 
 
 
 class Turning(NamedTuple):
-    """The direction [rad] to which standing robots turn, None if they do not, and in how many
-    control steps they have turned, to it and to others before."""
+    """How stationary robots turn on the spot.
+
+    Attributes:
+        facing: The direction to which they turn [rad]. None if they do not turn.
+        steps: Number of control steps in which they have turned, to this direction and to earlier
+            ones.
+    """
 
     facing: float | None = None
     steps: int = 0
 
     def then(self, facing: float | None) -> "Turning":
-        """Return what it is after a step in which the robots turn to `facing` [rad]."""
+        """Return the state after a step in which the robots turn to `facing` [rad].
+
+        None: they do not.
+        """
         return NOT_TURNING if facing is None else Turning(facing, self.steps + 1)
 
 
@@ -45,11 +54,19 @@ NOT_TURNING = Turning()
 
 
 def next_facing(problem: Problem, discs: Discs, apart: float, turning: Turning) -> float | None:
-    """Return the direction [rad] to which standing robots turn in the next control step, None if
-    TURNS_IN_VAIN turns were in vain; `apart` is the least distance of two robots.
+    """Choose the direction to which stationary robots turn in the next control step.
 
-    A direction is kept for STEPS steps: if each step chose its own, a robot that stands opposite to
-    them would turn to the left and to the right of that unstable point in turn.
+    A direction is kept for STEPS steps. If each step chose its own direction, a robot with the
+    opposite heading would alternate between left and right turns at that unstable point.
+
+    Args:
+        problem: The problem of the control step.
+        discs: The bodies of the robots.
+        apart: Minimum distance between two robots [length unit].
+        turning: How the robots have turned so far.
+
+    Returns:
+        The direction [rad]. None if TURNS_IN_VAIN turns have failed.
     """
     if turning.facing is None:
         return roomiest(problem, discs, apart)
@@ -62,8 +79,13 @@ def next_facing(problem: Problem, discs: Discs, apart: float, turning: Turning) 
 
 
 def roomiest(problem: Problem, discs: Discs, apart: float) -> float:
-    """Return the direction [rad] in which all robots have most room straight ahead, with `apart` as
-    the least distance of two robots."""
+    """Find the direction in which the robots have the most free space straight ahead [rad].
+
+    Args:
+        problem: The problem of the control step.
+        discs: The bodies of the robots.
+        apart: Minimum distance between two robots [length unit].
+    """
     directions = np.linspace(-np.pi, np.pi, FACINGS, endpoint=False)
     seconds = AHEAD_S / MOMENTS * np.arange(1, MOMENTS + 1)
     way = seconds[:, None, None] * problem.speed  # (M, 1, N)

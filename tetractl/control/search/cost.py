@@ -37,7 +37,13 @@ STRAY = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Costs:
-    """J, f and P of each of B sequences, each of shape (B,); J = f + omega_p P."""
+    """The costs of B sequences, arrays of shape (B,).
+
+    Attributes:
+        total: J = f + omega_p P.
+        target: f, the part for the distances to the targets.
+        obstacle: P, the part for contacts with obstacles.
+    """
 
     total: Floats
     target: Floats
@@ -46,8 +52,13 @@ class Costs:
 
 @dataclass(frozen=True, slots=True)
 class Foreseen:
-    """The prediction for a sequence of L signals: poses (L + 1, N, 3), the first at the start, and
-    the costs f and P."""
+    """The predicted path and costs of a sequence with L signals.
+
+    Attributes:
+        path: Predicted poses, shape (L + 1, N, 3), beginning at the start.
+        target: Cost f.
+        obstacle: Cost P.
+    """
 
     path: Floats
     target: float
@@ -55,13 +66,20 @@ class Foreseen:
 
 
 def foresee(problem: Problem, signals: Floats) -> Foreseen:
-    """Return the prediction for a sequence (L,); ControlError if its cost is not finite."""
+    """Predict the path and costs of a sequence of shape (L,).
+
+    Raises:
+        ControlError: If a cost is not finite.
+    """
     return foreseen_along(problem, predict(problem, signals))
 
 
 def foreseen_along(problem: Problem, path: Floats) -> Foreseen:
-    """Return the prediction with its costs for a path (L + 1, N, 3); ControlError if a cost is not
-    finite."""
+    """Compute the costs of a predicted path of shape (L + 1, N, 3).
+
+    Raises:
+        ControlError: If a cost is not finite.
+    """
     costs = costs_along(problem, path[:, None])
     return Foreseen(path, float(costs.target[0]), float(costs.obstacle[0]))
 
@@ -94,7 +112,7 @@ def predict(problem: Problem, signals: Floats) -> Floats:
 
 
 def _rates(heading: Floats, u: Floats, parameters: Floats, seconds: float) -> Floats:
-    """Return the rates a (..., N) of a step, by `turning`, of robots with rows of parameters."""
+    """Compute the turning rates a (..., N) of a step, with `turning`, from rows of parameters."""
 
     def rate(c: float, s: float, cu: float, su: float, *robot: float) -> float:
         return turning(c, s, cu, su, robot, seconds)[0]
@@ -113,8 +131,11 @@ def evaluate(problem: Problem, signals: Floats) -> Costs:
 
 
 def costs_along(problem: Problem, path: Floats) -> Costs:
-    """Evaluate equations (7)-(9) along B predicted paths, shape (L + 1, B, N, 3); ControlError if a
-    cost is not finite."""
+    """Evaluate equations (7)-(9) along B predicted paths of shape (L + 1, B, N, 3).
+
+    Raises:
+        ControlError: If a cost is not finite.
+    """
     x = path[..., 0]
     y = path[..., 1]
     if problem.within is None:

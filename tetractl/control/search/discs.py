@@ -1,12 +1,13 @@
 """Robots as discs of one radius: whether they touch something, and how far they are from it.
 
-Three questions, about N robots and O obstacles, each wall of the arena being one:
+There are three questions about N robots and O obstacles. Each wall of the arena counts as an
+obstacle.
 
     enters            does a disc touch something along a path?
-    enters_if_held    does one, if robots follow the same directions for some time?
-    least_clearance   how far are discs from obstacles and from each other, in some places?
+    enters_if_held    does a disc touch something if robots keep their directions for a time?
+    least_clearance   how far are discs from obstacles and from each other, at given positions?
 
-Lengths are in the spec's unit. No margin counts here: see `tetractl.control.search.margins`.
+Lengths are in the spec's unit. Margins do not count here: see `tetractl.control.search.margins`.
 """
 
 from collections.abc import Sequence
@@ -24,12 +25,20 @@ from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 
 HELD_MOMENTS = np.linspace(0, 1, 5)
-"""Moments at which `enters_if_held` looks, as fractions of the time: it also tests the straight
-lines between them."""
+"""Moments at which `enters_if_held` tests, as fractions of the time.
+
+It also tests the straight lines between them.
+"""
 
 
 def gaps(obstacles: Obstacles, x: Floats, y: Floats) -> Floats:
-    """Return the distance of each point x, y (P,) to each obstacle, (O, P), negative inside."""
+    """Compute the distance of each point to each obstacle, shape (O, P), negative inside.
+
+    Args:
+        obstacles: The obstacles and walls.
+        x: x of the points, shape (P,).
+        y: y of the points, shape (P,).
+    """
     distances = np.empty((obstacles.count, len(x)))
     clearance.gaps(arrays_of(obstacles), x, y, distances)
     return distances
@@ -45,19 +54,33 @@ class Discs:
         self._grown = arrays_of(Obstacles.of(shapes, radius, walls))
 
     def enters(self, path: Floats) -> bool:
-        """Return whether a disc touches an obstacle or another disc on the way along path
-        (M, N, 3), or goes deeper if it touches one at the beginning."""
+        """Check whether a disc touches an obstacle or another disc along a path (M, N, 3).
+
+        A disc that touches an obstacle at the beginning counts only if it goes deeper.
+        """
         return clearance.enters(self._grown, self._radius, path)
 
     def enters_if_held(self, problem: Problem, directions: Floats, seconds: float) -> bool:
-        """Return whether a disc touches something within `seconds`, in which robots follow their
-        directions (N,) [rad], NaN for a robot that stands still."""
+        """Check whether a disc touches something while robots keep their directions.
+
+        Args:
+            problem: The problem of the control step.
+            directions: Direction of each robot [rad], shape (N,). NaN if a robot stands still.
+            seconds: How long they keep them [s].
+        """
         return self.enters(compiled_drive(problem, directions, seconds * HELD_MOMENTS))
 
     def least_clearance(self, x: Floats, y: Floats, separation: float) -> Floats:
-        """Return the least clearance (...) of robots at x, y (..., N): the least of all distances
-        of a disc to an obstacle, negative inside, and of all distances of two centres minus the
-        separation."""
+        """Compute the minimum clearance of robots at given positions, shape (...).
+
+        It is the minimum of all distances from a disc to an obstacle, which are negative inside,
+        and of all distances between two centres minus the separation.
+
+        Args:
+            x: x of the robots, shape (..., N).
+            y: y of the robots, shape (..., N).
+            separation: Minimum distance between two robots [length unit].
+        """
         to_each = gaps(self._obstacles, x.ravel(), y.ravel())
         to_obstacles = to_each.min(axis=0, initial=np.inf)
         nearest = to_obstacles.reshape(x.shape).min(axis=-1)

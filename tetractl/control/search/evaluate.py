@@ -36,9 +36,17 @@ def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
 def compiled_branches(
     problem: Problem, start: Floats, towards: Floats, turns: Floats, seconds: float
 ) -> Floats:
-    """Return the poses (L + 1, B, N, 3) of B copies of the robots, from start (B, N, 3).
+    """Predict the poses of B copies of the robots that follow different directions.
 
-    Copy b is steered towards towards[b] + turns[j] [rad], each for `seconds`; turns (L,).
+    Args:
+        problem: The problem of the control step.
+        start: Poses at the start, shape (B, N, 3).
+        towards: Direction of each copy [rad], shape (B,).
+        turns: Angles added to it, one after another [rad], shape (L,).
+        seconds: How long each angle is held [s].
+
+    Returns:
+        The poses, shape (L + 1, B, N, 3).
     """
     from tetractl.control.search.kernels.motion import flatten
     from tetractl.control.search.kernels.prediction import predict
@@ -74,8 +82,16 @@ def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
 
 
 def compiled_drive(problem: Problem, towards: Floats, seconds: Floats) -> Floats:
-    """Return the poses (M, N, 3) of robots that drive for each of `seconds` (M,), each towards its
-    own direction (N,) [rad]; a robot stands if that is NaN."""
+    """Predict the poses of robots that each follow their own direction.
+
+    Args:
+        problem: The problem of the control step.
+        towards: Direction of each robot [rad], shape (N,). NaN if a robot stands still.
+        seconds: The times to predict [s], shape (M,).
+
+    Returns:
+        The poses, shape (M, N, 3).
+    """
     from tetractl.control.search.kernels.motion import flatten
     from tetractl.control.search.kernels.prediction import drive
 

@@ -1,12 +1,13 @@
-"""Searches directions that keep robots near their targets if they cannot stand still.
+"""Search for directions that keep robots near their targets if they cannot stand still.
 
-A field that rotates at W, below the robots' least turning rate a, keeps each robot on a circle of
-radius v / W; a field turned by pi makes robots drive back. The search minimises the time that
-robots spend farther than `Problem.within` from their targets. It tries rotations first, and then
+If a field rotates at a rate W below the robots' lowest turning rate a, each robot stays on a circle
+of radius v / W. If the field is reversed, robots drive back. The search minimises the time that
+robots spend further than `Problem.within` from their targets. It tries rotations first, and then
 adds random normal changes to the best sequence so far: half of the changes are independent from
-signal to signal, half accumulate along the sequence. Each round's changes are smaller.
+signal to signal, half accumulate along the sequence. The changes become smaller in each round.
 
-Rotations a little faster than a are tried, too: a robot falls behind the field and turns by fits.
+Rotations slightly faster than a are also tried: a robot then falls behind the field and turns in
+jerks.
 """
 
 from typing import ClassVar, Literal
@@ -25,22 +26,21 @@ RATES = np.array([-1.25, -0.95, -0.75, 0.75, 0.95, 1.25])  # W of rotations, in 
 
 
 class CircleSearch(OptimizerSection):
-    """Finds the directions that keep robots within a radius of their targets for as long as
-    possible."""
+    """A search for directions that keep robots near their targets for as long as possible."""
 
     type: Literal["circle"] = "circle"
     ahead_s: ClassVar[float] = 4.0
     """Duration of the plan: one or two circles."""
     samples: ClassVar[int] = 128
-    """Number of random sequences of a round."""
+    """Number of random sequences in a round."""
     rounds: ClassVar[int] = 6
-    """Number of rounds of samples in one search."""
+    """Number of rounds in one search."""
     spread: ClassVar[float] = 0.6
     """Initial standard deviation of a step [rad]."""
     shrink: ClassVar[float] = 0.8
-    """Ratio of that deviation from round to round."""
+    """Factor by which this deviation changes from round to round."""
     adding: ClassVar[float] = 0.4
-    """Spread of cumulative steps relative to independent ones."""
+    """Spread of the cumulative steps, relative to the independent ones."""
 
     @property
     def iterations_max(self) -> int:
@@ -49,14 +49,16 @@ class CircleSearch(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Least number of cost evaluations of a search: those of all rotations, of the
-        previous plan and of one round."""
+        """Minimum number of cost evaluations of a search.
+
+        They are needed for all rotations, the previous plan and one round.
+        """
         return len(PHASES) * len(RATES) + 1 + self.samples
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search sequences of `length` signals, first rotations and the previous plan `warm`."""
+        """Search from rotations and the previous plan `warm`; see `Optimizer.search`."""
         progress = Progress(length, limits)
         times = problem.period * np.arange(length)
         angles = np.outer(RATES * problem.a.min(), times)
@@ -76,7 +78,10 @@ class CircleSearch(OptimizerSection):
         return progress.search()
 
     def _changes(self, key: int, z: int, length: int, spread: float) -> Floats:
-        """Return the random changes of round z [rad], (samples, length), of deviation `spread`."""
+        """Return the random changes of round z [rad], shape (samples, length).
+
+        `spread` is their standard deviation.
+        """
         draws = self.samples * length
         changes = normal(key, z * draws, draws).reshape(-1, length)
         accumulating = changes[::2]  # every other sequence

@@ -1,7 +1,7 @@
-"""The margin by which a plan keeps clear of each obstacle, and the separation of its robots.
+"""The margin that a plan keeps to each obstacle, and the separation of its robots.
 
-Robots deviate from a plan, because commands are lost and what is known of the robots is uncertain.
-While a robot follows a command, it comes off its course by at most (`off_course`)
+Robots deviate from a plan because commands are lost and because what is known of the robots is
+uncertain. While a robot follows a command, it leaves its course by at most (`off_course`)
 
     off = lost_way + SIGMAS (v sigma_tau + (v sigma_a / a + sigma_v) (T + tau))
 
@@ -9,12 +9,12 @@ While a robot follows a command, it comes off its course by at most (`off_course
     a    turning rate [rad/s], above 0     tau  dead time: from a command to its effect [s]
     r    radius of a robot [length unit]   sigma_v, sigma_a, sigma_tau  standard deviations
 
-and with the greatest off of any robot, a plan is to keep (`Margins.applied`)
+With the largest off of any robot, a plan should keep (`Margins.applied`)
 
-    full margin m       = collision.margin + r + off    of a centre to an obstacle or wall
-    full separation s   = collision.separation + 2 off  of two centres; 0 if robots may meet
+    full margin m       = collision.margin + r + off    between a centre and an obstacle or wall
+    full separation s   = collision.separation + 2 off  between two centres; 0 if robots may meet
 
-Where robots or targets are nearer than that already, no plan could keep it. Less is kept there:
+Where robots or targets are already closer than that, no plan could keep it. There, less is kept:
 
     fit(m, g)           = m if it is less than the gap g, else REDUCED max(g, 0)
     margin of obstacle  = max(fit(m, g), fit(r, g_target))      fit(r, ...) <= r <= m
@@ -22,11 +22,11 @@ Where robots or targets are nearer than that already, no plan could keep it. Les
 
     g_target  gap between the obstacle and the target nearest to it [length unit], negative inside
     g         gap between it and the robot or target nearest to it
-    d         least distance of two robots or of two targets
+    d         minimum distance of two robots or of two targets
 
-So a grown obstacle contains no target, and no robot unless its body touches the obstacle: the
-margin of a radius stays, and a plan first leads this robot outward. Two robots that are farther
-apart than two radii are to stay so.
+A grown obstacle therefore contains no target, and it contains a robot only if the robot's body
+touches the obstacle: then the margin of one radius remains, and a plan first leads this robot
+outward. Two robots that are more than two radii apart have to stay so.
 
 With `collision.adaptive: false` the margins are the paper's: off = 0, and nothing is reduced.
 """
@@ -48,7 +48,7 @@ from tetractl.core.shape import Shape
 from tetractl.spec.section_abilities import Clearance
 
 SIGMAS = 2.0
-"""Standard deviations by which uncertain values are taken into account; chosen."""
+"""Number of standard deviations by which uncertain values are taken into account; chosen."""
 REDUCED = 0.98
 """Fraction of a gap that is kept where more does not fit into it; chosen."""
 
@@ -56,8 +56,13 @@ REDUCED = 0.98
 def off_course(
     speed: Floats, heard_s: float, dead_time_s: float, estimate: Estimate | None
 ) -> float:
-    """Return the greatest deviation of any robot from its course while it follows a command, which
-    takes `heard_s` [length unit]. Without an estimate the motion is certain: all sigma are 0.
+    """Compute the maximum deviation of any robot from its course during one command [length unit].
+
+    Args:
+        speed: Speeds [length unit/s], shape (N,).
+        heard_s: How long a command is followed [s].
+        dead_time_s: Time from a command to its effect [s].
+        estimate: The estimate of the motion. None if the motion is known exactly.
     """
     lost = lost_way(speed, heard_s)
     if estimate is None:
@@ -70,13 +75,16 @@ def off_course(
 
 
 def fit(margin: float, gap: Floats) -> Floats:
-    """Return how much of a margin fits into gaps (O,) [length unit]."""
+    """Compute how much of a margin fits into each gap (O,) [length unit]."""
     return np.where(gap > margin, margin, REDUCED * np.maximum(gap, 0.0))
 
 
 class Margins:
-    """The margins by which robots with N `targets` (N, 2) keep clear of the O obstacles: `shapes`
-    and, if given, the four `walls` of the arena. It never changes."""
+    """The margins that robots keep to obstacles and, if they are given, to the walls of the arena.
+
+    There are N `targets` (N, 2) and O obstacles: the `shapes` and the four `walls`. The object
+    never changes.
+    """
 
     def __init__(
         self,
@@ -96,9 +104,14 @@ class Margins:
     def applied(
         self, problem: Problem, heard_s: float, dead_time_s: float, estimate: Estimate | None
     ) -> Problem:
-        """Return a problem with its obstacles grown by the margins and its robots' separation,
-        given that robots follow each command for `heard_s`, and the estimate, None for a certain
-        motion."""
+        """Grow a problem's obstacles by the margins, and set the separation of its robots.
+
+        Args:
+            problem: The problem of the control step.
+            heard_s: How long robots follow each command [s].
+            dead_time_s: Time from a command to its effect [s].
+            estimate: The estimate of the motion. None if the motion is known exactly.
+        """
         collision = self._collision
         margin = collision.margin + collision.radius
         if not collision.adaptive:
@@ -113,8 +126,11 @@ class Margins:
         )
 
     def grown(self, poses: Poses, margin: float) -> Obstacles:
-        """Return the obstacles grown by the margin, a radius or more, or by what fits between them
-        and robots, and in any case by what fits of a radius between them and targets."""
+        """Grow the obstacles by a margin of at least one radius, or by what fits.
+
+        The margin must fit between obstacles and robots. At least the part of a radius that fits
+        between obstacles and targets is always kept.
+        """
         x = np.array(poses.x)  # a copy: an observation's are read-only, which is another type
         y = np.array(poses.y)
         gaps_to_robots = gaps(self._obstacles, x, y).min(axis=1, initial=np.inf)
@@ -122,8 +138,10 @@ class Margins:
         return self._obstacles.grown(np.maximum(margins, self._margins_of_bodies))
 
     def separation(self, poses: Poses, wanted: float) -> float:
-        """Return the wanted separation, or what fits between robots and between targets; 0 if it
-        is not wanted."""
+        """Return the wanted separation, or what fits between robots and between targets.
+
+        It is 0 if no separation is wanted.
+        """
         present = min(least_apart(poses.x, poses.y), self._targets_apart)
         if wanted <= 0 or present == np.inf:  # a single robot
             return 0.0

@@ -1,10 +1,10 @@
-"""Where robots are led whose targets are so near to each other that bodies might touch there.
+"""Where to steer robots if their targets are so close together that bodies might touch there.
 
-However well its motion is known, a robot that misses a command comes off its course by up to
-`lost_way`, and two robots may do so towards each other. They keep `separation + 2 lost_way` from
-each other where there is room for it (`tetractl.control.search.margins`). Targets that are nearer
-are taken for places so far apart (`parted`), each about as far from its target as the others:
-robots end there, near their targets, and do not try again and again for what they cannot keep.
+However precisely its motion is known, a robot that misses a command leaves its course by up to
+`lost_way`, and two robots may do so towards each other. Where there is enough space, they keep
+`separation + 2 lost_way` apart (`tetractl.control.search.margins`). Targets that are closer
+together are replaced by points at that distance (`parted`), about equally far from each target.
+Robots end there, near their targets, and do not try again and again to reach what they cannot keep.
 """
 
 from tetractl.core import elementwise
@@ -14,27 +14,48 @@ from tetractl.spec.section_abilities import Clearance
 LOST_SHARE = 0.75
 """Deviation by a lost command, as a fraction of the path that it was to act for; chosen."""
 ROUNDS = 100
-"""Number of times that all pairs of targets are moved apart: of eight robots whose targets stand in
-a row, 100 mm apart where 110 are kept, the nearest two are 109.9 mm apart then."""
+"""Number of times that all pairs of targets are moved apart.
+
+Example: for eight robots with targets in a row, 100 mm apart where 110 mm are kept, the two nearest
+targets are 109.9 mm apart afterwards.
+"""
 
 
 def lost_way(speed: Floats, heard_s: float) -> Floats:
-    """Return how far (N,) robots may come off their courses by a lost command, if they follow each
-    for `heard_s` [length unit]."""
+    """Compute how far robots may leave their courses because of a lost command [length unit].
+
+    Args:
+        speed: Speeds [length unit/s], shape (N,).
+        heard_s: How long robots follow each command [s].
+    """
     return LOST_SHARE * speed * heard_s
 
 
 def kept_apart(collision: Clearance, speed: Floats, heard_s: float) -> float:
-    """Return the least distance of two targets at which robots are led to them, 0 if they may meet
-    or are to be led there at any risk [length unit]."""
+    """Compute the minimum distance between two targets for the controller to steer robots to both.
+
+    Args:
+        collision: The distances that plans keep.
+        speed: Speeds [length unit/s], shape (N,).
+        heard_s: How long robots follow each command [s].
+
+    Returns:
+        The distance [length unit]. 0 if robots may meet, or have to be steered there at any risk.
+    """
     if collision.separation == 0 or not collision.adaptive:
         return 0.0
     return collision.separation + 2 * float(lost_way(speed, heard_s).max())
 
 
 def parted(targets: Floats, least: float) -> Floats:
-    """Return targets (N, 2), of which two that are nearer than `least` are moved apart, each by
-    half of what is missing. Targets at one point stay: no direction would be better than another.
+    """Move targets apart that are closer together than a minimum distance.
+
+    Each of two targets is moved by half of what is missing. Targets at the same point stay, because
+    no direction would be better than another.
+
+    Args:
+        targets: The targets, shape (N, 2).
+        least: The minimum distance [length unit].
     """
     places = targets.copy()
     for _ in range(ROUNDS):

@@ -30,7 +30,13 @@ def mix(key: int, index: int) -> int:
 
 
 def bits(key: int, first: int, count: int) -> Bits:
-    """Return draws first, ..., first + count - 1 of `key`, shape (count,)."""
+    """Return `count` consecutive draws of a key, shape (count,).
+
+    Args:
+        key: The key.
+        first: Index of the first draw.
+        count: Number of draws.
+    """
     with np.errstate(over="ignore"):
         z = np.arange(first + 1, first + count + 1, dtype=np.uint64) * np.uint64(GOLDEN)
         z += np.uint64(key)
@@ -40,12 +46,24 @@ def bits(key: int, first: int, count: int) -> Bits:
 
 
 def uniform(key: int, first: int, count: int) -> Floats:
-    """Return numbers uniform in [0, 1) with 53 random bits each, shape (count,)."""
+    """Return uniform numbers in [0, 1) with 53 random bits each, shape (count,).
+
+    Args:
+        key: The key.
+        first: Index of the first draw.
+        count: Number of draws.
+    """
     return (bits(key, first, count) >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
 def uniform_pair(key: int, first: int, count: int) -> tuple[Floats, Floats]:
-    """Return two independent numbers uniform in [0, 1) from each draw, 31 random bits each."""
+    """Return two independent uniform numbers in [0, 1) from each draw, with 31 random bits each.
+
+    Args:
+        key: The key.
+        first: Index of the first draw.
+        count: Number of draws.
+    """
     z = bits(key, first, count)
     high = z >> np.uint64(33)
     low = z & np.uint64(0x7FFF_FFFF)
@@ -55,8 +73,13 @@ def uniform_pair(key: int, first: int, count: int) -> tuple[Floats, Floats]:
 def normal(key: int, first: int, count: int) -> Floats:
     """Return numbers of the standard normal distribution, shape (count,), one from each draw.
 
-    Box and Muller (1958): sqrt(-2 ln r) cos(2 pi phi), with r in (0, 1] and phi of 31 bits each, so
-    that no number exceeds 6.6.
+    The method is that of Box and Muller (1958): sqrt(-2 ln r) cos(2 pi phi), with r in (0, 1] and
+    phi of 31 bits each. Therefore no number exceeds 6.6.
+
+    Args:
+        key: The key.
+        first: Index of the first draw.
+        count: Number of draws.
     """
     high, low = uniform_pair(key, first, count)
     return np.sqrt(-2 * elementwise.log(1 - high)) * elementwise.cos(2 * np.pi * low)

@@ -7,10 +7,10 @@ from tetractl.core.poses import Floats
 
 
 class Progress:
-    """The best sequence of `length` signals so far, and the number of evaluations spent.
+    """The best sequence found so far, and the number of evaluations used.
 
-    `history` holds the least cost after each iteration, (z + 1,); `ended` is the reason why the
-    search ended, None while it goes on.
+    `history` holds the lowest cost after each iteration, shape (z + 1,). `ended` is the reason why
+    the search ended, None while it continues.
     """
 
     def __init__(self, length: int, limits: Limits) -> None:
@@ -23,7 +23,7 @@ class Progress:
         self.ended: StopReason | None = None
 
     def limit_before(self, evaluations: int) -> StopReason | None:
-        """Return the limit that forbids this many further evaluations, None if none does."""
+        """Return the limit that forbids this many more evaluations. None if no limit does."""
         if not self.limits.allow(self.evaluations + evaluations):
             return StopReason.EVALUATIONS
         if self.limits.expired(self.evaluations):
@@ -36,7 +36,13 @@ class Progress:
         self.add_best(signals[:, leader], float(costs[leader]), costs.size)
 
     def add_best(self, signals: Floats, cost: float, evaluations: int) -> None:
-        """Add an iteration by its best sequence (length,) and the number of its evaluations."""
+        """Add an iteration.
+
+        Args:
+            signals: Its best sequence [rad], shape (length,).
+            cost: The cost of that sequence.
+            evaluations: Number of evaluations in the iteration.
+        """
         self.evaluations += evaluations
         self.keep(signals, cost)
 

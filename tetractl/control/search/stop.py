@@ -1,4 +1,4 @@
-"""Criteria by which a search ends: the paper's equation (20), and others without logarithms."""
+"""Criteria that end a search: the paper's equation (20), and others without logarithms."""
 
 from typing import Annotated, Literal
 
@@ -15,8 +15,10 @@ WINDOW = 10
 
 
 class PaperStop(Model):
-    """Stop criterion of the paper's equation (20) as printed: it compares logarithms of lengths, so
-    it depends on the length unit."""
+    """Stop criterion of the paper's equation (20), as printed.
+
+    It compares logarithms of lengths, so it depends on the length unit.
+    """
 
     type: Literal["paper"]
 
@@ -47,10 +49,16 @@ StopCriterion = Annotated[
 
 
 def reason_to_stop(history: Floats, stop: StopCriterion) -> StopReason | None:
-    """Return why to stop after iteration z = len(history) - 1, or None to go on.
+    """Decide whether to stop after iteration z = len(history) - 1.
 
-    history[m] is J(u_gb) after iteration m. Up to z = 10, only the criterion `target` may stop a
-    search.
+    Up to z = 10, only the criterion `target` can stop a search.
+
+    Args:
+        history: J(u_gb) after each iteration, shape (z + 1,).
+        stop: The criterion.
+
+    Returns:
+        The reason to stop. None to continue.
     """
     match stop:
         case BudgetStop():

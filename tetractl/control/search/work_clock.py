@@ -1,7 +1,7 @@
-"""A clock of the work done by searches, by which deadlines are kept in virtual time.
+"""A clock that measures the work of searches, for deadlines in virtual time.
 
-A simulation must not depend on how fast its host is. There, a controller's timer therefore counts
-the evaluations that its searches report, at the processor time that they take on an ordinary
+A simulation must not depend on the speed of its host. A controller's timer therefore counts the
+evaluations that its searches report, with the processor time that each takes on an ordinary
 computer.
 """
 
@@ -26,7 +26,7 @@ class WorkClock:
         return self.ns
 
     def wrap(self, optimizer: Optimizer) -> Optimizer:
-        """Return an optimiser whose searches are counted while they run."""
+        """Return an optimiser that counts its searches on this clock while they run."""
         return _Counted(optimizer, self)
 
 
@@ -38,7 +38,7 @@ class _Counted:
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search, and count the evaluations before each look at the deadline."""
+        """Search, and count evaluations before each check of the deadline; see `Optimizer`."""
         began = self.clock.ns + SEARCH_NS
         evaluation_ns = ROBOT_STEP_NS * length * problem.a.size
 

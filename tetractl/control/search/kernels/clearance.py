@@ -1,9 +1,10 @@
-"""How far robots are from obstacles and from each other, and whether they touch on their way.
+"""Distances of robots from obstacles and from each other, and whether they touch on their way.
 
-Compiled, as a controller asks this at every control step, by `tetractl.control.search.margins` and
-`discs`. Distances [length unit] have the bits of `tetractl.core.obstacles`; obstacles are
-`ObstacleArrays`, of which obstacle o is a shape or a wall. x, y (P,) are points and a path
-(M, N, 3) the x, y and heading of N robots at M moments, with straight ways in between.
+This is compiled, because a controller computes it at every control step
+(`tetractl.control.search.margins` and `discs`). Distances [length unit] equal those of
+`tetractl.core.obstacles` to the bit. Obstacles are `ObstacleArrays`; obstacle o is a shape or a
+wall. x, y (P,) are points. A path (M, N, 3) holds the x, y and heading of N robots at M moments,
+with straight segments in between.
 """
 
 import math
@@ -26,7 +27,7 @@ def _distance(obstacles, o, x, y):
 
 @compiled(**INLINE_EXACT)
 def _least_distance(obstacles, x, y):
-    """Return the distance of (x, y) to the nearest obstacle, inf if there is none."""
+    """Compute the distance of (x, y) to the nearest obstacle. It is inf if there is none."""
     least = math.inf
     for o in range(obstacles.radii.size + obstacles.walls.size):
         least = min(least, _distance(obstacles, o, x, y))
@@ -35,7 +36,15 @@ def _least_distance(obstacles, x, y):
 
 @compiled(**INLINE_EXACT)
 def crosses(obstacles, x0, y0, x1, y1):
-    """Return whether the segment from (x0, y0) to (x1, y1) touches an obstacle."""
+    """Check whether a segment touches an obstacle.
+
+    Args:
+        obstacles: The obstacles and walls.
+        x0: x of the segment's start.
+        y0: y of the segment's start.
+        x1: x of the segment's end.
+        y1: y of the segment's end.
+    """
     walls = obstacles.walls
     for w in range(walls.size):
         if wall_distance(walls, w, x0, y0) <= 0 or wall_distance(walls, w, x1, y1) <= 0:
@@ -54,7 +63,14 @@ def crosses(obstacles, x0, y0, x1, y1):
 
 @compiled(**ENTRY)
 def gaps(obstacles, x, y, distances):
-    """Write the distance of each point x, y (P,) to each obstacle to distances (O, P)."""
+    """Compute the distance of each point to each obstacle.
+
+    Args:
+        obstacles: The obstacles and walls.
+        x: x of the points, shape (P,).
+        y: y of the points, shape (P,).
+        distances: Filled with the distances, shape (O, P).
+    """
     for o in range(distances.shape[0]):
         for n in range(x.size):
             distances[o, n] = _distance(obstacles, o, x[n], y[n])
@@ -62,7 +78,7 @@ def gaps(obstacles, x, y, distances):
 
 @compiled(**ENTRY)
 def least_apart(x, y):
-    """Return the least distance between two of N points x, y (N,), inf for a single point."""
+    """Compute the minimum distance between two of N points (N,). It is inf for a single point."""
     least = math.inf
     for i in range(x.size):
         for k in range(i):
@@ -72,10 +88,14 @@ def least_apart(x, y):
 
 @compiled(**ENTRY)
 def enters(grown, radius, path):
-    """Return whether a body of this radius touches an obstacle or another body on the way along
-    path, or goes deeper if it touches one at the beginning.
+    """Check whether a body touches an obstacle or another body along a path.
 
-    Obstacles are `grown` by the radius: a body touches one where its centre is in the grown one.
+    A body that touches an obstacle at the beginning counts only if it goes deeper.
+
+    Args:
+        grown: The obstacles, grown by the radius. A body touches one if its centre is inside.
+        radius: Radius of a body [length unit].
+        path: The path, shape (M, N, 3).
     """
     for i in range(path.shape[1]):
         if _meets_another(i, radius, path) or _enters_obstacle(i, grown, path):
@@ -85,8 +105,10 @@ def enters(grown, radius, path):
 
 @compiled(**INLINE_EXACT)
 def _meets_another(i, radius, path):
-    """Return whether body i overlaps one of the bodies before it at a moment after the first, and
-    is nearer to it than at the first."""
+    """Check whether body i overlaps an earlier body after the first moment of a path.
+
+    It counts only if the two are closer to each other than at the first moment.
+    """
     for m in range(1, path.shape[0]):
         for k in range(i):
             before = hypot(path[0, k, 0] - path[0, i, 0], path[0, k, 1] - path[0, i, 1])
@@ -98,8 +120,11 @@ def _meets_another(i, radius, path):
 
 @compiled(**INLINE_EXACT)
 def _enters_obstacle(i, grown, path):
-    """Return whether the centre of body i enters a grown obstacle on its way: one that begins clear
-    of all by touching one, one that begins in one by going deeper."""
+    """Check whether the centre of body i enters a grown obstacle along a path.
+
+    A body that begins outside all obstacles enters one by touching it. A body that begins inside
+    enters it by going deeper.
+    """
     if not _touches_obstacle(i, grown, path):
         return False
     first = _least_distance(grown, path[0, i, 0], path[0, i, 1])

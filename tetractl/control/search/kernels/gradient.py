@@ -1,16 +1,17 @@
-"""Predicts the path of a sequence of signals, and how each signal changes it.
+"""Predict the path of a sequence of signals, and how each signal changes it.
 
 A signal turns a robot and moves it by d(heading, u), a step. `trace` stores the partial derivatives
-of each step: of d by the heading and by u, and `keep`, that of the next heading by the heading. As
-a robot's turn depends on u - heading alone, the derivative of the next heading by u is 1 - keep.
-`backward` makes of these the derivatives of one position by all signals before it, by the chain
-rule backwards in time.
+of each step: those of d with respect to the heading and to u, and `keep`, the derivative of the
+next heading with respect to the heading. Because a robot's turn depends only on u - heading, the
+derivative of the next heading with respect to u is 1 - keep. From these, `backward` computes the
+derivatives of one position with respect to all signals before it, with the chain rule backwards in
+time.
 
-Only the headings depend on the step before. They are computed first; then the steps of a robot are
-independent of each other, and the loop over them is vector code. For its sake, arrays over the L
-signals are padded to M = width(L) entries, of which those beyond the last signal mean nothing, and
-each quantity is an array (N, M) of its own: in a common array the compiler could not exclude that
-they overlap.
+Only the headings depend on the step before. They are computed first. Then the steps of a robot are
+independent of each other, and the loop over them becomes vector code. For this purpose, arrays over
+the L signals are padded to M = width(L) entries; the entries beyond the last signal have no
+meaning. Each quantity is a separate array (N, M), because the compiler could not exclude an overlap
+within a common array.
 """
 
 from typing import NamedTuple
@@ -34,8 +35,10 @@ _wrap = inlined(wrap)
 
 
 class Trace(NamedTuple):
-    """A path of N robots under L signals, and the derivatives of its steps, as `trace` fills them;
-    M = width(L)."""
+    """The path of N robots under L signals, and the derivatives of its steps, filled by `trace`.
+
+    Arrays have M = width(L) entries along the signals.
+    """
 
     cos_u: Floats
     """(M,) of the signals."""
@@ -50,15 +53,15 @@ class Trace(NamedTuple):
     y: Floats
     """(N, M) after each signal [length unit]."""
     x_by_heading: Floats
-    """(N, M) derivative of dx of each step by the heading before it [length unit/rad]."""
+    """(N, M) derivative of dx of each step with respect to the heading before it."""
     y_by_heading: Floats
-    """(N, M) that of dy."""
+    """(N, M) derivative of dy of each step with respect to the heading before it."""
     x_by_u: Floats
-    """(N, M) derivative of dx of each step by its direction [length unit/rad]."""
+    """(N, M) derivative of dx of each step with respect to its direction [length unit/rad]."""
     y_by_u: Floats
-    """(N, M) that of dy."""
+    """(N, M) derivative of dy of each step with respect to its direction."""
     keep: Floats
-    """(N, M) derivative of the heading after each step by that before it."""
+    """(N, M) derivative of the heading after each step with respect to the heading before it."""
 
     @classmethod
     def room_for(cls, robots: int, length: int) -> "Trace":
@@ -87,7 +90,13 @@ def width(length: int) -> int:
 
 @compiled(**INLINE_FAST)
 def trace(u, problem, path):
-    """Fill the `Trace` path of a problem's robots under signals u (L,)."""
+    """Predict the path of robots under signals, with the derivatives of its steps.
+
+    Args:
+        u: The signals [rad], shape (L,).
+        problem: The problem, a `FlatProblem`.
+        path: The `Trace` to fill.
+    """
     for j in range(u.size):
         path.sin_u[j], path.cos_u[j] = _sincos(_wrap(u[j]))
     _turn(u.size, problem, path)
@@ -165,8 +174,7 @@ def _move(i, robot, problem, path):
 
 @compiled(**INLINE_FAST)
 def _add_up(i, length, problem, path):
-    """Add up the displacements of robot i, which are in x and y, to positions; the flow carries it,
-    too."""
+    """Add up the displacements of robot i in x and y to positions, including the flow."""
     x = path.x
     y = path.y
     flow_x = problem.flow[i, 0]
@@ -180,11 +188,19 @@ def _add_up(i, length, problem, path):
 
 @compiled(**INLINE_FAST)
 def backward(path, i, signal, east, north, row):
-    """Add to row (L,) the derivatives by each signal of east x + north y, where x, y is the
-    position of robot i after a signal.
+    """Add the derivatives of a position, projected onto a vector, with respect to each signal.
 
-    Signal j moves the robot in its own step. It also turns it, by 1 - keep, and what the heading
-    before step j + 1 changes in all later steps, `by_heading`, is known when j is reached.
+    Signal j moves the robot in its own step. It also turns the robot, by 1 - keep. `by_heading` is
+    the effect of the heading before step j + 1 on all later steps; it is known when the loop
+    reaches j.
+
+    Args:
+        path: A filled `Trace`.
+        i: Index of the robot.
+        signal: The position after this signal counts.
+        east: x of the vector.
+        north: y of the vector.
+        row: The derivatives are added to it, shape (L,).
     """
     by_heading = 0.0
     for j in range(signal, -1, -1):

@@ -1,27 +1,27 @@
-"""Levenberg-Marquardt on one sequence: drives f(u) of (8) to zero and the path out of obstacles.
+"""Levenberg-Marquardt for one sequence: drives f(u) of (8) to zero and the path out of obstacles.
 
-For a sequence u of L signals, s_i are the predicted last positions of the N robots, d_io is how
-deep the predicted positions of robot i come into obstacle o, and d_ik by how much robots i and k
-come nearer than their separation [length unit]. The merit, which bounds f from above, is
+For a sequence u of L signals, s_i are the predicted final positions of the N robots. d_io is how
+deep the predicted positions of robot i enter obstacle o. d_ik is by how much robots i and k come
+closer than their separation [length unit]. The merit, which bounds f from above, is
 
     m(u) = sqrt(N sum_i |s_i - tar_i|^2) + W (sum_io max(0, d_io) + sum_ik max(0, d_ik))
 
-with W = `DEPTH_WEIGHT`. The R residuals r are the 2N coordinates of the misses and the depths that
-are above zero, each times a factor of its own:
+with W = `DEPTH_WEIGHT`. The R residuals r are the 2N coordinates of the misses and the depths above
+zero. Each is multiplied by its own factor:
 
     r = c (s_i - tar_i),  c^2 = 1 / sqrt(sum_i |s_i - tar_i|^2 / N);     r = c d,  c^2 = W^2 / d
 
 so that the squares of the misses add up to the first term of m. In the Jacobian J = dr/du, (R, L),
-the factors c count as constants: J' r is the slope of m, with W^2 in place of W. There are far
-fewer residuals than signals, so the damped step is computed from an R x R system:
+the factors c count as constants: J' r is the slope of m, with W^2 instead of W. There are far fewer
+residuals than signals, so the damped step is computed from an R x R system:
 
     (J J' + lambda mu I) y = r,     mu = trace(J J') / R,     u <- u - J' y
 
-A step that lowers the merit is taken, and lambda falls; else lambda grows, and the step is tried
-again (Marquardt, SIAM Journal 11, 1963).
+If a step lowers the merit, it is taken, and lambda falls. Otherwise lambda grows, and the step is
+tried again (Marquardt, SIAM Journal 11, 1963).
 
-`polish` is that loop. `judge` returns the cost J of (7) of what came out, which counts obstacles
-as the paper does. Both take a `FlatProblem`, and work in a `Room` for its robots and obstacles.
+`polish` is that loop. `judge` returns the cost J of (7) for the result, which counts obstacles as
+the paper does. Both take a `FlatProblem`, and work in a `Room` for its robots and obstacles.
 """
 
 import math
@@ -63,9 +63,9 @@ class PolishSettings(NamedTuple):
     slack: float
     """Least clearance of a path that is pushed out of an obstacle [length unit]."""
     patience: int
-    """Number of iterations in which the merit must fall to PROGRESS of itself."""
+    """Number of iterations in which the merit must fall to the fraction PROGRESS."""
     iterations_max: int
-    """Number of iterations after which it ends; for at least as many there is room in `merits`."""
+    """Maximum number of iterations. `merits` has room for at least this many."""
 
 
 POLISH_STATE = np.dtype(
@@ -79,8 +79,10 @@ POLISH_STATE = np.dtype(
 
 
 class Room(NamedTuple):
-    """The working arrays for polishing one sequence at a time, of N robots, L signals, O obstacles
-    and walls, at most R residuals; M = width(L)."""
+    """The working arrays for polishing one sequence at a time.
+
+    Sizes: N robots, L signals, O obstacles and walls, at most R residuals, M = width(L).
+    """
 
     path: Trace
     near: Floats  # (M,)
@@ -101,8 +103,10 @@ class Room(NamedTuple):
 
 
 def room_for(problem: Problem, length: int) -> Room:
-    """Return the present thread's arrays for a problem and sequences of `length` signals. Problems
-    of the same shape share them."""
+    """Return this thread's arrays for a problem and sequences of `length` signals.
+
+    Problems of the same shape share them.
+    """
     robots = len(problem.a)
     pairs = robots * (robots - 1) // 2 if problem.separation > 0 else 0
     return _room_for(get_ident(), robots, problem.obstacles.count, pairs, length)
@@ -110,8 +114,10 @@ def room_for(problem: Problem, length: int) -> Room:
 
 @lru_cache(maxsize=64)
 def _room_for(thread: int, robots: int, obstacles: int, pairs: int, length: int) -> Room:
-    """Return the arrays of one thread for robots, obstacles and signals of these numbers, and
-    `pairs` of robots that keep a separation."""
+    """Create the arrays of one thread for given numbers of robots, obstacles and signals.
+
+    `pairs` is the number of pairs of robots that keep a separation.
+    """
     residuals = 2 * robots + robots * obstacles + pairs
     across = width(length)
     return Room(
@@ -136,13 +142,25 @@ def _room_for(thread: int, robots: int, obstacles: int, pairs: int, length: int)
 
 @compiled(**INLINE_FAST)
 def polish(problem, room, u, settings, budget, merits, state, pause):
-    """Improve u (L,) in place, from the `POLISH_STATE` on; return whether it was interrupted.
+    """Improve a sequence in place, by Levenberg-Marquardt iterations.
 
-    Ends when the merit is at most the tolerance, when no step helps, when the merit has not fallen
-    to PROGRESS of itself over `patience` iterations, after `iterations_max` iterations, or before
-    `budget` evaluations are exceeded. An iteration tries one step;
-    merits[z] is the merit after z of them. A Jacobian counts as one evaluation for each of its
-    rows. It is interrupted before the next step if `pause` iterations are done.
+    It ends when the merit is at most the tolerance, when no step helps, when the merit has not
+    fallen to the fraction PROGRESS within `patience` iterations, after `iterations_max` iterations,
+    or before `budget` evaluations are exceeded. Each iteration tries one step. A Jacobian counts as
+    one evaluation for each of its rows.
+
+    Args:
+        problem: The problem, a `FlatProblem`.
+        room: The working arrays.
+        u: The sequence [rad], shape (L,).
+        settings: When to end.
+        budget: Maximum number of evaluations.
+        merits: merits[z] is filled with the merit after z iterations.
+        state: Where an interrupted polish continues, a `POLISH_STATE`.
+        pause: Number of iterations after which the polish is interrupted.
+
+    Returns:
+        Whether it was interrupted.
     """
     if state.evaluations == 0:
         state.evaluations = 1
@@ -194,8 +212,12 @@ def polish(problem, room, u, settings, budget, merits, state, pause):
 
 @compiled(**INLINE_FAST)
 def measure(problem, room, slack):
-    """Return the merit m of the path; fill `depths` and `meetings` with the d_io and
-    d_ik, which are -slack for robots that come no nearer to an obstacle than that.
+    """Compute the merit m of the path, and fill `depths` and `meetings` with d_io and d_ik.
+
+    Args:
+        problem: The problem, a `FlatProblem`.
+        room: The working arrays, which hold the path.
+        slack: Robots that come no nearer to an obstacle than this get the depth -slack.
     """
     robots = len(problem.robots)
     find_deepest(problem, -slack, room)
@@ -251,11 +273,17 @@ def _find_meetings(problem, room):
 
 @compiled(**INLINE_FAST)
 def linearise(problem, room, floor, slack):
-    """Fill `residual` and the Jacobian `rows` for the path of the last `measure`; return the number
-    of residuals.
+    """Fill `residual` and the Jacobian `rows` for the path of the last `measure`.
 
-    Obstacles are grown by `slack`, so that a path pushed to their edge ends outside. `floor` limits
-    the factors c where a miss or a depth is nearly zero.
+    Args:
+        problem: The problem, a `FlatProblem`.
+        room: The working arrays.
+        floor: Limits the factors c where a miss or a depth is nearly zero.
+        slack: Obstacles are grown by this, so that a path that is pushed to their edge ends
+            outside.
+
+    Returns:
+        The number of residuals.
     """
     _pull_to_targets(problem, room, floor)
     residuals = 2 * len(problem.robots)
@@ -301,8 +329,9 @@ def _push_out_of_obstacles(problem, room, floor, slack, residuals):
 
 @compiled(**INLINE_FAST)
 def _push_apart(problem, room, floor, slack, residuals):
-    """Write a residual r = c d for each d_ik above zero, which depends on the positions of two
-    robots; return the number of residuals.
+    """Write a residual r = c d for each d_ik above zero, and return the number of residuals.
+
+    Such a residual depends on the positions of two robots.
     """
     path = room.path
     r = residuals
@@ -412,7 +441,13 @@ def _step(room, u, residuals):
 
 @compiled(**INLINE_FAST)
 def judge(problem, room, u):
-    """Wrap u (L,) into [-pi, pi] in place, and return J of (7) of its path."""
+    """Wrap a sequence into [-pi, pi] in place, and return J of (7) for its path.
+
+    Args:
+        problem: The problem, a `FlatProblem`.
+        room: The working arrays.
+        u: The sequence [rad], shape (L,).
+    """
     for j in range(u.size):
         u[j] = _wrap(u[j])
     trace(u, problem, room.path)

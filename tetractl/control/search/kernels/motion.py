@@ -61,15 +61,17 @@ class FlatProblem(NamedTuple):
     period: float
     """How long each other one is held [s]."""
     first: Any
-    """`Lanes` for the first signal: constants of robots that turn left, then of the same robots
-    turning right."""
+    """`Lanes` for the first signal.
+
+    They hold the constants of robots that turn left, then of the same robots turning right.
+    """
     rest: Any
     """`Lanes`, the same for the other signals; both have the same class."""
     obstacles: ObstacleArrays
     obstacle_weight: float
     """omega_p of (7)."""
     swept: bool
-    """Whether the way between predicted positions must be clear, too."""
+    """Whether the segments between predicted positions must also be clear."""
     separation: float
     """Least distance of two robots, 0 for robots that may meet."""
 
@@ -113,7 +115,7 @@ def flatten(problem: Problem) -> FlatProblem:
 
 @compiled(**INLINE_FAST)
 def robot_of(robots, i):
-    """Return a `RobotParameters`, row i of those of a problem (N, 4)."""
+    """Return row i of a problem's parameters (N, 4) as `RobotParameters`."""
     return RobotParameters(robots[i, 0], robots[i, 1], robots[i, 2], robots[i, 3])
 
 
@@ -135,9 +137,19 @@ def advance(
     robot: Any,
     t: Any,
 ) -> None:
-    """Advance robot i of every particle by one signal of t [s].
+    """Advance robot i of every particle by one signal.
 
-    Its pose is in x, y, cos and sin (N, P); cos_u and sin_u (P,) are of the directions.
+    Args:
+        lanes: Constants of the motion.
+        x: x of the robots, shape (N, P), changed in place.
+        y: y of the robots, shape (N, P), changed in place.
+        cos: Cosine of their headings, shape (N, P), changed in place.
+        sin: Sine of their headings, shape (N, P), changed in place.
+        cos_u: Cosine of each particle's direction, shape (P,).
+        sin_u: Sine of each particle's direction, shape (P,).
+        i: Index of the robot.
+        robot: Its parameters.
+        t: Duration of the signal [s].
     """
 
 
@@ -176,7 +188,21 @@ def _advance(lanes, x, y, cos, sin, cos_u, sin_u, i, robot, t):
 
 
 def turned(lanes: Any, c: Any, s: Any, cu: Any, su: Any, i: int, robot: Any, t: Any) -> Any:
-    """Return cos and sin of the heading of robot i after one signal of t [s]."""
+    """Compute the heading of a robot after one signal.
+
+    Args:
+        lanes: Constants of the motion.
+        c: Cosine of the heading.
+        s: Sine of the heading.
+        cu: Cosine of the direction.
+        su: Sine of the direction.
+        i: Index of the robot.
+        robot: Its parameters.
+        t: Duration of the signal [s].
+
+    Returns:
+        Cosine and sine of the heading.
+    """
 
 
 @overload(turned, jit_options=INLINE_FAST)
@@ -205,7 +231,17 @@ def _turned(lanes, c, s, cu, su, i, robot, t):
 
 
 def derivatives(lanes: Any, c: Any, s: Any, cu: Any, su: Any, robot: Any, t: Any) -> Any:
-    """Return the `Derivatives` of one signal of t [s], for one robot."""
+    """Compute the `Derivatives` of one signal for one robot.
+
+    Args:
+        lanes: Constants of the motion.
+        c: Cosine of the heading.
+        s: Sine of the heading.
+        cu: Cosine of the direction.
+        su: Sine of the direction.
+        robot: The robot's parameters.
+        t: Duration of the signal [s].
+    """
 
 
 @overload(derivatives, jit_options=INLINE_FAST)

@@ -76,20 +76,20 @@ SEARCH_STATE = np.dtype(
 
 
 class SearchTask(NamedTuple):
-    """What is searched, in which arrays, and how far."""
+    """What to search, in which arrays, and how far."""
 
     problem: FlatProblem
     rollouts: Rollouts
     room: Room
     settings: PolishSettings
     key: np.uint64
-    """Of the random numbers."""
+    """Key of the random numbers."""
     warm: Floats
     """(L,) the warm start, or empty."""
     rounds: int
     """Number of rounds."""
     budget: int
-    """Largest number of evaluations."""
+    """Maximum number of evaluations."""
 
 
 class Rounds(NamedTuple):
@@ -119,7 +119,7 @@ class Rounds(NamedTuple):
     """The `SEARCH_STATE`."""
 
     def begin(self, stage: int, starts: Floats) -> None:
-        """Begin a search at a stage, with the sequences (S, L), of which there are at most K."""
+        """Begin a search at a stage, with up to K sequences of shape (S, L)."""
         self.starts[: len(starts)] = starts
         self.polish.evaluations = 0
         self.state.stage = stage
@@ -131,7 +131,7 @@ class Rounds(NamedTuple):
         self.state.best_cost = math.inf
 
     def evaluations_if_finished(self) -> int:
-        """Return how many evaluations the search will have taken if it is finished now."""
+        """Return how many evaluations the search will have used if it is finished now."""
         if self.state.stage == WARM:
             return 1
         if self.polish.evaluations > 0:
@@ -145,7 +145,17 @@ class Rounds(NamedTuple):
 def rounds_for(
     thread: int, count: int, particles: int, knots: int, length: int, steps_max: int, rounds: int
 ) -> Rounds:
-    """Return the arrays of a thread for searches of these sizes."""
+    """Create a thread's arrays for searches of the given sizes.
+
+    Args:
+        thread: Id of the thread.
+        count: Maximum number of starts that are polished in a round.
+        particles: Number of scattered sequences in a round.
+        knots: Number of random directions in a scattered sequence.
+        length: Number of signals in a sequence.
+        steps_max: Maximum number of iterations for a start.
+        rounds: Maximum number of rounds.
+    """
     return Rounds(
         scattered=np.empty((length, particles)),
         scattered_costs=np.empty(particles),
@@ -163,9 +173,17 @@ def rounds_for(
 
 @compiled(**ENTRY_FAST)
 def search(task, rounds, iterations):
-    """Go on with a search for about so many iterations; return whether it has ended.
+    """Continue a search for about this many iterations.
 
-    It stops between two iterations of a polish, or where a start is done.
+    It pauses between two iterations of a polish, or when a start is done.
+
+    Args:
+        task: What to search.
+        rounds: The arrays and state of the search.
+        iterations: Number of iterations.
+
+    Returns:
+        Whether the search has ended, and why.
     """
     state = rounds.state
     iterations_left = iterations
@@ -209,8 +227,11 @@ def finish(task: SearchTask, rounds: Rounds) -> int:
 
 @compiled(**INLINE_FAST)
 def _scatter(task, rounds):
-    """Scatter the sequences of the next round, of which the best become the starts; return whether
-    the search has ended instead."""
+    """Scatter the sequences of the next round; the best become the starts.
+
+    Returns:
+        Whether the search has ended instead.
+    """
     state = rounds.state
     signals = rounds.scattered
     length, particles = signals.shape
@@ -277,8 +298,11 @@ def _take_start(rounds):
 
 @compiled(**INLINE_FAST)
 def _end_start(task, rounds):
-    """Evaluate what became of a start, and keep it if it is the best; return whether the search has
-    ended with it."""
+    """Evaluate the result of a start, and keep it if it is the best.
+
+    Returns:
+        Whether the search has ended with it.
+    """
     state = rounds.state
     cost = judge(task.problem, task.room, rounds.signals)
     if not math.isfinite(cost):
@@ -298,8 +322,10 @@ def _end_start(task, rounds):
 
 @compiled(**INLINE_FAST)
 def _note_merits(rounds, cost):
-    """Add the merits of a polish to the history, between the best cost so far and its own, if it
-    has found a better one."""
+    """Add the merits of a polish to the history if it has found a better sequence.
+
+    They are limited to the range between the best cost so far and the new cost.
+    """
     best_cost = rounds.state.best_cost
     if cost < best_cost:
         for z in range(rounds.polish.iterations):
@@ -308,7 +334,7 @@ def _note_merits(rounds, cost):
 
 @compiled(**INLINE_FAST)
 def _keep(rounds, u, cost):
-    """Keep the sequence u (L,) if it costs least, and add the least cost to the history."""
+    """Keep the sequence u (L,) if it has the lowest cost, and add that cost to the history."""
     if cost < rounds.state.best_cost:
         rounds.state.best_cost = cost
         for j in range(u.size):
@@ -336,8 +362,11 @@ def _bearing(problem):
 
 @compiled(**INLINE_FAST)
 def _sort(scattered_costs, order):
-    """Fill order (K,) with the numbers of the least costs, least first, of equal ones the first
-    first; return how many there are. It inserts each into those sorted before."""
+    """Fill `order` (K,) with the indices of the lowest costs, in ascending order.
+
+    Of equal costs, the first comes first. The function inserts each cost into those sorted before,
+    and returns their number.
+    """
     count = 0
     for n in range(scattered_costs.size):
         if count < order.size:

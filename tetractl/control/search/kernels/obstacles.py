@@ -1,9 +1,9 @@
-"""Whether robots are in obstacles, and how deep.
+"""Checks whether robots are in obstacles, and how deep.
 
-The geometry of segments is that of `tetractl.core.shape`, compiled.
-Kernels take obstacles as `ObstacleArrays`; obstacle o is shape o if o < M, else wall o - M, the
-walls being LEFT, BOTTOM, RIGHT and TOP. All shapes are polygons with a radius and run the same
-code. The `corners` of one shape are (K, 2), of which the first `count` are in use.
+The geometry of segments is that of `tetractl.core.shape`, compiled. Kernels take obstacles as
+`ObstacleArrays`. Obstacle o is shape o if o < M, and otherwise wall o - M; the walls are LEFT,
+BOTTOM, RIGHT and TOP. All shapes are polygons with a radius and run the same code. The `corners` of
+one shape are (K, 2); the first `count` are in use.
 """
 
 import math
@@ -61,7 +61,17 @@ def box(obstacles, o):
 
 @compiled(**INLINE_FAST)
 def touches(corners, count, radius, x0, y0, x1, y1):
-    """Return whether the segment from (x0, y0) to (x1, y1) touches a shape."""
+    """Check whether a segment touches a shape.
+
+    Args:
+        corners: Corners of the shape, shape (K, 2).
+        count: Number of corners in use.
+        radius: Radius of the shape [length unit].
+        x0: x of the segment's start.
+        y0: y of the segment's start.
+        x1: x of the segment's end.
+        y1: y of the segment's end.
+    """
     reach = radius * radius
     inside = False
     ax = corners[count - 1, 0]
@@ -79,8 +89,18 @@ def touches(corners, count, radius, x0, y0, x1, y1):
 
 @compiled(**INLINE_FAST)
 def nearest(corners, count, radius, x, y):
-    """Return the distance of (x, y) to a shape, negative inside, and the unit vector along which it
-    grows; at an edge of the polygon, the edge's normal.
+    """Compute the distance of a point to a shape, and the direction in which it grows.
+
+    Args:
+        corners: Corners of the shape, shape (K, 2).
+        count: Number of corners in use.
+        radius: Radius of the shape [length unit].
+        x: x of the point.
+        y: y of the point.
+
+    Returns:
+        The distance, negative inside, and the x and y of the unit vector. On an edge of the
+        polygon, the vector is the edge's normal.
     """
     inside = False
     least2 = math.inf
@@ -120,8 +140,13 @@ def nearest(corners, count, radius, x, y):
 def count_hits(problem, x, y, i, room):
     """Add 1 to hits[i, n] of the room if robot i of particle n has touched an obstacle.
 
-    The robot is at x, y (N, P); if ways are `swept`, it came there from x_before, y_before (P,) of
-    the room. Its gap and near (P,) are scratch.
+    Args:
+        problem: The problem, a `FlatProblem`.
+        x: x of the robots, shape (N, P).
+        y: y of the robots, shape (N, P).
+        i: Index of the robot.
+        room: The working arrays. If paths are `swept`, x_before and y_before (P,) hold where the
+            robot came from. Its gap and near (P,) are scratch.
     """
     obstacles = problem.obstacles
     walls = obstacles.walls
@@ -181,10 +206,14 @@ def count_hits(problem, x, y, i, room):
 
 @compiled(**INLINE_FAST)
 def find_deepest(problem, floor, room):
-    """Find each robot's deepest position in each obstacle, along the room's path of L signals.
+    """Find each robot's deepest position in each obstacle along a path.
 
-    Its depths (N, O) [length unit] are `floor` if no position is deeper; deepest (N, O) is the
-    index of the first deepest position. near (M,) is scratch.
+    Args:
+        problem: The problem, a `FlatProblem`.
+        floor: Depth that is reported if no position is deeper [length unit].
+        room: The working arrays. `path` holds the path, `depths` (N, O) and `deepest` (N, O) are
+            filled with the depth and with the index of the first deepest position. near (M,) is
+            scratch.
     """
     length = room.trial.size
     obstacles = problem.obstacles
@@ -225,7 +254,14 @@ def find_deepest(problem, floor, room):
 
 @compiled(**INLINE_FAST)
 def wall_distance(walls, w, x, y):
-    """Return the distance of (x, y) to wall w, negative beyond it."""
+    """Compute the distance of a point to a wall, negative beyond it.
+
+    Args:
+        walls: The walls.
+        w: Which wall: LEFT, BOTTOM, RIGHT or TOP.
+        x: x of the point.
+        y: y of the point.
+    """
     if w == LEFT:
         return x - walls[LEFT]
     if w == BOTTOM:
@@ -237,7 +273,14 @@ def wall_distance(walls, w, x, y):
 
 @compiled(**INLINE_FAST)
 def outward(obstacles, o, x, y):
-    """Return the unit vector from (x, y) out of obstacle o."""
+    """Compute the unit vector that leads from a point out of an obstacle.
+
+    Args:
+        obstacles: The obstacles and walls.
+        o: Index of the obstacle.
+        x: x of the point.
+        y: y of the point.
+    """
     shapes = obstacles.radii.size
     if o < shapes:
         corners = obstacles.corners[o]

@@ -1,12 +1,12 @@
-"""Where robots go if they follow directions, and what their way costs; compiled.
+"""Compiled predictions: where robots go if they follow directions, and what their path costs.
 
     predict       all robots follow a plan: one direction after another, each for a signal period
     drive         each robot keeps a direction of its own
-    costs_along   f and P of the paper's (8) and (9) for the way that `predict` found
+    costs_along   f and P of the paper's (8) and (9) for a path that `predict` found
 
-`predict` and `costs_along` are the twins, for one plan, of the functions of the same names in
-`tetractl.control.search.cost`, which are to be read. A problem is a `FlatProblem`. A path (M, N, 3)
-has the poses of N robots at M moments, with the columns X, Y and HEADING.
+`tetractl.control.search.cost` has readable reference implementations of `predict` and `costs_along`
+with the same names. A problem is a `FlatProblem`. A path (M, N, 3) holds the poses of N robots at M
+moments, with the columns X, Y and HEADING.
 """
 
 import math
@@ -26,8 +26,16 @@ HEADING = 2
 
 @compiled(**ENTRY_FAST)
 def predict(u, problem, start):
-    """Return the path (L + 1, N, 3) of robots that begin at `start` (N, 3) and follow the signals
-    u (L,) [rad]; its first row is the start."""
+    """Predict the path of robots that follow a sequence of signals.
+
+    Args:
+        u: The signals [rad], shape (L,).
+        problem: The problem, a `FlatProblem`.
+        start: Poses at the start, shape (N, 3).
+
+    Returns:
+        The poses, shape (L + 1, N, 3). The first row is the start.
+    """
     robots = len(problem.robots)
     path = np.empty((u.size + 1, robots, 3))
     path[0] = start
@@ -43,8 +51,16 @@ def predict(u, problem, start):
 
 @compiled(**ENTRY_FAST)
 def drive(towards, seconds, problem):
-    """Return the path (M, N, 3) of robots that begin at the problem's poses, after each of
-    `seconds` (M,). Each follows its own direction, towards (N,) [rad], or stands if that is NaN."""
+    """Predict the poses of robots that each follow their own direction.
+
+    Args:
+        towards: Direction of each robot [rad], shape (N,). NaN if a robot stands still.
+        seconds: The times to predict [s], shape (M,).
+        problem: The problem, a `FlatProblem`. Robots begin at its poses.
+
+    Returns:
+        The poses, shape (M, N, 3).
+    """
     robots = len(problem.robots)
     path = np.empty((seconds.size, robots, 3))
     for m in range(seconds.size):
@@ -58,8 +74,10 @@ def drive(towards, seconds, problem):
 
 @compiled(**INLINE_FAST)
 def _moved(problem, i, pose, u, t):
-    """Return x, y and heading of robot i, which was at a pose (3,), after it followed the direction
-    u [rad] for t [s]; it stands if u is NaN."""
+    """Compute the pose of robot i after it has followed the direction u [rad] for t [s].
+
+    The robot stands still if u is NaN.
+    """
     x = pose[X]
     y = pose[Y]
     heading = pose[HEADING]
@@ -95,9 +113,11 @@ def costs_along(problem, path):
 
 @compiled(**INLINE_FAST)
 def _number_of_touches(problem, before, after):
-    """Return how many robots touch an obstacle, and how many pairs are nearer to each other than
-    their separation, `after` a signal; if ways are `swept`, also how many touch one on the way from
-    their poses `before` it."""
+    """Count the robots that touch an obstacle, and the pairs that are too close to each other.
+
+    Both are counted at the poses `after` a signal. If paths are `swept`, robots also count if they
+    touch an obstacle on the way from their poses `before` it.
+    """
     begin = before if problem.swept else after
     number = 0.0
     for i in range(len(problem.robots)):

@@ -54,7 +54,13 @@ class Rollouts(NamedTuple):
 
 @lru_cache(maxsize=64)
 def rollouts_of(thread: int, robots: int, particles: int) -> Rollouts:
-    """Return the arrays of a thread for robots and particles of these numbers."""
+    """Create a thread's arrays for this many robots and particles.
+
+    Args:
+        thread: Id of the thread.
+        robots: Number of robots.
+        particles: Number of particles.
+    """
     of_robots = _aligned((5, robots, particles))
     of_particles = _aligned((8, particles))
     return Rollouts(*of_robots, *of_particles)
@@ -70,10 +76,19 @@ def _aligned(shape: tuple[int, ...]) -> Floats:
 
 @compiled(**ENTRY_FAST, forceinline=True)
 def costs(problem, rollouts, signals, total):
-    """Write J of each column of signals (L, P) to total (P,); return whether all are finite.
+    """Compute the cost J of many sequences.
 
-    `problem` is a `FlatProblem`. Arrays are taken out of it, and out of the rollouts, before the
-    loops: in these, each look at one of its fields would take as long as a dozen steps.
+    Arrays are taken out of the problem and the rollouts before the loops, because inside them each
+    access to a field would take as long as a dozen steps.
+
+    Args:
+        problem: The problem, a `FlatProblem`.
+        rollouts: The working arrays.
+        signals: The sequences [rad], one per column, shape (L, P).
+        total: Filled with J of each sequence, shape (P,).
+
+    Returns:
+        Whether all costs are finite.
     """
     robots = problem.robots
     first = problem.first
@@ -128,7 +143,15 @@ def costs(problem, rollouts, signals, total):
 
 @compiled(**INLINE_FAST)
 def count_meetings(x, y, separation, hits):
-    """Add 1 to hits[i, n] for each robot before i that is nearer to i than the separation."""
+    """Count the robots that are too close to each other.
+
+    Args:
+        x: x of the robots, shape (N, P).
+        y: y of the robots, shape (N, P).
+        separation: Minimum distance between two robots [length unit].
+        hits: For each robot before i that is closer to i than the separation, 1 is added to hits[i,
+            n].
+    """
     least = separation * separation
     for i in range(x.shape[0]):
         for k in range(i):

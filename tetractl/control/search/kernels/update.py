@@ -29,10 +29,21 @@ def drawn(key, index):
 
 @compiled(**ENTRY_FAST)
 def move(u, v, u_lb, u_gb, key, z, inertia, cognitive, social):
-    """Apply (14)-(17) to u and v (L, P) in place, with the draws of iteration z.
+    """Apply (14)-(17) to the positions and velocities of a swarm, in place.
 
-    r1 and r2 are the upper and the lower 31 bits of one draw; the scale 2^-31 that brings them into
+    r1 and r2 are the upper and the lower 31 bits of one draw. The scale 2^-31 that brings them into
     [0, 1) is part of the weights c1 and c2.
+
+    Args:
+        u: Positions [rad], shape (L, P).
+        v: Velocities, shape (L, P).
+        u_lb: Best position of each particle, shape (L, P).
+        u_gb: Best position of all particles, shape (L,).
+        key: Key of the random numbers.
+        z: Index of the iteration.
+        inertia: Weight of the velocity.
+        cognitive: Weight c1 of the way to the particle's best.
+        social: Weight c2 of the way to the best of all.
     """
     length, particles = u.shape
     c1 = cognitive * 2.0**-31

@@ -44,12 +44,14 @@ class Multistart(OptimizerSection):
     polished: int = Field(default=4, ge=1, le=10_000)
     """Number of sequences polished in each round, the best of the scattered ones."""
     rounds: int = Field(default=10, ge=1, le=10_000)
-    """Number of rounds of a search without a warm start. With a warm start there is one round, and
-    only if polishing the start fails.
+    """Number of rounds of a search without a warm start.
+
+    With a warm start, there is one round, and only if polishing the start fails.
     """
     grows: bool = True
     """Whether `knots` and the iterations that polish a start are multiplied by (N / 3)^2 if there
-    are more than three robots."""
+    are more than three robots.
+    """
     tolerance: Positive = 0.001
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
 
@@ -62,7 +64,7 @@ class Multistart(OptimizerSection):
 
     @property
     def iterations_max(self) -> int:
-        """Largest number of Levenberg-Marquardt iterations for one start, of up to three robots."""
+        """Maximum number of Levenberg-Marquardt iterations for one start and up to three robots."""
         return self.steps
 
     @property
@@ -76,15 +78,15 @@ class Multistart(OptimizerSection):
         return self.tolerance
 
     def growth(self, problem: Problem) -> float:
-        """Return the factor by which `knots`, `steps` and `patience` are multiplied."""
+        """Return the factor for `knots`, `steps` and `patience`."""
         return max(1.0, np.square(len(problem.a) / 3)) if self.grows else 1.0
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search sequences of `length` signals, from `warm` or from random starts.
+        """Search from `warm` or from random starts; see `Optimizer.search`.
 
-        A warm start is polished first; if that fails, one round is scattered, half of it around the
+        A warm start is polished first. If that fails, one round is scattered, half of it around the
         warm start. The history holds J before and after each polish and, in between, the merit of
         its steps: f of the paper's equation (8) plus the depths inside obstacles.
         """
@@ -148,11 +150,11 @@ class Multistart(OptimizerSection):
 def _stopped_in_time(
     task: "SearchTask", rounds: "Rounds", iterations: int, limits: Limits
 ) -> StopReason:
-    """Search until the search ends or time does, with a look at the clock after every `iterations`;
-    return why it ended.
+    """Search until the search ends or its time is over, and return why it ended.
 
-    At the deadline the polish under way ends as it is, or the first one before it improves its
-    start: the reason is the deadline, even if the result is good enough.
+    The clock is checked after every `iterations`. At the deadline, the polish under way ends as it
+    is; if it is the first one, it may end before it has improved its start. The reason is then the
+    deadline, even if the result is good enough.
     """
     from tetractl.control.search.kernels import multistart
 
@@ -169,8 +171,11 @@ def _stopped_in_time(
 
 
 def _reason(end: int) -> StopReason:
-    """Return why the search stopped, given how the kernel says that it ended; ControlError if a
-    cost is no finite number."""
+    """Convert the kernel's code for the end of a search to a reason.
+
+    Raises:
+        ControlError: If a cost is not finite.
+    """
     from tetractl.control.search.kernels import multistart
 
     match end:

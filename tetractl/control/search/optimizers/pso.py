@@ -35,9 +35,9 @@ from tetractl.spec.controller import OptimizerSection
 SPAN = UPPER - LOWER
 """Greatest change |ub - lb| of a signal in an iteration, (15) [rad]."""
 KEY_OF_START = 0
-"""Which of a search's random numbers are those of the start."""
+"""Selects the random numbers for the start of a search."""
 KEY_OF_MOVES = 1
-"""Which are those of the moves, (14)."""
+"""Selects the random numbers for the moves, (14)."""
 
 
 class Pso(OptimizerSection):
@@ -55,7 +55,7 @@ class Pso(OptimizerSection):
     social: float = Field(default=1.5, gt=0, le=10, allow_inf_nan=False)
     """Weight c2 of the paper's equation (14), towards the swarm's best."""
     stop: StopCriterion = PaperStop(type="paper")
-    """Criterion by which a search ends before `iterations`."""
+    """Criterion that can end a search before `iterations`."""
 
     @property
     def iterations_max(self) -> int:
@@ -75,8 +75,11 @@ class Pso(OptimizerSection):
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search sequences of `length` signals by Algorithm 1, pso(u_gb^0): u_gb^0 is the warm
-        start, or NULL for None. The numbers of lines are the paper's."""
+        """Search with the paper's Algorithm 1, pso(u_gb^0); see `Optimizer.search`.
+
+        u_gb^0 is the warm start, or NULL if it is None. The line numbers in comments are the
+        paper's.
+        """
         progress = Progress(length, limits)
         swarm = self.swarm(problem, length, warm, key)  # lines 1-6
         evaluations = self.particles if warm is None else self.particles + 1
@@ -92,9 +95,16 @@ class Pso(OptimizerSection):
         return progress.search()  # line 13
 
     def swarm(self, problem: Problem, length: int, warm: Floats | None, key: int) -> "Swarm":
-        """Return the swarm with which Algorithm 1 begins, lines 1-6: its u_gb is `warm` or, without
-        it, the best of all u_lb,n. A warm start is not compared with the u_lb,n before the first
-        iteration.
+        """Return the swarm with which Algorithm 1 begins, lines 1-6.
+
+        Its u_gb is `warm` or, without a warm start, the best of all u_lb,n. A warm start is not
+        compared with the u_lb,n before the first iteration.
+
+        Args:
+            problem: What to minimise.
+            length: Number of signals in the sequence.
+            warm: A sequence to start from [rad], shape (length,). None if there is none.
+            key: Determines all random numbers of the search.
         """
         # imported late: reading a spec searches nothing
         from tetractl.control.search.evaluate import compiled_costs
@@ -142,8 +152,16 @@ class Swarm:
     def scattered(
         cls, section: Pso, length: int, key: int, costs_of: Callable[[Floats], Floats]
     ) -> "Swarm":
-        """Return a swarm whose u_n, v_n and u_lb,n are drawn uniformly in their search spaces, line
-        1, and whose u_gb is the best of the u_lb,n, line 3.
+        """Return a swarm at random positions.
+
+        u_n, v_n and u_lb,n are uniform in their search spaces (line 1), and u_gb is the best of the
+        u_lb,n (line 3).
+
+        Args:
+            section: Parameters of the swarm.
+            length: Number of signals in the sequence.
+            key: Determines all random numbers of the search.
+            costs_of: Computes the costs (P,) of sequences (L, P).
         """
         shape = 3, length, section.particles
         draws = uniform(mix(key, KEY_OF_START), 0, 3 * length * section.particles)
@@ -192,6 +210,9 @@ class Swarm:
 
 
 def best_of(signals: Floats, costs: Floats) -> Best:
-    """Return the sequence of least cost (P,) among sequences (L, P), the first of equal ones."""
+    """Return the sequence with the lowest of the costs (P,) among sequences (L, P).
+
+    Of equal costs, the first counts.
+    """
     leader = int(np.argmin(costs))
     return Best(signals[:, leader].copy(), float(costs[leader]))

@@ -8,6 +8,11 @@
 
 enum { M1_FORWARD = 0xC1, M2_FORWARD = 0xC5, BATTERY = 0xB1 }; /* backward is one more */
 
+static void send(m3pi_shell *shell, m3pi_port port, const uint8_t *data, size_t length)
+{
+    shell->hal.write(shell->hal.context, port, data, length);
+}
+
 static void drive(m3pi_shell *shell, int8_t left, int8_t right, uint32_t now_ms)
 {
     const uint8_t command[4] = {
@@ -16,7 +21,7 @@ static void drive(m3pi_shell *shell, int8_t left, int8_t right, uint32_t now_ms)
         (uint8_t)(right < 0 ? M2_FORWARD + 1 : M2_FORWARD),
         (uint8_t)(right < 0 ? -right : right),
     };
-    shell->hal.base_write(shell->hal.context, command, sizeof command);
+    send(shell, M3PI_BASE, command, sizeof command);
     shell->left = left;
     shell->right = right;
     shell->sent_ms = now_ms;
@@ -25,7 +30,7 @@ static void drive(m3pi_shell *shell, int8_t left, int8_t right, uint32_t now_ms)
 static void listen_to_base(m3pi_shell *shell)
 {
     for (int i = 0; i < BYTES_A_STEP; i++) {
-        const int byte = shell->hal.base_read(shell->hal.context);
+        const int byte = shell->hal.read(shell->hal.context, M3PI_BASE);
         if (byte < 0) {
             return;
         }
@@ -46,7 +51,7 @@ static void ask_battery(m3pi_shell *shell, uint32_t now_ms)
     if (shell->awaits_battery) {
         m3pi_set_battery(&shell->core, 0);
     }
-    shell->hal.base_write(shell->hal.context, &query, 1);
+    send(shell, M3PI_BASE, &query, 1);
     shell->awaits_battery = true;
     shell->answered = 0;
     shell->asked_ms = now_ms;
@@ -68,7 +73,7 @@ void m3pi_shell_step(m3pi_shell *shell, uint32_t now_ms)
     int8_t left, right;
 
     for (int i = 0; i < BYTES_A_STEP; i++) {
-        const int byte = shell->hal.radio_read(shell->hal.context);
+        const int byte = shell->hal.read(shell->hal.context, M3PI_RADIO);
         if (byte < 0) {
             break;
         }
@@ -85,7 +90,7 @@ void m3pi_shell_step(m3pi_shell *shell, uint32_t now_ms)
     }
     size = m3pi_take_reply(&shell->core, now_ms, reply);
     if (size > 0) {
-        shell->hal.radio_write(shell->hal.context, reply, size);
+        send(shell, M3PI_RADIO, reply, size);
     }
 }
 

@@ -14,12 +14,13 @@ extern "C" {
 #define M3PI_REPEAT_MS 20u    /* wheel commands repeat: a lost byte must not last */
 #define M3PI_BATTERY_MS 1000u /* time between battery queries */
 
+/* The two serial ports of a robot. */
+typedef enum { M3PI_RADIO, M3PI_BASE, M3PI_PORTS } m3pi_port;
+
 typedef struct {
     void *context;
-    int (*radio_read)(void *context); /* next byte, or -1 at once if there is none */
-    void (*radio_write)(void *context, const uint8_t *data, size_t length);
-    int (*base_read)(void *context);  /* the same for the 3pi */
-    void (*base_write)(void *context, const uint8_t *data, size_t length);
+    int (*read)(void *context, m3pi_port port); /* next byte, or -1 at once if there is none */
+    void (*write)(void *context, m3pi_port port, const uint8_t *data, size_t length);
 } m3pi_hal;
 
 /* What a board offers besides reading and writing. */

@@ -13,17 +13,12 @@
  * without the PLL: that is fast enough, and less can go wrong.
  */
 #include "lpc1768.h"
-#include "m3pi_shell.h"
+#include "m3pi_robot.h"
 
-#ifndef ROBOT_INDEX
-#error "define ROBOT_INDEX: the robot's place in the spec, from 0"
-#endif
-#ifndef RADIO_BAUD
-#define RADIO_BAUD 57600u
-#endif
-#define BASE_BAUD 115200u
 #define CRYSTAL_HZ 12000000u
 #define BASE_RESET (1u << 3) /* in port 2 */
+
+static const uint32_t uarts[M3PI_PORTS] = {LPC_UART2, LPC_UART3};
 
 static void change(uint32_t address, uint32_t clear, uint32_t set)
 {
@@ -73,7 +68,7 @@ static void wait_ms(uint32_t ms)
 }
 
 /* The rate is CRYSTAL_HZ / (16 divisor (1 + add / mul)), UM10360 14.4.12: take what is closest. */
-static void set_rate(uint32_t port, uint32_t baud)
+static void set_rate(uint32_t uart, uint32_t baud)
 {
     uint32_t closest = UINT32_MAX, divisor = 0, fraction = 0;
 
@@ -91,11 +86,11 @@ static void set_rate(uint32_t port, uint32_t baud)
             }
         }
     }
-    lpc_write(port + LPC_UART_LINE, LPC_UART_LINE_8N1 | LPC_UART_LINE_DIVISOR_OPEN);
-    lpc_write(port + LPC_UART_DIVISOR_LOW, divisor & 0xFFu);
-    lpc_write(port + LPC_UART_DIVISOR_HIGH, divisor >> 8);
-    lpc_write(port + LPC_UART_FRACTION, fraction);
-    lpc_write(port + LPC_UART_LINE, LPC_UART_LINE_8N1);
+    lpc_write(uart + LPC_UART_LINE, LPC_UART_LINE_8N1 | LPC_UART_LINE_DIVISOR_OPEN);
+    lpc_write(uart + LPC_UART_DIVISOR_LOW, divisor & 0xFFu);
+    lpc_write(uart + LPC_UART_DIVISOR_HIGH, divisor >> 8);
+    lpc_write(uart + LPC_UART_FRACTION, fraction);
+    lpc_write(uart + LPC_UART_LINE, LPC_UART_LINE_8N1);
 }
 
 static void open_ports(void)
@@ -103,52 +98,31 @@ static void open_ports(void)
     change(LPC_PCONP, 0, LPC_PCONP_UART2 | LPC_PCONP_UART3);
     change(LPC_PCLKSEL1, 3u << LPC_PCLKSEL1_UART2 | 3u << LPC_PCLKSEL1_UART3,
            1u << LPC_PCLKSEL1_UART2 | 1u << LPC_PCLKSEL1_UART3);
-    set_rate(LPC_UART2, RADIO_BAUD);
-    set_rate(LPC_UART3, BASE_BAUD);
-    lpc_write(LPC_UART2 + LPC_UART_FIFO, LPC_UART_FIFO_ON_AND_EMPTY);
-    lpc_write(LPC_UART3 + LPC_UART_FIFO, LPC_UART_FIFO_ON_AND_EMPTY);
+    for (int port = 0; port < M3PI_PORTS; port++) {
+        set_rate(uarts[port], port_baud[port]);
+        lpc_write(uarts[port] + LPC_UART_FIFO, LPC_UART_FIFO_ON_AND_EMPTY);
+    }
     change(LPC_PINSEL0, 0xFu | 0xFu << 20, /* P0.0, P0.1: 10 is UART 3; P0.10, P0.11: 01 is UART 2 */
            0xAu | 0x5u << 20);
 }
 
-static int read_one(uint32_t port)
+static int read_one(void *context, m3pi_port port)
 {
-    const bool received = lpc_read(port + LPC_UART_STATUS) & LPC_UART_STATUS_RECEIVED;
-    return received ? (int)(lpc_read(port + LPC_UART_DATA) & 0xFFu) : -1;
+    const bool received = lpc_read(uarts[port] + LPC_UART_STATUS) & LPC_UART_STATUS_RECEIVED;
+
+    (void)context;
+    return received ? (int)(lpc_read(uarts[port] + LPC_UART_DATA) & 0xFFu) : -1;
 }
 
-static void write_all(uint32_t port, const uint8_t *data, size_t length)
+static void write_all(void *context, m3pi_port port, const uint8_t *data, size_t length)
 {
+    (void)context;
     for (size_t i = 0; i < length; i++) {
         while (i % LPC_UART_FIFO_SIZE == 0 &&
-               !(lpc_read(port + LPC_UART_STATUS) & LPC_UART_STATUS_SENT)) {
+               !(lpc_read(uarts[port] + LPC_UART_STATUS) & LPC_UART_STATUS_SENT)) {
         }
-        lpc_write(port + LPC_UART_DATA, data[i]);
+        lpc_write(uarts[port] + LPC_UART_DATA, data[i]);
     }
-}
-
-static int radio_read(void *context)
-{
-    (void)context;
-    return read_one(LPC_UART2);
-}
-
-static int base_read(void *context)
-{
-    (void)context;
-    return read_one(LPC_UART3);
-}
-
-static void radio_write(void *context, const uint8_t *data, size_t length)
-{
-    (void)context;
-    write_all(LPC_UART2, data, length);
-}
-
-static void base_write(void *context, const uint8_t *data, size_t length)
-{
-    (void)context;
-    write_all(LPC_UART3, data, length);
 }
 
 /* Whether the watchdog caused the last reset. The answer is erased. */
@@ -176,7 +150,7 @@ static void start_watchdog(uint32_t ms)
 int main(void)
 {
     const m3pi_board board = {
-        .ports = {NULL, radio_read, radio_write, base_read, base_write},
+        .ports = {NULL, read_one, write_all},
         .hold_base = hold_base,
         .open_ports = open_ports,
         .now_ms = now_ms,

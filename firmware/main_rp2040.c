@@ -6,47 +6,27 @@
  * GP4 (tx), GP5 (rx), its reset on GP6. The 3pi has logic of 5 V and the RP2040 of 3.3 V: GP5 and GP6
  * need a level shifter. Build once per robot with -DROBOT_INDEX=0, 1, ...
  */
-#include "m3pi_shell.h"
+#include "m3pi_robot.h"
 
 #include "hardware/watchdog.h"
 #include "pico/stdlib.h"
 
-#ifndef ROBOT_INDEX
-#error "define ROBOT_INDEX: the robot's place in the spec, from 0"
-#endif
-#ifndef RADIO_BAUD
-#define RADIO_BAUD 57600
-#endif
-#define BASE_BAUD 115200
 #define BASE_RESET 6
 
-static int read_one(uart_inst_t *port)
-{
-    return uart_is_readable(port) ? (uint8_t)uart_getc(port) : -1;
-}
+static const uint first_pin[M3PI_PORTS] = {0, 4}; /* tx; rx is the next one */
 
-static int radio_read(void *context)
+static uart_inst_t *uart_of(m3pi_port port) { return port == M3PI_RADIO ? uart0 : uart1; }
+
+static int read_one(void *context, m3pi_port port)
 {
     (void)context;
-    return read_one(uart0);
+    return uart_is_readable(uart_of(port)) ? (uint8_t)uart_getc(uart_of(port)) : -1;
 }
 
-static int base_read(void *context)
+static void write_all(void *context, m3pi_port port, const uint8_t *data, size_t length)
 {
     (void)context;
-    return read_one(uart1);
-}
-
-static void radio_write(void *context, const uint8_t *data, size_t length)
-{
-    (void)context;
-    uart_write_blocking(uart0, data, length);
-}
-
-static void base_write(void *context, const uint8_t *data, size_t length)
-{
-    (void)context;
-    uart_write_blocking(uart1, data, length);
+    uart_write_blocking(uart_of(port), data, length);
 }
 
 static uint32_t now_ms(void) { return to_ms_since_boot(get_absolute_time()); }
@@ -58,17 +38,17 @@ static void hold_base(bool held)
     gpio_set_dir(BASE_RESET, true);
 }
 
-static void open_port(uart_inst_t *port, uint baud, uint tx)
+static void open_port(m3pi_port port)
 {
-    uart_init(port, baud);
-    gpio_set_function(tx, GPIO_FUNC_UART);
-    gpio_set_function(tx + 1, GPIO_FUNC_UART);
+    uart_init(uart_of(port), port_baud[port]);
+    gpio_set_function(first_pin[port], GPIO_FUNC_UART);
+    gpio_set_function(first_pin[port] + 1, GPIO_FUNC_UART);
 }
 
 static void open_ports(void)
 {
-    open_port(uart0, RADIO_BAUD, 0);
-    open_port(uart1, BASE_BAUD, 4);
+    open_port(M3PI_RADIO);
+    open_port(M3PI_BASE);
 }
 
 static void start_watchdog(uint32_t ms) { watchdog_enable(ms, true); }
@@ -76,7 +56,7 @@ static void start_watchdog(uint32_t ms) { watchdog_enable(ms, true); }
 int main(void)
 {
     const m3pi_board board = {
-        .ports = {NULL, radio_read, radio_write, base_read, base_write},
+        .ports = {NULL, read_one, write_all},
         .hold_base = hold_base,
         .open_ports = open_ports,
         .now_ms = now_ms,

@@ -278,50 +278,37 @@ static void test_garbage_never_drives(void)
     }
 }
 
-/* A radio and a 3pi made of arrays. */
+/* A radio and a 3pi made of arrays, by port. */
 typedef struct {
-    uint8_t radio_in[256], base_in[64], radio_out[64], base_out[4096];
-    size_t radio_size, radio_at, base_size, base_at, radio_sent, base_sent;
+    uint8_t in[M3PI_PORTS][256], out[M3PI_PORTS][256];
+    size_t size[M3PI_PORTS], at[M3PI_PORTS], sent[M3PI_PORTS];
 } bench;
 
-static int bench_radio_read(void *context)
+static int bench_read(void *context, m3pi_port port)
 {
     bench *b = context;
-    return b->radio_at < b->radio_size ? b->radio_in[b->radio_at++] : -1;
+    return b->at[port] < b->size[port] ? b->in[port][b->at[port]++] : -1;
 }
 
-static int bench_base_read(void *context)
+static void bench_write(void *context, m3pi_port port, const uint8_t *data, size_t length)
 {
     bench *b = context;
-    return b->base_at < b->base_size ? b->base_in[b->base_at++] : -1;
-}
-
-static void bench_radio_write(void *context, const uint8_t *data, size_t length)
-{
-    bench *b = context;
-    memcpy(b->radio_out + b->radio_sent, data, length);
-    b->radio_sent += length;
-}
-
-static void bench_base_write(void *context, const uint8_t *data, size_t length)
-{
-    bench *b = context;
-    memcpy(b->base_out + b->base_sent, data, length);
-    b->base_sent += length;
+    memcpy(b->out[port] + b->sent[port], data, length);
+    b->sent[port] += length;
 }
 
 static bool base_got(bench *b, const uint8_t *data, size_t length)
 {
-    const bool same = b->base_sent == length && memcmp(b->base_out, data, length) == 0;
-    b->base_sent = 0;
+    const bool same =
+        b->sent[M3PI_BASE] == length && memcmp(b->out[M3PI_BASE], data, length) == 0;
+    b->sent[M3PI_BASE] = 0;
     return same;
 }
 
 static void test_shell(void)
 {
     static bench b;
-    const m3pi_hal hal = {&b, bench_radio_read, bench_radio_write, bench_base_read,
-                          bench_base_write};
+    const m3pi_hal hal = {&b, bench_read, bench_write};
     const uint8_t started[] = {0xC1, 0, 0xC5, 0, 0xB1};
     const uint8_t turning[] = {0xC1, 40, 0xC6, 127};
     const uint8_t stopped[] = {0xC1, 0, 0xC5, 0};
@@ -331,27 +318,78 @@ static void test_shell(void)
     m3pi_shell_start(&shell, &hal, 0, 0);
     CHECK(base_got(&b, started, sizeof started));
     m3pi_shell_step(&shell, M3PI_FORGET_MS); /* it was just switched on */
-    b.base_sent = 0;
+    b.sent[M3PI_BASE] = 0;
     m3pi_shell_step(&shell, 1001);
-    CHECK(b.base_sent == 0); /* nothing new to say */
-    b.radio_size = make(b.radio_in, 1, M3PI_FLAG_RUN | M3PI_FLAG_POLL, 1, 40, -127);
-    b.base_in[0] = 0x39; /* 5.433 V, as the 3pi answers */
-    b.base_in[1] = 0x15;
-    b.base_size = 2;
+    CHECK(b.sent[M3PI_BASE] == 0); /* nothing new to say */
+    b.size[M3PI_RADIO] = make(b.in[M3PI_RADIO], 1, M3PI_FLAG_RUN | M3PI_FLAG_POLL, 1, 40, -127);
+    b.in[M3PI_BASE][0] = 0x39; /* 5.433 V, as the 3pi answers */
+    b.in[M3PI_BASE][1] = 0x15;
+    b.size[M3PI_BASE] = 2;
     m3pi_shell_step(&shell, 1002);
     CHECK(base_got(&b, turning, sizeof turning));
-    CHECK(b.radio_sent == M3PI_REPLY_SIZE);
-    CHECK(b.radio_out[1] == 0x52 && b.radio_out[5] == 0x39 && b.radio_out[6] == 0x15);
+    CHECK(b.sent[M3PI_RADIO] == M3PI_REPLY_SIZE);
+    CHECK(b.out[M3PI_RADIO][1] == 0x52 && b.out[M3PI_RADIO][5] == 0x39 && b.out[M3PI_RADIO][6] == 0x15);
     m3pi_shell_step(&shell, 1021);
-    CHECK(b.base_sent == 0);
+    CHECK(b.sent[M3PI_BASE] == 0);
     m3pi_shell_step(&shell, 1022); /* repeated: a lost byte must not last */
     CHECK(base_got(&b, turning, sizeof turning));
     m3pi_shell_step(&shell, 1252);
     CHECK(base_got(&b, stopped, sizeof stopped));
     m3pi_shell_step(&shell, 2000); /* asks again, gets no answer, and says unknown next time */
-    CHECK(b.base_sent == 5 && b.base_out[4] == 0xB1);
+    CHECK(b.sent[M3PI_BASE] == 5 && b.out[M3PI_BASE][4] == 0xB1);
     m3pi_shell_step(&shell, 3000);
     CHECK(shell.core.battery_mv == 0);
+}
+
+/* Every command of Pololu's serial slave program on which the robot relies. Motors: m1_forward() and
+ * the three functions after it, in examples/3pi-serial-slave/slave.c of Pololu's AVR library. M1 is
+ * the left motor. The form of commands: Pololu 3pi Robot User's Guide (0J21), 2019, section 10, page
+ * 63: a command is one byte from 80 to FF, and data are bytes from 00 to 7F. */
+static void test_commands_of_the_serial_slave_program(void)
+{
+    static const struct {
+        int8_t left, right;
+        uint8_t command[4];
+    } vectors[] = {
+        {1, 1, {0xC1, 1, 0xC5, 1}},          {-1, 1, {0xC2, 1, 0xC5, 1}},
+        {1, -1, {0xC1, 1, 0xC6, 1}},         {-1, -1, {0xC2, 1, 0xC6, 1}},
+        {127, 127, {0xC1, 127, 0xC5, 127}},  {-127, 127, {0xC2, 127, 0xC5, 127}},
+        {127, -127, {0xC1, 127, 0xC6, 127}}, {-127, -127, {0xC2, 127, 0xC6, 127}},
+    };
+    static bench b;
+    const m3pi_hal hal = {&b, bench_read, bench_write};
+
+    for (size_t i = 0; i < sizeof vectors / sizeof vectors[0]; i++) {
+        m3pi_shell shell;
+
+        memset(&b, 0, sizeof b);
+        m3pi_shell_start(&shell, &hal, 0, 0);
+        m3pi_shell_step(&shell, M3PI_FORGET_MS);
+        b.sent[M3PI_BASE] = 0;
+        b.size[M3PI_RADIO] =
+            make(b.in[M3PI_RADIO], 1, M3PI_FLAG_RUN, 1, vectors[i].left, vectors[i].right);
+        m3pi_shell_step(&shell, M3PI_FORGET_MS + 1);
+        CHECK(base_got(&b, vectors[i].command, sizeof vectors[i].command));
+    }
+}
+
+/* Page 64 of the same guide: B1 asks for the battery's voltage [mV], which comes as two bytes. Page
+ * 63: the least significant byte comes first. */
+static void test_the_battery_of_the_serial_slave_program(void)
+{
+    static const uint8_t query[] = {0xC1, 0, 0xC5, 0, 0xB1};
+    static bench b;
+    const m3pi_hal hal = {&b, bench_read, bench_write};
+    m3pi_shell shell;
+
+    memset(&b, 0, sizeof b);
+    m3pi_shell_start(&shell, &hal, 0, 0);
+    CHECK(base_got(&b, query, sizeof query));
+    b.in[M3PI_BASE][0] = 0x88; /* 5000 = 0x1388 */
+    b.in[M3PI_BASE][1] = 0x13;
+    b.size[M3PI_BASE] = 2;
+    m3pi_shell_step(&shell, 1);
+    CHECK(shell.core.battery_mv == 5000);
 }
 
 int main(void)
@@ -368,6 +406,8 @@ int main(void)
     test_reply();
     test_garbage_never_drives();
     test_shell();
+    test_commands_of_the_serial_slave_program();
+    test_the_battery_of_the_serial_slave_program();
     printf("%s\n", failures ? "FAILED" : "passed");
     return failures != 0;
 }

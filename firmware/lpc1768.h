@@ -1,6 +1,7 @@
 /* The registers of the LPC1768 that the m3pi's program uses, by address.
  *
- * Numbers in brackets are sections of NXP's user manual UM10360. Registers are reached through two
+ * Numbers in brackets are chapters and sections of NXP's user manual UM10360, Rev. 3 of 19 December
+ * 2013. A chapter stands alone where we could not see the section. Registers are reached through two
  * functions, so that a test can play the chip.
  */
 #ifndef LPC1768_H
@@ -11,7 +12,7 @@
 uint32_t lpc_read(uint32_t address);
 void lpc_write(uint32_t address, uint32_t value);
 
-/* Why the chip was reset [3.4]. Writing a bit clears it. */
+/* Why the chip was reset [3.4.1, page 22]. Writing a bit clears it. */
 #define LPC_RSID 0x400FC180u
 #define LPC_RSID_ALL 0xFu
 #define LPC_RSID_WATCHDOG (1u << 2)
@@ -34,13 +35,13 @@ void lpc_write(uint32_t address, uint32_t value);
 #define LPC_PCLKSEL1_UART2 16
 #define LPC_PCLKSEL1_UART3 18
 
-/* What the pins do [8.5], two bits each, and pins as outputs [9.5]. */
+/* What the pins do [8], two bits each, and pins as outputs [9.5]. */
 #define LPC_PINSEL0 0x4002C000u
 #define LPC_FIO2DIR 0x2009C040u
 #define LPC_FIO2SET 0x2009C058u
 #define LPC_FIO2CLR 0x2009C05Cu
 
-/* Serial ports [14.4], as offsets from a port's address. The first two registers have another
+/* Serial ports [14.4, pages 308 and 314], as offsets from a port's address. The first two registers have another
  * meaning while the divisor is open. */
 #define LPC_UART2 0x40098000u
 #define LPC_UART3 0x4009C000u
@@ -58,14 +59,15 @@ void lpc_write(uint32_t address, uint32_t value);
 #define LPC_UART_STATUS_SENT (1u << 5) /* the FIFO to send from is empty */
 #define LPC_UART_FRACTION 0x28u
 
-/* Timer 0 [21.6]. */
+/* Timer 0 [21]. */
 #define LPC_T0TCR 0x40004004u
 #define LPC_T0TCR_RUN 1u
 #define LPC_T0TCR_RESET 2u
 #define LPC_T0TC 0x40004008u
 #define LPC_T0PR 0x4000400Cu
 
-/* The watchdog [28.4]. Its own RC oscillator has 4 MHz, of which it counts every fourth tick. */
+/* The watchdog [28.3, 28.4, pages 571 and 573]. Its own RC oscillator has 4 MHz, of which it counts
+ * every fourth tick. */
 #define LPC_WDMOD 0x40000000u
 #define LPC_WDMOD_ON_WITH_RESET 3u
 #define LPC_WDTC 0x40000004u

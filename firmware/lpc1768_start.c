@@ -10,7 +10,7 @@ void start(void);
 void hang(void);
 
 /* The exceptions of the processor; interrupts are not used. The boot ROM starts the program only if
- * the first eight words add up to 0 [UM10360 32.3.1.1]. */
+ * the first eight words add up to 0 [UM10360 32.3.1.1, page 617]. */
 __attribute__((section(".vectors"), used)) static const struct {
     uint32_t *stack;
     void (*start)(void);
@@ -22,7 +22,7 @@ __attribute__((section(".vectors"), used)) static const struct {
     {NULL, NULL, NULL, hang, hang, NULL, hang, hang},
 };
 
-/* No code read protection [32.6]. Certain other values in this word would lock the chip for ever. */
+/* No code read protection [UM10360, chapter 32]. Certain other values in this word would lock the chip for ever. */
 __attribute__((section(".protection"), used)) static const uint32_t protection = 0xFFFFFFFFu;
 
 void start(void)

@@ -67,7 +67,8 @@ static void wait_ms(uint32_t ms)
     }
 }
 
-/* The rate is CRYSTAL_HZ / (16 divisor (1 + add / mul)), UM10360 14.4.12: take what is closest. */
+/* The rate is CRYSTAL_HZ / (16 divisor (1 + add / mul)), UM10360 14.4.12.1, page 314: take what is
+ * closest. */
 static void set_rate(uint32_t uart, uint32_t baud)
 {
     uint32_t closest = UINT32_MAX, divisor = 0, fraction = 0;

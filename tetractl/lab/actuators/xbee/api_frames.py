@@ -9,7 +9,7 @@ import struct
 
 from tetractl.core.errors import WireError
 
-# from Digi's manual of XBee modules in API mode 2
+# from Digi's manuals of XBee modules, with whose printed frames test_api_frames.py compares them
 START = 0x7E  # first byte of a frame
 ESCAPE = 0x7D  # byte before one that is escaped
 _ESCAPED = frozenset((START, ESCAPE, 0x11, 0x13))  # 0x11 and 0x13: XON, XOFF

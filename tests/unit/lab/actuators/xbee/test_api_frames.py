@@ -18,15 +18,35 @@ from tetractl.lab.actuators.xbee.api_frames import (
     received,
 )
 
-VECTORS = [  # of the XBee manual
-    (BROADCAST + b"Broadcast", "7E 00 0E 01 00 FF FF 00 42 72 6F 61 64 63 61 73 74 6D"),
-    (bytes((AT_COMMAND, 1)) + b"BD\x08", "7E 00 05 08 01 42 44 08 68"),
+ESCAPED = [  # a content, and its frame in escaped mode
+    # "Escape characters", page 152 of Digi's XBee/XBee-PRO S2C Zigbee RF Module User Guide
     (b"\x23\x11", "7E 00 02 23 7D 31 CB"),
+    # frames of older manuals, whose pages are not known
+    (bytes((AT_COMMAND, 1)) + b"BD\x08", "7E 00 05 08 01 42 44 08 68"),
     (
         bytes.fromhex("10010013A200400A0127FFFE0000") + b"TxData0A",
         "7E 00 16 10 01 00 7D 33 A2 00 40 0A 01 27 FF FE 00 00 54 78 44 61 74 61 30 41 7D 33",
     ),
 ]
+S2C = "XBee/XBee-PRO S2C 802.15.4 RF Module User Guide"
+SERIES_1 = "XBee/XBee-PRO RF Modules, 802.15.4, v1.xEx [2009.09.23]"
+PRINTED = {
+    f"{S2C}, page 117, broadcast": "7E 00 0E 01 00 FF FF 00 42 72 6F 61 64 63 61 73 74 6D",
+    f"{S2C}, page 117, unicast": "7E 00 0B 01 87 12 34 00 54 78 44 61 74 61 EB",
+    f"{S2C}, page 126": "7E 00 11 80 00 13 A2 00 12 34 56 78 5E 01 54 78 44 61 74 61 11",
+    f"{S2C}, page 128": "7E 00 0B 81 12 34 5E 01 54 78 44 61 74 61 93",
+    f"{S2C}, page 134, set": "7E 00 05 88 01 4E 49 00 DF",
+    f"{S2C}, page 134, query": "7E 00 07 88 01 54 50 00 FF FE D5",
+    f"{SERIES_1}, page 59": "7E 00 04 08 52 44 4C 15",
+    "XBee SX 868 RF Module User Guide, page 191": (
+        "7E 00 12 90 00 13 A2 00 41 AE B5 4E FF FE C1 54 78 44 61 74 61 C4"
+    ),
+    "XBee/XBee-PRO SE RF Modules, 2009, page 95": (
+        "7E 00 18 91 00 13 A2 00 40 52 2B AA 7D 84 E0 E0 22 11 C1 05 02 52 78 44 61 74 61 52"
+    ),
+}
+"""Every kind of frame that is sent or read, as Digi's manuals print it: without escapes."""
+PAGES_OF_DATA = {f"{S2C}, page 126", f"{S2C}, page 128", *list(PRINTED)[-2:]}
 SPECIAL_BYTES = st.sampled_from([0x7E, 0x7D, 0x11, 0x13, 0x5E, 0x00])
 SPECIAL_CONTENTS = st.lists(SPECIAL_BYTES, min_size=1, max_size=40).map(bytes)
 CONTENTS = st.binary(min_size=1, max_size=CONTENT_MAX) | SPECIAL_CONTENTS
@@ -41,10 +61,42 @@ def stream_of(parts):
     return b"".join(garbage + encode(content) for garbage, content in parts)
 
 
-@pytest.mark.parametrize(("content", "text"), VECTORS)
-def test_documented_vectors(content, text):
+def escaped(frame):
+    """A printed frame in escaped mode: 7D and the byte xor 20 stand for each special byte."""
+    special = {byte: bytes((0x7D, byte ^ 0x20)) for byte in (0x7E, 0x7D, 0x11, 0x13)}
+    return frame[:1] + b"".join(special.get(byte, bytes((byte,))) for byte in frame[1:])
+
+
+@pytest.mark.parametrize(("content", "text"), ESCAPED)
+def test_documented_escapes(content, text):
     assert encode(content) == bytes.fromhex(text)
     assert Decoder().feed(bytes.fromhex(text)) == [content]
+
+
+@pytest.mark.parametrize("page", PRINTED)
+def test_frames_that_manuals_print(page):
+    frame = bytes.fromhex(PRINTED[page])
+    content = frame[3:-1]
+    assert encode(content) == escaped(frame)
+    assert Decoder().feed(escaped(frame)) == [content]
+    assert received(content)[1:] == (b"xData" if page in PAGES_OF_DATA else b"")
+
+
+def test_our_broadcasts_and_requests_have_the_form_that_manuals_print():
+    printed = bytes.fromhex(PRINTED[f"{S2C}, page 117, broadcast"])
+    assert encode(BROADCAST + b"Broadcast") == escaped(printed)
+    query = bytes.fromhex(PRINTED[f"{SERIES_1}, page 59"])
+    assert encode(bytes((AT_COMMAND, 0x52)) + b"DL") == escaped(query)
+
+
+def test_answers_that_manuals_print():
+    contents = [
+        bytes.fromhex(PRINTED[f"{S2C}, page 134, {what}"])[3:-1] for what in ("set", "query")
+    ]
+    assert [answered(content) for content in contents] == [
+        (1, b"NI", b""),
+        (1, b"TP", b"\xff\xfe"),
+    ]
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,9 @@
 """The functions of `elementary` for arrays, with the same bits as for single numbers.
 
 NumPy's own functions differ in the last bits from processor to processor. Arguments may be numbers
-or arrays of shapes that broadcast. An element takes about a microsecond, so these functions suit
-arrays of a few robots; loops over many particles belong into a kernel.
+or arrays of shapes that broadcast. Small arrays, such as one number per robot, are computed one
+element at a time, which takes about a microsecond each. Arrays of LARGE elements or more are
+computed by `elementary_arrays`.
 """
 
 from collections.abc import Callable
@@ -10,19 +11,37 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tetractl.core import elementary
+from tetractl.core import elementary, elementary_arrays
 
 Floats = NDArray[np.float64]
+
+LARGE = 64
+"""Minimum number of elements that array operations compute faster than a loop does."""
 
 
 def _elementwise(function: Callable[..., float]) -> Callable[..., Floats]:
     """Make a function of arrays from a function of numbers."""
-    ufunc = np.frompyfunc(function, function.__code__.co_argcount, 1)
+    name = function.__name__
+    loop = np.frompyfunc(function, function.__code__.co_argcount, 1)
+    of_arrays: Callable[..., Floats] = getattr(elementary_arrays, name)
+    are_ordinary = elementary_arrays.ORDINARY[name]
+
+    def apply_to_large(arguments: list[Floats]) -> Floats:
+        alike = np.broadcast_arrays(*arguments)
+        ordinary = are_ordinary(*alike)
+        if ordinary.all():
+            return of_arrays(*alike)
+        values = np.empty(ordinary.shape)
+        values[ordinary] = of_arrays(*(argument[ordinary] for argument in alike))
+        values[~ordinary] = loop(*(argument[~ordinary] for argument in alike))
+        return values
 
     def apply(*arguments: ArrayLike) -> Floats:
-        floats = (np.asarray(argument, dtype=np.float64) for argument in arguments)
-        with np.errstate(invalid="ignore"):  # NaN stands for what is unknown, and remains NaN
-            values = ufunc(*floats)
+        floats = [np.asarray(argument, dtype=np.float64) for argument in arguments]
+        is_large = any(argument.size >= LARGE for argument in floats)
+        # NaN stands for what is unknown, and remains NaN
+        with np.errstate(invalid="ignore", over="ignore"):
+            values = apply_to_large(floats) if is_large else loop(*floats)
         return np.asarray(values, dtype=np.float64)[()]  # a number for numbers
 
     apply.__doc__ = function.__doc__

@@ -64,13 +64,40 @@ def test_limits_and_what_is_no_number():
     assert elementary.log_of_sum(1000, 1000) == 1000 + math.log(2)
 
 
+SPECIAL = [0.0, -0.0, 1.0, -1.0, 5e-324, -1e-300, 1e300, -1e308, 1e6, -1e7, 299.0, 301.0, 710.0]
+SPECIAL += [-745.0, -0.9999999, 801.0, -801.0, math.inf, -math.inf, math.nan]
+"""Numbers at the ends of ranges, and beyond."""
+SIZES = [elementwise.LARGE - 1, elementwise.LARGE, 2000]
+"""Small arrays are computed one by one, large ones by operations of arrays."""
+
+
+def same_bits(values, expected):
+    """Whether two sequences hold the same floats: 0 and -0 differ, any NaN equals any other."""
+    values, expected = np.asarray(values), np.asarray(expected)
+    both_nan = np.isnan(values) & np.isnan(expected)
+    return ((values.view(np.int64) == expected.view(np.int64)) | both_nan).all()
+
+
+@pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("name", ["sin", "cos", "exp", "expm1", "log", "log1p", "tanh"])
-def test_arrays_have_the_bits_of_numbers(name):
+def test_arrays_have_the_bits_of_numbers(name, size):
     function = getattr(elementary, name)
-    x = np.reshape(numbers(name)[:600], (3, -1))
-    expected = [[function(number) for number in row] for row in x.tolist()]
-    np.testing.assert_array_equal(getattr(elementwise, name)(x), expected)
+    x = np.array([*SPECIAL, *numbers(name)[:: 6000 // size]])[:size]
+    assert same_bits(getattr(elementwise, name)(x), [function(number) for number in x.tolist()])
+    rows = np.reshape(numbers(name)[:600], (3, -1))
+    expected = [[function(number) for number in row] for row in rows.tolist()]
+    np.testing.assert_array_equal(getattr(elementwise, name)(rows), expected)
     assert isinstance(getattr(elementwise, name)(0.5), float)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_angles_of_arrays_have_the_bits_of_numbers(size):
+    draw = random.Random(3)
+    points = [(y, x) for y in SPECIAL for x in SPECIAL]
+    points += [(draw.gauss(0, 1), draw.gauss(0, 1)) for _ in range(2000)]
+    y, x = np.array(points)[:size].T.copy()
+    expected = [elementary.atan2(*point) for point in points[:size]]
+    assert same_bits(elementwise.atan2(y, x), expected)
 
 
 def test_shapes_broadcast():

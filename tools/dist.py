@@ -1,4 +1,4 @@
-"""Build the wheels of all packages: `python tools/dist.py FOLDER`, or `make dist`.
+"""Build wheels and source archives of all packages: `python tools/dist.py FOLDER`, or `make dist`.
 
 The core has two of the same version: one for any Python and system, and one for this Python and
 system that brings its compiled code, for processors of level x86-64-v3. Pip takes the second where
@@ -36,9 +36,11 @@ SPECS = (
 
 
 def main(folder: Path) -> None:
-    """Build all wheels into a folder, which is emptied."""
+    """Build all wheels and source archives into a folder, which is emptied."""
     shutil.rmtree(folder, ignore_errors=True)
     packages = sorted(one.parent for one in ROOT.glob("packages/*/pyproject.toml"))
+    for package in (ROOT, *packages):
+        source_archive(folder, package)
     wheel(folder, ROOT, *packages)
     if binding.get_process_triple().startswith("x86_64"):
         with tempfile.TemporaryDirectory() as scratch:
@@ -54,6 +56,12 @@ def wheel(folder: Path, *sources: Path, **variables: str) -> None:
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check"]
     command += ["--no-deps", "--wheel-dir", str(folder), *map(str, sources)]
     subprocess.run(command, check=True, env=os.environ | variables)
+
+
+def source_archive(folder: Path, package: Path) -> None:
+    """Build the source archive of a package."""
+    command = [sys.executable, "-m", "build", "--sdist", "--outdir", str(folder), str(package)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
 
 
 def kernels(scratch: Path) -> Path:

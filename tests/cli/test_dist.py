@@ -41,14 +41,20 @@ def python(tmp_path_factory):
     done(sys.executable, ROOT / "tools/dist.py", wheels)
     pure = next(wheels.glob("tetractl-*-none-any.whl"))
     core = next(wheels.glob("tetractl-*-cp*.whl"), pure)
-    others = [wheel for wheel in wheels.glob("*.whl") if wheel not in (core, pure)]
-    built = sorted(wheel.name.partition("-")[0] for wheel in others)
-    assert built == sorted(
-        folder.name.replace("-", "_") for folder in (ROOT / "packages").glob("tetractl-*")
-    )
+    others = {
+        wheel.name.partition("-")[0]: wheel
+        for wheel in wheels.glob("*.whl")
+        if wheel not in (core, pure)
+    }
+    packages = [path.parent.name for path in (ROOT / "packages").glob("*/pyproject.toml")]
+    assert sorted(others) == sorted(name.replace("-", "_") for name in packages)
+    archives = [archive.name.partition("-")[0] for archive in wheels.glob("*.tar.gz")]
+    assert sorted(archives) == sorted(["tetractl", *others])
+    # the package that has files from outside its folder is installed from its archive
+    others["tetractl_emulator"] = next(wheels.glob("tetractl_emulator-*.tar.gz"))
     done(sys.executable, "-m", "venv", place)
     python = place / "bin" / "python"
-    done(python, "-m", "pip", "install", "--quiet", "-c", ROOT / "constraints.txt", core, *others)
+    done(python, "-m", "pip", "install", "--quiet", "-c", ROOT / "constraints.txt", core, *others.values())
     return python
 
 

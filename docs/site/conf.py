@@ -3,7 +3,11 @@
 from pathlib import Path
 
 project = html_title = "tetractl"
-extensions = ["myst_parser"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+default_role = "code"  # in docstrings, as in Markdown
+autodoc_typehints = "description"
+add_module_names = False
+autodoc_member_order = "bysource"
 root_doc = "docs/site/index"
 include_patterns = [
     "*.md",

@@ -54,7 +54,8 @@ def python(tmp_path_factory):
     others["tetractl_emulator"] = next(wheels.glob("tetractl_emulator-*.tar.gz"))
     done(sys.executable, "-m", "venv", place)
     python = place / "bin" / "python"
-    done(python, "-m", "pip", "install", "--quiet", "-c", ROOT / "constraints.txt", core, *others.values())
+    install = (python, "-m", "pip", "install", "--quiet", "-c", ROOT / "constraints.txt")
+    done(*install, core, *others.values())
     return python
 
 

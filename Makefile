@@ -9,7 +9,7 @@ PAPERS := ./packages/tetractl-papers
 IDENTIFY := ./packages/tetractl-identify
 PACKAGES := $(PAPERS) $(IDENTIFY) ./packages/tetractl-microscope ./packages/tetractl-emulator ./packages/tetractl-toio ./packages/tetractl-motioncapture
 
-.PHONY: demo demo-ours demo-paper test test-fast test-long test-system test-ci test-all test-lowest test-newest lint dist docs clean proto
+.PHONY: demo demo-ours demo-paper test test-fast test-ci test-all test-lowest test-newest lint dist docs clean proto
 
 # With setuptools, a package of your own can be installed without a network: docs/how-to/extend.md.
 $(RUNTIME): pyproject.toml $(PAPERS)/pyproject.toml $(IDENTIFY)/pyproject.toml constraints.txt
@@ -84,14 +84,6 @@ test: $(STAMP)
 # What needs neither other processes nor much time: for work on the code.
 test-fast: $(STAMP)
 	$(BIN)/python $(PYTEST) $(ON_CORES) -m "not slow and not long and not system"
-
-# Whole days, all faults in virtual time, and whatever takes over 0.5 s.
-test-long: $(STAMP)
-	$(BIN)/python $(PYTEST) $(ON_CORES) -m "long and not system"
-
-# Real wires in real time, browser, cluster, cold compiles, pages to the last digit.
-test-system: $(STAMP)
-	$(BIN)/python $(PYTEST) $(ON_CORES_WAITING) -m system
 
 # In one run what `make test` has, and of all that it leaves out what finds defects that it does not.
 test-ci: $(STAMP)

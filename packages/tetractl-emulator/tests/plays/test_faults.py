@@ -9,7 +9,7 @@ from support.virtual_lab import play_faults
 pytestmark = pytest.mark.slow
 
 
-# one of each device, and of what process, clock and disk do; the others are of `make test-long`
+# one of each device, and of what process, clock and disk do; CI plays the others, too
 OFTEN = "bad_bytes clock_back ctrl_c disk_full emergency frames_doubled ghost jump"
 OFTEN += " into_obstacle lifted lost_commands no_frames radio_unplugged robot_off swapped_wheels"
 SHOWN_ELSEWHERE = (  # each as another row of the table, and of poses by test_ghosts.py

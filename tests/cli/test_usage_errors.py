@@ -3,7 +3,6 @@
 import contextlib
 import os
 import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -14,6 +13,7 @@ from support.cli import tetractl
 from support.paths import ROOT
 from support.running import QUICK
 from support.studies import SMALL, write
+from support.usage import command_of, refused_in_one_line
 
 from tetractl.cli.lab import save_calibration
 from tetractl.spec.lab_section import Measured
@@ -96,25 +96,12 @@ export logs -o picture.png | picture.png: not a folder | name another with --out
 export logs -o empty.yaml/x | empty.yaml: not a folder | name another with --out
 export logs -o empty.yaml/x.csv --table steps | empty.yaml: not a folder | name another with --out
 export missing -o x | missing: no such file or folder
-identify | LOG
-identify logs -o no/found.yaml | no/found.yaml: there is no folder no
-identify tables | tables: no logs (*.mcap) in this folder | of tables, name the files of poses
-identify tables/poses.csv tables/poses.csv | tables/poses.csv: is named twice | name both files
-identify logs --yes | No such option
 run lab.yaml --plant lab | there is no terminal at which to ask | add --yes
-identify logs poses.csv | logs and CSV files cannot be combined
 rerun LOG --plant lab --yes | lab
 rerun LOG --set plant.deadtime=1 | did you mean 'dead_time'
 analyze no.yaml | no.yaml: there is no such file
 analyze spec.yaml --trials 0 | Invalid value for '--trials'
 kinds --set x=1 | --set and --spec need --check
-kinds --check nowhere:X | nowhere:X: cannot be imported: ModuleNotFoundError
-kinds --check json | json: must be MODULE:NAME | such as pivot:PIVOT
-kinds --check : | :: must be MODULE:NAME | such as pivot:PIVOT
-kinds --check json:dumps --set =3 | --set =3: must be FIELD=VALUE
-kinds --check json:dumps | json:dumps: there is no check for this kind
-kinds --check tetractl.model.shapes:Circle | Circle: center: is missing
-kinds --check tetractl.control.search.stop:PaperStop | PaperStop: there is no check for this kind
 lab stop | give either a SPEC or --port
 lab stop --port x --baud 7 | --baud
 lab check spec.yaml | has no lab
@@ -177,24 +164,10 @@ def folder(tmp_path_factory):
     return place
 
 
-def contents(folder):
-    """Every path in a folder, and the bytes of every file."""
-    return {path: path.is_file() and path.read_bytes() for path in folder.rglob("*")}
-
-
-@pytest.mark.parametrize(("code", "row"), ROWS, ids=[row.partition(" |")[0] for _, row in ROWS])
+@pytest.mark.parametrize(("code", "row"), ROWS, ids=[command_of(row) for _, row in ROWS])
 def test_it_is_one_line_with_a_hint_and_changes_nothing(folder, code, row):
-    command, message, hint = (*map(str.strip, row.split("|")), "")[:3]
-    before = contents(folder)
-    done = tetractl(folder, *shlex.split(re.sub(r"\bLOG\b", LOG, command)))
-    assert (done.returncode, done.stdout) == (code, "")
-    lines = [line for line in done.stderr.splitlines() if not line.startswith("damaged: ")]
-    hints = [line for line in lines[1:] if line.startswith(f"hint: {hint}")]
-    assert lines[0].startswith("error: ") and message in lines[0], lines
-    assert len(hints) == len(lines) - 1 <= 1
-    assert hints or not hint
-    assert "folder: ." not in done.stderr
-    assert contents(folder) == before
+    command = re.sub(r"\bLOG\b", LOG, command_of(row))
+    refused_in_one_line(folder, code, command + row.removeprefix(command_of(row)))
 
 
 MISSING = """

@@ -1,4 +1,4 @@
-"""What every controller of tetractl promises beyond the checks of `tetractl.testing`."""
+"""What every controller of tetractl promises."""
 
 import math
 

@@ -15,13 +15,16 @@ from tetractl.spec.packages import BRINGS
 
 TAKEN = re.compile(r"^ *from support\.(\w+) import", re.M)
 PROJECTS = sorted((ROOT / "packages").glob("*/pyproject.toml"))
-HIDDEN = """
+OURS = {path.parent.name for path in PROJECTS}
+HIDDEN = (
+    f"""
+OURS = {OURS!r}
+"""
+    + """
 import sys
 import importlib.metadata
 
-NAMES = {"emulator", "identify", "microscope", "motioncapture", "papers", "toio"}
-PACKAGES = {f"tetractl_{name}" for name in NAMES}
-OURS = {f"tetractl-{name}" for name in NAMES}
+PACKAGES = {name.replace("-", "_") for name in OURS}
 
 class Hidden:
     def find_spec(self, name, path=None, target=None):
@@ -39,6 +42,7 @@ def points(**by):
 
 importlib.metadata.entry_points = points
 """
+)
 
 
 def python(program):
@@ -91,9 +95,7 @@ def test_tests_of_the_core_need_no_package():
     of_the_core = {path.stem for path in ROOT.glob("tests/support/*.py")}
     for path in files:
         assert set(TAKEN.findall(path.read_text("utf-8"))) <= of_the_core, path
-    imports = re.compile(
-        r"^ *(from|import) (tetractl_(emulator|identify|microscope|papers|toio)|cv2|tifffile)", re.M
-    )
+    imports = re.compile(r"^ *(from|import) (tetractl_|cv2|tifffile)", re.M)
     assert [path for path in files if imports.search(path.read_text("utf-8"))] == []
 
 
@@ -107,6 +109,7 @@ def test_tests_of_the_core_need_no_package():
         ("tetractl-microscope", ["track", "dish.avi"]),
         ("tetractl-papers", ["reproduce", "ou"]),
         ("tetractl-identify", ["identify", "x.mcap"]),
+        ("tetractl-testing", ["kinds", "--check", "tetractl.model.motion.exact:EXACT"]),
         ("tetractl-microscope", ["validate", str(MICROSCOPE_EXAMPLES / "tetrahymena_dish.yaml")]),
         ("tetractl-microscope", ["init", "--example", "two_cells"]),
         ("tetractl-microscope", ["init", "x", "--lab", "--camera", "apriltag"]),

@@ -1,6 +1,7 @@
 """`tetractl kinds`: lists the kinds that a spec, study, table, figure or emulated lab can name."""
 
 import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,13 +10,14 @@ from tetractl.cli import ui
 from tetractl.cli.options import AsJson, option
 from tetractl.cli.specs import template
 from tetractl.core.errors import Exit, UsageError, printable
-from tetractl.core.registries import all_registries
+from tetractl.core.registries import KIND_CHECKS, all_registries
 from tetractl.core.registry import PluginError
-from tetractl.spec.packages import BRINGS, missing
+from tetractl.spec.packages import BRINGS, missing, not_installed
 from tetractl.tools.table.table_files import json_text
 
 if TYPE_CHECKING:
     from tetractl.core.registry import Kind, Registry
+    from tetractl.core.setup import Setup
     from tetractl.spec.experiment import Experiment
 
 
@@ -147,10 +149,19 @@ def _home(kind: "Kind") -> str:
 # ---- --check ----
 
 
+def _kind_check() -> Callable[[str, Mapping[str, Any], "Setup"], Sequence[Any]]:
+    """Return the function that checks a kind; UsageError if no installed package brings it."""
+    if "kind" not in KIND_CHECKS:
+        lack = not_installed(KIND_CHECKS.group, "kind")
+        assert lack is not None
+        message, hint = lack
+        raise UsageError(f"--check: {message}", hint)
+    return KIND_CHECKS.load("kind")
+
+
 def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
     """Check the kind that `code` names, and print each finding; return the exit code."""
-    from tetractl.testing import check_kind
-
+    check_kind = _kind_check()
     sys.path.append("")  # modules in this folder, but in place of no other
     fields = _fields(sets)
     experiment = _experiment(spec)

@@ -182,6 +182,8 @@ LAB_COMMANDS = Registry(
     },
 )
 """The commands, and the subcommands of `tetractl lab`, in the order of the help."""
+KIND_CHECKS = Registry("tetractl.kind_checks", {})
+"""What `tetractl kinds --check` calls: the function `kind`, which tetractl-testing brings."""
 EXAMPLES = Registry("tetractl.examples", {})
 """Folders of further examples. Each is a `Path`, named after the package that brings it."""
 TEMPLATES = Registry("tetractl.templates", {})

@@ -11,6 +11,7 @@ TOIO = "tetractl-toio"
 MOTION_CAPTURE = "tetractl-motioncapture"
 PAPERS = "tetractl-papers"
 IDENTIFY = "tetractl-identify"
+TESTING = "tetractl-testing"
 BRINGS = {
     ("tetractl.plants", "emulated"): EMULATOR,
     ("tetractl.lab_commands", "emulate"): EMULATOR,
@@ -20,6 +21,7 @@ BRINGS = {
     ("tetractl.commands", "reproduce"): PAPERS,
     ("tetractl.commands", "track"): MICROSCOPE,
     ("tetractl.commands", "identify"): IDENTIFY,
+    ("tetractl.kind_checks", "kind"): TESTING,
     ("tetractl.cameras", "apriltag"): MICROSCOPE,
     ("tetractl.cameras", "cells"): MICROSCOPE,
     ("tetractl.cameras", "toio"): TOIO,

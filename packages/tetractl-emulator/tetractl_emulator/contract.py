@@ -1,15 +1,15 @@
-"""The checks of `tetractl.testing` for a camera and an actuator before their emulated sides, in
+"""The checks of `tetractl_testing` for a camera and an actuator before their emulated sides, in
 virtual time."""
 
 from functools import partial
 
 import numpy as np
+from tetractl_testing import MovedRobots, SeenRobots, check_actuator, check_camera
 
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.lab.udp_port import SCHEME
 from tetractl.spec.lab_section import LabSection
-from tetractl.testing import MovedRobots, SeenRobots, check_actuator, check_camera
 from tetractl_emulator.m3pi.wheeled_side import PortedSide
 from tetractl_emulator.pose_stream import PoseStream
 from tetractl_emulator.sides import Options

@@ -5,8 +5,18 @@ import json
 import pytest
 import yaml
 from support.cli import tetractl
+from support.usage import command_of, refused_in_one_line
 
 pytestmark = pytest.mark.slow
+
+USAGE = """
+identify | LOG
+identify logs -o no/found.yaml | no/found.yaml: there is no folder no
+identify tables | tables: no logs (*.mcap) in this folder | of tables, name the files of poses
+identify tables/poses.csv tables/poses.csv | tables/poses.csv: is named twice | name both files
+identify logs --yes | No such option
+identify logs poses.csv | logs and CSV files cannot be combined
+"""
 
 
 @pytest.fixture(scope="module")
@@ -123,3 +133,11 @@ def test_speeds_and_turning_rates_are_identified_from_tables(tmp_path):
     ):
         done = identify(name, *words)
         assert done.returncode == 2 and why in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("row", USAGE.strip().splitlines(), ids=command_of)
+def test_what_is_typed_wrong_is_one_line_with_a_hint_and_changes_nothing(folder, row):
+    table = folder / "tables" / "poses.csv"
+    table.parent.mkdir(exist_ok=True)
+    table.write_text("time_s,robot,x_mm,y_mm,heading_rad\n0,green,0,0,0\n", encoding="utf-8")
+    refused_in_one_line(folder, 2, row)

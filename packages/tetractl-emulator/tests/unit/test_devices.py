@@ -1,4 +1,4 @@
-"""Cameras and actuators of a lab pass the checks of `tetractl.testing`, before emulated robots.
+"""Cameras and actuators of a lab pass the checks of `tetractl_testing`, before emulated robots.
 
 All but the AprilTag camera, which draws and searches pictures in threads of its own, are in virtual
 time.
@@ -14,10 +14,10 @@ from support.device_specs import APRILTAG_SPEC, FIELD_SPEC, TWIST_SPEC
 from support.lab_processes import emulated
 from support.lab_specs import SPEC
 from support.virtual_lab import virtual_lab
+from tetractl_testing import MovedRobots, SeenRobots, check_actuator, check_camera
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.spec.load import parse_spec
-from tetractl.testing import MovedRobots, SeenRobots, check_actuator, check_camera
 
 pytestmark = pytest.mark.slow
 

@@ -42,7 +42,7 @@ class PictureSource(Model):
     def checked(self) -> None:
         """Read five pictures; for `tetractl kinds --check`. A source that cannot be opened is not
         checked further."""
-        from tetractl.testing.expect import expect, true
+        from tetractl_testing.expect import expect, true
 
         clock = MonotonicClock()
         try:

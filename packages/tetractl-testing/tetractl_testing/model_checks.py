@@ -14,7 +14,7 @@ from tetractl.core.shape import meet, turn
 from tetractl.model.motion.exact import rates
 from tetractl.model.motion.motion import PARAMETERS, Held, Motion, XYHeading
 from tetractl.spec.experiment import ShapeSection
-from tetractl.testing.expect import COUNT, NEAR, SEED, expect, near, same, true
+from tetractl_testing.expect import COUNT, NEAR, SEED, expect, near, same, true
 
 STEP = 1e-6
 """Step of a central difference: of an angle [rad], or relative of a parameter."""

@@ -22,11 +22,11 @@ from tetractl.spec.disturbance import DisturbanceSection
 from tetractl.spec.experiment import ShapeSection
 from tetractl.spec.explain_errors import words
 from tetractl.spec.lab_section import ActuatorSection, CameraSection
-from tetractl.testing.control_checks import check_controller, check_optimizer
-from tetractl.testing.device_checks import MovedRobots, SeenRobots, check_actuator, check_camera
-from tetractl.testing.disturbance_checks import check_disturbance
-from tetractl.testing.expect import Finding, findings_of
-from tetractl.testing.model_checks import check_motion, check_shape
+from tetractl_testing.control_checks import check_controller, check_optimizer
+from tetractl_testing.device_checks import MovedRobots, SeenRobots, check_actuator, check_camera
+from tetractl_testing.disturbance_checks import check_disturbance
+from tetractl_testing.expect import Finding, findings_of
+from tetractl_testing.model_checks import check_motion, check_shape
 
 __all__ = [
     "Finding", "MovedRobots", "SeenRobots", "check_actuator", "check_camera", "check_controller",

@@ -26,7 +26,7 @@ from tetractl.core.setup import Setup
 from tetractl.plant.sim_section import SimSection
 from tetractl.run.checked_controller import CheckedController
 from tetractl.spec.controller import ControllerSection, Host, OptimizerSection
-from tetractl.testing.expect import SEED, expect, near, random_watched, same, true
+from tetractl_testing.expect import SEED, expect, near, random_watched, same, true
 
 STEPS_MAX = 3
 """Number of control periods of a simulation before its time limit."""

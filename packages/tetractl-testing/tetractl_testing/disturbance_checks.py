@@ -16,7 +16,7 @@ from tetractl.spec.disturbance import (
     DisturbanceSection,
     overriding,
 )
-from tetractl.testing.expect import SEED, expect, random_watched, same, true
+from tetractl_testing.expect import SEED, expect, random_watched, same, true
 
 FRAME_NS = SECOND // 60
 """Time between two frames [ns]."""

@@ -1,20 +1,20 @@
-"""Every kind of tetractl passes the checks of `tetractl.testing`, as those of plug-ins should."""
+"""Every kind of tetractl passes the checks of `tetractl_testing`, as those of plug-ins should."""
 
 import pytest
 from support.controllers import CONTROLLERS, SMALL, straight
-
-from tetractl.cli.specs import template
-from tetractl.core import registries
-from tetractl.core.registries import DISTURBANCES, MOTIONS, OPTIMIZERS
-from tetractl.model.shapes import Circle, Polygon, Rectangle
-from tetractl.spec.load import parse_spec
-from tetractl.testing import (
+from tetractl_testing import (
     check_controller,
     check_disturbance,
     check_motion,
     check_optimizer,
     check_shape,
 )
+
+from tetractl.cli.specs import template
+from tetractl.core import registries
+from tetractl.core.registries import DISTURBANCES, MOTIONS, OPTIMIZERS
+from tetractl.model.shapes import Circle, Polygon, Rectangle
+from tetractl.spec.load import parse_spec
 
 pytestmark = pytest.mark.slow
 

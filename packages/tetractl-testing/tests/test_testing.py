@@ -1,4 +1,4 @@
-"""`tetractl.testing` and `tetractl kinds --check`: each thing wrong with a kind is found."""
+"""`tetractl_testing` and `tetractl kinds --check`: each thing wrong with a kind is found."""
 
 import re
 import shutil
@@ -16,6 +16,18 @@ import pytest
 from pydantic import PrivateAttr, model_validator
 from support.cli import tetractl
 from support.paths import ROOT
+from support.usage import command_of, refused_in_one_line
+from tetractl_testing import (
+    check_actuator,
+    check_camera,
+    check_controller,
+    check_disturbance,
+    check_kind,
+    check_optimizer,
+    check_shape,
+    findings_of,
+)
+from tetractl_testing.device_checks import _check_leaving
 
 from tetractl.cli.specs import template
 from tetractl.control.methods.sequence import SequenceSection
@@ -36,20 +48,18 @@ from tetractl.spec.disturbance import Disturbance, DisturbanceSection
 from tetractl.spec.experiment import ShapeSection
 from tetractl.spec.lab_section import ActuatorSection, CameraSection
 from tetractl.spec.load import parse_spec
-from tetractl.testing import (
-    check_actuator,
-    check_camera,
-    check_controller,
-    check_disturbance,
-    check_kind,
-    check_optimizer,
-    check_shape,
-    findings_of,
-)
-from tetractl.testing.device_checks import _check_leaving
 
 SETUP = parse_spec(template("check", "check"), "check").experiment.setup
 EXACT = MOTIONS.load("exact")
+USAGE = """
+kinds --check nowhere:X | nowhere:X: cannot be imported: ModuleNotFoundError
+kinds --check json | json: must be MODULE:NAME | such as pivot:PIVOT
+kinds --check : | :: must be MODULE:NAME | such as pivot:PIVOT
+kinds --check json:dumps --set =3 | --set =3: must be FIELD=VALUE
+kinds --check json:dumps | json:dumps: there is no check for this kind
+kinds --check tetractl.model.shapes:Circle | Circle: center: is missing
+kinds --check tetractl.control.search.stop:PaperStop | PaperStop: there is no check for this kind
+"""
 
 
 def wrong(check, *args):
@@ -405,6 +415,11 @@ def test_a_kind_is_checked_with_the_robots_of_a_spec(tmp_path):
     code = "tetractl.lab.actuators.twist.section:TwistSection"
     done = tetractl(tmp_path, "kinds", "--check", code, "--spec", "robots.yaml")
     assert (done.returncode, done.stderr) == (0, "")  # `robots` and `port` are the spec's
+
+
+@pytest.mark.parametrize("row", USAGE.strip().splitlines(), ids=command_of)
+def test_what_cannot_be_checked_is_one_line(tmp_path, row):
+    refused_in_one_line(tmp_path, 2, row)
 
 
 def test_the_command_says_what_was_checked(tmp_path):

@@ -32,7 +32,7 @@ from tetractl.lab.serial_port import Ports, SerialPort
 from tetractl.model.motion.exact import rates
 from tetractl.spec.lab_section import ActuatorSection, CameraSection, LabLimits
 from tetractl.spec.section_abilities import OnPort
-from tetractl.testing.expect import expect, near, true
+from tetractl_testing.expect import expect, near, true
 
 EMULATED_S = 120.0
 """Time in which an emulated device must do what it shall, on a host that is busy [s]."""

@@ -7,17 +7,18 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c const
 DEMO := logs/demo
 PAPERS := ./packages/tetractl-papers
 IDENTIFY := ./packages/tetractl-identify
+LEARN := ./packages/tetractl-learn
 TESTING := ./packages/tetractl-testing
-PACKAGES := $(PAPERS) $(IDENTIFY) $(TESTING) ./packages/tetractl-microscope ./packages/tetractl-emulator ./packages/tetractl-toio ./packages/tetractl-motioncapture
+PACKAGES := $(PAPERS) $(IDENTIFY) $(LEARN) $(TESTING) ./packages/tetractl-microscope ./packages/tetractl-emulator ./packages/tetractl-toio ./packages/tetractl-motioncapture
 
 .PHONY: demo demo-ours demo-paper test test-fast test-ci test-all test-lowest test-newest lint dist docs clean proto
 
 # With setuptools, a package of your own can be installed without a network: docs/how-to/extend.md.
-$(RUNTIME): pyproject.toml $(PAPERS)/pyproject.toml $(IDENTIFY)/pyproject.toml $(TESTING)/pyproject.toml constraints.txt
+$(RUNTIME): pyproject.toml $(PAPERS)/pyproject.toml $(IDENTIFY)/pyproject.toml $(LEARN)/pyproject.toml $(TESTING)/pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || (echo "tetractl needs Python 3.11 or later" && exit 1)
 	@echo "Installing tetractl into .venv"
 	@test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	@$(PIP) -e . -e $(PAPERS) -e $(IDENTIFY) -e $(TESTING) 'setuptools>=77'
+	@$(PIP) -e . -e $(PAPERS) -e $(IDENTIFY) -e $(LEARN) -e $(TESTING) 'setuptools>=77'
 	@touch $(RUNTIME)
 
 $(STAMP): $(RUNTIME) $(PACKAGES:%=%/pyproject.toml)

@@ -1,9 +1,6 @@
 """Controllers by name, as specs: what the contract suite runs against."""
 
-from base64 import b64encode
 from typing import Any
-
-import numpy as np
 
 from tetractl.core.registries import OPTIMIZERS
 
@@ -30,17 +27,6 @@ RECOMMENDED: dict[str, dict[str, Any]] = {
 """Model predictive control, each optimiser and other variants: the controller's part of a spec."""
 
 
-def straight(robots: int) -> dict[str, Any]:
-    """A policy's layer: along the sum of the robots' gaps."""
-    gaps = np.kron(np.ones(robots), np.eye(2))  # adds up x and y
-    others = np.zeros((2, 2 * robots + 2))  # headings, and the last direction
-    weights = np.hstack([gaps, others])
-    biases = np.zeros(2)
-    numbers = np.concatenate([weights.ravel(), biases])
-    packed = b64encode(numbers.tobytes()).decode()
-    return {"inputs": 4 * robots + 2, "outputs": 2, "numbers": packed}
-
-
 CONTROLLERS: dict[str, dict[str, Any]] = {
     **{
         f"{kind}, {name}".removesuffix(", "): {"type": kind, "horizon_max": 14} | fields
@@ -48,12 +34,9 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
         for name, fields in variants.items()
     },
     "sequence": {"type": "sequence", "directions": [0.1 * i for i in range(20)]},
-    "ensemble": {"type": "ensemble"},
-    "rrt": {"type": "rrt", "margin": 40},
-    "policy": {"type": "policy", "layers": [straight(3)]},
 }
-"""Every controller. A further one joins the contract by an entry here."""
+"""Every controller of the core. A further one joins the contract by an entry here."""
 FOR_ONE_ROBOT = {"rrt"}
-"""Types that steer one robot alone: they get the first one of the experiments."""
+"""Types that steer one robot alone, also of packages: they get the experiments' first one."""
 FOR_THREE_ROBOTS = {"policy"}
-"""Types whose entry above fits three robots alone."""
+"""Types that fit three robots alone, also of packages."""

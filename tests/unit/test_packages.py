@@ -109,6 +109,9 @@ def test_tests_of_the_core_need_no_package():
         ("tetractl-microscope", ["track", "dish.avi"]),
         ("tetractl-papers", ["reproduce", "ou"]),
         ("tetractl-identify", ["identify", "x.mcap"]),
+        ("tetractl-papers", ["run", "SPEC", "--set", "controller={type: rrt}"]),
+        ("tetractl-papers", ["plot", "x.mcap", "--kind", "swarm"]),
+        ("tetractl-learn", ["validate", "SPEC", "--set", "controller={type: policy}"]),
         ("tetractl-testing", ["kinds", "--check", "tetractl.model.motion.exact:EXACT"]),
         ("tetractl-microscope", ["validate", str(MICROSCOPE_EXAMPLES / "tetrahymena_dish.yaml")]),
         ("tetractl-microscope", ["init", "--example", "two_cells"]),
@@ -119,6 +122,7 @@ def test_tests_of_the_core_need_no_package():
     ],
 )
 def test_what_a_missing_package_brings_is_answered_by_the_command_that_installs_it(package, words):
+    words = [word.replace("SPEC", "experiments/three_m3pi.yaml") for word in words]
     code, said = python(COMMAND.format(words))
     assert code == 2, said
     assert f"needs {package}, which is not installed" in said

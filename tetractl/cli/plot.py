@@ -32,7 +32,7 @@ def plot(
 
     trajectory: paths in one trial or several, the paper's Figure 5.
     convergence: cost over the iterations, the paper's Figure 3.
-    swarm: particles of the first search, the paper's Figure 2.
+    swarm: particles of the first search, the paper's Figure 2 (from tetractl-papers).
     errors: errors over time, of one trial or, with their median by folder, of several.
     batch: final errors by folder: each trial, the mean with its interval, the distribution.
     over-time: signal, solve times, and the estimates of turning rate a, speed and so on.

@@ -23,9 +23,6 @@ CONTROLLERS = Registry(
         "mpc": "tetractl.control.methods.mpc_section:RecommendedMpc",
         "pso-mpc": "tetractl.control.methods.mpc_section:PsoMpc",
         "sequence": "tetractl.control.methods.sequence:SequenceSection",
-        "ensemble": "tetractl.control.methods.ensemble:EnsembleSection",
-        "rrt": "tetractl.control.methods.rrt:RrtSection",
-        "policy": "tetractl.control.methods.policy:PolicySection",
     },
     SECTION,
 )
@@ -143,7 +140,6 @@ FIGURES = Registry(
         "convergence": "tetractl.view.figures.convergence:convergence_figure",
         "errors": "tetractl.view.figures.errors:errors_figure",
         "batch": "tetractl.view.figures.batch:figure_of_logs",
-        "swarm": "tetractl.view.figures.swarm:swarm_figure",
         "over-time": "tetractl.view.figures.over_time:over_time_figure",
     },
 )

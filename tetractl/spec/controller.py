@@ -8,6 +8,7 @@ import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 from pydantic import Field
@@ -85,6 +86,22 @@ ALONE = Host()
 """The host of a controller when nothing counts or repeats its searches."""
 
 
+@dataclass(frozen=True, slots=True)
+class NamedFile:
+    """A file that a controller's section names, and whose contents replace its name in the spec.
+
+    Attributes:
+        field: The field that names the file, such as `weights`.
+        contents: The field that takes what the file contains, such as `layers`.
+        read: Reads the file. It returns the value of the field `contents`, and the text of the
+            file, which the log keeps. Raises InvalidSpecError if the file is wrong.
+    """
+
+    field: str
+    contents: str
+    read: Callable[[Path], tuple[Any, str]]
+
+
 class ControllerSection(Model):
     """A controller's parameters, with methods to check, build and describe the controller."""
 
@@ -112,6 +129,8 @@ class ControllerSection(Model):
     """Whether the controller ever switches the field off, which not every plant supports."""
     tours: ClassVar[bool] = False
     """Whether the controller supports way-points and a hold at the targets."""
+    named_file: ClassVar[NamedFile | None] = None
+    """The file that the section can name; None if it names no file."""
 
     @property
     def iterations_max(self) -> int:

@@ -7,7 +7,7 @@ The way of a value from a file to the experiment:
                            files below
     _with_identified       values of the file of `tetractl identify`, if the spec names one, take
                            the places of its own, but not those of settings
-    read_weights           layers of the file of a policy's weights, if the spec names one
+    NamedFile.read         contents of the file that the controller's section names, if it does
     validated_experiment   sections, or pydantic's errors in plain words (`explain`); then the rules
                            between sections (`consistency`)
 
@@ -28,10 +28,10 @@ from tetractl.core.errors import SpecError, printable
 from tetractl.core.registries import CONTROLLERS
 from tetractl.spec.base import validated
 from tetractl.spec.consistency import errors_of
+from tetractl.spec.controller import ControllerSection, NamedFile
 from tetractl.spec.experiment import DEFAULT_CONTROLLER, Experiment
 from tetractl.spec.identified import Identified, merge, read_identified
 from tetractl.spec.loaded_spec import Attached, LoadedSpec, attach
-from tetractl.spec.policy_weights import read_weights
 from tetractl.spec.yaml.document import (
     Document,
     Place,
@@ -44,8 +44,6 @@ from tetractl.spec.yaml.problems import InvalidSpecError, Loc, SpecProblem
 
 IDENTIFIED = ("identified",)
 """The field that names a file of `tetractl identify`."""
-WEIGHTS = ("controller", "weights")
-"""The field that names a file of a policy's weights."""
 
 
 def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
@@ -70,12 +68,13 @@ def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> L
         estimates = _estimates(settled)
         settled = _with_identified(document, identified, path, estimates, settings)
         attached = attach(attached, path, text)
-    weights_file = _named_file(settled, WEIGHTS)
-    if weights_file is not None:
-        path = folder / weights_file
-        layers, text = read_weights(path)
-        settled.take_out(WEIGHTS)  # its layers take its place
-        settled.put(("controller", "layers"), layers, Place(str(path)))
+    controller_file = _controller_file(settled)
+    if controller_file is not None:
+        named, file_name = controller_file
+        path = folder / file_name
+        contents, text = named.read(path)
+        settled.take_out(("controller", named.field))  # the contents take its place
+        settled.put(("controller", named.contents), contents, Place(str(path)))
         attached = attach(attached, path, text)
     experiment = validated_experiment(settled, written=False)
     name = printable(document.path.name)
@@ -151,15 +150,24 @@ def _refuse_study(document: Document) -> None:
 
 
 def _named_file(document: Document, loc: Loc) -> str | None:
-    """Return the name of the file that a field of a spec names, None if it names none; layers in
-    the spec itself need no file.
-    """
-    if loc == WEIGHTS and ("controller", "layers") in document.places:
-        return None
+    """Return the name of the file that a field of a spec names, None if it names none."""
     name: Any = document.data
     for key in loc:
         name = name.get(key) if isinstance(name, dict) else None
     return name if isinstance(name, str) else None
+
+
+def _controller_file(document: Document) -> tuple[NamedFile, str] | None:
+    """Return the file that the spec's controller can name, and the name that the spec gives it.
+
+    The result is None if the spec names no such file, or has the file's contents itself.
+    """
+    kind = _controller_kind(document)
+    named = kind.named_file if kind is not None else None
+    if named is None or ("controller", named.contents) in document.places:
+        return None
+    file_name = _named_file(document, ("controller", named.field))
+    return None if file_name is None else (named, file_name)
 
 
 def _with_identified(
@@ -180,23 +188,35 @@ def _with_identified(
 
 def _refuse_named_files(document: Document) -> None:
     """Add a problem for each file that is named, as there is no folder to find it in."""
-    for loc in (IDENTIFIED, WEIGHTS):
-        if _named_file(document, loc) is not None:
-            document.refuse(loc, "can be named only in a spec file")
+    refusal = "can be named only in a spec file"
+    if _named_file(document, IDENTIFIED) is not None:
+        document.refuse(IDENTIFIED, refusal)
+    controller_file = _controller_file(document)
+    if controller_file is not None:
+        named, _ = controller_file
+        document.refuse(("controller", named.field), refusal)
 
 
 def _estimates(document: Document) -> bool:
     """Return whether a document's controller identifies robots while it drives: by its field
     `estimate` or, where that is not given, by the default of its kind."""
+    kind = _controller_kind(document)
+    if kind is None:
+        return False
+    field_of_kind = kind.model_fields.get("estimate")
+    by_default = field_of_kind is not None and field_of_kind.default
+    return document.data.get("controller", {}).get("estimate", by_default) is True
+
+
+def _controller_kind(document: Document) -> type[ControllerSection] | None:
+    """Return the class of a document's controller; None if no installed kind has its type."""
     controller = document.data.get("controller", {})
     if not isinstance(controller, dict):
-        return False
-    kind = controller.get("type", DEFAULT_CONTROLLER)
-    if not isinstance(kind, str) or kind not in CONTROLLERS:
-        return False
-    field_of_kind = CONTROLLERS.load(kind).model_fields.get("estimate")
-    by_default = field_of_kind is not None and field_of_kind.default
-    return controller.get("estimate", by_default) is True
+        return None
+    name = controller.get("type", DEFAULT_CONTROLLER)
+    if not isinstance(name, str) or name not in CONTROLLERS:
+        return None
+    return CONTROLLERS.load(name)
 
 
 def validated_experiment(document: Document, written: bool) -> Experiment:

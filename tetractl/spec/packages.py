@@ -11,6 +11,7 @@ TOIO = "tetractl-toio"
 MOTION_CAPTURE = "tetractl-motioncapture"
 PAPERS = "tetractl-papers"
 IDENTIFY = "tetractl-identify"
+LEARN = "tetractl-learn"
 TESTING = "tetractl-testing"
 BRINGS = {
     ("tetractl.plants", "emulated"): EMULATOR,
@@ -22,6 +23,10 @@ BRINGS = {
     ("tetractl.commands", "track"): MICROSCOPE,
     ("tetractl.commands", "identify"): IDENTIFY,
     ("tetractl.kind_checks", "kind"): TESTING,
+    ("tetractl.controllers", "ensemble"): PAPERS,
+    ("tetractl.controllers", "rrt"): PAPERS,
+    ("tetractl.controllers", "policy"): LEARN,
+    ("tetractl.figures", "swarm"): PAPERS,
     ("tetractl.cameras", "apriltag"): MICROSCOPE,
     ("tetractl.cameras", "cells"): MICROSCOPE,
     ("tetractl.cameras", "toio"): TOIO,

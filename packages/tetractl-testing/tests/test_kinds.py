@@ -1,7 +1,7 @@
 """Every kind of tetractl passes the checks of `tetractl_testing`, as those of plug-ins should."""
 
 import pytest
-from support.controllers import CONTROLLERS, SMALL, straight
+from support.controllers import CONTROLLERS, SMALL
 from tetractl_testing import (
     check_controller,
     check_disturbance,
@@ -60,8 +60,6 @@ def test_optimizer(name):
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_controller(name):
     fields = CONTROLLERS[name]
-    if name == "policy":
-        fields = fields | {"layers": [straight(len(SETUP.names))]}
     section = registries.CONTROLLERS.load(fields["type"]).model_validate(fields)
     check_controller(section, SETUP)
 

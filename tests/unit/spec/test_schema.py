@@ -22,6 +22,8 @@ def packages():
     """What is committed is of all packages."""
     for name in (
         "tetractl_emulator",
+        "tetractl_learn",
+        "tetractl_papers",
         "tetractl_microscope",
         "tetractl_motioncapture",
         "tetractl_toio",

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from tetractl.core.errors import UsageError
 from tetractl.core.registries import FIGURES
+from tetractl.spec.packages import not_installed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -15,6 +16,10 @@ if TYPE_CHECKING:
 def check_kind(kind: str) -> None:
     """Raise UsageError if no figure has this name."""
     if kind not in FIGURES:
+        lack = not_installed(FIGURES.group, kind)
+        if lack is not None:
+            why, hint = lack
+            raise UsageError(f"{kind}: {why}", hint)
         names = ", ".join(FIGURES.names())
         raise UsageError(f"no figure is called {kind!r}", f"there are {names}, and video")
 

@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 from inspect import cleandoc
-from itertools import combinations
 
 import matplotlib
 import numpy as np
 import pytest
+from support.drawn import end_of, lines, overlapping, words
 from support.marked_robots import MarkedRobots
 from support.trials import THREE_M3PI, cut_short, experiment, three_robots
 
@@ -27,8 +27,8 @@ from tetractl.view.figures.trajectory import trajectory_figure
 pytestmark = pytest.mark.slow
 
 SEVERAL = ("trajectory", "errors", "batch")  # kinds that show several trials
-ALONE = tuple(kind for kind in FIGURES.names() if kind not in SEVERAL)
-COURSES = tuple(kind for kind in FIGURES.names() if kind != "batch")
+ALONE = tuple(kind for kind in FIGURES.builtin if kind not in SEVERAL)
+COURSES = tuple(kind for kind in FIGURES.builtin if kind != "batch")
 TARGETS = np.array([robot["target"] for robot in THREE_M3PI["robots"]])
 
 
@@ -71,69 +71,6 @@ def test_a_robot_that_was_never_seen_has_no_times(log):
     (axes_without,) = trajectory_figure([unseen]).axes
     assert len(axes.texts) > 0
     assert len(axes_without.texts) == 2 / 3 * len(axes.texts)  # of two robots of three
-
-
-def ids_of_unseen_ticks(axes):
-    """The texts of marks outside what their axis shows."""
-    ids = set()
-    for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
-        for tick in (*axis.get_major_ticks(), *axis.get_minor_ticks()):
-            if not axes.axison or not min(limits) <= tick.get_loc() <= max(limits):
-                ids |= {id(tick.label1), id(tick.label2)}
-    return ids
-
-
-def shown_texts(figure):
-    """The texts of a figure that lie neither outside an axis nor on a trail: words and box."""
-    hidden = set()
-    for axes in figure.axes:
-        hidden |= ids_of_unseen_ticks(axes)
-        if axes.get_aspect() == 1:  # an arena, whose texts stand on trails
-            hidden |= {id(text) for text in axes.texts}
-    texts = figure.findobj(matplotlib.text.Text)
-    visible = [text for text in texts if text.get_visible() and id(text) not in hidden]
-    return [
-        (text.get_text(), matplotlib.text.Text.get_window_extent(text))  # without its arrow
-        for text in visible
-        if text.get_text().strip()
-    ]
-
-
-def is_beyond(box, page):
-    """Whether a box lies more than a pixel beyond the edge of the page."""
-    inside = (box.x0 - page.x0, page.x1 - box.x1, box.y0 - page.y0, page.y1 - box.y1)
-    return min(inside) < -1
-
-
-def overlapping(figure):
-    """The pairs of texts of a figure that lie over one another, or beyond its edge."""
-    figure.draw_without_rendering()
-    texts = shown_texts(figure)
-    pairs = [(text, "edge") for text, box in texts if is_beyond(box, figure.bbox)]
-    for (text, box), (another, another_box) in combinations(texts, 2):
-        if another_box.shrunk(0.9, 0.7).overlaps(box):
-            pairs.append((another, text))
-    return pairs
-
-
-def words(figure):
-    """All text of a figure but the labels of its ticks, which are set when it is drawn."""
-    texts = figure.findobj(matplotlib.text.Text)
-    return "\n".join(text.get_text() for text in texts if text.get_visible())
-
-
-def lines(axes, **properties):
-    """The lines that have all these properties of matplotlib."""
-    return [
-        line
-        for line in axes.lines
-        if all(matplotlib.artist.getp(line, name) == value for name, value in properties.items())
-    ]
-
-
-def end_of(line):
-    """The height of a line at its end."""
-    return float(np.asarray(line.get_ydata())[-1])
 
 
 def test_the_trajectory_shows_arena_trails_and_errors(log):
@@ -250,7 +187,7 @@ def test_over_time_shows_what_was_estimated(log):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", FIGURES.names())
+@pytest.mark.parametrize("kind", FIGURES.builtin)
 def test_no_text_hides_another_dashes_are_in_the_legend_and_the_plant_is_named(log, kind):
     info = PlantInfo("lab", False, 120.0, {"emulated": "camera"})
     figure = draw(kind, [replace(log, start=replace(log.start, plant=info))])
@@ -303,10 +240,6 @@ def refusals():
     def arms(log):
         return [replace(log, log=f"arm-{i}/trial-000.mcap") for i in range(13)]
 
-    def late(log):
-        return [replace(log, steps=(replace(log.steps[0], k=3), *log.steps[1:]))]
-
-    swarmless = {"controller": {"optimizer": {"type": "multistart"}}}
     for kind in COURSES:
         if kind != "trajectory":
             yield kind, lambda log: [cut_short(log, 0)], LogError, "contains no"
@@ -317,8 +250,6 @@ def refusals():
     yield "errors", arms, UsageError, "13 folders: this figure has a panel for each"
     yield "batch", lambda log: moved(log, outcome=Outcome.ABORTED), LogError, "no complete trial"
     yield "batch", in_um, UsageError, "mm and um"
-    yield "swarm", lambda log: [other(log, **swarmless)], LogError, "its optimiser is multistart"
-    yield "swarm", late, LogError, "cannot be run again"
 
 
 def chose(log, order):
@@ -361,22 +292,6 @@ def test_drawing_leaves_matplotlib_as_it_was_and_opens_no_window(log):
     figure = draw("over-time", [log])
     assert dict(matplotlib.rcParams) == before
     assert figure.canvas.manager is None
-
-
-def test_the_swarm_is_that_of_the_logged_search(log):
-    figure = draw("swarm", [log])
-    search = log.steps[0].plan.search
-    assert f"first plan, {search.length} signals; J as logged" in words(figure)
-    panels = [axes for axes in figure.axes if axes.get_xlabel()]
-    assert len(panels) == 3
-    titles = [axes.get_title(loc="left") for axes in panels]
-    assert f"(a) iteration 0, J {search.history[0]:.3g} mm" == titles[0]
-    assert f"(c) iteration {len(search.history) - 1}, J {search.cost:.3g} mm" == titles[2]
-    dots = {line.get_gid(): line.get_xydata() for line in panels[2].lines}
-    assert dots["best"].tolist() == [search.signals[:2].tolist()]
-    assert len(dots["swarm"]) == log.experiment.controller.optimizer.particles
-    assert len(dots["course"]) == len(search.history)
-    assert np.isclose(dots["course"][-1], dots["swarm"]).all(axis=1).any()
 
 
 @pytest.mark.long

@@ -13,9 +13,9 @@ from matplotlib.patches import Patch
 from tetractl.core.errors import unit_of
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.verification.swarm_history import SwarmHistory, first_swarm
 from tetractl.view import style
 from tetractl.view.figures.trials import need_steps, one_trial
+from tetractl_papers.swarm_history import SwarmHistory, first_swarm
 
 SHADES = 10
 """Number of greys of J: each covers the same share of the square. Spread evenly over J, they would

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from tetractl_learn.policy import ACTIVATIONS, features, forward
 
 from tetractl import api
-from tetractl.control.methods.policy import ACTIVATIONS, features, forward
 from tetractl.core.poses import Observation, Poses
 from tetractl.spec.yaml.problems import InvalidSpecError
 

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.plants import sim
 from support.trials import THREE_M3PI, experiment
+from tetractl_papers.rrt import grow
 
-from tetractl.control.methods.rrt import grow
 from tetractl.control.search.rng import uniform
 from tetractl.core.clock import SECOND
 from tetractl.core.obstacles import Obstacles

@@ -1,4 +1,6 @@
-"""A trial as an environment of Gymnasium, for learners: `pip install tetractl[gym]`.
+"""A trial as an environment of Gymnasium, for learners.
+
+It needs Gymnasium: `pip install './packages/tetractl-learn[gym]'`.
 
 Importing this module registers the shipped benchmark specs, such as "tetractl/one-cell-v0";
 `TrialEnv` takes any spec whose plant is simulated.
@@ -7,7 +9,7 @@ Action: a vector (2,) in [-1, 1], which points in the direction that is sent: u 
 angle would jump at pi. What is greater is clipped, as a controller of type `policy` clips it.
 
 Observation (4 N + 2,) for N robots: gaps to the targets, headings and the last direction, all as
-measured, by `tetractl.control.methods.policy.features`. Nothing of the truth is in it.
+measured, by `tetractl_learn.policy.features`. Nothing of the truth is in it.
 
 Reward: the decrease of the measured sum of distances to the targets, over that sum at the starts,
 d. In the last step the true error e of the result takes the place of the measured sum, so that the
@@ -31,13 +33,13 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from tetractl import api
-from tetractl.control.methods.policy import features, features_of
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.run.open_trial import OpenTrial
 from tetractl.spec.examples import examples
+from tetractl_learn.policy import features, features_of
 
 GAP_MAX = 2.0
 """Greatest gap in an observation, in units of the arena's longer side: 1 within the arena, and
@@ -185,7 +187,9 @@ def register_examples() -> None:
         group, _, short = name.rpartition("/")
         if group == BENCHMARKS:
             gymnasium.register(
-                f"tetractl/{short}-v0", entry_point="tetractl.gym:TrialEnv", kwargs={"spec": file}
+                f"tetractl/{short}-v0",
+                entry_point="tetractl_learn.gym:TrialEnv",
+                kwargs={"spec": file},
             )
 
 

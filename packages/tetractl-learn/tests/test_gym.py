@@ -8,10 +8,10 @@ import pytest
 gymnasium = pytest.importorskip("gymnasium")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
+from tetractl_learn.gym import TrialEnv  # noqa: E402
 
 import tetractl  # noqa: E402
 from tetractl.core.errors import UsageError  # noqa: E402
-from tetractl.gym import TrialEnv  # noqa: E402
 
 SPEC = {
     "name": "learning",

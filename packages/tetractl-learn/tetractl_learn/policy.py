@@ -17,7 +17,7 @@ measured pose of an untracked robot.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -31,9 +31,9 @@ from tetractl.core.errors import ControlError
 from tetractl.core.plan import Decision, Plan, Problem
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
-from tetractl.spec.controller import ALONE, Host
-from tetractl.spec.policy_weights import Layer
+from tetractl.spec.controller import ALONE, Host, NamedFile
 from tetractl.spec.yaml.problems import Loc
+from tetractl_learn.weights import Layer, read_weights
 
 OUTPUTS = 2
 """The components of the direction, along x and y."""
@@ -81,6 +81,8 @@ class PolicySection(PlainSection):
     """The layers of the network, as tetractl writes them for `weights`."""
     activation: Literal["tanh", "relu"] = "tanh"
     """The function between two layers."""
+
+    named_file: ClassVar[NamedFile | None] = NamedFile("weights", "layers", read_weights)
 
     def bounds(self) -> dict[str, str]:
         """Return the size of the network, for display: {name: text}."""

@@ -1,0 +1,1 @@
+"""Learnt policies for tetractl: a trial as an environment of Gymnasium, and a controller."""

@@ -1,11 +1,11 @@
-"""Child processes are started in one place alone: `tetractl/tools/children.py`."""
+"""Child processes are started in two modules alone: `children` and `worker_pool` of `tools`."""
 
 import ast
 
 import pytest
 from support.paths import ROOT
 
-HELPER = "tetractl/tools/children.py"
+HELPERS = {"tetractl/tools/children.py", "tetractl/tools/worker_pool.py"}
 FORKS = {  # a copy of this process, which imports what it has imported
     "packages/tetractl-emulator/tetractl_emulator/rehearsal/day.py": {"os.fork"},
 }
@@ -23,7 +23,7 @@ HARMLESS = {
     "tetractl/tools/cache.py": {"multiprocessing"},  # whether this process is a worker
     "tetractl/run/executors.py": {"multiprocessing", "multiprocessing.synchronize"},
 }
-"""What modules other than the helper may import, to see processes, not to start them."""
+"""What modules other than the helpers may import, to see processes, not to start them."""
 SEES = {"parent_process", "active_children", "Event", "BrokenProcessPool"}
 
 
@@ -77,14 +77,14 @@ def test_each_way_to_start_a_process_is_seen(code, name):
 
 
 @pytest.mark.long
-def test_no_module_but_the_helper_starts_a_process():
+def test_no_module_but_the_helpers_starts_a_process():
     """A process started otherwise imports what lies in the present folder (K4)."""
     wrong = {}
     for path in sources():
         name = path.relative_to(ROOT).as_posix()
         may_fork = FORKS.get(name, set())
         allowed = may_fork | HARMLESS.get(name, set())
-        if name == HELPER:
+        if name in HELPERS:
             continue
         forbidden = starters(ast.parse(path.read_text())) - allowed
         if forbidden:

@@ -1,6 +1,7 @@
 """What the host of simulated robots sends: actions, the same action again, and stops."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,9 +14,11 @@ from tetractl.model.motion.rolling import wheel_speeds
 from tetractl.plant.direct import aim
 from tetractl.plant.sim_section import SimSection
 from tetractl.plant.transit import Transit
-from tetractl.plant.wheel_host import SimHost
 from tetractl.spec.disturbance import DelayedCommand, Disturbance, overriding
 from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
+
+if TYPE_CHECKING:
+    from tetractl.plant.wheel_host import SimHost
 
 STOPS_MAX = 3000
 """Largest number of stops sent until every robot has received one: those of one minute."""
@@ -32,7 +35,7 @@ class CommandSender:
         self,
         settings: SimSection,
         setup: Setup,
-        host: SimHost | None,
+        host: "SimHost | None",
         transit: Transit,
         disturbances: Sequence[Disturbance],
         random: np.random.Generator,

@@ -14,7 +14,7 @@ from tetractl.core.clock import Clock, VirtualClock
 from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.registries import DISTURBANCES, MOTIONS
 from tetractl.core.setup import Setup
-from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S
+from tetractl.model.cell_numbers import DIPOLE_SD_RAD, DRIFT_UM_S
 from tetractl.spec.base import (
     Fraction,
     Model,

@@ -33,7 +33,6 @@ from tetractl.core.registries import MOTIONS
 from tetractl.core.setup import Setup
 from tetractl.core.trial import Note, PlantInfo, Verdict
 from tetractl.model.path_check import PathCheck
-from tetractl.plant.cell_drive import CellDrive
 from tetractl.plant.command_sender import CommandSender
 from tetractl.plant.direct import DirectDrive
 from tetractl.plant.random_streams import RandomStream, generator
@@ -42,7 +41,6 @@ from tetractl.plant.sim_section import SimSection
 from tetractl.plant.timetable import Timetable
 from tetractl.plant.transit import Transit, Watchdogs
 from tetractl.plant.true_motion import Drive, MotionDisturbances, TrueMotion
-from tetractl.plant.wheel_drive import WheelDrive
 from tetractl.spec.disturbance import Disturbance
 
 NO_FRAME_S = 60
@@ -77,10 +75,14 @@ def build_drive(
     seed: np.random.SeedSequence,
 ) -> Drive:
     """Return what moves the robots: wheels or cells if the spec has them, else its motion. `a` and
-    `speed` (N,) are the true ones, before they vary."""
+    `speed` (N,) are the true ones, before they vary. A trial imports only the drive that it has."""
     if settings.drive is not None:
+        from tetractl.plant.wheel_drive import WheelDrive
+
         return WheelDrive(settings, setup, a, speed, starts, seed)
     if settings.cells is not None:
+        from tetractl.plant.cell_drive import CellDrive
+
         walk = settings.heading_noise
         return CellDrive(settings.cells, setup, a, speed, starts, walk, seed)
     return DirectDrive(MOTIONS.load(settings.motion), a, speed, starts)

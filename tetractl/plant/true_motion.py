@@ -11,7 +11,7 @@ Units: times [ns], lengths in the spec's unit, headings [rad]; N robots.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -25,8 +25,10 @@ from tetractl.plant.command_sender import CommandSender
 from tetractl.plant.sim_camera import SimCamera
 from tetractl.plant.timetable import DueTimes, Timetable
 from tetractl.plant.transit import Transit, Watchdogs
-from tetractl.plant.wheel_host import SimHost
 from tetractl.spec.disturbance import DelayedCommand, Disturbance, overriding
+
+if TYPE_CHECKING:
+    from tetractl.plant.wheel_host import SimHost
 
 UNCHECKED_MAX = 200
 """Number of parts of the path that are kept until they are checked together, which is quicker."""
@@ -42,7 +44,7 @@ class Drive(Protocol):
     """
 
     @property
-    def host(self) -> SimHost | None:
+    def host(self) -> "SimHost | None":
         """What computes the wheel speeds that are sent; None if the direction itself is sent."""
         ...
 

@@ -30,7 +30,7 @@ from tetractl.core.errors import AbortError, TetractlError
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.run.interrupt import STOP_SIGNALS, Interrupt
 from tetractl.run.task import Finished, Task, run_task
-from tetractl.tools.children import WorkerPool, copying_context, fresh_context, isolated
+from tetractl.tools.worker_pool import WorkerPool, copying_context, fresh_context, isolated
 
 KILLED = "a trial's process was killed twice, perhaps because memory ran out"
 SAID = "printed in a trial's process"

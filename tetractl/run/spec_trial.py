@@ -15,6 +15,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from pkgutil import resolve_name
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,9 +33,11 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.model_changes import stated_model
 from tetractl.spec.experiment import packages
 from tetractl.spec.loaded_spec import LoadedSpec, start_of
-from tetractl.spec.plants import Prepare
 from tetractl.tools.plugin_fault import plugins_named
 from tetractl.tools.worker import Relay, Worker
+
+if TYPE_CHECKING:
+    from tetractl.spec.plants import Prepare
 
 QUEUED_CALLS_MAX = 2000
 """Largest number of queued calls of an observer: over two minutes of a trial."""

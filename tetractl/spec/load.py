@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -30,7 +30,6 @@ from tetractl.spec.base import validated
 from tetractl.spec.consistency import errors_of
 from tetractl.spec.controller import ControllerSection, NamedFile
 from tetractl.spec.experiment import DEFAULT_CONTROLLER, Experiment
-from tetractl.spec.identified import Identified, merge, read_identified
 from tetractl.spec.loaded_spec import Attached, LoadedSpec, attach
 from tetractl.spec.yaml.document import (
     Document,
@@ -41,6 +40,9 @@ from tetractl.spec.yaml.document import (
     with_settings,
 )
 from tetractl.spec.yaml.problems import InvalidSpecError, Loc, SpecProblem
+
+if TYPE_CHECKING:
+    from tetractl.spec.identified import Identified
 
 IDENTIFIED = ("identified",)
 """The field that names a file of `tetractl identify`."""
@@ -63,6 +65,8 @@ def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> L
     attached: Attached = ()
     identified_file = _named_file(settled, IDENTIFIED)
     if identified_file is not None:
+        from tetractl.spec.identified import read_identified
+
         path = folder / identified_file
         identified, text = read_identified(path)
         estimates = _estimates(settled)
@@ -172,13 +176,15 @@ def _controller_file(document: Document) -> tuple[NamedFile, str] | None:
 
 def _with_identified(
     document: Document,
-    identified: Identified,
+    identified: "Identified",
     path: Path,
     estimates: bool,
     settings: Sequence[SpecSetting],
 ) -> Document:
     """Return a copy of a document with the values of the file that it names in place of its own
     and, in place of both, the settings."""
+    from tetractl.spec.identified import merge
+
     changed = with_settings(document, ())
     merge(changed, identified, str(path), estimates)
     settled = with_settings(changed, settings)

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 from tetractl.core.errors import UsageError
-from tetractl.model.swimmers import BODY_UM, HELIX_HZ, HELIX_UM, WIDTH_UM
+from tetractl.model.cell_numbers import BODY_UM, HELIX_HZ, HELIX_UM, WIDTH_UM
 from tetractl_microscope.registries import ORGANISMS
 
 OUTLINE = 1.6  # factor by which an outline in a picture may be longer or shorter than the body

@@ -13,12 +13,10 @@ from tetractl.tools.children import (
     SAID_BYTES,
     SHOWN_LINE_MAX,
     Child,
-    WorkerPool,
-    copying_context,
-    fresh_context,
     python,
     run_tool,
 )
+from tetractl.tools.worker_pool import WorkerPool, copying_context, fresh_context
 
 MODULE = "raise SystemExit('the module of the present folder was run')\n"
 

@@ -20,7 +20,7 @@ from tetractl.core.poses import Poses
 from tetractl.core.protocols import Controller
 from tetractl.core.registries import MOTIONS, OPTIMIZERS
 from tetractl.core.setup import MM, Setup
-from tetractl.model.swimmers import HELIX_HZ, HELIX_UM, REST_STRAY, REST_TURN, RESTS_S
+from tetractl.model.cell_numbers import HELIX_HZ, HELIX_UM, REST_STRAY, REST_TURN, RESTS_S
 from tetractl.spec.base import (
     Model,
     NonNegative,

@@ -10,6 +10,8 @@ from numba import njit
 # NaN and inf are kept, to check costs for them. With "reassoc" or "contract", sums would depend on
 # the version of Python, whose bytecode the compiler reads.
 FAST = {"arcp", "nsz"}
+VECTOR = 8
+"""Number of float64 in the widest vector of any processor, and in a cache line."""
 _PART: Any = {
     "nogil": True,
     "error_model": "numpy",

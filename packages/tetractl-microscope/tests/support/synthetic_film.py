@@ -11,7 +11,8 @@ import numpy as np
 from tetractl_emulator.pictures.dish.picture import SUB_EXPOSURES, DishPainter, PictureLook
 
 from tetractl.core.poses import Bools, Floats, Grey
-from tetractl.model.swimmers import DRIFT_UM_S, Bodies, Swimmers, bodies
+from tetractl.model.cell_numbers import DRIFT_UM_S
+from tetractl.model.swimmers import Bodies, Swimmers, bodies
 
 STEP_S = 1 / 240
 MARGIN_UM = 30.0  # a cell nearer to the picture's edge than this counts as not seen

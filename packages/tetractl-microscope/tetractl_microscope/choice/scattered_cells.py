@@ -4,7 +4,7 @@ import numpy as np
 
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
-from tetractl.model.swimmers import A_LOG_SD, SPEED_LOG_SD
+from tetractl.model.cell_numbers import A_LOG_SD, SPEED_LOG_SD
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.section import Choice
 

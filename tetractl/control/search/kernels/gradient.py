@@ -23,10 +23,8 @@ from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos, wrap
 from tetractl.model.motion.turn_rate import RobotParameters
 from tetractl.tools.kernels.kernel_cache import compiled
-from tetractl.tools.kernels.kernel_options import INLINE_FAST, inlined
+from tetractl.tools.kernels.kernel_options import INLINE_FAST, VECTOR, inlined
 
-VECTOR = 8
-"""Number of float64 in the widest vector of any processor, and in a cache line."""
 NEVER_SATURATES = 1.0
 """The `saturation` of motors that turn a robot by (3) always."""
 

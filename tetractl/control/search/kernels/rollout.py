@@ -10,13 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.search.kernels.gradient import VECTOR
 from tetractl.control.search.kernels.motion import advance, robot_of
 from tetractl.control.search.kernels.obstacles import count_hits
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos
 from tetractl.tools.kernels.kernel_cache import compiled
-from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, VECTOR, inlined
 
 _sincos = inlined(sincos)
 

@@ -1,0 +1,153 @@
+"""Workers of a pool: processes that make the calls of this one.
+
+`children` starts all other child processes, and says what holds of all of them.
+"""
+
+import multiprocessing
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
+from multiprocessing.context import BaseContext
+from typing import Any, Self, TextIO, TypeVar
+
+from tetractl.tools.children import SAFE_PATH, SAID_BYTES, shown_lines
+
+R = TypeVar("R")
+
+LINES_MAX = 50
+"""Most lines of all workers of a pool that are shown."""
+STARTS_MAX = 50
+"""How often it is tried whether workers can be started again."""
+START_S = 0.1
+"""Time before each of these attempts [s]."""
+
+_starting = threading.RLock()
+
+
+@contextmanager
+def isolated() -> Iterator[None]:
+    """Let Python processes that `multiprocessing` starts in the block import nothing of the present
+    folder: they take the variable from this process."""
+    with _starting:
+        before = os.environ.get(SAFE_PATH)
+        os.environ[SAFE_PATH] = "1"
+        try:
+            yield
+        finally:
+            if before is None:
+                del os.environ[SAFE_PATH]
+            else:
+                os.environ[SAFE_PATH] = before
+
+
+def fresh_context(preload: Sequence[str] = ()) -> BaseContext:
+    """Return what starts workers that are no copies of this process, which would have the locks
+    that its threads hold; modules in `preload` are imported once for all, where that is possible.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():  # Windows
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(preload))
+    return context
+
+
+def copying_context() -> BaseContext:
+    """Return what starts workers that are copies of this process."""
+    return multiprocessing.get_context("fork")
+
+
+class WorkerPool:
+    """A pool of processes, each of which calls `prepare(*arguments)` first; a context manager.
+
+    What workers print or say is passed to `tell`, a line at a time, after `who`. At its end running
+    calls are waited for, and those that wait are dropped.
+    """
+
+    def __init__(
+        self,
+        context: BaseContext,
+        workers: int,
+        who: str,
+        tell: Callable[[str], object],
+        prepare: Callable[..., object] | None = None,
+        arguments: tuple[Any, ...] = (),
+    ) -> None:
+        self._heard, self._said = context.Pipe(duplex=False)
+        self._who = who
+        self._tell = tell
+        self._context: Any = context
+        start = self._said, prepare, arguments
+        self._pool = ProcessPoolExecutor(workers, context, _start_worker, start)
+        self._listener = threading.Thread(target=self._listen, name="workers", daemon=True)
+        self._listener.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._pool.shutdown(cancel_futures=True)
+        self._said.close()
+        self._listener.join(1.0)  # a worker's own child may keep the pipe open
+
+    def submit(self, call: Callable[..., R], *arguments: object) -> "Future[R]":
+        """Let a worker make a call. If none can be started, as when the server that starts them was
+        killed, the future ends as it does when a worker was: with BrokenProcessPool."""
+        try:
+            with isolated():
+                return self._pool.submit(call, *arguments)
+        except BrokenProcessPool as error:
+            return _lost(error)
+        except (OSError, EOFError) as error:
+            self._wait_for_server()
+            return _lost(BrokenProcessPool(str(error)))
+
+    def _wait_for_server(self) -> None:
+        """Wait until a process can be started again, at most some time: `multiprocessing` replaces
+        a server that was killed once the system has removed it."""
+        for _ in range(STARTS_MAX):
+            time.sleep(START_S)
+            with suppress(OSError, EOFError), isolated():
+                probe = self._context.Process(target=int)
+                probe.start()
+                probe.join()
+                return
+
+    def _listen(self) -> None:
+        lines = 0
+        with suppress(OSError), os.fdopen(os.dup(self._heard.fileno()), "rb") as stream:
+            while line := stream.readline(SAID_BYTES):
+                for text in shown_lines(line):
+                    lines += 1
+                    if lines <= LINES_MAX:
+                        self._tell(f"{self._who}: {text}")
+                    elif lines == LINES_MAX + 1:
+                        self._tell(f"{self._who}: says more, which is not shown")
+
+
+def _lost(error: BrokenProcessPool) -> "Future[Any]":
+    lost: Future[Any] = Future()
+    lost.set_exception(error)
+    return lost
+
+
+def _start_worker(
+    said: Connection, prepare: Callable[..., object] | None, arguments: tuple[Any, ...]
+) -> None:
+    for descriptor in (1, 2):
+        os.dup2(said.fileno(), descriptor)
+    said.close()
+    # the streams before may have text of another process, or be written by a thread of it
+    sys.stdout = _lines_to(1)
+    sys.stderr = _lines_to(2)
+    if prepare is not None:
+        prepare(*arguments)
+
+
+def _lines_to(descriptor: int) -> TextIO:
+    return open(descriptor, "w", buffering=1, errors="backslashreplace", closefd=False)

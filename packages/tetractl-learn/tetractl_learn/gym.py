@@ -144,8 +144,10 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         return arena_picture(self.trial.setup, np.array(self._ways))
 
     def _take_reward(self, error: float) -> float:
-        """Return by how much the sum of distances has decreased to `error` since the last reward,
-        over that at the starts; the next reward counts from `error`."""
+        """Return the decrease of the sum of distances since the last reward, as a fraction.
+
+        The fraction is of the sum at the starts. The next reward counts from `error`.
+        """
         decrease = self._error - error
         self._error = error
         return decrease / self._start_error

@@ -96,7 +96,7 @@ def run(name: str, out: Path, arms: Mapping[str, SETTING], trials: int, jobs: in
     """Write the study of an instance and run what it lacks; return its exit code."""
     study = out.with_name(f"{out.name}.yaml")
     study.write_text(study_text(name, out.name, arms, trials), encoding="utf-8")
-    command = ["-m", "tetractl", "study", study, "--out", out, "--logs", "none"]
+    command = ["-m", "tetractl", "study", study, "--out", out]
     return subprocess.run([sys.executable, *command, "--jobs", str(jobs)]).returncode
 
 

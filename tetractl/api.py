@@ -304,7 +304,6 @@ def run_study(
     folder: str | Path | None = None,
     *,
     jobs: int = 1,
-    logs: Literal["all", "none"] = "all",
     progress: bool = True,
 ) -> "Batches":
     """Simulate the trials of a study that its folder lacks, and write its tables and figures.
@@ -315,7 +314,6 @@ def run_study(
         study: A YAML file, or its contents. In contents, `base` is a spec's file or contents.
         folder: Where to write the logs, tables and figures. By default, logs/NAME.
         jobs: How many trials to run at the same time, each in its own process.
-        logs: Which trials get complete logs: "all", or "none" for summary logs only.
         progress: Whether to print to stderr what is compiled and how many trials have ended.
 
     Returns:
@@ -342,8 +340,6 @@ def run_study(
 
     if folder is not None:
         demand(folder, str | Path, "a folder is a path")
-    if logs not in ("all", "none"):
-        raise UsageError(f"logs={logs!r}: must be 'all' or 'none'")
     if not isinstance(study, Mapping):
         demand(study, str | Path, "a study is a file or a dict")
         study = Path(study)
@@ -354,7 +350,7 @@ def run_study(
         "the same call runs the others"
     )
     with store.opened(), _interruptible(after) as interrupt:
-        tasks, _ = missing_trials.lacking(loaded, store, logs == "all", False)
+        tasks, _ = missing_trials.lacking(loaded, store, rerun_outdated=False)
         missing_trials.warm_up_arms(loaded, _announcer(progress))
         executor = on_this_machine(jobs, len(tasks), interrupt)
         watcher = _Watcher(_ignore, progress_of_script(len(tasks)) if progress else None)

@@ -178,7 +178,7 @@ def test_the_folder_of_a_study_is_a_page_of_its_arms_called_after_it(tmp_path):
         "name: delays\nbase: quick.yaml\ntrials: {count: 2}\n"
         "sweep: {type: grid, fields: {plant.dead_time: [0, 0.1]}}\n"
     )
-    tetractl(tmp_path, "study", "study.yaml", "-o", "delays", "--logs", "all", "--quiet").ok()
+    tetractl(tmp_path, "study", "study.yaml", "-o", "delays", "--quiet").ok()
     tetractl(tmp_path, "report", "delays").ok()
     html = (tmp_path / "report.html").read_text()
     assert "<h1>delays</h1>" in html

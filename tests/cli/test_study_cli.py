@@ -4,10 +4,10 @@ import csv
 import signal
 
 import pytest
-from support.studies import FAILING, SMALL, Running, logs, results, tetractl, write
+from support.studies import FAILING, Running, logs, results, tetractl, write
 
 from tetractl.api import run_study
-from tetractl.log.read.reader import content_digest, read_result
+from tetractl.log.read.reader import read_result
 
 pytestmark = pytest.mark.slow
 
@@ -23,7 +23,7 @@ def table(out):
 
 @pytest.fixture(scope="module")
 def finished_study(tmp_path_factory):
-    """The quick study, run in one go with all logs."""
+    """The quick study, run in one go."""
     folder = tmp_path_factory.mktemp("whole")
     write(folder)
     done = study("study.yaml", "--out", "out", "--jobs", 1, cwd=folder).ok()
@@ -54,23 +54,10 @@ def test_a_study_is_checked_previewed_and_run_from_python_alike(
     assert "40 of 40 trials into again" in dry
     assert "few-dead_time=0.1-a=3" in dry and not (tmp_path / "again").exists()
     monkeypatch.chdir(tmp_path)
-    batches = run_study("study.yaml", "again", logs="none")
+    batches = run_study("study.yaml", "again")
     assert [len(batch.trials) for batch in batches.values()] == [5] * 8
     totals = [row["total_error_mm"] for row in table(folder / "out")]
     assert [row["total_error_mm"] for row in table(tmp_path / "again")] == totals
-
-
-@pytest.mark.long
-def test_the_whole_log_of_a_trial_with_a_brief_one_is_made_by_rerun(tmp_path):
-    """Regression: rerun read from the brief log what only a whole log has."""
-    write(tmp_path, SMALL)
-    study("study.yaml", "--out", "out", "--logs", "none", "--jobs", 1, cwd=tmp_path).ok()
-    brief = "out/dead_time=0.1/trial-001.mcap"
-    done = tetractl("rerun", brief, "--out", "again", cwd=tmp_path).ok()
-    again = tmp_path / "again" / "trial-001.mcap"
-    assert f"the content digests agree: {content_digest(again)}" in done.stderr
-    assert again.stat().st_size > 2 * (tmp_path / brief).stat().st_size
-    assert tetractl("verify", again, cwd=tmp_path).ok()
 
 
 @pytest.mark.long
@@ -94,7 +81,7 @@ def test_a_study_killed_and_run_again_gives_the_same_table(finished_study, tmp_p
 @pytest.mark.long
 def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     write(tmp_path, FAILING)
-    args = ("--out", "out", "--logs", "none", "--jobs", 1)
+    args = ("--out", "out", "--jobs", 1)
     done = study("study.yaml", *args, cwd=tmp_path)
     assert done.returncode == 1
     assert "failed: speed=1e+308/0: aborted: the cost is not finite" in done.stderr
@@ -102,5 +89,4 @@ def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     rows = table(tmp_path / "out")
     assert [row["outcome"] == "aborted" for row in rows] == [True] * 4 + [False] * 4
     results = [read_result(tmp_path / "out" / row["log"]) for row in rows]
-    assert all(result.brief for result in results)
     assert [result.digest for result in results] == [row["content_digest"] for row in rows]

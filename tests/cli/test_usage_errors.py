@@ -58,7 +58,6 @@ run spec.yaml --rate 0 | Invalid value for '--rate'
 run lab.yaml --plant lab --rate 1 | --rate is for virtual time
 run lab.yaml --plant lab --jobs 2 | one trial at a time
 rerun LOG --seed 3 | No such option
-study study.yaml --logs some | 'some' is not one of 'all', 'none'
 study circular.yaml | circular.yaml:2:7: base: circular.yaml: is a study, not a spec
 study of-a-study.yaml | of-a-study.yaml:2:7: base: study.yaml: is a study, not a spec
 stats nowhere | nowhere: no such file or folder

@@ -15,7 +15,6 @@ FOLDER = Path(__file__).parent
 sys.path.insert(0, str(FOLDER.parent))
 
 from support.random_trials import trial, write  # noqa: E402
-from tetractl.experiment.load import parse_spec  # noqa: E402
 
 from tetractl.core.trial import Step  # noqa: E402
 from tetractl.log import provenance  # noqa: E402
@@ -24,6 +23,7 @@ from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.read.trial_log import TrialLog  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
 from tetractl.run.spec_trial import log_path, run_logged  # noqa: E402
+from tetractl.spec.load import parse_spec  # noqa: E402
 
 SPEC = """
 name: golden

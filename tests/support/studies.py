@@ -72,11 +72,10 @@ def run(folder, study=STUDY, spec=QUICK, out="out", **options):
     """Run a study in this process; return the study, its store and what became of the trials."""
     loaded = load_study(write(folder, study, spec))
     store = loaded.store(folder / out)
-    whole_logs = options.get("whole_logs", False)
     watcher = Watcher()
     with store.opened():
         rerun_outdated = options.get("rerun_outdated", False)
-        tasks, outdated = lacking(loaded, store, whole_logs, rerun_outdated)
+        tasks, outdated = lacking(loaded, store, rerun_outdated)
         executor = options.get("executor") or on_this_machine(
             options.get("jobs", 1), len(tasks), Interrupt()
         )

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
 from tetractl.cli.options import argument, option, out_option, switch
@@ -34,10 +34,6 @@ def study(
         int | None,
         option("N", "Number of trials run at a time, each in its own process. [processors]", min=1),
     ] = None,
-    logs: Annotated[
-        Literal["all", "none"],
-        option("all|none", "Trials whose logs are whole, not brief."),
-    ] = "all",
     fail_fast: Annotated[
         bool, switch("Stop at the first trial that fails.", "--fail-fast")
     ] = False,
@@ -67,24 +63,23 @@ def study(
     If a study was interrupted, the same command runs the missing trials and draws the figures. A
     trial that fails does not stop the others; the exit code is then 1.
 
-    Example: tetractl study experiments/studies/dead_time.yaml --logs none
+    Example: tetractl study experiments/studies/dead_time.yaml
     """
     from tetractl.study import missing_trials
     from tetractl.study.load_study import load_study
 
     if cluster is not None and jobs is not None:
         raise UsageError("--jobs is for this machine, --cluster for others: give one of them")
-    whole_logs = logs == "all"
     loaded = load_study(file)
     folder = out or Path("logs") / loaded.study.name
     store = loaded.store(folder)
     if dry_run:
         store.read()
-        tasks, _ = missing_trials.lacking(loaded, store, whole_logs, rerun_outdated)
+        tasks, _ = missing_trials.lacking(loaded, store, rerun_outdated)
         print_tables([missing_trials.dry_run(loaded, folder, tasks)])
         return Exit.DONE
     with store.opened():
-        tasks, outdated = missing_trials.lacking(loaded, store, whole_logs, rerun_outdated)
+        tasks, outdated = missing_trials.lacking(loaded, store, rerun_outdated)
         _tell_of_outdated(outdated)
         interrupted = _run_tasks(loaded, store, tasks, jobs, cluster, fail_fast, quiet)
         return _conclude(loaded, store, interrupted)

@@ -1,7 +1,6 @@
 """Runs one trial of a spec: builds its clock, plant and controller, and leaves its log.
 
-    run_logged      with a whole log: every frame and control step, while the trial runs
-    run_briefly     with a brief one: the result alone, after the trial
+    run_logged      writes the log while the trial runs
       ready_trial   builds the trial, with any observers
       Trial.run     is the control loop (`tetractl.run.control_loop`)
 
@@ -22,10 +21,8 @@ import numpy as np
 from tetractl.core.clock import Clock
 from tetractl.core.commands import Command
 from tetractl.core.errors import TetractlError
-from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Controller, LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Result, Start
-from tetractl.log.write.brief import BriefLog
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.control_loop import Trial, abandon
@@ -104,30 +101,13 @@ def run_logged(
     interrupt: Interrupt | None = None,
     supervision: LabSupervision | None = None,
 ) -> Result:
-    """Run a trial and write its whole log to `folder` meanwhile."""
+    """Run a trial and write its log to `folder` meanwhile."""
     interrupt = interrupt or Interrupt()
     with (
         LogWriter(log_path(folder, trial), real_time=spec.experiment.plant.real_time) as log,
         ready_trial([log], spec, trial, observers, interrupt, supervision) as ready,
     ):
         return ready.run()
-
-
-def run_briefly(
-    spec: LoadedSpec,
-    folder: Path,
-    trial: int,
-    observers: Sequence[Observer],
-    interrupt: Interrupt,
-    supervision: LabSupervision | None = None,
-) -> Result:
-    """Run a trial, and write its brief log to `folder` afterwards unless it was interrupted."""
-    brief = BriefLog()
-    with ready_trial([brief], spec, trial, observers, interrupt, supervision) as ready:
-        result = ready.run()
-    if result.outcome is not Outcome.INTERRUPTED:
-        brief.save(log_path(folder, trial))
-    return result
 
 
 @contextmanager

@@ -30,7 +30,7 @@ class BatchFolder:
     """The folder of the trials of one experiment; `results` are those of its finished trials by
     number.
 
-    A trial is finished if its log, whole or brief, is complete: if the trial was not interrupted
+    A trial is finished if its log is complete: if the trial was not interrupted
     and, unless this very code would abort it again, not aborted. All others are run, by
     `run --resume` as by a study.
     """

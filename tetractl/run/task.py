@@ -1,4 +1,4 @@
-"""A task: one trial that any process can run, with the log that it asks for.
+"""A task: one trial that any process can run.
 
 A study or a batch makes tasks, and its executor runs them, here, in a process or in a cluster. A
 task is pickled to get there, with its spec.
@@ -19,7 +19,7 @@ from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.trial import Result
 from tetractl.log.provenance import trial_code
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import run_briefly, run_logged
+from tetractl.run.spec_trial import run_logged
 from tetractl.spec.experiment import Experiment, packages
 from tetractl.spec.loaded_spec import LoadedSpec
 
@@ -31,7 +31,7 @@ SPECS_KEPT = 64
 class Task:
     """Trial number `trial` of `count`, counted from 0; in a study, of the arm named `arm`.
 
-    `spec` is the pickled LoadedSpec. The log is whole, or `brief`. `code` is the hash, by
+    `spec` is the pickled LoadedSpec. `code` is the hash, by
     `code_of`, of the code with which the trial must be run, "" for any code.
     """
 
@@ -39,7 +39,6 @@ class Task:
     count: int
     spec: bytes
     arm: str = ""
-    brief: bool = False
     code: str = ""
 
     @property
@@ -62,7 +61,7 @@ class OtherCodeError(UsageError):
 
 
 def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
-    """Return the tasks of a batch: trials of one spec, all with whole logs."""
+    """Return the tasks of a batch: trials of one spec."""
     pickled = pickle.dumps(spec)
     return [Task(trial, spec.experiment.trials.count, pickled) for trial in trials]
 
@@ -80,15 +79,14 @@ def run_task(
     observers: Sequence[Observer] = (),
     supervision: LabSupervision | None = None,
 ) -> Finished:
-    """Run a task's trial and write its log to `folder`; an interrupted trial has no brief log.
+    """Run a task's trial and write its log to `folder`.
 
     Raises OtherCodeError if the code of this process is not the task's, and any error that leaves
     the trial without an outcome, such as a camera that does not answer.
     """
     spec = _prepared(task.spec, task.code)
     began_s = time.perf_counter()
-    run = run_briefly if task.brief else run_logged
-    result = run(spec, folder, task.trial, observers, interrupt, supervision)
+    result = run_logged(spec, folder, task.trial, observers, interrupt, supervision)
     return Finished(result, time.perf_counter() - began_s)
 
 

@@ -288,13 +288,13 @@ def _discs_of(log: Path, digest: str | None) -> Sequence[float]:
 
 
 def _disc_columns(trial: ResultSummary) -> dict[str, Any]:
-    """Return the diameter of each robot's disc; None without a whole log or a complete hold."""
+    """Return the diameter of each robot's disc; None without a complete hold."""
     hold = trial.experiment.hold
     if hold is None or hold.time <= SETTLING_S:
         return {}
     names = trial.experiment.setup.names
     diameters: Sequence[float | None] = [None] * len(names)
-    if trial.outcome.complete and not trial.brief:
+    if trial.outcome.complete:
         diameters = _discs_of(Path(trial.log), trial.digest)
     return {f"disc_{name}": diameter for name, diameter in zip(names, diameters, strict=True)}
 

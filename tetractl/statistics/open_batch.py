@@ -75,8 +75,8 @@ class Batch(Shown):
 
     @property
     def logs(self) -> list[Path]:
-        """The paths of the trials whose logs are whole."""
-        return [Path(trial.log) for trial in self.trials if not trial.brief]
+        """The paths of the trials' logs."""
+        return [Path(trial.log) for trial in self.trials]
 
     @property
     def lost(self) -> tuple[Damaged, ...]:

@@ -31,7 +31,7 @@ from tetractl.log.format.tetractl_pb2 import (
     WheelCommand,
 )
 from tetractl.log.read.raw_log import RawLog
-from tetractl.log.read.reader import decode_errors, refuse_brief, result_of, trial_of
+from tetractl.log.read.reader import decode_errors, result_of, trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, ResultSummary, TrialLog
 from tetractl.statistics.built_in_statistics import LENGTHS
@@ -221,8 +221,6 @@ def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage 
     tables: dict[str, Table] = {}
     if "trials" in names:
         tables["trials"] = trials_table(Batch.of([result_of(contents)]))
-    if any(name in names for name in OF_TRIAL):
-        refuse_brief(contents)
     log = trial_of(contents, 1)
     for name, table in OF_TRIAL.items():
         if name in names:

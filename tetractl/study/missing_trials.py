@@ -15,10 +15,10 @@ from tetractl.tools.table.table import Table
 
 
 def lacking(
-    loaded: LoadedStudy, store: Store, whole_logs: bool, rerun_outdated: bool
+    loaded: LoadedStudy, store: Store, rerun_outdated: bool
 ) -> tuple[list[Task], dict[str, int]]:
     """Return the tasks of trials that are not finished and, by arm, the number of outdated trials
-    that are kept as they are. The logs of the tasks are whole, or brief.
+    that are kept as they are.
 
     A trial is outdated if another version of the code has run it; with `rerun_outdated`, the tasks
     of such trials are returned too. Tasks are ordered by trial number, so that all arms have about
@@ -35,10 +35,7 @@ def lacking(
             numbers += batch.outdated
         elif batch.outdated:
             outdated[arm.name] = len(batch.outdated)
-        tasks += [
-            Task(number, count, spec, arm.name, not whole_logs, arm.code)
-            for number in sorted(numbers)
-        ]
+        tasks += [Task(number, count, spec, arm.name, arm.code) for number in sorted(numbers)]
     return sorted(tasks, key=lambda task: task.trial), outdated
 
 

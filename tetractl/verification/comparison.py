@@ -171,15 +171,11 @@ def log_differences(again: RawLog, log: RawLog) -> Iterator[Difference]:
     """Compare the log of a trial with the log of the same trial run again.
 
     Yields:
-        The first difference of each channel and attachment, those of control steps first. Channels
-        that a brief log lacks are not compared, nor attachments that only the log has: others may
-        add them.
+        The first difference of each channel and attachment, those of control steps first.
+        Attachments that only the log has are not compared: others may add them.
     """
     topics = [topic for topic in CHANNELS if topic not in NOT_COMPARED]
     names = again.attachments.keys() - NOT_COMPARED
-    if log.brief:
-        topics = [topic for topic in topics if log.by_topic[topic]]
-        names &= log.attachments.keys()
     differences: list[Difference] = []
     for topic in topics:
         difference = _topic_difference(again, log, topic)
@@ -192,8 +188,6 @@ def log_differences(again: RawLog, log: RawLog) -> Iterator[Difference]:
             yield Difference(None, name, "missing")
         elif logged.data != again.attachments[name].data:
             yield Difference(None, name, "differs from the experiment's")
-    if log.brief and again.content_digest != log.content_digest:
-        yield Difference(None, "content_digest", "is not that of the trial run again")
 
 
 def _topic_difference(again: RawLog, log: RawLog, topic: str) -> Difference | None:

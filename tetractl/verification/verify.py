@@ -111,7 +111,7 @@ class Verification(Shown):
 
 
 def verify(path: Path, announce: Callable[[str], None] = lambda text: None) -> Verification:
-    """Verify one log. A brief log is only run again.
+    """Verify one log.
 
     Args:
         path: File of the log.
@@ -132,7 +132,7 @@ def verify(path: Path, announce: Callable[[str], None] = lambda text: None) -> V
     method = Method.RECOMPUTED
     decisions = Recomputed(len(log.steps), None)
     is_repeated = end_check is EndCheck.AGAIN and not of_end
-    if not is_repeated and not raw.brief:
+    if not is_repeated:
         method, decisions = _decisions(log, elsewhere)
     found = [] if decisions.difference is None else [decisions.difference]
     found += of_end
@@ -177,19 +177,17 @@ def _end_check(log: TrialLog, why_not_again: str) -> EndCheck:
 
 
 def _differences_of_end(check: EndCheck, raw: RawLog, log: TrialLog) -> Iterator[Difference]:
-    """Yield how the end of a trial differs from what gives it again; a brief log lacks the records
-    from which stop, reason, messages and errors follow."""
+    """Yield how the end of a trial differs from what gives it again."""
     result = log.result
     if check is EndCheck.NOTHING or result is None:
         return
-    is_whole = not raw.brief
-    if is_whole and log.stop is None:
+    if log.stop is None:
         yield Difference(None, "stop", "missing: no stop is on /commands")
-    if is_whole and result.outcome is Outcome.ABORTED and not result.reason:
+    if result.outcome is Outcome.ABORTED and not result.reason:
         yield Difference(None, "result.reason", "aborted without a reason")
     if check is EndCheck.AGAIN:
         yield from run_again.differences(raw, log)
-    elif is_whole:
+    else:
         yield from result_differences(log, result)
 
 

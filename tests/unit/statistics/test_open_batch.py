@@ -8,23 +8,18 @@ from tetractl.run import store
 from tetractl.statistics.open_batch import open_batch, sources
 
 
-def arm_of_three_trials(folder, last_are_brief=True):
-    """Run a study; return the folder of one arm. Its logs are whole, or those of the last two
-    trials brief."""
-    run(folder, SMALL, whole_logs=True)
-    if last_are_brief:
-        for log in folder.glob("out/*/trial-00[12].mcap"):
-            log.unlink()
-        run(folder, SMALL)
+def arm_of_three_trials(folder):
+    """Run a study; return the folder of one arm."""
+    run(folder, SMALL)
     return folder / "out" / "dead_time=0.1"
 
 
-def whole_logs(batch):
-    """Whether the log of each trial that counts is whole; none is damaged, no trial twice."""
-    whole_by_trial = {trial.trial: not trial.brief for trial in batch.trials}
-    assert len(whole_by_trial) == len(batch.trials)
+def trial_numbers(batch):
+    """The numbers of the trials that count; none is damaged, none is there twice."""
+    numbers = [trial.trial for trial in batch.trials]
+    assert len(set(numbers)) == len(numbers)
     assert list(batch.damaged) == []
-    return whole_by_trial
+    return sorted(numbers)
 
 
 def sizes_of(paths):
@@ -34,14 +29,13 @@ def sizes_of(paths):
     return dict(listed)
 
 
-def test_whole_and_brief_logs_are_read_alike(tmp_path):
+def test_an_arm_is_read_by_its_folder_a_pattern_or_its_logs(tmp_path):
     arm = arm_of_three_trials(tmp_path)
-    mixed = {0: True, 1: False, 2: False}
     batch = open_batch([arm])
-    assert whole_logs(batch) == mixed
-    assert [log.name for log in batch.logs] == ["trial-000.mcap"]
-    assert whole_logs(open_batch([str(arm)[:-1] + "*"])) == mixed
-    assert whole_logs(open_batch([arm / "*.mcap"])) == mixed
+    assert trial_numbers(batch) == [0, 1, 2]
+    assert sorted(log.name for log in batch.logs) == [f"trial-00{k}.mcap" for k in range(3)]
+    assert trial_numbers(open_batch([str(arm)[:-1] + "*"])) == [0, 1, 2]
+    assert trial_numbers(open_batch([arm / "*.mcap"])) == [0, 1, 2]
 
 
 def test_a_path_spelt_twice_gives_each_trial_once(tmp_path, monkeypatch):
@@ -50,22 +44,22 @@ def test_a_path_spelt_twice_gives_each_trial_once(tmp_path, monkeypatch):
     link.symlink_to(arm)
     monkeypatch.chdir(arm.parent)
     for also_arm in (link, arm.name, f"{arm.name}/trial-000.mcap"):
-        assert set(whole_logs(open_batch([also_arm, arm]))) == {0, 1, 2}
+        assert trial_numbers(open_batch([also_arm, arm])) == [0, 1, 2]
 
 
 def test_a_trial_that_failed_is_counted_once(tmp_path):
-    run(tmp_path, FAILING, whole_logs=True)
+    run(tmp_path, FAILING)
     failed = open_batch([tmp_path / "out" / "speed=1e+308"])
-    assert whole_logs(failed) == {0: True, 1: True, 2: True, 3: True}
+    assert trial_numbers(failed) == [0, 1, 2, 3]
 
 
 @pytest.mark.long
 def test_logs_that_were_set_aside_do_not_count(tmp_path, monkeypatch):
-    arm = arm_of_three_trials(tmp_path, last_are_brief=False)
+    arm = arm_of_three_trials(tmp_path)
     monkeypatch.setattr(store, "code_of", lambda experiment: "newer")
     run(tmp_path, SMALL, rerun_outdated=True)
     assert len(list(arm.glob("*.attempt-1.mcap"))) == 3
-    assert whole_logs(open_batch([arm])) == {0: False, 1: False, 2: False}
+    assert trial_numbers(open_batch([arm])) == [0, 1, 2]
 
 
 def test_the_folder_of_a_study_is_a_batch_per_arm(tmp_path):

@@ -1,7 +1,6 @@
 """Runs of a study: which trials are run again, and what their logs and tables hold."""
 
 import shutil
-from dataclasses import replace
 
 import pytest
 from support.studies import FAILING, SMALL, Watcher, run
@@ -27,8 +26,8 @@ def finished_folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def finished(finished_folder):
-    """What the small study ran, with all logs whole."""
-    return run(finished_folder, SMALL, whole_logs=True)
+    """What the small study ran."""
+    return run(finished_folder, SMALL)
 
 
 @pytest.fixture
@@ -42,21 +41,6 @@ def table_of(folder):
     return (folder / "out" / "trials.csv").read_bytes()
 
 
-def without_what_may_differ(trial):
-    """A trial without where its log is, what only a whole one has, and what depends on time."""
-    result = replace(trial.result, solve_ns=(), verdict=None, deadline_misses=0)
-    return replace(trial, log="", brief=False, result=result)
-
-
-@pytest.mark.long
-def test_a_brief_log_and_a_whole_one_give_the_same_result(finished, tmp_path):
-    brief_trials = run(tmp_path, SMALL, whole_logs=False).finished
-    assert len(finished.finished) == 2 * TRIALS
-    for key, trial in finished.finished.items():
-        assert not trial.brief
-        assert without_what_may_differ(brief_trials[key]) == without_what_may_differ(trial)
-
-
 def test_trials_come_first_over_all_arms(finished):
     arms = [arm.name for arm in finished.loaded.arms]
     assert finished.watcher.started == [(arm, trial) for trial in range(TRIALS) for arm in arms]
@@ -67,7 +51,7 @@ def test_trials_come_first_over_all_arms(finished):
 def test_trials_of_outdated_code_are_named_and_stay(done, monkeypatch):
     before = table_of(done)
     monkeypatch.setattr(store, "code_of", lambda experiment: "newer")
-    ran = run(done, SMALL, whole_logs=True)
+    ran = run(done, SMALL)
     assert ran.tasks == []
     assert ran.outdated == {OTHER_ARM: TRIALS, ARM: TRIALS}
     assert table_of(done) == before
@@ -76,7 +60,7 @@ def test_trials_of_outdated_code_are_named_and_stay(done, monkeypatch):
 def test_trials_of_outdated_code_are_run_again_on_demand(done, monkeypatch):
     before = table_of(done)
     monkeypatch.setattr(store, "code_of", lambda experiment: "newer")
-    ran = run(done, SMALL, whole_logs=True, rerun_outdated=True)
+    ran = run(done, SMALL, rerun_outdated=True)
     assert len(ran.tasks) == 2 * TRIALS
     assert ran.outdated == {}
     assert table_of(done) == before
@@ -97,7 +81,7 @@ def test_trials_whose_logs_are_damaged_or_gone_are_run_again(done):
     log_path(done / "out" / ARM, 1).unlink()
     torn = log_path(done / "out" / ARM, 2)
     torn.write_bytes(torn.read_bytes()[:-300])
-    ran = run(done, SMALL, whole_logs=True)
+    ran = run(done, SMALL)
     assert [task.key for task in ran.tasks] == [(ARM, 1), (ARM, 2)]
     assert table_of(done) == before
 
@@ -106,7 +90,7 @@ def test_the_log_of_another_arm_is_refused(done):
     foreign = log_path(done / "out" / OTHER_ARM, 1)
     log_path(done / "out" / ARM, 1).write_bytes(foreign.read_bytes())
     with pytest.raises(UsageError, match=r"trial-001.mcap: was run with another spec or seed"):
-        run(done, SMALL, whole_logs=True)
+        run(done, SMALL)
 
 
 def run_as_batch(folder, spec, trials):
@@ -120,7 +104,7 @@ def run_as_batch(folder, spec, trials):
 def test_batches_are_arms_of_a_study_that_lacks_their_other_trials(done, finished):
     for arm in finished.loaded.arms:
         run_as_batch(done / "batches" / arm.name, arm.spec, [0, 2])
-    ran = run(done, SMALL, whole_logs=True, out="batches")
+    ran = run(done, SMALL, out="batches")
     assert sorted(task.key for task in ran.tasks) == [(OTHER_ARM, 1), (ARM, 1)]
     assert ran.outdated == {}
     assert (done / "batches" / "trials.csv").read_bytes() == table_of(done)
@@ -154,18 +138,17 @@ class InterruptingObserver:
         return lambda *args: None
 
 
-@pytest.mark.parametrize("whole_logs", [True, False])
-def test_an_interrupted_trial_is_run_again_and_its_log_set_aside(whole_logs, tmp_path):
+def test_an_interrupted_trial_is_run_again_and_its_log_set_aside(tmp_path):
     interrupt = Interrupt()
     executor = Here(interrupt, [InterruptingObserver(interrupt)])
-    ran = run(tmp_path, SMALL, whole_logs=whole_logs, executor=executor)
+    ran = run(tmp_path, SMALL, executor=executor)
     assert ran.report.interrupted
     assert ran.counts == (1, 0, 5)
     assert ran.finished == {}
-    assert len(list(tmp_path.rglob("trial-000.mcap"))) == whole_logs
-    again = run(tmp_path, SMALL, whole_logs=whole_logs)
+    assert len(list(tmp_path.rglob("trial-000.mcap"))) == 1
+    again = run(tmp_path, SMALL)
     assert len(again.tasks) == 2 * TRIALS
-    assert len(list(tmp_path.rglob("trial-000.attempt-1.mcap"))) == whole_logs
+    assert len(list(tmp_path.rglob("trial-000.attempt-1.mcap"))) == 1
 
 
 def test_an_aborted_trial_is_finished_only_for_the_code_that_aborts_it(tmp_path, monkeypatch):

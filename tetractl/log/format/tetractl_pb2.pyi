@@ -264,14 +264,12 @@ class HostEnd(_message.Message):
     def __init__(self, solve_ns: _Optional[_Iterable[int]] = ..., deadline_misses: _Optional[int] = ..., ended: _Optional[str] = ..., drove: _Optional[_Iterable[bool]] = ...) -> None: ...
 
 class Digests(_message.Message):
-    __slots__ = ("content", "host", "brief")
+    __slots__ = ("content", "host")
     CONTENT_FIELD_NUMBER: _ClassVar[int]
     HOST_FIELD_NUMBER: _ClassVar[int]
-    BRIEF_FIELD_NUMBER: _ClassVar[int]
     content: str
     host: str
-    brief: str
-    def __init__(self, content: _Optional[str] = ..., host: _Optional[str] = ..., brief: _Optional[str] = ...) -> None: ...
+    def __init__(self, content: _Optional[str] = ..., host: _Optional[str] = ...) -> None: ...
 
 class Recovered(_message.Message):
     __slots__ = ("source", "source_bytes", "source_sha256", "problems", "lost")

@@ -30,10 +30,10 @@ class ChannelCount:
 class Overview:
     """The contents of a log.
 
-    `digest` is the content digest computed from the file, `stated_digest` that in the log; of a
-    `brief` log, both are that of the whole log. `run`, `host` and `provenance` are the records of
-    the run, `attachments` the sizes of attachments [bytes]. `estimate` is the controller's last
-    estimate of the robots, at control step `estimate_step`; None without an estimate.
+    `digest` is the content digest computed from the file, `stated_digest` that in the log. `run`,
+    `host` and `provenance` are the records of the run, `attachments` the sizes of attachments
+    [bytes]. `estimate` is the controller's last estimate of the robots, at control step
+    `estimate_step`; None without an estimate.
     """
 
     log: str
@@ -50,14 +50,11 @@ class Overview:
     provenance: dict[str, str]
     digest: str
     stated_digest: str | None
-    brief: bool
     damage: Damage | None
 
 
 def overview(path: Path) -> Overview:
-    """Read a whole log, which may be brief, and return its overview; raises LogError as
-    `read_trial` does.
-    """
+    """Read a whole log, and return its overview; raises LogError as `read_trial` does."""
     contents = scan(path)
     trial = trial_of(contents)
     damage = trial.damage
@@ -80,7 +77,6 @@ def overview(path: Path) -> Overview:
         provenance={key: value for key, value in trial.facts.items() if is_version(key)},
         digest=contents.content_digest,
         stated_digest=trial.digest,
-        brief=contents.brief,
         damage=damage,
     )
 

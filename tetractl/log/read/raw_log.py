@@ -36,9 +36,7 @@ class RawLog:
     """The intact records of a log file; `problems` and `lost` are empty for an undamaged file.
 
     A log ends with the digests that its writer states, one of the content and one of the host
-    records. Those computed of the records in the file are the same, or the log was altered. A brief
-    log lacks most records of its trial: the content digest that it states is that of the whole log,
-    and it states one more, `brief`, of its own content.
+    records. Those computed of the records in the file are the same, or the log was altered.
     """
 
     path: Path
@@ -169,19 +167,14 @@ class RawLog:
         return [*self.entries[:before], *attachments, *self.entries[before:]]
 
     @property
-    def brief(self) -> bool:
-        """Whether this is a brief log."""
-        return bool(self.stated_digests.brief)
-
-    @property
     def content_digest(self) -> str:
-        """The content digest of the whole log: computed, or of a brief log stated."""
-        return self.stated_digests.content if self.brief else self.computed_digests.content
+        """The content digest, computed of the records in the file."""
+        return self.computed_digests.content
 
     @property
     def altered(self) -> bool:
         """Whether the content in this file differs from the digest that the log states of it."""
-        stated = self.stated_digests.brief or self.stated_digests.content
+        stated = self.stated_digests.content
         return stated not in ("", self.computed_digests.content) and not self.reordered
 
     @property

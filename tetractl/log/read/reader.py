@@ -1,6 +1,6 @@
 """Reads trials from their logs: completely, or the intact part of a damaged log.
 
-    read_trial(path)   = trial_of(scan(path)), for a log that is not brief
+    read_trial(path)   = trial_of(scan(path))
     read_result(path)  = result_of(peek(path)), or of scan(path) if the index does not serve
 
 `scan` finds the records of a file and checks them; here they are decoded. Every function raises
@@ -44,25 +44,13 @@ def read_trial(path: Path) -> TrialLog:
 
     Of a damaged or unfinished log, including a .part file, the intact records are read, and
     `damage` states what is missing. Raises LogError if the file is not a log of tetractl, has a
-    newer format, has lost its spec, or is brief.
+    newer format, or has lost its spec.
     """
-    contents = scan(Path(path))
-    refuse_brief(contents)
-    return trial_of(contents)
-
-
-def refuse_brief(contents: RawLog) -> None:
-    """Raise a LogError for a brief log, which has neither frames nor steps."""
-    if contents.brief:
-        raise LogError(
-            f"{contents.path}: a brief log, which holds only the result of its trial",
-            f"write the whole log with: tetractl rerun {contents.path}",
-        )
+    return trial_of(scan(Path(path)))
 
 
 def trial_of(contents: RawLog, steps: int | None = None) -> TrialLog:
-    """Decode the trial in a scanned file, with only its first `steps` control steps if given. A
-    brief log has a trial without frames and steps."""
+    """Decode the trial in a scanned file, with only its first `steps` control steps if given."""
     experiment, start = _start(contents)
     start_ns = start.start_unix_ns
     robots = len(start.setup.names)
@@ -163,7 +151,6 @@ def result_of(contents: RawLog) -> ResultSummary:
         digest=contents.stated_digests.content or None,
         warnings=contents.warnings,
         code=contents.facts.get(provenance.CODE, ""),
-        brief=contents.brief,
     )
 
 
@@ -204,7 +191,7 @@ def content_digest(path: Path) -> str:
     """Return the SHA-256 over all records of a log except its host records.
 
     A simulated trial that is run again has the same digest. A complete log states this digest in
-    its last message, and a brief one that of the whole log.
+    its last message.
     """
     return scan(Path(path)).content_digest
 

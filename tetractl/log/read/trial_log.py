@@ -187,7 +187,6 @@ class ResultSummary(Shown):
     digest: str | None  # content digest that the log states
     warnings: int = 0  # number of warnings and errors among the operator messages
     code: str = ""  # hash of the code that ran the trial, `provenance.trial_code`; "" if not stated
-    brief: bool = False  # whether the log holds the result only
 
     @property
     def simulated(self) -> bool:

@@ -16,7 +16,7 @@ assert SMALL.keys() == set(OPTIMIZERS.builtin), "a further optimiser joins the c
 PUBLISHED: dict[str, dict[str, Any]] = {
     **{name: {"optimizer": optimizer} for name, optimizer in SMALL.items()},
     "pso, relative stop": {"optimizer": PSO | {"stop": {"type": "relative"}}, "motion": "exact"},
-    "pso, target": {"optimizer": PSO | {"stop": {"type": "target", "cost": 900}}, "motion": "arc"},
+    "pso, target": {"optimizer": PSO | {"stop": {"type": "target", "cost": 900}}},
 }
 RECOMMENDED: dict[str, dict[str, Any]] = {
     "": {"optimizer": MULTISTART},

@@ -31,13 +31,6 @@ def step(model, x, y, theta, u, a, v, t):
     turn = a * math.sin(u - theta)
     if model == "euler":
         return x + t * v * math.cos(theta), y + t * v * math.sin(theta), theta + t * turn
-    if model == "arc":
-        if abs(turn * t) < 1e-8:
-            return x + t * v * math.cos(theta), y + t * v * math.sin(theta), theta + t * turn
-        end = theta + turn * t
-        radius = v / turn
-        x += radius * (math.sin(end) - math.sin(theta))
-        return x, y - radius * (math.cos(end) - math.cos(theta)), end
     phi = u - theta
     e = math.exp(-a * t)
     c = math.cos(phi)

@@ -81,7 +81,6 @@ def lab_rig(seed: int) -> Rig:
 
 DISTURBANCES: dict[str, dict[str, Any]] = yaml.safe_load("""
 undisturbed: {}
-arc: {motion: arc}
 euler: {motion: euler}
 measurement noise: {measurement_noise: {position: 2.0, heading: 0.02}}
 heading noise: {heading_noise: 0.2}
@@ -90,7 +89,7 @@ lost commands: {lost_commands: 0.3}
 wrong a: {a_error: 0.2}
 wrong speed: {speed_error: 0.2}
 slow camera: {camera_rate: 7.0, truth_rate: 100.0}
-everything: {motion: arc, measurement_noise: {position: 2.0, heading: 0.02}, heading_noise: 0.2,
+everything: {measurement_noise: {position: 2.0, heading: 0.02}, heading_noise: 0.2,
   dead_time: 0.1, lost_commands: 0.3, a_error: 0.2, speed_error: 0.2}
 hurting:
   disturbances:

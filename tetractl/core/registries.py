@@ -30,7 +30,6 @@ MOTIONS = Registry(
     "tetractl.motions",
     {
         "euler": "tetractl.model.motion.euler:EULER",
-        "arc": "tetractl.model.motion.arc:ARC",
         "exact": "tetractl.model.motion.exact:EXACT",
     },
 )

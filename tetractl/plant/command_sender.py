@@ -69,7 +69,6 @@ class CommandSender:
             due_ns=self._due_ns(now_ns, answered),
             action=self._held,
             reached=chances >= self._settings.lost_commands,
-            headings=answered.poses.heading,
             wheels=true_speeds,
         )
         received = self._transit.send(command, now_ns)
@@ -92,7 +91,6 @@ class CommandSender:
                 due_ns=self._due_ns(sent_ns, answered),
                 action=Stop(),
                 reached=np.ones(robots, dtype=np.bool_),
-                headings=answered.poses.heading,
                 wheels=np.zeros((2, robots)),
             )
             heard |= self._transit.send(stop, now_ns).reached

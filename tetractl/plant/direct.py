@@ -83,8 +83,7 @@ class DirectDrive:
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the robots that received it.
 
-        With the motion `arc`, wheel speeds are computed from the headings that were measured when
-        the command was sent; with `euler`, the chords begin at the true headings.
+        With the motion `euler`, the chords begin at the true headings.
         """
         reached = command.reached
         held = self.held
@@ -97,9 +96,6 @@ class DirectDrive:
         self._sine[reached] = 0.0
         if isinstance(action, Steer | Turn):
             direction = aim(action, heading)
-            answered = heading
-            if self._motion.name == "arc" and command.headings is not None:
-                answered = command.headings
-            self._sine[reached] = elementwise.sin(direction - answered)[reached]
+            self._sine[reached] = elementwise.sin(direction - heading)[reached]
             held.direction[reached] = direction[reached]
         held.turning = self._a * self._sine

@@ -99,8 +99,7 @@ class SimSection(PlantSection):
     switches_field: ClassVar[bool] = True
     type: Literal["sim"] = "sim"
     motion: Annotated[str, KindName(MOTIONS)] = "exact"
-    """By equations of the paper: `exact` follows (1)-(3); `arc` holds the wheel speeds of
-    (24)-(25), computed from the newest frame, between two commands; `euler` moves by (4)-(6), on
+    """By equations of the paper: `exact` follows (1)-(3); `euler` moves by (4)-(6), on
     straight chords. Ignored with `drive`."""
     drive: WheelDriveSection | None = None
     """Wheels by which robots turn towards the direction; by default robots turn by the paper's

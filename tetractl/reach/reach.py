@@ -123,7 +123,7 @@ def reach(experiment: Experiment) -> Reach | None:
     if experiment.open or len(setup.names) > ROBOTS_MAX:
         return None
     motion = control.motion if isinstance(control, Modelled) else "exact"
-    return reach_of(setup, "exact" if motion in OVERSHOOTING else motion)
+    return reach_of(setup, "exact" if motion == OVERSHOOTING else motion)
 
 
 def reach_of(setup: Setup, motion: str) -> Reach:

@@ -48,8 +48,8 @@ has 25 rad/s."""
 WHEELS_M = (0.005, 0.3)
 """Distances of a wheel from the centre that are accepted [m]: toio cubes 0.013, m3pi 0.04, iRobot
 Create 0.13, the largest robots of laboratories 0.27."""
-OVERSHOOTING = ("euler", "arc")
-"""The motions whose heading advances by the paper's equation (6)."""
+OVERSHOOTING = "euler"
+"""The motion whose heading advances by the paper's equation (6)."""
 ROBOTS_ALIKE = 0.05
 """Robots are alike if their turning rates a differ by at most this fraction, and their start
 headings by at most this number of radians."""
@@ -191,7 +191,7 @@ def coarse_period(context: CheckContext) -> Findings:
     rates = context.setup.a * context.signal_s  # a T of each robot
     coarse = rates[rates > COARSE]
     control = context.experiment.controller
-    overshoots = isinstance(control, Modelled) and control.motion in OVERSHOOTING
+    overshoots = isinstance(control, Modelled) and control.motion == OVERSHOOTING
     if not coarse.size or (coarse.size == 1 and not overshoots):
         return
     if overshoots:

@@ -24,7 +24,6 @@ class DelayedCommand:
         reached: Whether each robot receives it, shape (N,).
         late_ns: How much later it takes effect on each robot [ns], shape (N,). None for no further
             delay.
-        headings: Headings that the host had measured when it sent the command [rad], shape (N,).
         wheels: Commanded speeds of the left and right wheels [length unit/s], shape (2, N). None if
             the robots receive the direction itself.
     """
@@ -34,7 +33,6 @@ class DelayedCommand:
     action: Action
     reached: Bools
     late_ns: Times | None = None
-    headings: Floats | None = None
     wheels: Floats | None = None
 
 

@@ -423,10 +423,10 @@ def test_what_cannot_be_checked_is_one_line(tmp_path, row):
 
 
 def test_the_command_says_what_was_checked(tmp_path):
-    done = tetractl(tmp_path, "kinds", "--check", "tetractl.model.motion.arc:ARC")
+    done = tetractl(tmp_path, "kinds", "--check", "tetractl.model.motion.euler:EULER")
     assert (done.returncode, done.stderr) == (0, "")
     assert "ok     advance: same x as step" in done.stdout.splitlines()
-    assert done.stdout.endswith("tetractl.model.motion.arc:ARC: 0 of 27 checks failed\n")
+    assert done.stdout.endswith("tetractl.model.motion.euler:EULER: 0 of 27 checks failed\n")
     (tmp_path / "mine.py").write_text(
         "from dataclasses import replace\nfrom tetractl.model.motion.exact import EXACT\n"
         "MINE = replace(EXACT, step=lambda x, y, h, u, a, v, t: (x + v * t, y, h + 0 * u))\n"

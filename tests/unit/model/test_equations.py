@@ -26,7 +26,7 @@ EQUATIONS = {
     "(21)-(23)": rolling.rolled,
     "(24)-(25)": rolling.wheel_speeds,
 }
-MOTIONS = {"euler.py", "arc.py", "exact.py", "turn_rate.py"}
+MOTIONS = {"euler.py", "exact.py", "turn_rate.py"}
 TURN = re.compile(r"\ba \* (np|math)\.sin\(|su \* c - cu \* s")
 
 

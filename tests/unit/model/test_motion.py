@@ -1,4 +1,4 @@
-"""Steps of the three motion models, against integrations and by hand.
+"""Steps of the two motion models, against integrations and by hand.
 
 Headings and signals u [rad], a [rad/s], v [mm/s]; phi is the angle from the heading to u.
 """
@@ -17,7 +17,7 @@ from tetractl.core.registries import MOTIONS as REGISTRY
 pytestmark = pytest.mark.slow
 
 MOTIONS = {name: REGISTRY.load(name) for name in REGISTRY.builtin}
-euler, arc, exact = (MOTIONS[name].step for name in ("euler", "arc", "exact"))
+euler, exact = (MOTIONS[name].step for name in ("euler", "exact"))
 
 ANGLES = st.floats(-10, 10)
 TURNS = st.floats(0.01, 12)  # a [rad/s]
@@ -61,23 +61,6 @@ def test_euler_is_4_to_6(x, y, heading, u, a, v, t):
         ),
         abs=1e-9,
     )
-
-
-@given(heading=ANGLES, u=ANGLES, a=TURNS, v=SPEEDS, t=TIMES)
-def test_held_wheels_drive_an_arc(heading, u, a, v, t):
-    turning = a * math.sin(u - heading)
-    if abs(turning) > 1e-5:  # a circle about the point v/w to the left
-        radius = v / turning
-        expected = (
-            50 + radius * (math.sin(heading + turning * t) - math.sin(heading)),
-            60 - radius * (math.cos(heading + turning * t) - math.cos(heading)),
-        )
-    else:
-        middle = heading + turning * t / 2
-        expected = (50 + v * t * math.cos(middle), 60 + v * t * math.sin(middle))
-    x, y, turned = stepped(arc, 50, 60, heading, u, a, v, t)
-    assert (x, y) == pytest.approx(expected, abs=1e-6)
-    assert turned == pytest.approx(heading + turning * t, abs=1e-12)
 
 
 GAPS = st.just(0.0) | st.floats(-14, -1).map(lambda power: 10**power)

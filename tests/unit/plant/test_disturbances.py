@@ -71,7 +71,7 @@ def test_one_robot_alone_may_hear_later():
 
 
 @pytest.mark.parametrize("drive", [None, {}])
-@pytest.mark.parametrize("motion", ["exact", "arc", "euler"])
+@pytest.mark.parametrize("motion", ["exact", "euler"])
 def test_a_robot_whose_a_and_speed_vanish_stands_and_goes_on_as_before(motion, drive):
     class Held(Disturbance):
         """Stands for something that holds the second robot from 0.2 to 0.6 s."""

@@ -57,7 +57,7 @@ def test_the_continuous_plant_solves_1_to_3():
             state = done.y[:, -1]
 
 
-@pytest.mark.parametrize("motion", ["euler", "arc", "exact"])
+@pytest.mark.parametrize("motion", ["euler", "exact"])
 def test_the_plant_reproduces_the_planners_prediction(motion):
     path = truths(steered(plant(motion=motion), DIRECTIONS))[::24]
     spec = experiment(controller={"motion": motion})
@@ -172,23 +172,6 @@ def test_the_truth_decides_what_the_camera_misses():
     verdict = simulated.settle()
     assert verdict.entered == (True,)
     assert verdict.clearance[0] <= 0
-
-
-def test_arcs_are_those_of_the_wheel_speeds_in_the_log():
-    """Regression: robots turned by their true headings, the log had the measured ones."""
-    noisy = plant(
-        motion="arc", wheels={"radius": 40}, measurement_noise={"heading": 0.2}, a_error=0.3
-    )
-    a = np.array([robot.a for robot in experiment().robots])
-    noisy.open()
-    for k, direction in enumerate(DIRECTIONS):
-        before = noisy.poses.heading
-        command = noisy.send(Steer(direction))
-        noisy.clock.sleep_until((k + 1) * PERIOD)
-        noisy.observe()
-        _, turning = body_velocity(command.left, command.right, 40)
-        turned = (noisy.poses.heading - before) / 0.2
-        assert turned == pytest.approx(turning * noisy.a / a, abs=1e-9)
 
 
 def test_the_verdict_tells_who_left_the_arena_and_how_near_robots_came():

@@ -66,7 +66,7 @@ def test_the_spread_grows_with_the_difference_and_not_with_rare_sequences():
     assert 1.7 < least_spread(0.004) / least_spread(0.002) < 2.3
 
 
-@pytest.mark.parametrize("motion", ["exact", "euler", "arc"])
+@pytest.mark.parametrize("motion", ["exact", "euler"])
 @pytest.mark.parametrize(("a", "rank"), [((6, 4, 3), 6), ((6, 6, 3), 4)])
 def test_any_motion_has_a_verdict(motion, a, rank):
     controller = {"type": "pso-mpc", "motion": motion}

@@ -104,7 +104,7 @@ name: good -> name: a/b
   s.yaml:1:7: name: a/b: must be letters without accents (a to z, A to Z), digits, dots,
     underscores and hyphens, starting with a letter or digit
 controller:\n -> controller:\n  motion: exactt\n
-  s.yaml:10:11: controller.motion: exactt: must be one of euler, arc, exact; did you mean 'exact'?
+  s.yaml:10:11: controller.motion: exactt: must be one of euler, exact; did you mean 'exact'?
 type: rectangle -> type: rectangel
   s.yaml:7:12: obstacles.0.type: rectangel: must be one of rectangle, circle, polygon; did you
     mean 'rectangle'?

@@ -40,7 +40,7 @@ def comparison_of_three():
     """Groups a, b and c with the same seeds and three controllers; c has the greatest errors."""
     a = arm("a", ERRORS)
     b = arm("b", ERRORS + 30, controller=EXACT)
-    c = arm("c", ERRORS[::-1] * 3, controller={"motion": "arc"})
+    c = arm("c", ERRORS[::-1] * 3, controller={"horizon_max": 9})
     return contrast([a, b, c])
 
 

@@ -70,10 +70,10 @@ SETTINGS = {
         MPC.format(6, "{type: pso, particles: 6, iterations: 14}"),
         "controller.signal_periods=2",
     ],
-    "arcs, with margins": [
+    "exact motion, with margins": [
         MPC.format(6, "{type: multistart}"),
         "controller.collision.margin=5",
-        "controller.motion=arc",
+        "controller.motion=exact",
     ],
     "arrives": ["controller.arrival_tolerance=60", "controller.time_limit=6.2"],
     "commands lost": ["plant.lost_commands=0.3"],

@@ -160,8 +160,8 @@ class SearchFields(PlainSection):
     motion: Annotated[str, KindName(MOTIONS)] = "euler"
     """Predicted motion.
 
-    `euler` is the paper's equations (4)-(6). `arc` holds the wheel speeds of (24)-(25) over a
-    period. `exact` is the closed form of (1)-(3) under a held direction.
+    `euler` is the paper's equations (4)-(6). `exact` is the closed form of (1)-(3) under a held
+    direction.
     """
     horizon_max: int = Field(default=51, ge=1, le=2000)
     """Length of the longest sequence tried, in signals.

@@ -17,7 +17,7 @@ SMALL = 1e-6  # change of signals [rad], headings [rad], and of ln a and ln spee
 FIRST_PERIOD_S = 0.13
 SIGNALS = 9
 seeds = st.integers(0, 10_000)
-motions = st.sampled_from(("euler", "arc", "exact"))
+motions = st.sampled_from(("euler", "exact"))
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""Specs as YAML text: parsing with locations, renamed keys, and error messages."""
+"""Specs as YAML text: parsing with locations, and error messages."""

@@ -140,7 +140,7 @@ class Robot(Model):
 
     name: Name
     """Unique name of the robot: letters without accents (a to z, A to Z), digits, spaces, dots,
-    underscores and hyphens. It starts with a letter or digit.
+    underscores and hyphens, starting with a letter or digit.
     """
     start: Point
     """Start position [x, y] [length unit]."""
@@ -223,7 +223,7 @@ class Experiment(Model):
 
     name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
     """Name of the experiment and, by default, of its log folders: letters without accents (a to z,
-    A to Z), digits, dots, underscores and hyphens. It starts with a letter or digit.
+    A to Z), digits, dots, underscores and hyphens, starting with a letter or digit.
     """
     description: str = ""
     """Description in one or two sentences."""

@@ -113,7 +113,7 @@ def _compare(raw: "RawLog", trial: "TrialLog", raw_again: "RawLog") -> int:
     """Print whether two logs of a trial have the same content; return FAILED if they differ."""
     from tetractl.log.format.channels import RESOLVED_SPEC
     from tetractl.log.read.reader import result_of
-    from tetractl.verification.comparison import log_differences
+    from tetractl.verification.log_comparison import log_differences
     from tetractl.verification.verify import host_differences
 
     plant = trial.experiment.plant

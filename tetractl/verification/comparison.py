@@ -1,20 +1,12 @@
-"""Compares the log of a trial with that of the trial run again, and any two records, such as two
-plans or messages, up to the first value that differs.
-"""
+"""Compares two records, such as two plans or messages, up to the first value that differs."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from itertools import zip_longest
 from typing import Any
 
 import numpy as np
-from google.protobuf.message import DecodeError, Message
+from google.protobuf.message import Message
 from numpy.typing import NDArray
-
-from tetractl.log.format import channels
-from tetractl.log.format.channels import CHANNELS, Entry
-from tetractl.log.format.tetractl_pb2 import ControllerStep
-from tetractl.log.read.raw_log import RawLog
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,27 +74,35 @@ def first_difference(
 
 
 def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Iterator[Difference]:
-    """Yield the differences of two records: of their kinds, then of each part, at last of parts
-    that only the log has."""
+    """Yield the differences of two records: of their kinds, then of each part.
+
+    A part that is missing counts as None: a log does not distinguish the two.
+    """
     if ours is logged:
         return
-    if ours is None or logged is None:
-        said = "logged nothing, computed a value"
-        if ours is None:
-            said = "logged a value, computed nothing"
-        yield Difference(None, name, said)
+    if logged is None:
+        yield Difference(None, name, "logged nothing, computed a value")
+        return
+    if ours is None:
+        yield Difference(None, name, "logged a value, computed nothing")
         return
     our_parts = _parts(ours)
     if our_parts is None:
         yield from _value_difference(ours, logged, tolerance, name)
         return
-    if _kind(ours) != _kind(logged):
+    logged_parts = _parts(logged)
+    other_class = is_dataclass(ours) and type(ours) is not type(logged)
+    if logged_parts is None or other_class:
         yield Difference(None, name, f"logged {_kind(logged)}, computed {_kind(ours)}")
-    logged_parts = _parts(logged) or {}
+        return
+    if isinstance(ours, Sequence) and len(our_parts) != len(logged_parts):
+        yield Difference(
+            None, name, f"logged {len(logged_parts)} items, computed {len(our_parts)} items"
+        )
     only_logged = [key for key in logged_parts if key not in our_parts]
     for key in (*our_parts, *only_logged):
-        of_log = logged_parts.get(key)
-        yield from _differences(our_parts.get(key), of_log, tolerance, _path(name, key))
+        part_name = _path(name, key)
+        yield from _differences(our_parts.get(key), logged_parts.get(key), tolerance, part_name)
 
 
 def _parts(record: Any) -> Mapping[Any, Any] | None:
@@ -121,10 +121,10 @@ def _parts(record: Any) -> Mapping[Any, Any] | None:
 
 
 def _kind(record: Any) -> str:
-    """Return the class of a dataclass, the number of items of a sequence, nothing of others."""
-    if isinstance(record, Sequence):
-        return str(len(record))
-    return type(record).__name__ if is_dataclass(record) else ""
+    """Return the name of a record's class with its article, such as "a Plan"."""
+    name = type(record).__name__
+    article = "an" if name[0] in "AEIOU" else "a"
+    return f"{article} {name}"
 
 
 def _value_difference(
@@ -161,67 +161,3 @@ def _array_difference(
 
 def _path(name: str, part: object) -> str:
     return f"{name}.{part}" if name else str(part)
-
-
-NOT_COMPARED = {*channels.HOST_RECORDS, channels.DIGESTS, channels.RECOVERED}
-"""Records that a trial that is run again has otherwise, or not at all."""
-
-
-def log_differences(again: RawLog, log: RawLog) -> Iterator[Difference]:
-    """Compare the log of a trial with the log of the same trial run again.
-
-    Yields:
-        The first difference of each channel and attachment, those of control steps first.
-        Attachments that only the log has are not compared: others may add them.
-    """
-    topics = [topic for topic in CHANNELS if topic not in NOT_COMPARED]
-    names = again.attachments.keys() - NOT_COMPARED
-    differences: list[Difference] = []
-    for topic in topics:
-        difference = _topic_difference(again, log, topic)
-        if difference is not None:
-            differences.append(difference)
-    yield from sorted(differences, key=lambda difference: difference.step is None)
-    for name in sorted(names):
-        logged = log.attachments.get(name)
-        if logged is None:
-            yield Difference(None, name, "missing")
-        elif logged.data != again.attachments[name].data:
-            yield Difference(None, name, "differs from the experiment's")
-
-
-def _topic_difference(again: RawLog, log: RawLog, topic: str) -> Difference | None:
-    """Return the first difference between the messages of a topic."""
-    pairs = zip_longest(again.by_topic[topic], log.by_topic[topic])
-    for number, (ours, logged) in enumerate(pairs):
-        if ours != logged:
-            return _entry_difference(ours, logged, topic, number)
-    return None
-
-
-def _entry_difference(
-    ours: Entry | None, logged: Entry | None, topic: str, number: int
-) -> Difference:
-    """Return the difference between message `number` of a topic of the trial run again and that of
-    the log."""
-    name = f"{topic}[{number}]"
-    if logged is None:
-        return Difference(None, name, "missing")
-    if ours is None:
-        return Difference(None, name, "is not of the trial")
-    times = (ours.log_ns, ours.publish_ns)
-    logged_times = (logged.log_ns, logged.publish_ns)
-    if logged_times != times:
-        return Difference(None, name, f"has the times {logged_times}, not {times}")
-    message = CHANNELS[topic]
-    try:
-        our_message = message.FromString(ours.data)
-        logged_message = message.FromString(logged.data)
-    except DecodeError:
-        return Difference(None, name, "not a valid message of its channel")
-    step = our_message.k if isinstance(our_message, ControllerStep) else None
-    where = name if step is None else ""
-    difference = first_difference(our_message, logged_message, name=where)
-    if difference is None:
-        difference = Difference(None, name, "has other bytes")
-    return difference.in_step(step)

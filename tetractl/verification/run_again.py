@@ -16,7 +16,8 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import ready_trial
 from tetractl.run.task import code_of
 from tetractl.tools.kernels.kernel_cache import computing_s
-from tetractl.verification.comparison import Difference, Unchecked, log_differences
+from tetractl.verification.comparison import Difference, Unchecked
+from tetractl.verification.log_comparison import log_differences
 
 
 class Recorder(RecordSink):

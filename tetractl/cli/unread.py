@@ -3,7 +3,7 @@
 No message raises, and no signal waits for a reader.
 
 Text waits for the reader of its stream, as in any program. In real time, that holds up the thread
-of the observers only (`run.spec_trial.ObserverRelay`): if it lasts, the trial ends and robots stop.
+of the observers only (`run.observer_relay`): if it lasts, the trial ends and robots stop.
 """
 
 import io

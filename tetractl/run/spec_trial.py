@@ -9,7 +9,7 @@ the writers of logs are called in the loop's thread. In simulation, all are.
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -19,62 +19,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tetractl.core.clock import Clock
-from tetractl.core.commands import Command
-from tetractl.core.errors import TetractlError
 from tetractl.core.protocols import Controller, LabSupervision, Observer, Plant
-from tetractl.core.trial import EPOCH_NS, PlantInfo, Result, Start
+from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.control_loop import Trial, abandon
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.model_changes import stated_model
+from tetractl.run.observer_relay import ObserverRelay
 from tetractl.spec.experiment import packages
 from tetractl.spec.loaded_spec import LoadedSpec, start_of
 from tetractl.tools.plugin_fault import plugins_named
-from tetractl.tools.worker import Relay, Worker
 
 if TYPE_CHECKING:
     from tetractl.spec.plants import Prepare
-
-QUEUED_CALLS_MAX = 2000
-"""Largest number of queued calls of an observer: over two minutes of a trial."""
-LAST_CALLS_S = 30.0
-"""Time for the last calls of an observer after the robots were stopped [s]."""
-
-
-class ObserverRelay(Relay):
-    """Passes calls to an observer that may be slow, in a thread of its own.
-
-    After an exception of the observer, or with a full queue, the next call raises an exception and
-    later calls are dropped.
-    """
-
-    def __init__(self, observer: Observer) -> None:
-        self._observer = observer
-        self._worker = Worker(
-            "observer",
-            size=QUEUED_CALLS_MAX,
-            wait_s=0.0,
-            patience_s=LAST_CALLS_S,
-            too_slow=TetractlError("an observer is too slow for the trial"),
-        )
-
-    def put(self, call: Callable[[Observer], object]) -> None:
-        """Queue a call of the observer."""
-        self._worker.put(call, self._observer)
-
-    def on_start(self, start: Start) -> None:
-        """Pass the start to the observer directly, since no robot moves yet."""
-        self._observer.on_start(start)
-
-    def on_stop(self, stop: Command, result: Result) -> None:
-        """Queue the stop and the result; wait until the observer has received everything."""
-        super().on_stop(stop, result)
-        self._worker.drain()
-
-    def close(self) -> None:
-        """Make the queued calls, and end the thread."""
-        self._worker.close()
 
 
 def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:
@@ -125,7 +83,7 @@ def ready_trial(
     `supervision`, this process supervises the lab; without a `controller`, the spec's decides."""
     section = spec.experiment.plant
     clock = section.clock()
-    start_unix_ns = _unix_ns() if section.real_time else EPOCH_NS
+    start_unix_ns = time.time_ns() if section.real_time else EPOCH_NS
     key, seed = trial_seeds(spec.experiment.trials.seed, trial)
     supervisor = supervision or _own_supervision(writers, interrupt)
     with plugins_named(packages(spec.experiment)), ExitStack() as relays:
@@ -134,7 +92,9 @@ def ready_trial(
                 relays.enter_context(closing(ObserverRelay(observer))) for observer in observers
             ]
         full_spec, plant = _spec_and_plant(spec, clock, seed, supervisor)
-        try:
+        with ExitStack() as unless_ready:
+            # a plant that has chosen its robots is open already, and nobody else would stop it
+            unless_ready.callback(abandon, plant)
             # the trial asks the plant about itself once it is open
             not_open = PlantInfo("", section.simulated, camera_rate_hz=0.0, facts={})
             ready = Trial(
@@ -146,11 +106,7 @@ def ready_trial(
                 interrupt=interrupt,
                 stated=stated_model(full_spec.experiment),
             )
-        except BaseException:
-            # a plant whose cells are chosen among more is open already: its field turns, for them
-            # to respond; from here on, `Trial.run` closes it
-            abandon(plant)
-            raise
+            unless_ready.pop_all()  # from here on, `Trial.run` closes the plant
         yield ready
 
 
@@ -178,13 +134,3 @@ def _spec_and_plant(
     prepare: Prepare = resolve_name(rule.prepare)
     prepared = prepare(experiment, clock, seed, supervision)
     return replace(spec, experiment=prepared.experiment), prepared.plant
-
-
-def _unix_ns() -> int:
-    """Return the Unix time [ns]; TetractlError before 1970, which logs cannot hold."""
-    now_ns = time.time_ns()
-    if now_ns < 0:
-        raise TetractlError(
-            "this computer's clock is before 1970", "set the computer's date, then run again"
-        )
-    return now_ns

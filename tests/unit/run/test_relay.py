@@ -3,7 +3,7 @@
 import threading
 from contextlib import closing
 
-from tetractl.run.spec_trial import ObserverRelay
+from tetractl.run.observer_relay import ObserverRelay
 
 
 class Watcher:

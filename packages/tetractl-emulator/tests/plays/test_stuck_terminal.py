@@ -11,7 +11,7 @@ from support.virtual_lab import virtual_lab
 
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Observer
-from tetractl.run import spec_trial
+from tetractl.run import observer_relay, spec_trial
 from tetractl.run.interrupt import Interrupt
 from tetractl.view.terminal.live_screen import LiveView
 
@@ -46,7 +46,7 @@ class StopsReading(Observer):
 def test_a_terminal_that_takes_nothing_stops_the_robots_of_its_run(tmp_path):
     terminal = StuckTerminal()
     console = Console(file=terminal, force_terminal=True, width=100, height=30)
-    few = mock.patch.multiple(spec_trial, QUEUED_CALLS_MAX=100, LAST_CALLS_S=0.01)
+    few = mock.patch.multiple(observer_relay, QUEUED_CALLS_MAX=100, LAST_CALLS_S=0.01)
     each_call_s = itertools.count().__next__  # so that every picture is due
     view = LiveView(console, each_call_s)
     with virtual_lab(tmp_path, "controller.time_limit=300") as lab, few, view:

@@ -1,0 +1,49 @@
+"""Calls an observer that may be slow in a thread of its own, so that it never delays a trial."""
+
+from collections.abc import Callable
+
+from tetractl.core.commands import Command
+from tetractl.core.errors import TetractlError
+from tetractl.core.protocols import Observer
+from tetractl.core.trial import Result, Start
+from tetractl.tools.worker import Relay, Worker
+
+QUEUED_CALLS_MAX = 2000
+"""Largest number of queued calls of an observer: over two minutes of a trial."""
+LAST_CALLS_S = 30.0
+"""Time for the last calls of an observer after the robots were stopped [s]."""
+
+
+class ObserverRelay(Relay):
+    """Passes calls to an observer that may be slow, in a thread of its own.
+
+    After an exception of the observer, or with a full queue, the next call raises an exception and
+    later calls are dropped.
+    """
+
+    def __init__(self, observer: Observer) -> None:
+        self._observer = observer
+        self._worker = Worker(
+            "observer",
+            size=QUEUED_CALLS_MAX,
+            wait_s=0.0,
+            patience_s=LAST_CALLS_S,
+            too_slow=TetractlError("an observer is too slow for the trial"),
+        )
+
+    def put(self, call: Callable[[Observer], object]) -> None:
+        """Queue a call of the observer."""
+        self._worker.put(call, self._observer)
+
+    def on_start(self, start: Start) -> None:
+        """Pass the start to the observer directly, since no robot moves yet."""
+        self._observer.on_start(start)
+
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """Queue the stop and the result; wait until the observer has received everything."""
+        super().on_stop(stop, result)
+        self._worker.drain()
+
+    def close(self) -> None:
+        """Make the queued calls, and end the thread."""
+        self._worker.close()

@@ -39,7 +39,7 @@ def analyze(
     Example: tetractl analyze experiments/tetrahymena.yaml
     """
     from tetractl.reach.facts import facts_items, facts_table
-    from tetractl.spec.yaml.document import FieldValue
+    from tetractl.spec.yaml.settings import FieldValue
     from tetractl.statistics.as_json import batch_items
     from tetractl.statistics.describe import contrast, describe
     from tetractl.statistics.open_batch import open_batch

@@ -141,7 +141,8 @@ def _stops_of_spec(spec: Path, sets: list[str]) -> Callable[..., str]:
     from tetractl.spec.actuator_alone import actuator_alone
     from tetractl.spec.load import load_document
     from tetractl.spec.plants import lab_of, on_plant, settings_on
-    from tetractl.spec.yaml.document import read_document, with_settings
+    from tetractl.spec.yaml.document import read_document
+    from tetractl.spec.yaml.settings import with_settings
 
     document = read_document(spec)
     settings = settings_on(document, sets, "lab")

@@ -96,7 +96,7 @@ def play(
     from tetractl.control.methods.build import warm_up
     from tetractl.run.folder_lock import locked
     from tetractl.run.open_trial import directed_spec
-    from tetractl.spec.yaml.document import FieldValue
+    from tetractl.spec.yaml.settings import FieldValue
     from tetractl.view.terminal.hand_keys import read_script
     from tetractl.view.terminal.screen import shows_pictures
 

@@ -65,7 +65,7 @@ def run(
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
-    from tetractl.spec.yaml.document import FieldValue
+    from tetractl.spec.yaml.settings import FieldValue
 
     if resume and out is None:
         raise UsageError("--resume needs --out", "name the folder of the batch to continue")

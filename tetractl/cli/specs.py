@@ -34,7 +34,8 @@ def example_files(name: str) -> dict[str, str]:
     Raises UsageError if there is no such example, or its package is not installed.
     """
     from tetractl.spec.examples import FOLDER, examples
-    from tetractl.spec.yaml.document import parse_document, read_text
+    from tetractl.spec.yaml.document import parse_document
+    from tetractl.spec.yaml.files import read_text
 
     files = examples()
     name = name.removesuffix(".yaml").removeprefix(f"{FOLDER}/")

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from tetractl.run.store import Store
     from tetractl.spec.experiment import Experiment
     from tetractl.spec.loaded_spec import LoadedSpec
-    from tetractl.spec.yaml.document import FieldValue
+    from tetractl.spec.yaml.settings import FieldValue
 
 STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
 """Printed by the handler of the first signal."""

@@ -1,15 +1,15 @@
 """Reads a spec: converts its text to an experiment; reports all problems at once.
 
-The way of a value from a file to the experiment:
+`load_document` is the way of a value from a file to the experiment:
 
     read_document          the file's data, with the place of each value (`yaml.document`)
-    with_settings          values of `--set` and other options take their places: they may name the
-                           files below
+    with_settings          values of `--set` and other options take their places (`yaml.settings`);
+                           they may name the files below
     _with_identified       values of the file of `tetractl identify`, if the spec names one, take
                            the places of its own, but not those of settings
-    NamedFile.read         contents of the file that the controller's section names, if it does
-    validated_experiment   sections, or pydantic's errors in plain words (`explain`); then the rules
-                           between sections (`consistency`)
+    _put_controller_file   contents of the file that the controller's section names, if it does
+    validated_experiment   sections, or pydantic's errors in plain words (`explain_errors`); then
+                           the rules between sections (`consistency`)
 
 Problems of settings, values and rules are collected, and raised together with their places; a file
 that cannot be read is an error at once.
@@ -20,7 +20,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -31,58 +31,40 @@ from tetractl.spec.consistency import errors_of
 from tetractl.spec.controller import ControllerSection, NamedFile
 from tetractl.spec.experiment import DEFAULT_CONTROLLER, Experiment
 from tetractl.spec.loaded_spec import Attached, LoadedSpec, attach
-from tetractl.spec.yaml.document import (
-    Document,
-    Place,
-    SpecSetting,
-    parse_document,
-    read_document,
-    with_settings,
-)
+from tetractl.spec.yaml.document import Document, Place, parse_document, read_document
 from tetractl.spec.yaml.problems import InvalidSpecError, Loc, SpecProblem
-
-if TYPE_CHECKING:
-    from tetractl.spec.identified import Identified
+from tetractl.spec.yaml.settings import SpecSetting, with_settings
 
 IDENTIFIED = ("identified",)
 """The field that names a file of `tetractl identify`."""
 
 
 def load_document(document: Document, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
-    """Check a parsed spec, which stays as it is; settings replace its values.
+    """Check a parsed spec, and return it with its experiment.
 
-    The files that it names are in the folder of its own file; a spec that comes from no file must
-    not name any. Raises InvalidSpecError with one line per problem: `file:line:column: field:
-    value: what is wrong; what would be right`.
+    The document stays as it is. A spec that comes from no file must not name any, because there is
+    no folder to find it in.
+
+    Args:
+        document: The parsed spec. The files that it names are in the folder of its own file.
+        settings: Values that replace those of the document.
+
+    Raises:
+        InvalidSpecError: With one line per problem: `file:line:column: field: value: what is wrong;
+            what would be right`.
     """
     settled = with_settings(document, settings)
     _refuse_study(settled)
+    attached: Attached = ()
     if document.path is None:
         _refuse_named_files(settled)
-        experiment = validated_experiment(settled, written=False)
-        return LoadedSpec(experiment, document.text, document.origin, document=settled)
-    folder = document.path.parent
-    attached: Attached = ()
-    identified_file = _named_file(settled, IDENTIFIED)
-    if identified_file is not None:
-        from tetractl.spec.identified import read_identified
-
-        path = folder / identified_file
-        identified, text = read_identified(path)
-        estimates = _estimates(settled)
-        settled = _with_identified(document, identified, path, estimates, settings)
-        attached = attach(attached, path, text)
-    controller_file = _controller_file(settled)
-    if controller_file is not None:
-        named, file_name = controller_file
-        path = folder / file_name
-        contents, text = named.read(path)
-        settled.take_out(("controller", named.field))  # the contents take its place
-        settled.put(("controller", named.contents), contents, Place(str(path)))
-        attached = attach(attached, path, text)
+    else:
+        settled, attached = _with_identified(settled, document, settings)
+        attached = _put_controller_file(settled, attached)
     experiment = validated_experiment(settled, written=False)
-    name = printable(document.path.name)
-    return LoadedSpec(experiment, document.text, name, document.path, attached, document=settled)
+    path = document.path
+    name = document.origin if path is None else printable(path.name)
+    return LoadedSpec(experiment, document.text, name, path, attached, document=settled)
 
 
 def load_spec(path: Path, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
@@ -175,21 +157,55 @@ def _controller_file(document: Document) -> tuple[NamedFile, str] | None:
 
 
 def _with_identified(
-    document: Document,
-    identified: "Identified",
-    path: Path,
-    estimates: bool,
-    settings: Sequence[SpecSetting],
-) -> Document:
-    """Return a copy of a document with the values of the file that it names in place of its own
-    and, in place of both, the settings."""
-    from tetractl.spec.identified import merge
+    settled: Document, document: Document, settings: Sequence[SpecSetting]
+) -> tuple[Document, Attached]:
+    """Take the values of the file of `tetractl identify` that a spec names, if it names one.
 
-    changed = with_settings(document, ())
-    merge(changed, identified, str(path), estimates)
-    settled = with_settings(changed, settings)
+    They take the places of the spec's own values, but settings take the places of both.
+
+    Args:
+        settled: The document with its settings, which may name the file.
+        document: The document without them.
+        settings: The settings.
+
+    Returns:
+        The settled document, with these values, and the file for the log.
+    """
+    file_name = _named_file(settled, IDENTIFIED)
+    if file_name is None:
+        return settled, ()
+    from tetractl.spec.identified import merge, read_identified
+
+    path = _folder(document) / file_name
+    identified, text = read_identified(path)
+    identified_spec = with_settings(document, ())
+    merge(identified_spec, identified, str(path), _estimates(settled))
+    settled = with_settings(identified_spec, settings)
     settled.take_out(IDENTIFIED)  # its values are now in the spec
-    return settled
+    return settled, attach((), path, text)
+
+
+def _put_controller_file(settled: Document, attached: Attached) -> Attached:
+    """Put the contents of the file that the controller names, if it names one, in the name's place.
+
+    Returns:
+        The files for the log, with this one.
+    """
+    controller_file = _controller_file(settled)
+    if controller_file is None:
+        return attached
+    named, file_name = controller_file
+    path = _folder(settled) / file_name
+    contents, text = named.read(path)
+    settled.take_out(("controller", named.field))
+    settled.put(("controller", named.contents), contents, Place(str(path)))
+    return attach(attached, path, text)
+
+
+def _folder(document: Document) -> Path:
+    """Return the folder of a document's file."""
+    assert document.path is not None, "a document that comes from no file names none"
+    return document.path.parent
 
 
 def _refuse_named_files(document: Document) -> None:

@@ -23,14 +23,10 @@ from tetractl.spec.lab_section import LabSection
 from tetractl.spec.loaded_spec import LoadedSpec, attach
 from tetractl.spec.packages import not_installed
 from tetractl.spec.plant import PlantSection
-from tetractl.spec.yaml.document import (
-    Document,
-    file_of_spec,
-    make_way,
-    parse_document,
-    read_text,
-)
+from tetractl.spec.yaml.document import Document, parse_document
+from tetractl.spec.yaml.files import file_of_spec, read_text
 from tetractl.spec.yaml.problems import InvalidSpecError, Loc, dotted
+from tetractl.spec.yaml.settings import make_way
 
 
 @dataclass(frozen=True, slots=True)

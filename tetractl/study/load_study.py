@@ -32,13 +32,9 @@ from tetractl.spec.experiment import Trials
 from tetractl.spec.load import as_text, is_study, load_document, without_lines
 from tetractl.spec.loaded_spec import LoadedSpec, arm_hash
 from tetractl.spec.registry_fields import KindSection
-from tetractl.spec.yaml.document import (
-    Document,
-    SpecSetting,
-    parse_document,
-    read_document,
-)
+from tetractl.spec.yaml.document import Document, parse_document, read_document
 from tetractl.spec.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted, near_files
+from tetractl.spec.yaml.settings import SpecSetting
 from tetractl.study.sweep import FieldPath, Setting, Sweep
 
 MAX_ARMS = 100_000

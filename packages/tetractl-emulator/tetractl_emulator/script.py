@@ -14,7 +14,8 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from tetractl.core.errors import AbortError, SpecError
 from tetractl.spec.base import Finite, Model, Name, Point, with_tuples
 from tetractl.spec.explain_errors import list_of, words
-from tetractl.spec.yaml.document import Document, parse_document, read_text
+from tetractl.spec.yaml.document import Document, parse_document
+from tetractl.spec.yaml.files import read_text
 from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean
 from tetractl_emulator.faults import MARK, Fault
 from tetractl_emulator.process import PROCESS_FAULTS

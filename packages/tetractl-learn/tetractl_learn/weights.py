@@ -17,7 +17,7 @@ from pydantic import Field, field_validator
 from tetractl.core.errors import printable
 from tetractl.core.poses import Floats
 from tetractl.spec.base import Model
-from tetractl.spec.yaml.document import read_text
+from tetractl.spec.yaml.files import read_text
 from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem
 
 WIDTH_MAX = 1000

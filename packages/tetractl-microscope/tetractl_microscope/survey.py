@@ -76,7 +76,8 @@ def survey(
     from tetractl.core.protocols import LabSupervision
     from tetractl.spec.plants import lab_of, on_plant
     from tetractl.spec.yaml.core_yaml import dump
-    from tetractl.spec.yaml.document import parse_document, with_settings
+    from tetractl.spec.yaml.document import parse_document
+    from tetractl.spec.yaml.settings import with_settings
     from tetractl_microscope.cells.section import CellsSection
     from tetractl_microscope.choice.closed_loop import Noise
     from tetractl_microscope.choice.first_plans import planner, tolerance

@@ -9,7 +9,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.run.spec_trial import log_path
 from tetractl.spec.load import load_spec
 from tetractl.spec.loaded_spec import LoadedSpec
-from tetractl.spec.yaml.document import FieldValue
+from tetractl.spec.yaml.settings import FieldValue
 from tetractl_papers.paper import Paper, Runs, Work
 
 SEED = 20261128

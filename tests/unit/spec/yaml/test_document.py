@@ -1,10 +1,7 @@
 import pytest
 
-from tetractl.spec.yaml.document import (
-    MAX_BYTES,
-    parse_document,
-    read_text,
-)
+from tetractl.spec.yaml.document import parse_document
+from tetractl.spec.yaml.files import MAX_BYTES, read_text
 from tetractl.spec.yaml.problems import InvalidSpecError
 
 pytestmark = pytest.mark.slow

@@ -1,0 +1,70 @@
+"""Reads the text of a spec, and of the files that it names."""
+
+from pathlib import Path
+
+from tetractl.core.errors import SpecError, printable
+from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem, near_files
+
+MAX_BYTES = 1 << 20
+"""Largest file of a spec that is read [bytes]."""
+
+
+def file_of_spec(folder: Path | None, key: str, name: str) -> Path:
+    """Return the path of the file that a key of a spec names, relative to the spec's `folder`;
+    SpecError for a relative name without a folder, as in the log of a trial."""
+    if folder is None and not Path(name).is_absolute():
+        raise SpecError(
+            f"{key}: {printable(name)}: is in the folder of a spec that was not read from a file",
+            f"name it by its whole path: --set {key}=/PATH; or leave it out: --set {key}=null",
+            f'name it by its whole path: "{key}=/PATH"; or leave it out: "{key}=null"',
+        )
+    return (folder or Path()) / name
+
+
+SPEC_TEXT = "a spec is YAML text"
+"""What `read_text` expects a file to be, unless its caller names something else."""
+
+
+def read_text(path: Path, max_bytes: int = MAX_BYTES, what: str = SPEC_TEXT) -> str:
+    """Read a spec, a file that a spec names, or another file of text.
+
+    Args:
+        path: The file.
+        max_bytes: Largest size that is read [bytes].
+        what: What the file should be, for messages.
+
+    Raises:
+        InvalidSpecError: If the file is missing, is too large or cannot be read.
+    """
+
+    def refusal(message: str, line: int | None = None, column: int | None = None) -> Exception:
+        problem = SpecProblem(printable(str(path)), message, line, column)
+        return InvalidSpecError([problem])
+
+    try:
+        if path.exists() and not (path.is_file() or path.is_dir()):  # reading a FIFO may never end
+            raise refusal("is not a regular file")
+        with path.open("rb") as stream:
+            raw = stream.read(max_bytes + 1)
+    except FileNotFoundError:
+        raise refusal(f"there is no such file{near_files(path)}") from None
+    except IsADirectoryError:
+        file = "YAML file" if what == SPEC_TEXT else "file"
+        raise refusal(f"is a folder; name a {file} in it") from None
+    except OSError as error:
+        raise refusal(f"cannot be read: {error.strerror or error}") from None
+    except ValueError as error:  # a null character in the name
+        raise refusal(f"cannot be read: {error}") from None
+    if len(raw) > max_bytes:
+        is_spec = what == SPEC_TEXT and max_bytes == MAX_BYTES
+        usual = "; a spec is a few kilobytes of YAML" if is_spec else ""
+        raise refusal(f"is larger than {max_bytes >> 20} MiB{usual}")
+    if b"\0" in raw:
+        raise refusal(f"is a binary file; {what}")
+    try:
+        return raw.decode("utf-8")
+    except UnicodeDecodeError as error:
+        before = raw[: error.start]
+        line = before.count(b"\n") + 1
+        column = error.start - before.rfind(b"\n")
+        raise refusal("is not UTF-8 text; save the file as UTF-8", line, column) from None

@@ -1,0 +1,122 @@
+"""Values that options such as `--set` put into a document, each at its place.
+
+with_settings(document, ["robots.green.a=5", FieldValue("trials.seed", 3, "--seed")])
+"""
+
+from collections.abc import Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from typing import Any
+
+from tetractl.core.errors import printable
+from tetractl.spec.yaml.core_yaml import MAX_DEPTH
+from tetractl.spec.yaml.document import Document, Place, parse_value
+from tetractl.spec.yaml.problems import InvalidSpecError, Loc
+
+
+@dataclass(frozen=True, slots=True)
+class FieldValue:
+    """The value that an option such as `--seed 3` states for the field at a path, such as
+    `trials.seed`; problems with the value name the option.
+    """
+
+    path: str
+    value: Any
+    option: str
+
+    @property
+    def origin(self) -> str:
+        """The option and its value, as typed."""
+        return f"{self.option} {self.value}"
+
+
+SpecSetting = str | FieldValue
+"""A value of one field: `PATH=VALUE`, with a value in YAML, or a `FieldValue`."""
+
+
+def with_settings(document: Document, settings: Sequence[SpecSetting]) -> Document:
+    """Return a copy of a document with settings; errors are added to the copy's problems.
+
+    A step of a setting's path is a key, an index, or the `name` of an entry: `robots.0.a`,
+    `robots.green.a`. Mappings that the spec omits are created.
+    """
+    changed = replace(
+        document,
+        data=deepcopy(document.data),
+        places=dict(document.places),
+        problems=list(document.problems),
+    )
+    for setting in settings:
+        try:
+            if isinstance(setting, str):
+                _put_text(changed, setting)
+            else:
+                place = Place(setting.origin, text=str(setting.value))
+                loc = make_way(changed, setting.path.split("."), place)
+                changed.put(loc, setting.value, place)
+        except InvalidSpecError as error:
+            changed.problems.extend(error.problems)
+    return changed
+
+
+def _put_text(document: Document, setting: str) -> None:
+    """Put the value of a setting such as `robots.0.a=6`, which is YAML, in its place."""
+    place = Place(f"--set {printable(setting, 200)}")
+    path, equals, text = setting.partition("=")
+    path = path.strip()
+    if not (equals and path):
+        message = "must be PATH=VALUE, for instance controller.optimizer.particles=200"
+        raise InvalidSpecError([place.problem((), message)])
+    steps = path.split(".")
+    if len(steps) > MAX_DEPTH:
+        raise InvalidSpecError([place.problem((), f"the path has more than {MAX_DEPTH} steps")])
+    loc = make_way(document, steps, place)
+    value = parse_value(text, place.origin, loc)
+    document.put(loc, value, replace(place, text=printable(text, 60) or None))
+
+
+def make_way(document: Document, steps: Sequence[str], place: Place) -> Loc:
+    """Return the location that a path means, after creating the mappings on the way to it.
+
+    A step is a key, the `name` of a list's entry, or an index. InvalidSpecError, at the `place`
+    where the path is given, if there is none.
+    """
+    loc: Loc = ()
+    holder: Any = document.data
+    for step in steps[:-1]:
+        loc = (*loc, _key(holder, loc, step, place))
+        if isinstance(holder, dict) and holder.get(step) is None:
+            document.put(loc, {}, replace(place, text=None))
+        holder = holder[loc[-1]]
+    return (*loc, _key(holder, loc, steps[-1], place))
+
+
+def _key(holder: Any, loc: Loc, step: str, place: Place) -> str | int:
+    """Return the key or index that a step of a path means in `holder`, the value at `loc`."""
+    if isinstance(holder, list):
+        return _index(holder, loc, step, place)
+    if not isinstance(holder, dict):
+        message = f"has no '{printable(step, 60)}'; it is a single value"
+        raise InvalidSpecError([place.problem(loc, message)])
+    if not step:
+        raise InvalidSpecError([place.problem(loc, "a step of the path is empty")])
+    return step
+
+
+def _index(entries: list[Any], loc: Loc, step: str, place: Place) -> int:
+    """Return the index of the list's entry that a step means: by index, or by its name."""
+    names = {
+        i: str(entry["name"])
+        for i, entry in enumerate(entries)
+        if isinstance(entry, dict) and "name" in entry
+    }
+    for i in range(len(entries)):
+        if step in (str(i), names.get(i)):
+            return i
+    choices = "none: it is empty"
+    if entries:
+        choices = f"0 to {len(entries) - 1}"
+    if names:
+        choices += f" or {', '.join(names.values())}"
+    message = f"has no entry '{printable(step, 60)}'; its entries are {choices}"
+    raise InvalidSpecError([place.problem(loc, message)])

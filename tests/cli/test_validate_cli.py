@@ -23,9 +23,9 @@ trials: {count: 1, seed: 7}
 WARNINGS = [
     "warning: alike.yaml:4:3: robots: least total error of any plan: 50 mm; no controller can do "
     "better with these a, speeds, starts and targets",
-    "warning: alike.yaml:5:59: robots.1.a: 6: is that of one, and so is the start heading: two can "
-    "only move in parallel, and the least total error of the 2 is 50 mm; give them different a, "
-    "or targets with the same relative positions as the starts",
+    "warning: alike.yaml:5:59: robots.1.a: 6: two turns at the same rate as one and starts with "
+    "the same heading, so the 2 can only move in parallel: their total error cannot fall below "
+    "50 mm; give them different a, or targets with the same relative positions as the starts",
 ]
 
 

@@ -166,7 +166,7 @@ STOOD = "while others drive", "though commanded to move"
 """Endings of the reason of a result if a robot stood still: today's, and those of older logs."""
 
 
-def told_dead(names: Sequence[str], dead: Bools) -> str:
+def describe_dead(names: Sequence[str], dead: Bools) -> str:
     """Describe which robots are dead. The text is empty if none is.
 
     Args:

@@ -21,14 +21,20 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
 
 PAIRS_MAX = 1000
-"""Largest number of pairs in the linear programme: those that raise the bound most. It holds
-without the others, which could only raise it."""
+"""Maximum number of pairs in the linear programme.
+
+The pairs that raise the bound most are used. The bound also holds without the others, which could
+only raise it.
+"""
 
 
 @np.errstate(over="ignore")  # a speed may be so great that the robot drives an infinite way
 def reach(setup: Setup, seconds: float) -> Floats:
-    """Return each robot's error (N,) after driving straight towards its target for `seconds`, 0 if
-    it arrives [length unit]: as |w_i| <= t, no other way brings it nearer."""
+    """Compute each robot's error after driving straight towards its target (N,) [length unit].
+
+    It is 0 if the robot arrives within `seconds`. No other path brings the robot nearer, because
+    |w_i| <= t.
+    """
     gaps = setup.starts.distances(setup.targets)
     return np.maximum(gaps - setup.speed * seconds, 0.0)
 
@@ -36,14 +42,13 @@ def reach(setup: Setup, seconds: float) -> Floats:
 # if both turn alike, divisions by 0; if almost, e^(k t) overflows before D is 2
 @np.errstate(divide="ignore", invalid="ignore", over="ignore")
 def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
-    """Return G [s], an upper bound of |w_1 - w_2| for pairs of robots; w is the integral of a
-    robot's unit heading vector over at most `seconds`.
+    """Compute G, an upper bound of |w_1 - w_2| for pairs of robots [s].
 
-    `turned` >= 0 is the difference of their start headings [rad]; all arguments broadcast.
+    w is the integral of a robot's unit heading vector over at most `seconds`.
 
     Let delta = theta_1 - theta_2, s = a_1 + a_2, d = |a_1 - a_2| and m be u minus the mean heading.
-    Then delta' = a_1 sin(m - delta/2) - a_2 sin(m + delta/2)
-    = (a_1 - a_2) sin m cos(delta/2) - s cos m sin(delta/2), and over all m
+    Then delta' = a_1 sin(m - delta/2) - a_2 sin(m + delta/2) = (a_1 - a_2) sin m cos(delta/2) - s
+    cos m sin(delta/2), and over all m
 
         |delta|' <= sqrt(d^2 cos^2(delta/2) + s^2 sin^2(delta/2)) <= sqrt(d^2 + (s delta/2)^2).
 
@@ -52,12 +57,18 @@ def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
         D(t) = D(0) cosh(k t) + B sinh(k t),   k = s/2,   B = sqrt((2d/s)^2 + D(0)^2).
 
     Unit vectors that differ in angle by delta have the distance 2 |sin(delta/2)| <= min(|delta|,
-    2): G is the integral of min(D, 2). Robots of equal a and start heading have D = 0 and G = 0:
+    2): G is the integral of min(D, 2). Robots with equal a and start heading have D = 0 and G = 0:
     their paths have the same shape.
 
-    In the Euler model and with held wheel speeds, too: the right-hand side of D' grows with D, so a
-    step along the tangent stays below D, and a left Riemann sum of a growing function stays below
-    its integral.
+    The bound also holds in the Euler model and with held wheel speeds. The right-hand side of D'
+    grows with D, so a step along the tangent stays below D, and a left Riemann sum of a growing
+    function stays below its integral.
+
+    Args:
+        a_1: Turning rate of the first robot of each pair [rad/s].
+        a_2: Turning rate of the second robot [rad/s].
+        turned: Difference of their start headings [rad], at least 0.
+        seconds: Duration [s]. All arguments broadcast.
     """
     rate = (a_1 + a_2) / 2  # k
     relative = np.abs(a_1 - a_2) / rate  # 2d/s
@@ -88,14 +99,13 @@ def least_total_error(setup: Setup, seconds: float) -> float:
 
 @np.errstate(over="ignore", invalid="ignore")  # of robots that hardly move, p overflows
 def _pair_bounds(setup: Setup, seconds: float) -> tuple[NDArray[np.int64], Floats]:
-    """Return the pairs (P, 2) of robots that move, and the lower bound of e_1 + e_2 of each (P,),
-    which is not finite if its numbers overflow.
+    """Return the pairs (P, 2) of robots that move, and the lower bound of e_1 + e_2 for each (P,).
 
-    With p_i = g_i / v_i,
+    A bound is not finite if its numbers overflow. With p_i = g_i / v_i,
 
         e_1 + e_2 = v_1 |w_1 - p_1| + v_2 |w_2 - p_2| >= min(v_1, v_2) (|p_1 - p_2| - G(t)).
 
-    If G = 0 and t is long enough, robots get as near as that.
+    If G = 0 and t is long enough, robots come as near as that.
     """
     i, j = np.triu_indices(len(setup.names), 1)
     moving = (setup.speed[i] > 0) & (setup.speed[j] > 0)
@@ -111,8 +121,10 @@ def _pair_bounds(setup: Setup, seconds: float) -> tuple[NDArray[np.int64], Float
 
 
 def _least_sum(alone: Floats, pairs: NDArray[np.int64], pair_errors: Floats) -> float:
-    """Return the least e_1 + ... + e_N with e_i >= alone_i, and e_i + e_j >= its error for each
-    pair."""
+    """Compute the minimum of e_1 + ... + e_N.
+
+    The constraints are e_i >= alone_i, and that e_i + e_j is at least the error of each pair.
+    """
     from scipy.optimize import linprog
     from scipy.sparse import coo_array
 

@@ -1,9 +1,9 @@
 """Tests whether obstacles separate a start from a target, for a point robot.
 
 The arena is covered with square cells. A cell is free unless its centre is deeper inside an
-obstacle than half a side; cells that share a corner are neighbours too. Two points that are not
-connected in this grid are not connected by any path. Proof: inscribe a circle in each cell. A path
-passes from disc to disc where two touch or through the gap between four, and all of these are
+obstacle than half a side. Cells that share a corner are also neighbours. If two points are not
+connected in this grid, no path connects them. Proof: inscribe a circle in each cell. A path passes
+from disc to disc where two touch, or through the gap between four discs, and all of these are
 neighbours. A disc with a free point has its centre no deeper than its radius, so its cell is free.
 The reverse does not hold: a wall thinner than a cell may be missed.
 """
@@ -25,9 +25,13 @@ TOUCHING = 1e-6
 
 
 def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
-    """Return the distance of points to the nearest obstacle [length unit], negative inside one.
+    """Compute the distance of points to the nearest obstacle [length unit], negative inside.
 
-    If `walls` is true, everything outside the arena is an obstacle.
+    Args:
+        setup: The constants of the experiment.
+        x: x of the points.
+        y: y of the points.
+        walls: Whether everything outside the arena counts as an obstacle.
     """
     nearest = Obstacles.of(setup.obstacles).distance(x, y)
     return np.minimum(nearest, setup.arena.inside(x, y)) if walls else nearest
@@ -35,11 +39,15 @@ def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
 
 @np.errstate(all="ignore")
 def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
-    """Return the least possible distance of each robot to its target (N,) [length unit].
+    """Compute how near each robot can come to its target, (N,) [length unit].
 
-    The distance is 0 if a path from start to target may exist. Robots keep the distance `margin`
-    from obstacles; with `walls` they stay in the arena, otherwise they may leave it. A start nearer
-    to an obstacle than the margin is not in free space, and also gives 0.
+    The distance is 0 if there may be a path from start to target. It is also 0 if the start is
+    nearer to an obstacle than the margin, because such a start is not in free space.
+
+    Args:
+        setup: The constants of the experiment.
+        margin: Distance that robots keep from obstacles [length unit].
+        walls: Whether robots must stay in the arena.
     """
     arena = setup.arena
     side = max(arena.width, arena.height) / CELLS
@@ -102,6 +110,9 @@ def connected(cells: Bools, free: Bools) -> Bools:
 
 
 def _runs(free: Bools) -> NDArray[np.int64]:
-    """Return for each free cell the number of its run, of free cells in a row without a gap."""
+    """Return the index of each free cell's run.
+
+    A run consists of free cells in a row without a gap.
+    """
     ends = np.pad(~free, ((0, 0), (0, 1)), constant_values=True)
     return np.cumsum(ends, dtype=np.int64).reshape(ends.shape)[:, :-1]

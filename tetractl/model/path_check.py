@@ -1,5 +1,7 @@
-"""Checks the robots' paths: which centres entered an obstacle, and the least distances to
-obstacles, to the arena's edge and between robots.
+"""Checks of the robots' paths.
+
+They find which centres entered an obstacle, and the minimum distances to obstacles, to the arena's
+edge and between robots.
 """
 
 from dataclasses import astuple
@@ -18,12 +20,16 @@ ROUNDING = 1e-9  # more than distances are rounded by, as a fraction of the aren
 
 
 class PathCheck:
-    """Checks the paths of N robots, which are added in parts and are straight between samples.
+    """A check of the paths of N robots, which are added in parts and are straight between samples.
 
-    `entered` (N,) is True for robots whose path touched an obstacle; `clearance` (N,) is the least
-    signed distance of each robot's samples to an obstacle [length unit], inf without obstacles.
-    `edge` (N,) is each robot's least signed distance to the arena's edge, negative outside, and
-    `apart` (N,) its least distance to another robot, inf for a single robot.
+    Distances are in the spec's length unit, arrays have shape (N,).
+
+    Attributes:
+        entered: Whether the path of each robot touched an obstacle.
+        clearance: Minimum distance of each robot's samples to an obstacle. Negative inside, inf
+            without obstacles.
+        edge: Minimum distance of each robot to the arena's edge. Negative outside.
+        apart: Minimum distance of each robot to another robot. inf for a single robot.
     """
 
     def __init__(self, obstacles: Obstacles, arena: Bounds, count: int) -> None:
@@ -42,9 +48,13 @@ class PathCheck:
         return cls(Obstacles.of(setup.obstacles), setup.arena, len(setup.names))
 
     def add(self, x: Floats, y: Floats, tracked: Bools | None = None) -> None:
-        """Add M further samples in time order; x, y (M, N), NaN where a position is unknown. Where
-        `tracked` (M, N) is False, the position is the last known one, from which no distance to
-        another robot follows.
+        """Add M more samples in the order of time.
+
+        Args:
+            x: x of the robots, shape (M, N). NaN where a position is unknown.
+            y: y of the robots, like `x`.
+            tracked: Whether each robot was tracked, shape (M, N). If not, its position is the last
+                known one, and is not used for distances to other robots. None if all were tracked.
         """
         x = np.ascontiguousarray(x.T)  # (N, M): reduced 10x faster
         y = np.ascontiguousarray(y.T)
@@ -73,8 +83,10 @@ class PathCheck:
         self.entered[i[crosses]] = True
 
     def _near(self, x: Floats, y: Floats) -> Bools:
-        """Return which samples (N, M) may be the nearest to an obstacle so far, or the last one
-        before a step that touches one."""
+        """Find the samples (N, M) that may be the nearest to an obstacle so far.
+
+        The last sample before a step that touches an obstacle also counts.
+        """
         at_least = self.obstacles.at_least(x, y)
         robots = np.arange(len(x))
         nearest = np.where(np.isnan(at_least), np.inf, at_least).argmin(1)
@@ -96,14 +108,14 @@ class PathCheck:
 
 
 def _greatest_step(coordinates: Floats) -> Floats:
-    """Return the greatest difference of successive samples (N, M) of each robot, (N,)."""
+    """Return the maximum difference between successive samples (N, M) of each robot, (N,)."""
     return np.fmax.reduce(np.abs(np.diff(coordinates)), axis=1, initial=0.0)
 
 
 def separations(x: Floats, y: Floats) -> Floats:
-    """Return the least distance of each of N robots to another robot over M samples, (N,).
+    """Compute the minimum distance of each of N robots to another robot over M samples, (N,).
 
-    x, y are (N, M) [length unit]; NaN samples are ignored.
+    x and y have shape (N, M) [length unit]. NaN samples are ignored.
     """
     count = len(x)
     apart = np.full(count, np.inf)
@@ -116,10 +128,13 @@ def separations(x: Floats, y: Floats) -> Floats:
 
 
 def check_path(setup: Setup, path: Floats, tracked: Bools, final: Poses) -> Verdict:
-    """Return the verdict of `PathCheck` on a recorded path which ended in `final`.
+    """Check a recorded path with `PathCheck`.
 
-    `path` (M, N, 2 or more) begins with x and y; samples for which `tracked` (M, N) is False
-    are ignored.
+    Args:
+        setup: The constants of the experiment.
+        path: The path, shape (M, N, 2 or more), beginning with x and y.
+        tracked: Whether each robot was tracked, shape (M, N). Other samples are ignored.
+        final: The poses in which the path ended.
     """
     path_check = PathCheck.of(setup)
     for robot in range(path.shape[1]):
@@ -137,7 +152,12 @@ def check_path(setup: Setup, path: Floats, tracked: Bools, final: Poses) -> Verd
 
 
 def tracked_separations(path: Floats, tracked: Bools) -> Floats:
-    """Return the least distance (N,) of each robot to another one over the samples of a recorded
-    path (M, N, 2 or more) for which both are `tracked` (M, N)."""
+    """Compute the minimum distance (N,) of each robot to another robot in a recorded path.
+
+    Args:
+        path: The path, shape (M, N, 2 or more).
+        tracked: Whether each robot was tracked, shape (M, N). Only samples for which both are
+            tracked count.
+    """
     places = np.where(tracked[..., None], path[..., :2], np.nan)
     return separations(places[..., 0].T, places[..., 1].T)

@@ -1,7 +1,8 @@
-"""The kinds of obstacles that a spec may have: rectangles, circles and polygons.
+"""The kinds of obstacles in a spec: rectangles, circles and polygons.
 
-Each is a section of the spec, a `ShapeSection`, whose `shape()` returns the `Shape` with which
-everything is computed. A further kind is another such class, named in `core.registries`.
+Each kind is a section of the spec, a `ShapeSection`. Its method `shape()` returns the `Shape` that
+is used for all computations. To add a kind, write another such class and name it in
+`core.registries`.
 """
 
 from typing import Literal, Self
@@ -51,12 +52,13 @@ class Circle(ShapeSection):
 
 
 class Polygon(ShapeSection):
-    """A polygon whose edges do not cross each other; it may be concave."""
+    """A polygon with edges that do not cross each other. It may be concave."""
 
     type: Literal["polygon"]
     vertices: tuple[Point, ...] = Field(min_length=3, max_length=200)
-    """Corners [x, y] in order round the polygon, in either sense [length unit]; an edge joins the
-    last to the first.
+    """Corners [x, y] in order round the polygon, clockwise or anticlockwise [length unit].
+
+    An edge joins the last corner to the first.
     """
 
     @model_validator(mode="after")

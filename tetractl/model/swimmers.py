@@ -1,8 +1,8 @@
 """The model of swimming cells that the simulation and the emulated microscope use.
 
-A cell swims along a helix whose axis follows the paper's equations (1)-(3): (3) turns the axis, not
-the momentary velocity (Crenshaw). Lengths are in micrometres, independently of a spec's unit.
-`cell_numbers` has what was measured of real cells.
+A cell swims along a helix. The axis of the helix follows the paper's equations (1)-(3): (3) turns
+the axis, not the momentary velocity (Crenshaw). Lengths are in micrometres, whatever the spec's
+unit is. `cell_numbers` holds what was measured of real cells.
 """
 
 import math
@@ -39,10 +39,13 @@ from tetractl.model.motion.swimming import CellArrays
 
 
 def speed_factor(celsius: float) -> float:
-    """Return the speed at a temperature relative to the speed at 20 C, by Arrhenius with
-    `ACTIVATION_EV`.
+    """Compute the speed at a temperature relative to the speed at 20 C.
 
-    The speed changes by about 4 % per degree. Valid for 10 to 28 C; ValueError outside 0 to 40.
+    It follows Arrhenius with `ACTIVATION_EV`, and changes by about 4 % per degree. It is valid for
+    10 to 28 C.
+
+    Raises:
+        ValueError: If the temperature is outside 0 to 40 C.
     """
     if not 0.0 <= celsius <= 40.0:
         raise ValueError(f"cells do not swim at {celsius:g} C; use 0 to 40")
@@ -79,7 +82,14 @@ class Swimmers:
     def drawn(
         cls, random: np.random.Generator, count: int, unmagnetised: int = 0, celsius: float = WARM_C
     ) -> Self:
-        """Return `count` random cells at the origin; the last `unmagnetised` have no magnet."""
+        """Generate random cells at the origin.
+
+        Args:
+            random: The random generator.
+            count: Number of cells.
+            unmagnetised: How many of them, the last ones, have no magnet.
+            celsius: Temperature [C].
+        """
 
         def normal(mean: float, deviation: float) -> Floats:
             return np.clip(random.normal(mean, deviation, count), 0.5 * mean, 1.5 * mean)
@@ -130,8 +140,11 @@ class Swimmers:
     ) -> CellArrays:
         """Return copies of the cells, for `swimming.step` and `swim`.
 
-        `field` is B / B_ref times the unit vector of u; the turning rate is proportional to its
-        length. `drift` [um/s] is the medium's flow, `walls` [um] are edges along which cells slide.
+        Args:
+            field: B / B_ref times the unit vector of u. The turning rate is proportional to its
+                length.
+            drift: Flow of the medium [um/s].
+            walls: Edges along which cells slide [um]. None if there are none.
         """
         if walls is None:
             walls = Bounds(-math.inf, -math.inf, math.inf, math.inf)
@@ -169,7 +182,15 @@ class Swimmers:
         drift: tuple[float, float] = (0.0, 0.0),
         walls: Bounds | None = None,
     ) -> None:
-        """Advance every cell by a time [s]; arguments as of `laid_out`."""
+        """Advance every cell.
+
+        Args:
+            field: B / B_ref times the unit vector of u.
+            seconds: Duration [s].
+            random: The random generator.
+            drift: Flow of the medium [um/s].
+            walls: Edges along which cells slide [um]. None if there are none.
+        """
         noise = random.standard_normal((swimming.steps_in(seconds), 2, len(self)))
         # plain floats: for a few cells ten times faster than arrays
         arrays = self.laid_out(field, drift, walls)
@@ -186,7 +207,7 @@ class Swimmers:
         self.resting[cell] = resting
 
     def divide(self, cell: int, random: np.random.Generator) -> "Swimmers":
-        """Return the cells after `cell` has divided; the new cell is the last.
+        """Return the cells after one of them has divided. The new cell is the last.
 
         Both cells have the mother's width and 0.8 of its length, and share its magnet unequally.
         """

@@ -1,12 +1,12 @@
-"""Two-wheeled robots that move like cells by the paper's equations (21)-(25).
+"""Two-wheeled robots that move like cells, by the paper's equations (21)-(25).
 
-`Drivetrains` are wheels and their counts, `WheelHost` computes what a host sends, `WheeledRobots`
-are the robots' true motion; the emulated robots and the lab's actuator use them. The simulation
-runs their loops, `model.motion.rolling`, compiled.
+`Drivetrains` are wheels and their counts, `WheelHost` computes what a host sends, and
+`WheeledRobots` is the robots' true motion. The emulated robots and the lab's actuator use them. The
+simulation runs their loops, `model.motion.rolling`, compiled.
 
-A wheel runs at gain * (|count| - dead zone), and stands within the dead zone. One count turns
-an m3pi at about 0.19 rad/s, too much to neglect: the rounding error is carried to the next command
-(error diffusion), so that the mean of the speeds sent is the requested speed.
+A wheel runs at gain * (|count| - dead zone), and stands still within the dead zone. One count turns
+an m3pi at about 0.19 rad/s, too much to neglect. Therefore the rounding error is carried over to
+the next command (error diffusion), so that the mean of the speeds sent is the requested speed.
 """
 
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ from tetractl.model.motion.rolling import (
 COUNT_MAX = 127
 """Largest count of a wheel: counts are sent as signed bytes."""
 Counts = tuple[int, int]
-"""Counts of one robot's two wheels, each in -COUNT_MAX..COUNT_MAX."""
+"""Counts of one robot's two wheels, from -COUNT_MAX to COUNT_MAX."""
 STOP: Counts = (0, 0)
 """Outputs at which both wheels stand [counts]."""
 CountArray = NDArray[np.int64]
@@ -48,11 +48,16 @@ CountArray = NDArray[np.int64]
 def body_velocity(
     left_speed: Floats, right_speed: Floats, r: Floats | float
 ) -> tuple[Floats, Floats]:
-    """Return (speed v [length unit/s], turning rate [rad/s]) of given wheel speeds.
+    """Compute speed v [length unit/s] and turning rate [rad/s] from wheel speeds.
 
-    dx/dt = (right + left) cos(heading) / 2                                             (21)
-    dy/dt = (right + left) sin(heading) / 2                                             (22)
-    dheading/dt = (right - left) / (2 r)                                                (23)
+        dx/dt = (right + left) cos(heading) / 2                                         (21)
+        dy/dt = (right + left) sin(heading) / 2                                         (22)
+        dheading/dt = (right - left) / (2 r)                                            (23)
+
+    Args:
+        left_speed: Speed of the left wheels [length unit/s].
+        right_speed: Speed of the right wheels [length unit/s].
+        r: Distance from a wheel to the centre [length unit].
     """
     speed = (right_speed + left_speed) / 2
     turning = (right_speed - left_speed) / (2 * r)
@@ -81,12 +86,21 @@ class Drivetrains:
         return self.gain * (np.sign(by_wheel) * beyond)
 
     def counts(self, speeds: Floats, owed: Floats) -> tuple[CountArray, Floats]:
-        """Return the counts to send for speeds, and the rounding errors `owed` [counts] (2, N) to
-        carry to the next call, each within 0.5.
+        """Convert wheel speeds to the counts to send, and the rounding errors to carry over.
 
         If a wheel would exceed the limit, both speeds are scaled equally, which keeps the path's
-        curvature. A wheel of speed 0 gets the count 0; if both stand, nothing is owed. ValueError
-        for speeds that are not finite.
+        curvature. A wheel of speed 0 gets the count 0. If both wheels stand still, nothing is
+        carried over.
+
+        Args:
+            speeds: Wheel speeds [length unit/s], shape (2, N).
+            owed: Rounding errors of the previous call [counts], shape (2, N).
+
+        Returns:
+            The counts, and the new rounding errors, each within 0.5.
+
+        Raises:
+            ValueError: If a speed is not finite.
         """
         if not np.isfinite(speeds).all():
             raise ValueError(f"wheel speeds must be finite, not {speeds.tolist()}")
@@ -119,8 +133,15 @@ class WheelHost:
     def wished(
         self, heading: Floats, u: float, since_ns: int, acts_ns: int, drives: bool = True
     ) -> Floats:
-        """Return the wheel speeds (2, N) for the direction `u` [rad], see `wish`; if not `drives`,
-        they turn the robots on the spot."""
+        """Compute the wheel speeds (2, N) for a direction; see `wish`.
+
+        Args:
+            heading: Measured headings [rad], shape (N,).
+            u: The direction [rad].
+            since_ns: Time of the measurement.
+            acts_ns: When the command takes effect.
+            drives: Whether robots drive. If not, they turn on the spot.
+        """
         robots = self._known if drives else self._known.turning()
         return wish(heading, np.full(heading.shape, u), since_ns, acts_ns, robots, self._sent)
 
@@ -130,8 +151,11 @@ class WheelHost:
         return counts
 
     def sent(self, acts_ns: int, speeds: Floats) -> tuple[Floats, Floats]:
-        """Take wheel speeds (2, N) that were sent and act from `acts_ns` [ns] on; return the
-        speeds and the turning rates [rad/s] of the robots, (N,) each."""
+        """Record wheel speeds (2, N) that were sent and take effect at `acts_ns` [ns].
+
+        Returns:
+            The speeds [length unit/s] and turning rates [rad/s] of the robots, (N,) each.
+        """
         if self._known.lag_s > 0:
             self._sent = self._sent.with_room()
             note(self._sent, acts_ns, speeds, self._known.radius)
@@ -139,17 +163,21 @@ class WheelHost:
 
 
 NOTHING = np.zeros((0, 0))
-"""No random numbers, for robots whose headings do not swerve."""
+"""An empty array of random numbers, for robots whose headings do not swerve."""
 
 
 class WheeledRobots:
-    """The true motion of N robots, whose wheels follow the speeds `targets` (2, N) with a
-    first-order lag.
+    """The true motion of N robots whose wheels follow target speeds with a first-order lag.
 
-    `radius` [length unit] is the true distance from a wheel to the centre, and `lag_s` [s] the
-    wheels' time constant, for all robots or for each (N,), 0 for none. A stopped robot stands once
-    its wheels are slower than `still` [length unit/s]. `pose` (3, N) are x, y, heading and `wheels`
-    (2, N) the present speeds; all are parts of `body` (ROWS, N), see `rolling.roll`.
+    `body` (ROWS, N) is their state; see `rolling.roll`. `pose` (3, N), `wheels` (2, N) and
+    `targets` (2, N) are parts of it: x, y and heading, the present and the target speeds of the
+    wheels.
+
+    Args:
+        poses: The poses at first.
+        radius: True distance from a wheel to the centre [length unit].
+        lag_s: Time constant of the wheels [s], for all robots or for each (N,). 0 for no lag.
+        still: A stopped robot stands still once its wheels are slower than this [length unit/s].
     """
 
     roll = staticmethod(roll)
@@ -177,7 +205,7 @@ class WheeledRobots:
         self.body[HEADING] = poses.heading
 
     def scale(self, turning: Floats, speed: Floats) -> None:
-        """From now on, multiply turning rates and speeds by factors (N,), as by slip."""
+        """Multiply turning rates and speeds by factors (N,), for example because of slip."""
         self.body[TURNS] = turning / (2 * self.radius)
         self.body[MOVES] = speed / 2
 
@@ -189,8 +217,15 @@ class WheeledRobots:
         walk: float = 0.0,
         drawn: Floats = NOTHING,
     ) -> Floats:
-        """Advance from `since_ns` [ns] to the last of the `times` (M,) [ns]; return x, y, heading
-        (M, 3, N) at these. For the swerves of the headings see `rolling.roll`."""
+        """Advance the robots, and return x, y and heading (M, 3, N); see `rolling.roll`.
+
+        Args:
+            since_ns: The time of the present state [ns].
+            times: Times of the poses [ns], shape (M,).
+            ticks: Whether the heading swerves at each time, shape (M,). None if it never does.
+            walk: Size of a swerve [rad].
+            drawn: Standard normal numbers for the swerves.
+        """
         ticks = np.zeros(times.size, np.bool_) if ticks is None else ticks
         path = np.empty((times.size, *self.pose.shape))
         self.roll(self.body, since_ns, times, ticks, walk, drawn, path)

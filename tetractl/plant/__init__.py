@@ -1,1 +1,1 @@
-"""The plants, in which robots receive commands: simulations and the lab."""
+"""The plants that receive a trial's commands: simulations and the lab."""

@@ -22,12 +22,12 @@ from tetractl.spec.disturbance import DelayedCommand
 
 
 class CellDrive:
-    """A `Drive` of N cells with turning rates `a` and speeds, (N,) each, at the `starts`; what the
-    spec leaves open is drawn from the trial's `seed`. `walk` [rad/sqrt(s)] is the random walk of
-    the headings.
+    """The motion of N simulated cells, a `Drive`.
 
     Simulated cells do not swim before the first command or after a stop, so that a trial ends with
-    the poses at the stop; real cells swim on.
+    the poses at the stop. Real cells swim on. `a` and the speeds have shape (N,). Whatever the spec
+    does not state is sampled from the trial's `seed`. `walk` is the random walk of the headings
+    [rad/sqrt(s)].
     """
 
     host = None  # no host computes wheel speeds
@@ -87,7 +87,7 @@ class CellDrive:
 
     @property
     def moving(self) -> Floats:
-        """1 for cells whose last command lets them swim, 0 for others, (N,)."""
+        """1 for cells that swim after their last command, 0 for others, (N,)."""
         return self.cells.going.copy()
 
     commanded = moving
@@ -98,7 +98,7 @@ class CellDrive:
         self.cells.speed[:] = speed * self._unit_um
 
     def advance(self, since_ns: int, times_ns: Times, samples: Bools) -> Floats:
-        """Move the cells; return x, y, heading (M, 3, N) at the times (M,) [ns]."""
+        """Move the cells, and return x, y and heading (M, 3, N); see `Drive.advance`."""
         steps = steps_until(since_ns, times_ns.tolist())
         count = self.cells.x.size
         noise = self._random.standard_normal((steps, 2, count))

@@ -21,14 +21,15 @@ if TYPE_CHECKING:
     from tetractl.plant.wheel_host import SimHost
 
 STOPS_MAX = 3000
-"""Largest number of stops sent until every robot has received one: those of one minute."""
+"""Maximum number of stops sent until every robot has received one. They take one minute."""
 
 
 class CommandSender:
-    """Sends to N robots: puts commands into `transit`, and returns them as the host logs them.
+    """Sends commands to N robots, and returns them as the host logs them.
 
-    `host` computes wheel speeds, None for robots that receive the direction itself; `random` draws
-    which transmissions are lost. Every call is in answer to a camera frame.
+    It puts the commands into `transit`. `host` computes wheel speeds; it is None for robots that
+    receive the direction itself. `random` decides which transmissions are lost. Every call answers
+    a camera frame.
     """
 
     def __init__(
@@ -57,8 +58,13 @@ class CommandSender:
     def send(
         self, now_ns: int, answered: Observation, action: Steer | Turn | FieldOff | None = None
     ) -> Command:
-        """Send an action, which is held from now on; None for the one held, again, with wheel
-        speeds for this frame."""
+        """Send an action, or send the held action again with wheel speeds for this frame.
+
+        Args:
+            now_ns: The time.
+            answered: The frame that the command answers.
+            action: The action, which is held from now on. None to repeat the held one.
+        """
         if action is not None:
             self._held = action
         is_new = action is not None
@@ -76,8 +82,11 @@ class CommandSender:
         return Command(self._held, now_ns, delivered, left_speed, right_speed)
 
     def send_stops(self, now_ns: int, answered: Observation) -> Command:
-        """Send a stop to every robot; if stops may be lost, send it at least `STOPS` times and
-        until every robot has received one. Return the first."""
+        """Send a stop to every robot, and return the first stop.
+
+        If stops may be lost, the stop is sent at least `STOPS` times, and until every robot has
+        received one.
+        """
         robots = len(self._setup.names)
         if self._host is not None:
             self._host.halt(now_ns)
@@ -99,17 +108,24 @@ class CommandSender:
         return Command(Stop(), now_ns, received, still, still)
 
     def _due_ns(self, sent_ns: int, answered: Observation) -> int:
-        """Return the time [ns] at which a command acts if `dead_time` is the only delay: so long
-        after the exposure of the frame that it answers, but not before it is sent."""
+        """Return when a command acts if `dead_time` is the only delay [ns].
+
+        That is `dead_time` after the exposure of the frame that it answers, but not before it is
+        sent.
+        """
         dead_time_ns = round(self._settings.dead_time * SECOND)
         return max(sent_ns, answered.sampled_ns + dead_time_ns)
 
     def _wheel_speeds(
         self, now_ns: int, answered: Observation, is_new: bool
     ) -> tuple[Floats | None, Floats | None, Floats | None]:
-        """Return the wheel speeds for the held action [length unit/s]: of left and of right wheels,
-        (N,) each, as the host knows and logs them, None without wheels; and of both as they run,
-        (2, N), None if the robots receive the direction itself."""
+        """Return the wheel speeds for the held action [length unit/s].
+
+        Returns:
+            The speeds of the left wheels and of the right wheels, (N,) each, as the host knows and
+            logs them; None without wheels. Then the true speeds of both, (2, N); None if the robots
+            receive the direction itself.
+        """
         setup = self._setup
         if self._host is not None:
             known_speeds, true_speeds = self._host.transmit(now_ns, self._held, is_new, answered)

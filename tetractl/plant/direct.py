@@ -51,7 +51,7 @@ class DirectDrive:
 
     @property
     def commanded(self) -> Floats:
-        """1 for robots whose last command moves them, 0 for others, (N,)."""
+        """1 for robots that move after their last command, 0 for others, (N,)."""
         return self.held.moving
 
     @property
@@ -67,7 +67,7 @@ class DirectDrive:
         self.held.turning = a * self._sine
 
     def advance(self, since_ns: int, times_ns: Times, samples: Bools) -> Floats:
-        """Move the robots; return x, y, heading (M, 3, N) at the times (M,) [ns]."""
+        """Move the robots, and return x, y and heading (M, 3, N); see `Drive.advance`."""
         before = self.poses
         held = self.held
         # a robot that stands is moved for no time

@@ -52,10 +52,22 @@ def answer(
     sent: SentRates,
     trains: Trains,
 ) -> tuple[Floats, Floats]:
-    """Return the wheel speeds sent, as the host knows them, and the true ones, (2, N) each, left
-    and right [length unit/s].
+    """Compute the wheel speeds to send; see `rolling.wish` for the arguments up to `sent`.
 
-    The arguments up to `sent` are those of `rolling.wish`; what is sent is also noted in `sent`.
+    The speeds that are sent are also recorded in `sent`.
+
+    Args:
+        heading: Measured headings [rad], shape (N,).
+        u: Directions [rad], shape (N,).
+        since_ns: Time of the measurement.
+        acts_ns: When the command takes effect.
+        robots: What the host knows of the robots.
+        sent: The rates sent so far.
+        trains: The wheels.
+
+    Returns:
+        The speeds as the host knows them, and the true ones, left and right (2, N) each [length
+        unit/s].
     """
     wished = _wish(heading, u, since_ns, acts_ns, robots, sent)
     if robots.lag_s > 0:

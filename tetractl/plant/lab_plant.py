@@ -38,7 +38,7 @@ from tetractl.tools.worker import WAITING_MAX
 
 
 class RigSection(LabSection):
-    """A lab whose camera and actuator, real or emulated, work together in a rig."""
+    """A lab whose camera and actuator, real or emulated, are used together in one `Rig`."""
 
     def clock(self) -> Clock:
         """Return the host's monotonic clock."""
@@ -52,24 +52,31 @@ class RigSection(LabSection):
         supervision: LabSupervision | None = None,
         chosen: bool = False,
     ) -> Rig:
-        """Return the rig of one trial or command; no device is opened yet.
+        """Create the connected lab of one trial or command. No device is opened yet.
 
-        An emulated lab needs `seed`, and `chosen`: whether the robots are still to be found.
+        Args:
+            setup: The constants of the experiment.
+            clock: The clock of the run.
+            seed: Seed of an emulated lab.
+            supervision: How people supervise the run. None if nobody does.
+            chosen: Whether the robots are still to be found. Only an emulated lab uses it.
         """
         return build_rig(self, setup, clock, supervision.emergency if supervision else None)
 
     def require_calibratable(self) -> None:
-        """Raise UsageError if the camera does not show the robots that the actuator drives, so that
-        no calibration can measure them."""
+        """Check that the camera shows the robots that the actuator drives.
+
+        Otherwise no calibration can measure them, and UsageError is raised.
+        """
 
     def plant(self, rig: Rig, supervision: LabSupervision) -> "LabPlant":
-        """Return the plant of a rig."""
+        """Return the plant for a connected lab."""
         return LabPlant(rig, supervision, self.type)
 
     def build(
         self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
     ) -> "LabPlant":
-        """Return the plant of one trial; nothing is opened yet."""
+        """Create the plant of one trial, without opening it; see `PlantSection.build`."""
         return self.plant(self.rig(setup, clock, seed, supervision), supervision)
 
 
@@ -80,13 +87,17 @@ class LabPlantSection(RigSection):
 
 
 RECENT = 600
-"""Number of frames, of some seconds, of which one is the last of robots that cannot stand."""
+"""Number of frames kept, a few seconds.
+
+One of them is the last of robots that cannot stand still.
+"""
 
 
 class LabFrames:
-    """Reads the frames of a rig: `newest` is the last one that was read, None before the first.
+    """Reads the frames of a connected lab.
 
-    The robots' paths are checked frame by frame; those of lost robots are left out.
+    `newest` is the last frame that was read, None before the first. The robots' paths are checked
+    frame by frame. The paths of lost robots are left out.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -134,8 +145,9 @@ class LabFrames:
         return min(self._recent, key=lambda frame: abs(frame.sampled_ns - t_ns))
 
     def _observation(self, accepted: AcceptedFrame) -> Observation:
-        """Return the observation of a frame, the next after all before, with headings unwrapped
-        relative to the last ones. A robot that has had no pose so far counts as being at its start.
+        """Convert the next frame to an observation, with headings unwrapped relative to the last.
+
+        A robot that has had no pose so far counts as being at its start.
         """
         starts = self._rig.setup.starts
         x = starts.x.copy()
@@ -159,8 +171,9 @@ class LabFrames:
 
 
 class LabPlant:
-    """A `Plant` of the robots of a lab, `kind` is the type of its section; after a fault every call
-    raises AbortError with the reason.
+    """The robots of a lab, as a `Plant`.
+
+    `kind` is the type of its section. After a fault, every call raises AbortError with the reason.
     """
 
     def __init__(self, rig: Rig, supervision: LabSupervision, kind: str = "lab") -> None:
@@ -233,8 +246,9 @@ class LabPlant:
         return sent
 
     def samples(self) -> list[Sample]:
-        """Return every camera frame since the last call, oldest first; the first call after
-        `settle` ends with the frame that its verdict's final poses are from.
+        """Return every camera frame since the last call, oldest first.
+
+        The first call after `settle` ends with the frame that has the verdict's final poses.
         """
         if not self._settled:
             self._take_frames()
@@ -244,8 +258,10 @@ class LabPlant:
         return samples
 
     def news(self) -> list[Command | Note]:
-        """Return every transmission not returned by `send`, and every warning, since the last
-        call."""
+        """Return every warning, and every transmission that `send` did not return.
+
+        It returns what is new since the last call.
+        """
         warnings = [Note(t_ns, "warning", text) for t_ns, text in self.rig.loop.warnings()]
         events: list[Command | Note] = [
             *self._notes,
@@ -302,8 +318,7 @@ class LabPlant:
     # ---- frames ----
 
     def _take_frames(self) -> None:
-        """Read the frames that the guard has accepted since the last call, and report the robots
-        that are lost by them."""
+        """Read the frames that the guard has newly accepted, and report lost robots."""
         samples = self._frames.read()
         self._samples += samples
         watch = self._watch
@@ -322,8 +337,9 @@ class LabPlant:
         return camera.watch(self.setup, self.rig.limits) if watches else None
 
     def _take_losses(self, watch: RobotWatch, now: int) -> None:
-        """Report the robots that count as lost to the guard; if the spec requires that, another
-        body replaces a robot that has been lost for long enough.
+        """Report the robots that count as lost to the guard.
+
+        If the spec requires it, another body replaces a robot that has been lost for long enough.
         """
         losses = tuple(watch.lost())
         if losses:
@@ -343,8 +359,10 @@ class LabPlant:
                 self._notes.append(Note(now, "warning", f"{self.setup.names[i]} {what}"))
 
     def _final(self) -> Poses:
-        """Return the final poses: at rest or, if the robots swim on, the poses in the frame whose
-        exposure is nearest to the time of the stop.
+        """Return the final poses.
+
+        They are the poses at standstill. For robots that swim on, they are the poses in the frame
+        with an exposure nearest to the time of the stop.
         """
         newest = self._frames.newest
         if newest is None:
@@ -373,7 +391,10 @@ class LabPlant:
         return wait_for_rest(self.rig, self._supervision.cancelled)
 
     def _refused(self, error: AbortError) -> AbortError:
-        """Return why a run does not start. Robots that move are stopped before, and named."""
+        """Return the reason why a run does not start.
+
+        Robots that move are stopped first, and named.
+        """
         if not (self.rig.actuator.halts and drifting_robots(self.rig)):
             return error
         self._halt()
@@ -381,8 +402,9 @@ class LabPlant:
         return AbortError(joined(error.message, self._come_to_rest().unrest), error.hint)
 
     def _check_pause(self, when: str) -> bool:
-        """Abort if a robot was seen to move in a pause as no command does, or once all have stood
-        for `REST_NS`; return whether it aborted.
+        """Abort if a robot moved during a pause without a command, and return whether it aborted.
+
+        A robot that moves after all robots have stood still for `REST_NS` also counts.
         """
         guard = self.rig.loop.guard
         if not (self._stopped_ns and self.rig.actuator.halts and guard.state is GuardState.READY):

@@ -1,11 +1,11 @@
 """The independent random streams of one simulated trial.
 
-A stream depends on the trial's seed and on its own number alone, so what one part of a simulation
-draws never changes what another part draws.
+A stream depends only on the trial's seed and on its own number. Whatever one part of a simulation
+samples therefore never changes what another part samples.
 
-The numbers are part of the result, and so is the order in which a part draws from its stream: if
-either changes, the same seed gives another trial, and logs written before no longer verify. A new
-stream gets a new number; a number is never used again.
+The numbers are part of the result, and so is the order in which a part samples from its stream. If
+either changes, the same seed gives another trial, and older logs can no longer be verified. A new
+stream gets a new number, and a number is never used again.
 """
 
 from enum import IntEnum
@@ -22,9 +22,11 @@ class RandomStream(IntEnum):
     CAMERA = 0
     """Errors of the measured poses: for each frame N of x, then N of y, then N of the heading."""
     HEADINGS = 1
-    """Random walk of the headings: N for each frame; of robots on wheels N for each sample."""
+    """Random walk of the headings: N numbers for each frame, or for each sample if robots have
+    wheels.
+    """
     RADIO = 2
-    """Lost commands: N for each transmission, but none for a stop."""
+    """Lost commands: N numbers for each transmission, except for a stop."""
     PARAMETERS = 3
     """Errors of the true parameters, once a trial: N of the turning rate a, then N of the speed."""
     DISTURBANCES = 4
@@ -32,8 +34,11 @@ class RandomStream(IntEnum):
     TRIAL_ROBOTS = 1000
     """What finds the robots of a trial, see `tetractl.spec.trial_robots`, once a trial."""
     BODIES = 2**32 - 1
-    """What is constant in a trial and no parameter: of wheels gains, dead zones and radii; of cells
-    all properties, then the noise of their swimming."""
+    """What is constant in a trial but no parameter.
+
+    For wheels: gains, dead zones and radii. For cells: all properties, then the noise of their
+    swimming.
+    """
 
 
 def generator(seed: np.random.SeedSequence, number: int) -> np.random.Generator:

@@ -13,11 +13,10 @@ from tetractl.spec.disturbance import Disturbance, overriding
 
 
 class SimCamera:
-    """A camera of N robots; disturbances change, delay and lose its frames. `random` draws the
-    noise.
+    """A simulated camera of N robots. Disturbances change, delay and lose its frames.
 
     A frame goes through `expose`, when it is taken, `receive`, when it reaches the host, and
-    `samples`, when the host reads it.
+    `samples`, when the host reads it. `random` is the generator of the noise.
     """
 
     def __init__(
@@ -42,8 +41,12 @@ class SimCamera:
         self._last_arrival_ns = 0  # when that frame arrives [ns]
 
     def expose(self, times_ns: Times, truth: Floats) -> None:
-        """Expose the next F frames at the times (F,) [ns], with the robots at x, y, heading `truth`
-        (F, 3, N)."""
+        """Expose the next F frames.
+
+        Args:
+            times_ns: Times of exposure [ns], shape (F,).
+            truth: x, y and heading of the robots at these times, shape (F, 3, N).
+        """
         measured = truth
         if self._noise.any():
             measured = truth + self._noise * self._random.standard_normal(truth.shape)
@@ -64,7 +67,7 @@ class SimCamera:
 
     @property
     def arriving_ns(self) -> int | None:
-        """The time when the next frame reaches the host [ns], None if none is on its way."""
+        """When the next frame reaches the host [ns]. None if no frame is on its way."""
         return self._coming[0].observation.received_ns if self._coming else None
 
     def receive(self, until_ns: int) -> None:

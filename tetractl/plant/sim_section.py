@@ -29,8 +29,10 @@ from tetractl.spec.registry_fields import KindName, KindSection
 from tetractl.spec.yaml.problems import Loc
 
 POSES_MAX = 2_000_000
-"""Largest number of true poses in a control period, all robots together; they are kept in memory
-until the period ends."""
+"""Maximum number of true poses in a control period, for all robots together.
+
+They are kept in memory until the period ends.
+"""
 
 
 class MeasurementNoise(Model):
@@ -46,93 +48,116 @@ class WheelDriveSection(Model):
     """Wheels that carry out the direction; the defaults describe ideal wheels."""
 
     rate: Positive | None = None
-    """Transmissions per second under a held direction [Hz]. Each new direction is sent at once; by
-    default there are no further transmissions.
+    """Transmissions per second while a direction is held [Hz].
+
+    Each new direction is sent at once. By default, there are no further transmissions.
     """
     recompute: bool = True
-    """Whether the host computes the wheel speeds of each transmission from the newest frame;
-    otherwise it repeats the wheel speeds of the control step.
+    """Whether the host computes the wheel speeds of each transmission from the newest frame. If
+    not, it repeats the wheel speeds of the control step.
     """
     lead: NonNegative | None = None
-    """The host predicts the headings this time after sending a command [s], and computes its wheel
-    speeds for them; with `wheels.lag`, it predicts the headings in which robots stopped at that
-    time come to rest. By default it uses the measured headings."""
+    """How far ahead the host predicts the headings for which it computes wheel speeds [s], counted
+    from sending the command. With `wheels.lag`, it predicts the headings in which robots would come
+    to a standstill if they were stopped then. By default, it uses the measured headings.
+    """
     count: Positive | None = None
-    """Wheel speed of one count [length unit/s]: speeds are rounded to whole counts, and the
-    rounding error is carried to the next transmission. Not rounded by default."""
+    """Wheel speed of one count [length unit/s].
+
+    Speeds are rounded to whole counts, and the rounding error is carried over to the next
+    transmission. By default, they are not rounded.
+    """
     dead_zone: Annotated[int, Field(ge=0, le=60)] = 0
     """Largest count at which the host assumes that a wheel does not move; needs `count`."""
     dead_zone_error: Annotated[int, Field(ge=0, le=60)] = 0
-    """Largest difference of a wheel's true dead zone from `dead_zone` [counts]; the difference is
-    drawn uniformly from the whole numbers in [-dead_zone_error, dead_zone_error].
+    """Maximum difference between a wheel's true dead zone and `dead_zone` [counts].
+
+    The difference is a whole number, uniform in [-dead_zone_error, dead_zone_error].
     """
     gain_error: Fraction = 0.0
     """Each wheel's true speed is the speed sent times 1 + e, with e uniform in [-gain_error,
-    gain_error], drawn once per trial."""
+    gain_error], sampled once per trial.
+    """
     radius_error: Fraction = 0.0
     """Each robot's true distance from wheel to centre is the spec's times 1 + e, with e uniform in
-    [-radius_error, radius_error], drawn once per trial.
+    [-radius_error, radius_error], sampled once per trial.
     """
     lag: NonNegative = 0.0
     """Time constant with which wheels follow a received command [s]."""
 
 
 class CultureSection(Model):
-    """Simulates the robots as swimming cells with the spec's turning rates and speeds; their other
-    properties are drawn at random, see packages/tetractl-microscope/docs/cells-explained.md. Cells
-    turn by the paper's equation (3), and `heading_noise` is the random walk of their heading.
+    """Simulates the robots as swimming cells with the spec's turning rates and speeds.
+
+    Their other properties are sampled at random; see
+    packages/tetractl-microscope/docs/cells-explained.md. Cells turn by the paper's equation (3),
+    and `heading_noise` is the random walk of their heading.
     """
 
     dipole: NonNegativeAngle = DIPOLE_SD_RAD
     """Standard deviation of the dipole's angle from a cell's axis [rad]."""
     drift: NonNegative = DRIFT_UM_S
-    """Speed of the medium's flow [um/s]; its direction is drawn once per trial."""
+    """Speed of the medium's flow [um/s]. Its direction is sampled once per trial."""
     walls: bool = True
     """Whether the arena's edges are walls, along which cells slide."""
 
 
 class SimSection(PlantSection):
-    """A simulated plant in virtual time. All disturbances are off by default, and depend only on
-    the trial's seed."""
+    """A simulated plant in virtual time.
+
+    All disturbances are off by default, and depend only on the trial's seed.
+    """
 
     simulated: ClassVar[bool] = True
     switches_field: ClassVar[bool] = True
     type: Literal["sim"] = "sim"
     motion: Annotated[str, KindName(MOTIONS)] = "exact"
-    """By equations of the paper: `exact` follows (1)-(3); `euler` moves by (4)-(6), on
-    straight chords. Ignored with `drive`."""
+    """The true motion.
+
+    `exact` follows the paper's equations (1)-(3). `euler` moves by (4)-(6), on straight chords.
+    Ignored with `drive`.
+    """
     drive: WheelDriveSection | None = None
-    """Wheels by which robots turn towards the direction; by default robots turn by the paper's
-    equation (3), without wheels. Needs the experiment's field `wheels`."""
+    """Wheels with which robots turn towards the direction.
+
+    By default, robots turn by the paper's equation (3), without wheels. Needs the experiment's
+    field `wheels`.
+    """
     cells: CultureSection | None = None
-    """Simulates swimming cells in place of points that move by `motion`, which is then ignored."""
+    """Simulates swimming cells instead of points that move by `motion`, which is then ignored."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
     """Rate of measurements [Hz]."""
     truth_rate: float = Field(default=960.0, ge=1, le=100_000, allow_inf_nan=False)
-    """Sampling rate of the true path, by which errors and obstacle violations are computed [Hz]; at
-    least the camera rate."""
+    """Sampling rate of the true path, from which errors and obstacle violations are computed [Hz].
+
+    It is at least the camera rate.
+    """
     measurement_noise: MeasurementNoise = MeasurementNoise()
     """Standard deviations of the camera's noise."""
     heading_noise: NonNegative = 0.0
     """Random walk of the true heading of robots that move [rad/sqrt(s)]."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """Time from the exposure of the frame used for a command or stop until the robots act on it
-    [s], as in `controller.dead_time`; a command sent after this time acts at once. Delays of
-    `drive` and `disturbances` are added."""
+    [s], as in `controller.dead_time`. A command that is sent later acts at once. Delays of `drive`
+    and `disturbances` are added.
+    """
     lost_commands: Fraction = 0.0
-    """Probability that a robot does not receive a command and keeps following the previous one,
-    until a watchdog (`wheels.watchdog`) stops it."""
+    """Probability that a robot does not receive a command.
+
+    It then keeps following the previous one, until a watchdog (`wheels.watchdog`) stops it.
+    """
     a_error: Fraction = 0.0
     """The true turning rate a is the spec's times 1 + e, with e uniform in [-a_error, a_error],
-    drawn once per trial and robot."""
+    sampled once per trial and robot.
+    """
     speed_error: Fraction = 0.0
     """The true speed is the spec's times 1 + e, with e uniform in [-speed_error, speed_error],
-    drawn once per trial and robot.
+    sampled once per trial and robot.
     """
     disturbances: tuple[
         Annotated[DisturbanceSection, KindSection(DISTURBANCES, DisturbanceSection)], ...
     ] = Field(default=(), max_length=100)
-    """Further disturbances, each applied to the result of the one before."""
+    """Further disturbances. Each is applied to the result of the previous one."""
 
     def clock(self) -> Clock:
         """Return a new virtual clock."""
@@ -141,7 +166,7 @@ class SimSection(PlantSection):
     def build(
         self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
     ) -> Plant:
-        """Return the simulation of one trial."""
+        """Create the simulation of one trial; see `PlantSection.build`."""
         make: Callable[..., Plant] = resolve_name("tetractl.plant.simulation:SimPlant")
         return make(self, setup, clock, seed)
 

@@ -1,23 +1,22 @@
-"""The simulated plant: robots that move in continuous virtual time, a camera that sees them, a
-radio that reaches them, and disturbances.
+"""The simulated plant: robots in continuous virtual time, a camera, a radio, and disturbances.
 
-Nothing happens between calls. Each call first advances the true motion to the clock's time, and
-time passes only where the clock is slept on: by the caller from one control step to the next, here
-while a command is planned and while the robots come to rest.
+Nothing happens between calls. Each call first advances the true motion to the clock's time. Time
+passes only while somebody sleeps on the clock: the caller from one control step to the next, and
+this plant while a command is planned and while the robots come to a standstill.
 
     SimPlant             what a host sees of the plant: frames, commands, verdict
       SimCamera          exposes frames of the true poses, which reach the host later
-      CommandSender        sends commands to the robots, the held one again amid the motion
+      CommandSender        sends commands to the robots, and repeats the held one
         SimHost          computes the wheel speeds of robots on wheels
       Transit            the commands in flight
       TrueMotion         moves the robots from event to event
         Drive            how they move: DirectDrive, WheelDrive or CellDrive
-        Watchdogs        stop robots that hear nothing
+        Watchdogs        stop robots that receive nothing
         MotionDisturbances
         PathCheck        checks the true path against obstacles, walls and other robots
 
-`SimSection` has the fields of the spec, `RandomStream` the random streams: a trial depends on its
-spec and seed alone.
+`SimSection` has the fields of the spec, `RandomStream` the random streams. A trial depends only on
+its spec and seed.
 """
 
 import json
@@ -53,8 +52,19 @@ def draw_robots(
     disturbances: Sequence[Disturbance],
     random: np.random.Generator,
 ) -> tuple[Floats, Floats, Poses]:
-    """Return the true turning rates a [rad/s], speeds [length unit/s] and start poses of the spec's
-    robots: with their errors, as the disturbances change them further."""
+    """Sample the true properties of the robots.
+
+    The spec's values are changed first by their errors and then by the disturbances.
+
+    Args:
+        settings: The section of the simulation.
+        setup: The constants of the experiment.
+        disturbances: The disturbances of the trial.
+        random: The random generator.
+
+    Returns:
+        Turning rates a [rad/s], speeds [length unit/s] and start poses.
+    """
     robots = len(setup.names)
     # in this order: it is part of the result
     a = setup.a * (1 + settings.a_error * random.uniform(-1, 1, robots))
@@ -74,8 +84,18 @@ def build_drive(
     starts: Poses,
     seed: np.random.SeedSequence,
 ) -> Drive:
-    """Return what moves the robots: wheels or cells if the spec has them, else its motion. `a` and
-    `speed` (N,) are the true ones, before they vary. A trial imports only the drive that it has."""
+    """Create what moves the robots: wheels or cells if the spec has them, else the spec's motion.
+
+    A trial imports only the drive that it uses.
+
+    Args:
+        settings: The section of the simulation.
+        setup: The constants of the experiment.
+        a: True turning rates before they vary [rad/s], shape (N,).
+        speed: True speeds before they vary [length unit/s], shape (N,).
+        starts: Poses at the start.
+        seed: Seed of the trial's random streams.
+    """
     if settings.drive is not None:
         from tetractl.plant.wheel_drive import WheelDrive
 
@@ -89,11 +109,11 @@ def build_drive(
 
 
 class SimPlant:
-    """A `Plant` of simulated robots; `seed` determines all that is random.
+    """Simulated robots, as a `Plant`. `seed` determines everything random.
 
-    Order of calls: `open` exposes the first frame; then `observe` and `send` for each control step,
-    `samples` and `news` at any time; `stop` once, and `settle` after it. Its public attributes are
-    for those that look at the truth; nothing changes them from outside.
+    Calls come in this order: `open` exposes the first frame; then `observe` and `send` for each
+    control step, and `samples` and `news` at any time; `stop` once, and `settle` after it. The
+    public attributes are for code that needs the truth. Nothing changes them from outside.
     """
 
     def __init__(
@@ -175,11 +195,11 @@ class SimPlant:
         return self._newest_frame()
 
     def send(self, action: Action) -> Command:
-        """Let the planning time pass, then send an action to every robot; a stop is repeated until
-        every robot has received it.
+        """Let the planning time pass, then send an action to every robot.
 
-        The command answers the frame on which it was planned. But robots on wheels have a host that
-        computes their wheel speeds at the moment of sending, by the newest frame.
+        A stop is repeated until every robot has received it. The command answers the frame that it
+        was planned on. However, the host of robots on wheels computes their wheel speeds at the
+        moment of sending, from the newest frame.
         """
         planned_on = self.observe()
         self._let_planning_time_pass()
@@ -247,7 +267,7 @@ class SimPlant:
             self._catch_up()
 
     def _let_planning_time_pass(self) -> None:
-        """Sleep for as long as disturbances say that planning takes; none takes no time."""
+        """Sleep as long as planning takes according to the disturbances, by default not at all."""
         now_ns = self.clock.now()
         planning_s = sum(
             disturbance.planning_s(now_ns / SECOND) for disturbance in self.disturbances

@@ -11,8 +11,10 @@ from tetractl.core.poses import Bools, Times
 TIMES_BLOCK_NS = 4 * SECOND
 """The timetable is laid out for so long in advance [ns]."""
 SPARE_NS = SECOND
-"""A block goes on for so long after its end [ns], so that it has a next time: rates are 1 Hz and
-more."""
+"""A block continues for this long after its end [ns], so that it always has a next time.
+
+Rates are at least 1 Hz.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +36,9 @@ class DueTimes:
 
 
 class Timetable:
-    """The times of frames and of samples: each k / rate [ns] with k = 0, 1, 2, ...
+    """The times of frames and samples, each k / rate [ns] with k = 0, 1, 2, ...
 
-    The times are taken in order, each once.
+    The times are taken in order, and each only once.
     """
 
     def __init__(self, camera_hz: float, truth_hz: float) -> None:

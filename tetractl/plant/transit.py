@@ -1,4 +1,4 @@
-"""Commands on their way to simulated robots, and the watchdogs of robots that hear none."""
+"""Commands on their way to simulated robots, and the watchdogs of robots that receive none."""
 
 import math
 from bisect import insort
@@ -13,10 +13,10 @@ from tetractl.spec.disturbance import DelayedCommand, Disturbance, overriding
 
 
 class Transit:
-    """The commands in flight to N robots, in the order in which they act.
+    """The commands in flight to N robots, in the order in which they take effect.
 
-    Commands to one robot do not overtake each other: one that would act before the command sent
-    before it acts together with it.
+    Commands to one robot do not overtake each other: a command that would take effect before the
+    previous one takes effect together with it.
     """
 
     def __init__(self, robots: int, disturbances: Sequence[Disturbance]) -> None:
@@ -31,7 +31,7 @@ class Transit:
 
     @property
     def next_ns(self) -> int:
-        """The time when the next command acts [ns], NEVER for none."""
+        """When the next command takes effect [ns]. NEVER if there is none."""
         return self._in_flight[0].due_ns if self._in_flight else NEVER
 
     def send(self, command: DelayedCommand, now_ns: int) -> DelayedCommand:
@@ -51,7 +51,7 @@ class Transit:
         return self._in_flight.pop(0)
 
     def _add_by_robot(self, command: DelayedCommand, now_ns: int) -> None:
-        """Add a command in parts, one for each time at which it acts on some of the robots."""
+        """Split a command into parts, one for each time at which it reaches some of the robots."""
         robots = len(self._last_ns)
         late_ns = [0] * robots if command.late_ns is None else command.late_ns.tolist()
         self._last_ns = [
@@ -65,10 +65,10 @@ class Transit:
 
 
 class Watchdogs:
-    """Stop each of N robots that has heard nothing for `timeout_s`; inf for no watchdogs.
+    """Watchdogs that stop each of N robots that has received nothing for `timeout_s`.
 
-    The watchdog of a robot that has heard a stop, or has stopped itself, rests until the robot's
-    next command.
+    `timeout_s` is inf if robots have no watchdogs. After a stop, the robot's own or a received one,
+    its watchdog is inactive until the robot's next command.
     """
 
     def __init__(self, robots: int, timeout_s: float) -> None:
@@ -91,7 +91,7 @@ class Watchdogs:
         self.next_ns = min(self._expire_ns)
 
     def stop(self, now_ns: int) -> DelayedCommand:
-        """Return the stop that robots give themselves whose watchdog expires `now_ns`."""
+        """Return the stop of all robots whose watchdog expires at this time."""
         expired = np.array(self._expire_ns) == now_ns
         still = np.zeros((2, expired.size))
         return DelayedCommand(now_ns, now_ns, Stop(), expired, wheels=still)

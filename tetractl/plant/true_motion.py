@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 UNCHECKED_MAX = 200
 """Number of parts of the path that are kept until they are checked together, which is quicker."""
 NO_POSES = np.empty((0, 3, 0))
-"""The poses of a step in which none is needed."""
+"""The poses of a step in which no pose is needed."""
 
 
 class Drive(Protocol):
@@ -45,13 +45,16 @@ class Drive(Protocol):
 
     @property
     def host(self) -> "SimHost | None":
-        """What computes the wheel speeds that are sent; None if the direction itself is sent."""
+        """The host that computes wheel speeds. None if the direction itself is sent."""
         ...
 
     @property
     def sampled(self) -> bool:
-        """Whether the path is summed up from sample to sample, so that it depends on the times at
-        which it is computed; otherwise it is known in closed form at any time."""
+        """Whether the path is integrated from sample to sample.
+
+        Such a path depends on the times at which it is computed. Otherwise, it is known in closed
+        form at any time.
+        """
         ...
 
     @property
@@ -69,26 +72,35 @@ class Drive(Protocol):
 
     @property
     def gains(self) -> Floats:
-        """By how much the robots' bodies change a and speed, a row each, (2, N): motors of another
-        gain, wheels farther apart than the spec says."""
+        """Factors by which the robots' bodies change a and speed, one row each, (2, N).
+
+        For example, motors have another gain, or wheels are further apart than the spec says.
+        """
         ...
 
     @property
     def commanded(self) -> Floats:
-        """1 for robots whose last command moves them, 0 for others, (N,)."""
+        """1 for robots that move after their last command, 0 for others, (N,)."""
         ...
 
     @property
     def moving(self) -> Floats:
-        """1 for robots that move, 0 for robots that stand, (N,): a robot that is commanded to move
-        stands if it is not able to."""
+        """1 for robots that move, 0 for robots that stand still, (N,).
+
+        A robot that is commanded to move stands still if it cannot move.
+        """
         ...
 
     def advance(self, since_ns: int, times_ns: Times, samples: Bools) -> Floats:
-        """Move the robots from `since_ns`, the present time, to the last of the times (M,) [ns];
-        return x, y, heading at each of them, (M, 3, N).
+        """Move the robots, and return their poses at given times.
 
-        `samples` (M,) is True for times at which the true path is sampled.
+        Args:
+            since_ns: The present time [ns].
+            times_ns: Times of the poses [ns], shape (M,). The robots move until the last of them.
+            samples: Whether the true path is sampled at each time, shape (M,).
+
+        Returns:
+            x, y and heading, shape (M, 3, N).
         """
         ...
 
@@ -97,8 +109,10 @@ class Drive(Protocol):
         ...
 
     def vary(self, a: Floats, speed: Floats) -> None:
-        """Change the true turning rates a [rad/s] and speeds [length unit/s] from now on, (N,)
-        each; a robot with a = 0 and speed 0 stands."""
+        """Change the true turning rates a [rad/s] and speeds [length unit/s], shape (N,) each.
+
+        The change applies from now on. A robot with a = 0 and speed 0 stands still.
+        """
         ...
 
 
@@ -124,8 +138,10 @@ class MotionDisturbances:
         """Whether there is any such disturbance."""
 
     def act(self, drive: Drive, now_ns: int) -> None:
-        """Move the robots by what happened since the last time, and vary a and speed from now on;
-        do nothing if that has been done for `now_ns`."""
+        """Move the robots by what happened since the last call, and vary a and speed from now on.
+
+        If this has already been done for `now_ns`, nothing happens.
+        """
         if now_ns == self._acted_ns:
             return
         seconds = (now_ns - max(self._acted_ns, 0)) / SECOND
@@ -135,8 +151,11 @@ class MotionDisturbances:
             self._vary(drive, now_ns / SECOND)
 
     def _move(self, drive: Drive, seconds: float, time_s: float) -> None:
-        """Move the robots. A robot that a disturbance itself holds still counts for that one as
-        moving while it is commanded to."""
+        """Move the robots.
+
+        If a disturbance itself holds a robot still, the robot counts as moving for that disturbance
+        while it is commanded to move.
+        """
         moving = drive.moving
         commanded = drive.commanded
         for disturbance in self._moving:
@@ -170,19 +189,21 @@ class MotionStep:
     repeats: bool
     """The host transmits again; never together with a command."""
     due: DueTimes | None = None
-    """The M times at which poses are computed, the last one where the robots are then: set by the
-    stage `_move`; stays None if no pose is needed yet."""
+    """The M times at which poses are computed; the last one is the robots' present time.
+
+    The stage `_move` sets it. It stays None if no pose is needed yet.
+    """
     poses: Floats = field(default_factory=lambda: NO_POSES)
     """x, y, heading at these times, (M, 3, N)."""
 
 
 class TrueMotion:
-    """Moves N robots in continuous time, exposes the camera's frames and `check`s the true path.
+    """Moves N robots in continuous time, exposes the camera's frames, and checks the true path.
 
-    Commands for the robots are sent into `transit`. When the host transmits again, `sender` does;
-    `repeated` are the commands that it has sent so. The headings of robots that move take a step
-    of a random walk at each frame: of the standard deviation `walk_rad` [rad], 0 for none, drawn
-    from `walking`.
+    Commands for the robots are sent into `transit`. When the host transmits again, `sender` does
+    so; `repeated` holds these commands. At each frame, the headings of moving robots take a step of
+    a random walk with the standard deviation `walk_rad` [rad], sampled from `walking`. 0 means no
+    random walk.
     """
 
     def __init__(
@@ -239,7 +260,8 @@ class TrueMotion:
     def _next_step(self, until_ns: int) -> MotionStep:
         """Return the step to the next event, or to `until_ns`.
 
-        Of what is due at the same time, a command comes first, then a watchdog, then the host.
+        If several events are due at the same time, a command comes first, then a watchdog, then the
+        host.
         """
         frame_ns = self.timetable.next_frame_ns
         end_ns = min(until_ns, self._sender.repeats_ns, self._watchdogs.next_ns)
@@ -284,7 +306,11 @@ class TrueMotion:
             step.poses[-1] = poses.x, poses.y, poses.heading
 
     def _record(self, step: MotionStep) -> None:
-        """Add the part to the path; WrongValueError if no log can hold it."""
+        """Add the part to the path.
+
+        Raises:
+            WrongValueError: If no log can hold it.
+        """
         if step.due is None:
             return
         poses = step.poses
@@ -302,13 +328,12 @@ class TrueMotion:
             self._unchecked = []
 
     def verdict(self) -> Verdict:
-        """Return the verdict on the path so far, at whose end the robots are now."""
+        """Return the verdict on the path so far. The robots are at its end now."""
         self._check_path()
         return self._check.verdict(self.drive.poses)
 
     def _expose(self, step: MotionStep) -> None:
-        """Expose the frames that were due in the step, and pass to the host those that have reached
-        it."""
+        """Expose the frames that are due in the step, and pass arrived frames to the host."""
         if step.due is not None:
             frames = step.due.frames.nonzero()[0]
             if frames.size:

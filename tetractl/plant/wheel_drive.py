@@ -1,7 +1,8 @@
-"""Simulated robots on two wheels, as what moves the robots of a trial, with errors drawn at random.
+"""Simulated robots on two wheels, with random errors.
 
-`SimHost` computes the wheel speeds that are sent; `WheelDrive` moves the robots that receive them,
-by the paper's (21)-(23), see `model.wheels`. Wheels lag, gains and radii differ from the spec's.
+`SimHost` computes the wheel speeds that are sent. `WheelDrive` moves the robots that receive them,
+by the paper's (21)-(23); see `model.wheels`. Wheels have a lag, and their gains and radii differ
+from the spec's.
 """
 
 import numpy as np
@@ -61,7 +62,7 @@ class WheelDrive(WheeledRobots):
 
     @property
     def commanded(self) -> Floats:
-        """1 for robots whose last command moves them, 0 for others, (N,)."""
+        """1 for robots that move after their last command, 0 for others, (N,)."""
         return np.where(self.targets.any(axis=0), 1.0, 0.0)
 
     @property
@@ -78,7 +79,7 @@ class WheelDrive(WheeledRobots):
         self._note_moving()
 
     def advance(self, since_ns: int, times_ns: Times, samples: Bools) -> Floats:
-        """Move the robots; return x, y, heading (M, 3, N) at the times (M,) [ns]."""
+        """Move the robots, and return x, y and heading (M, 3, N); see `Drive.advance`."""
         swerves = NOTHING
         if self._walk_rad > 0:
             swerves = self._walking.standard_normal((np.count_nonzero(samples), self._able.size))
@@ -91,6 +92,8 @@ class WheelDrive(WheeledRobots):
         self._note_moving()
 
     def _note_moving(self) -> None:
-        """Note in the robots' `body`, where `roll` reads it, which robots move: a robot moves while
-        it is commanded to and able to drive or to turn."""
+        """Note in the robots' `body`, where `roll` reads it, which robots move.
+
+        A robot moves while it is commanded to and is able to drive or turn.
+        """
         self.body[MOVING] = self.commanded * self._able

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 class SimHost:
-    """Computes the wheel speeds of N robots by equations (24)-(25) at the headings of the newest
-    frame, rounds them to wheel counts, and says when it transmits next.
+    """The host of N robots on wheels: it computes wheel speeds, and decides when it transmits next.
 
-    `random` draws the true gains, then the true dead zones.
+    The speeds follow equations (24)-(25) at the headings of the newest frame, and are rounded to
+    wheel counts. `random` samples first the true gains, then the true dead zones.
     """
 
     def __init__(
@@ -46,8 +46,10 @@ class SimHost:
         self.trains = true_trains(section, robots, random)
         """Wheels as calibrated and in truth."""
         self.gains = np.mean(self.trains.true_gain / self.trains.gain, axis=0)
-        """By how much robots drive and turn faster than sent, (N,); where the two wheels differ,
-        the robot turns on its way, too: its heading bias."""
+        """How much faster robots drive and turn than commanded, as factors (N,).
+
+        If the two wheels differ, the robot also turns while it drives: its heading bias.
+        """
         self.repeats_ns = NEVER
         """The time of the next transmission of the same action [ns]."""
 
@@ -61,11 +63,17 @@ class SimHost:
     def transmit(
         self, now_ns: int, action: Steer | Turn | FieldOff, is_new: bool, frame: Observation
     ) -> tuple[Floats, Floats]:
-        """Return the wheel speeds sent `now_ns` for an action, and schedule the next transmission.
+        """Compute the wheel speeds for an action, and schedule the next transmission.
 
-        Of left and right wheels, (2, N) each [length unit/s]: as the host knows them, by calibrated
-        gains and dead zones, and as the wheels run in truth. `frame` is the newest one received;
-        `is_new` if the action has not been transmitted before.
+        Args:
+            now_ns: The time.
+            action: The action.
+            is_new: Whether it has not been transmitted before.
+            frame: The newest frame received.
+
+        Returns:
+            Speeds of left and right wheels, (2, N) each [length unit/s]: first as the host knows
+            them from calibrated gains and dead zones, then as the wheels really run.
         """
         if self._section.rate is not None:  # as the lab's inner loop does
             due_ns = 0 if self.repeats_ns == NEVER else self.repeats_ns
@@ -93,7 +101,13 @@ class SimHost:
 
 
 def true_trains(section: WheelDriveSection, robots: int, random: np.random.Generator) -> "Trains":
-    """Return the wheels of one trial; nothing is owed yet."""
+    """Sample the wheels of one trial. They have no rounding errors to carry over yet.
+
+    Args:
+        section: The section of the wheels.
+        robots: Number of robots.
+        random: The random generator.
+    """
     from tetractl.plant.drive_kernels import Trains
 
     wheels = (2, robots)

@@ -19,11 +19,15 @@ from tetractl.spec.plant import PlantSection
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How a trial ended, and the estimated time [s] of the remaining trials.
+    """How a trial of a batch ended, with an estimate of the remaining time.
 
-    `result` is None if the trial has no outcome. `failure` is the reason, in one line, why it was
-    aborted or has no result. `left_s` is None until a trial has been timed. `every_arm` is True if
-    a trial of each arm has been timed: those of some take far longer than those of others.
+    Attributes:
+        task: The trial.
+        result: Its result. None if the trial has no outcome.
+        failure: Why it was aborted or has no result, in one line. None if it did not fail.
+        left_s: Estimated time for the remaining trials [s]. None until a trial has been timed.
+        every_arm: Whether a trial of each arm has been timed. The trials of some arms take far
+            longer than those of others.
     """
 
     task: Task
@@ -48,12 +52,12 @@ class RunObserver(Protocol):
 
 @dataclass(slots=True)
 class Report:
-    """The outcome of each trial, by arm and number: a result, or an error if there is none."""
+    """The result of each trial, or its error if it has no result, by arm and index."""
 
     results: dict[tuple[str, int], Result] = field(default_factory=dict)
     errors: dict[tuple[str, int], Exception] = field(default_factory=dict)
     left: int = 0
-    """Number of trials with neither result nor error."""
+    """Number of trials that have neither a result nor an error."""
 
     @property
     def interrupted(self) -> bool:
@@ -67,7 +71,7 @@ class Report:
 
 
 class OnFailure(Enum):
-    """What a run does after a trial that fails: one that is aborted or has no outcome."""
+    """What a run does after a trial fails, that is, after it is aborted or has no outcome."""
 
     GO_ON = "run all other trials"
     GO_ON_IF_CLEAR = "run them after an abort, unless somebody has to touch a robot or a device"
@@ -85,12 +89,12 @@ class OnFailure(Enum):
 
     @classmethod
     def of_batch(cls, plant: PlantSection, keep_going: bool | None = None) -> "OnFailure":
-        """Return what a batch does after a failure.
+        """Decide what a batch does after a failure.
 
         Args:
             plant: The section of the plant.
-            keep_going: Whether it goes on after an abort. By default it does in an emulated lab,
-                where every trial has a lab of its own with robots at their starts.
+            keep_going: Whether the batch continues after an abort. By default, it continues in an
+                emulated lab, where every trial has its own lab, with the robots at their starts.
         """
         if keep_going is None:
             keep_going = plant.type == EMULATED_PLANT and not plant.real_time
@@ -98,7 +102,7 @@ class OnFailure(Enum):
 
 
 class TrialTimes:
-    """The wall time of the trials that have ended, and the number of those left, by arm."""
+    """Wall times of the trials that have ended, and the number of remaining trials, by arm."""
 
     def __init__(self, tasks: Sequence[Task]) -> None:
         self._left = Counter(task.arm for task in tasks)
@@ -106,7 +110,7 @@ class TrialTimes:
         self._spent_s = dict.fromkeys(self._left, 0.0)
 
     def ended(self, arm: str, wall_s: float | None) -> None:
-        """Count a trial of an arm, and its time [s]; None for one without a result."""
+        """Count a trial of an arm, with its wall time [s]. None if it has no result."""
         self._left[arm] -= 1
         if wall_s is not None:
             self._timed[arm] += 1
@@ -118,8 +122,14 @@ class TrialTimes:
         return all(self._timed[arm] for arm in self._left)
 
     def left_s(self, workers: int) -> float | None:
-        """Return how long the trials left take: each the mean of its arm or, where none of the arm
-        has been timed, of all. None before any was."""
+        """Estimate how long the remaining trials take [s]. None before any trial was timed.
+
+        Each trial is expected to take the mean time of its arm. If no trial of the arm has been
+        timed, the mean time of all trials is used.
+
+        Args:
+            workers: Number of trials that run at the same time.
+        """
         if not self._timed:
             return None
         mean_s = sum(self._spent_s.values()) / self._timed.total()

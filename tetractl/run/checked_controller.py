@@ -1,4 +1,4 @@
-"""A controller whose decisions are checked, once, before they are sent and logged."""
+"""A controller with decisions that are checked once, before they are sent and logged."""
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
@@ -27,16 +27,21 @@ NUMBERS_MAX = CHUNK_MAX // 32
 
 
 def build_controller(experiment: Experiment, key: int) -> "CheckedController":
-    """Return the controller of one trial, seeded by `key`; in virtual time, its timer counts
-    work."""
+    """Create the controller of one trial, with `key` as its seed.
+
+    In virtual time, its timer counts the work of searches.
+    """
     work = WorkClock()
     host = ALONE if experiment.plant.real_time else Host(work.wrap, work)
     return CheckedController(experiment.controller, experiment.setup, key, host)
 
 
 class CheckedController:
-    """A `Controller` that `section` builds. One of another package gets a setup of its own, and its
-    plans are copied: what it writes into arrays later changes neither what is sent nor the log."""
+    """The controller that a section builds, with a check of its decisions.
+
+    A controller from another package gets its own setup, and its plans are copied. If it later
+    writes into arrays, neither the commands nor the log change.
+    """
 
     def __init__(
         self, section: ControllerSection, setup: Setup, key: int, host: Host = ALONE
@@ -53,7 +58,11 @@ class CheckedController:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Decision:
-        """Return the decision; WrongValueError for one that cannot be sent and logged."""
+        """Let the controller decide, and check the decision; see `Controller.plan`.
+
+        Raises:
+            WrongValueError: If the decision cannot be sent or logged.
+        """
         decision: Any = self.controller.plan(observation, last_command, earlier)
         try:
             return self._checked(decision)

@@ -26,12 +26,14 @@ TASK_TRIALS_MAX = 200  # largest number of trials in a Dask task, whose logs are
 
 
 class Cluster:
-    """Submits trials to the scheduler at `address`; a context manager. A Dask task holds a few
-    seconds of trials, estimated from previous trials. The scheduler gives the task of a lost worker
-    to another worker, at most three times; then its trials are submitted one by one. Logs are
-    returned with the results, so that workers need no shared folder.
+    """An executor that runs trials on a Dask cluster; a context manager.
 
-    Raises UsageError if no scheduler answers.
+    A Dask task holds a few seconds of trials, estimated from previous trials. If a worker is lost,
+    the scheduler gives its task to another worker, at most three times. Then the trials are
+    submitted one by one. Logs are returned with the results, so workers need no shared folder.
+
+    Raises:
+        UsageError: If no scheduler answers at `address`.
     """
 
     def __init__(self, address: str, interrupt: Interrupt) -> None:
@@ -79,7 +81,7 @@ class Cluster:
 
     @property
     def workers(self) -> int:
-        """The number of trials that run at a time, at least 1; updated every COUNT_S."""
+        """Number of trials that run at the same time, at least 1. It is updated every COUNT_S."""
         now = time.monotonic()
         if now >= self._count_at_s and self._connected:
             with suppress(OSError):  # the connection is lost: `run` raises the error
@@ -89,8 +91,11 @@ class Cluster:
         return self._workers
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
-        """Yield each task with its result or error, in the order in which the tasks end; AbortError
-        once the scheduler is gone."""
+        """Yield each task with its result or error, in the order in which the tasks end.
+
+        Raises:
+            AbortError: Once the scheduler is gone.
+        """
         # `alone` are tasks of lost Dask tasks, to be submitted one by one
         waiting = deque(tasks)
         alone = deque[Task]()
@@ -147,8 +152,10 @@ class Cluster:
     def _found(
         self, submitted: Sequence[tuple[Task, Path]], future: Any
     ) -> list[Finished | Exception] | None:
-        """Save the logs of a Dask task; return each trial's result or error. Return None if the
-        task has several trials and every worker that ran it was lost."""
+        """Save the logs of a Dask task, and return each trial's result or error.
+
+        The result is None if the task has several trials and every worker that ran it was lost.
+        """
         from distributed import KilledWorker
 
         outcomes: list[tuple[Finished | Exception, bytes | None]] = []
@@ -172,10 +179,15 @@ class Cluster:
 
 
 def chunk_size(mean_s: float | None, waiting: int, window: int) -> int:
-    """Return the number of trials for a Dask task, from their mean time [s].
+    """Choose the number of trials in a Dask task.
 
-    The number falls with the number of trials `waiting`, so that `window` tasks run until the end;
-    it is 1 as long as the mean time is unknown.
+    Near the end, the number falls, so that `window` tasks run until the end. As long as the mean
+    time is unknown, it is 1.
+
+    Args:
+        mean_s: Mean time of a trial [s]. None if unknown.
+        waiting: Number of trials that wait.
+        window: Number of Dask tasks that are submitted at the same time.
     """
     if mean_s is None:
         return 1

@@ -71,7 +71,7 @@ from enum import Enum
 from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.commands import Command, Stop, Turn
 from tetractl.core.errors import TetractlError, text_of
-from tetractl.core.losses import told_dead
+from tetractl.core.losses import describe_dead
 from tetractl.core.plan import PAUSE_S, Decision, End, Outcome, Plan
 from tetractl.core.poses import Observation, Sample
 from tetractl.core.protocols import Controller, Observer, Plant
@@ -126,8 +126,11 @@ class StepPacing:
 
 
 class FrameIntake:
-    """Takes camera frames from the plant: each goes to the observers once, and once to the
-    controller unless it is the newest of a step."""
+    """Takes camera frames from the plant and passes them on.
+
+    Each frame goes to the observers once. It also goes to the controller once, unless it is the
+    newest frame of a step.
+    """
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
@@ -147,8 +150,10 @@ class FrameIntake:
         return samples
 
     def take_between(self, before: Observation, now: Observation) -> list[Observation]:
-        """Return the frames exposed between those of two steps, oldest first; forget them, and keep
-        the ones that are newer."""
+        """Return the frames exposed between those of two steps, oldest first.
+
+        They are forgotten afterwards. Newer frames are kept.
+        """
         self.take()
         frames = self._unplanned
         self._unplanned = [frame for frame in frames if frame.sampled_ns > now.sampled_ns]
@@ -175,15 +180,17 @@ class RobotMotion(Enum):
 
     @classmethod
     def of(cls, plan: Plan) -> "RobotMotion":
-        """Return what the robots do by a plan."""
+        """Return what the robots do under a plan."""
         if not plan.pauses:
             return cls.DRIVE
         return cls.TURN if isinstance(plan.action, Turn) else cls.STAND
 
 
 def motion_text(before: RobotMotion, now: RobotMotion) -> str:
-    """Return what is reported when robots begin to turn on the spot or to pause; "" for nothing. A
-    pause right after a turn is none of its own."""
+    """Return the message when robots begin to turn on the spot or to pause, or "" for no message.
+
+    A pause right after a turn is not reported.
+    """
     if now is RobotMotion.TURN and before is not RobotMotion.TURN:
         return TURNING_TEXT
     if now is RobotMotion.STAND and before in (RobotMotion.NOT_BEGUN, RobotMotion.DRIVE):
@@ -202,8 +209,15 @@ class LoopEnd:
 
 @dataclass(frozen=True, slots=True)
 class Halt:
-    """How the robots were stopped: the stop, the verdict on where they came to rest, the last
-    frames, the plant's last commands and notes, and an `error` if something failed."""
+    """How the robots were stopped at the end of a trial.
+
+    Attributes:
+        stop: The stop that was sent.
+        verdict: Where the robots came to a standstill.
+        samples: The last camera frames.
+        events: The last commands and notes of the plant.
+        error: What failed. None if nothing did.
+    """
 
     stop: Command
     verdict: Verdict
@@ -215,8 +229,14 @@ class Halt:
 def how_it_ended(
     loop: LoopEnd, halt: Halt, fault: PluginTrialError | None, dead: str
 ) -> tuple[Outcome, str]:
-    """Return outcome and reason of a trial, by the list at the head of this module. `fault` is
-    the first error if the spec uses plug-ins, `dead` which robots do not move, "" for none."""
+    """Determine the outcome and the reason of a trial, by the list in the module's docstring.
+
+    Args:
+        loop: How the control loop ended.
+        halt: How the robots were stopped.
+        fault: The first error of a plug-in. None if there was none.
+        dead: Which robots do not move. Empty if all do.
+    """
     error = loop.error or halt.error
     if error is not None:
         why = fault.message if fault else message_of(error)
@@ -228,15 +248,15 @@ def how_it_ended(
 
 
 def message_of(error: BaseException) -> str:
-    """Return what an error says, with its type if it is no TetractlError."""
+    """Return the message of an error, with its type unless it is a TetractlError."""
     return error.message if isinstance(error, TetractlError) else text_of(error)
 
 
 class Trial:
-    """One trial, which runs once.
+    """One trial, which can be run once.
 
-    The plant's description is added to `start` when the plant is opened. `stated` is what the spec
-    states of the robots, None if a wrong value is not to be reported.
+    The plant's description is added to `start` when the plant is opened. `stated` holds the values
+    of the spec that estimates can contradict. It is None if wrong values should not be reported.
     """
 
     def __init__(
@@ -268,11 +288,11 @@ class Trial:
     # ---- the trial ----
 
     def run(self) -> Result:
-        """Run the trial by the decisions of its controller, and return its result.
+        """Run the trial under its controller, and return the result.
 
         After any end or error, the robots are stopped first. A TetractlError or an interruption
-        becomes the outcome, and so does any exception of a plug-in, even one that would end Python;
-        another exception is raised again after the observers were called with the result.
+        becomes the outcome. So does any exception of a plug-in, even one that would end Python. Any
+        other exception is raised again after the observers have received the result.
         """
         try:
             info = self._plant.open()
@@ -292,7 +312,7 @@ class Trial:
         return self._end(loop, opened_ns)
 
     def _loop(self, virtual: bool) -> LoopEnd:
-        """Run the control loop of Algorithm 2. In `virtual` time, planning takes none."""
+        """Run the control loop of Algorithm 2. In `virtual` time, planning takes no time."""
         observation = self._plant.observe()
         if virtual:
             decision, solve_ns = self._plan(observation, None, ())
@@ -320,11 +340,11 @@ class Trial:
         raise AssertionError("unreachable: the loop ends by returning")
 
     def _carry_out(self, k: int, observation: Observation, plan: Plan, solve_ns: int) -> Command:
-        """Carry out step k: send what the plan says, and notify the observers; return the
-        command.
+        """Carry out step k: send what the plan says, notify the observers, and return the command.
 
-        Nothing is reported before it is sent: observers take time. Then they are called with what
-        led to the step, and last with what the step's estimate says of the model.
+        Nothing is reported before the command is sent, because observers take time. Then the
+        observers are notified of what led to the step, and finally of what the step's estimate says
+        about the model.
         """
         begun_leg = self._measure.step(plan.leg, observation)
         if plan.pauses:
@@ -359,14 +379,21 @@ class Trial:
     def _plan(
         self, observation: Observation, last: Command | None, between: Sequence[Observation]
     ) -> TimedDecision:
-        """Return the controller's decision of one step: by the newest frame, the command before it,
-        None at the first step, and the frames exposed between the two, oldest first."""
+        """Let the controller decide in one step.
+
+        Args:
+            observation: The newest frame.
+            last: The command of the previous step. None at the first step.
+            between: Frames exposed between the previous observation and this one, oldest first.
+        """
         with self._interrupt.breakable():
             return self._timed_plan(observation, last, between)
 
     def _plan_meanwhile(self, observation: Observation) -> TimedDecision:
-        """Return the first decision, computed in real time by a thread of its own: meanwhile the
-        robots stand, and frames are reported."""
+        """Compute the first decision in its own thread, in real time.
+
+        Meanwhile, the robots stand still, and frames are reported.
+        """
         pool = ThreadPoolExecutor(1)
         try:
             planning = pool.submit(self._timed_plan, observation, None, ())
@@ -416,7 +443,7 @@ class Trial:
             return
         self._dead = dead
         goes_on = "" if self._measure.stood.any() else ": the trial goes on without"
-        text = told_dead(self._start.setup.names, self._measure.losses.dead)
+        text = describe_dead(self._start.setup.names, self._measure.losses.dead)
         self._report(t_ns, text + goes_on, "warning")
 
     # ---- the end ----
@@ -426,7 +453,7 @@ class Trial:
         halt = self._halt()
         error = loop.error or halt.error
         fault = naming_plugins(error, self._start.packages) if error is not None else None
-        dead = told_dead(self._start.setup.names, self._measure.stood)
+        dead = describe_dead(self._start.setup.names, self._measure.stood)
         outcome, reason = how_it_ended(loop, halt, fault, dead)
         result = self._result(outcome, reason, halt, opened_ns)
         calls = fault.calls if fault else ()
@@ -441,8 +468,10 @@ class Trial:
         return result
 
     def _halt(self) -> Halt:
-        """Stop the robots, wait until they rest, take the last frames, and close the plant; none of
-        it keeps the rest from being reported if it fails."""
+        """Stop the robots, wait until they stand still, take the last frames, and close the plant.
+
+        If one of these fails, the others are still done and reported.
+        """
         plant = self._plant
         robots = len(self._start.setup.names)
         stop = Command(Stop(), self._clock.now(), (False,) * robots)
@@ -461,8 +490,10 @@ class Trial:
         return Halt(stop, verdict, self._frames.hand_over(), events, error)
 
     def _result(self, outcome: Outcome, reason: str, halt: Halt, opened_ns: int) -> Result:
-        """Return the result; a trial lasts from its first direction, or from its opening if none
-        was sent."""
+        """Return the result.
+
+        A trial lasts from its first direction, or from its opening if none was sent.
+        """
         began_ns = self._counts.first_sent_ns
         if began_ns is None:
             began_ns = opened_ns
@@ -481,8 +512,10 @@ class Trial:
     def _notify_of_the_end(
         self, halt: Halt, calls: Sequence[str], result: Result
     ) -> list[Exception]:
-        """Call every observer for the last time, even one that failed before, with the `calls` that
-        led to a plug-in's error; return what they raise."""
+        """Notify every observer of the end, even one that failed before, and return their errors.
+
+        `calls` are the calls that led to a plug-in's error.
+        """
         traces = [Note(halt.stop.sent_ns, "debug", call) for call in calls]
         failures: list[Exception] = []
         for observer in self._observers:
@@ -498,8 +531,10 @@ class Trial:
 
 
 def abandon(plant: Plant) -> None:
-    """Stop the robots of a plant that may not be open, and close it, whatever fails: the trial has
-    no result."""
+    """Stop the robots of a plant that may not be open, and close it, whatever fails.
+
+    The trial has no result.
+    """
     with closing(plant), suppress(Exception, SystemExit):  # not every plant stops before it is open
         plant.stop()
 

@@ -1,14 +1,18 @@
-"""Runs tasks on this machine: in this process, or in worker processes that this process stops.
+"""Executors that run tasks on this machine: in this process, or in worker processes.
 
-An `Executor` runs tasks: `Here` one after another in this process, `Processes` several at a time.
-The `run` of each yields every task that was started with its result or error, and returns early
-after `end`, or after the first request of the interrupt. `called` does the same for plain calls.
+There are two kinds of `Executor`. `Here` runs tasks one after another in this process, `Processes`
+runs several at the same time. Their method `run` yields every task that was started, with its
+result or error. It returns early after `end`, or after the first request of the interrupt. `called`
+does the same for plain calls.
 
-A worker process ends in one of four ways. Its pool ends, and with it the worker. The event `ending`
-is its interrupt's first request: the trial ends after its control step. SIGTERM is the second: the
-trial ends at once; before a request it ends the worker. If its parent ends, the worker sends
-SIGTERM to itself, and soon after ends.
-Signals of a terminal reach the workers too, which ignore them: only the parent reacts.
+A worker process ends in one of four ways:
+
+1. Its pool ends, and the worker with it.
+2. The event `ending` is its interrupt's first request: the trial ends after its control step.
+3. SIGTERM is the second request: the trial ends at once. Before a request, SIGTERM ends the worker.
+4. If its parent ends, the worker sends SIGTERM to itself, and ends soon after.
+
+Signals of a terminal also reach the workers, which ignore them: only the parent reacts.
 """
 
 import multiprocessing
@@ -59,8 +63,7 @@ class Executor(Protocol):
         ...
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
-        """Yield each task that was started with its result or error, in the order in which the
-        tasks end."""
+        """Yield each task that was started, with its result or error, as the tasks end."""
         ...
 
     def end(self) -> None:
@@ -69,14 +72,22 @@ class Executor(Protocol):
 
 
 def on_this_machine(jobs: int, tasks: int, interrupt: Interrupt) -> Executor:
-    """Return the executor that runs `jobs` trials at a time, or `tasks` if that is less."""
+    """Return the executor for a number of tasks.
+
+    Args:
+        jobs: How many trials to run at the same time, each in its own process if there are several.
+        tasks: Number of tasks. No more processes than tasks are used.
+        interrupt: Requests to end.
+    """
     jobs = min(jobs, tasks)
     return Processes(jobs, interrupt) if jobs > 1 else Here(interrupt)
 
 
 class Here:
-    """Runs one trial after another in this process. `observers` are called in every trial; trials
-    in a lab are supervised by `supervision`.
+    """An executor that runs one trial after another in this process.
+
+    `observers` are notified of every trial. `supervision` tells how people supervise trials in a
+    lab.
     """
 
     workers = 1
@@ -114,11 +125,11 @@ class Here:
 
 
 class Processes:
-    """Runs `workers` trials at a time, each in a process.
+    """An executor that runs several trials at the same time, each in its own process.
 
-    The first request of `interrupt` ends the running trials after their control step, the second at
-    once. If a process is killed, the trials that were running are repeated one by one; a trial
-    whose process is killed again fails.
+    The first request of `interrupt` ends the running trials after their control step, the second
+    ends them at once. If a process is killed, the trials that were running are repeated one by one.
+    A trial fails if its process is killed again.
     """
 
     def __init__(self, workers: int, interrupt: Interrupt) -> None:
@@ -129,7 +140,7 @@ class Processes:
         with _signals_held_back(), isolated():
             self._ending = self._context.Event()
         self._next_sigterm_s = 0.0
-        """Earliest time of the next SIGTERM, by the monotonic clock [s]."""
+        """Earliest time of the next SIGTERM on the monotonic clock [s]."""
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
         """Yield each task with its result or error, in the order in which the tasks end."""
@@ -149,8 +160,10 @@ class Processes:
         self._ending.set()
 
     def _repeat(self, suspect: Task, ready: Ready) -> Iterator[Ended]:
-        """Run a task alone that was running when a worker was killed; if that is killed, too, the
-        task fails."""
+        """Run a task again, alone, that was running when a worker was killed.
+
+        If its worker is also killed, the task fails.
+        """
         for task, ended in self._in_pool(deque([suspect]), 1, ready):
             if isinstance(ended, BrokenProcessPool):
                 hint = "give the same command with fewer --jobs to continue"
@@ -160,8 +173,10 @@ class Processes:
                 yield task, ended
 
     def _in_pool(self, waiting: "deque[Task]", workers: int, ready: Ready) -> Iterator[Ended]:
-        """Run the waiting tasks until a worker is killed; running tasks then end with the error
-        BrokenProcessPool, and the others stay in `waiting`."""
+        """Run the waiting tasks until a worker is killed.
+
+        Running tasks then end with the error BrokenProcessPool, and the others stay in `waiting`.
+        """
         running = dict[Future[Finished], Task]()
         broken = False
         environment = dict(os.environ)
@@ -209,8 +224,14 @@ def _print_line(line: str) -> None:
 def called(
     call: Callable[[T], R], items: Sequence[T], jobs: int, tell: Callable[[str], object]
 ) -> Iterator[R]:
-    """Yield what a call returns for each item, in the order in which they end, `jobs` at a time in
-    copies of this process; what these print is passed to `tell`."""
+    """Call a function for each item, in copies of this process, and yield the results as they end.
+
+    Args:
+        call: The function.
+        items: Its arguments.
+        jobs: How many calls to run at the same time.
+        tell: Called with what the copies print.
+    """
     jobs = min(jobs, len(items))
     if jobs < 2:
         yield from map(call, items)
@@ -226,8 +247,10 @@ def _work(task: Task, folder: Path) -> Finished:
 
 @contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """Block signals in processes that are started inside the `with` block, until they call
-    `_start_worker`."""
+    """Block signals in processes that are started in the `with` block.
+
+    They stay blocked until these processes call `_start_worker`.
+    """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
@@ -250,8 +273,11 @@ class _SharedInterrupt(Interrupt):
         return self.count > 0 or self.ending.is_set()
 
     def end_at_once(self) -> None:
-        """Count SIGTERM as the second request. Without a first one it is of a pool whose server
-        was killed: the trial will be repeated, and this process ends without its log."""
+        """Count SIGTERM as the second request.
+
+        Without a first request, SIGTERM means that the pool's server was killed. The trial will be
+        repeated, so this process ends without writing its log.
+        """
         if not self.ending.is_set():
             os._exit(1)
         self.count = 2
@@ -262,8 +288,10 @@ _interrupt: Interrupt = Interrupt()  # the interrupt of this process, if it is a
 
 
 def _start_worker(ending: Event, environment: dict[str, str]) -> None:
-    """Prepare a worker to ignore all signals but SIGTERM, and to end when its parent process ends;
-    its environment variables are those of its parent now, not when the server was started.
+    """Prepare a worker: it ignores all signals except SIGTERM, and ends when its parent ends.
+
+    Its environment variables are set to those that its parent has now. When the server was started,
+    they may have been different.
     """
     global _interrupt
     os.environ.update(environment)

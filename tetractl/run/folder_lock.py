@@ -20,7 +20,11 @@ OPENED = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_N
 
 
 def make_folder(folder: Path) -> None:
-    """Create the folder; LogError if that fails."""
+    """Create a folder.
+
+    Raises:
+        LogError: If that fails.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -29,14 +33,16 @@ def make_folder(folder: Path) -> None:
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Create a folder and hold its lock, a flock(2) on its file `.tetractl-lock`, which names the
-    owner.
+    """Create a folder and hold its lock during the `with` block.
 
-    The kernel releases the lock when the process that holds it ends, so a leftover file of this
-    host does not lock the folder. A file of another host locks the folder, because not every
-    network file system shares locks between hosts.
+    The lock is a flock(2) on the file `.tetractl-lock`, which names the owner. The kernel releases
+    the lock when the process that holds it ends, so a leftover file of this host does not lock the
+    folder. A file of another host locks the folder, because not every network file system shares
+    locks between hosts.
 
-    Raises UsageError if another run holds the lock, LogError if folder or file cannot be written.
+    Raises:
+        UsageError: If another run holds the lock.
+        LogError: If the folder or file cannot be written.
     """
     make_folder(folder)
     path = folder / LOCK_FILE
@@ -53,7 +59,11 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def _acquire(path: Path) -> int:
-    """Open and lock a file and return its descriptor; UsageError if another run has locked it."""
+    """Open and lock a file, and return its descriptor.
+
+    Raises:
+        UsageError: If another run has locked it.
+    """
     while True:
         file = os.open(path, OPENED, 0o644)
         try:

@@ -1,16 +1,16 @@
-"""A trial that a person steers: its controller asks for a direction in place of a search.
+"""A trial that a person steers: its controller asks for a direction instead of searching for one.
 
-The trial is that of the controller `sequence` with the directions given, and so is its log. But a
-log begins with its spec, whose directions are known when the trial has ended, and each logged plan
-holds the directions that came later. So the trial is logged twice:
+The trial is the same as one of the controller `sequence` with the directions given, and so is its
+log. However, a log begins with its spec, and its directions are only known after the trial. Each
+logged plan also contains the directions that came later. Therefore the trial is logged twice:
 
-    LogWriter        while the robots drive, as any trial, each plan being the direction held: what
-                     a crash leaves, as NAME.part
-    HandLog          when they stand, in its place: the log of `sequence`, as NAME
+    LogWriter        while the robots drive, as in any trial, with plans that hold the present
+                     direction: what remains after a crash, as NAME.part
+    HandLog          when they stand still, as the final log: the log of `sequence`, as NAME
 
     HandController   asks for the direction of each step, and keeps it with the step's problem
-    WallPace         lets a simulation take as long as people need to steer it
-    AtEnd            tells the person at once how the trial ended, before its log is written
+    WallPace         slows a simulation down to the time that people need to steer it
+    AtEnd            reports at once how the trial ended, before its log is written
 """
 
 from collections.abc import Callable, Sequence
@@ -41,7 +41,10 @@ SAVING = ".saving"
 """Suffix of a finished log while it is written: until then, the log so far is the only one."""
 
 Ask = Callable[[float], float | None]
-"""Returns the direction [rad] of a step, or None to stop, by the step's time from the first [s]."""
+"""A function that returns the direction of a step [rad], or None to stop.
+
+Its argument is the time since the first step [s].
+"""
 Pause = Callable[[Callable[[float], Plan]], None]
 """Called before each step with what plans a direction [rad]; returns once the person goes on."""
 
@@ -51,10 +54,10 @@ def go_on(plan_of: Callable[[float], Plan]) -> None:
 
 
 class HandController(PlainController):
-    """The controller of one trial of a spec by `directed_spec`; `directions` are those sent so far
-    [rad].
+    """The controller of a trial that a person steers, for a spec from `directed_spec`.
 
-    A plan while the robots drive shows where they go if the direction is held.
+    `directions` are those sent so far [rad]. While the robots drive, a plan shows where they go if
+    the direction is held.
     """
 
     def __init__(self, spec: LoadedSpec, trial: int, ask: Ask, pause: Pause = go_on) -> None:
@@ -71,7 +74,7 @@ class HandController(PlainController):
         self._problems: list[Problem] = []
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Plan | Outcome:
-        """Return the plan of the direction that the person wants, or the end of the trial."""
+        """Plan the direction the person wants, or end the trial; see `PlainController.decided`."""
 
         def plan_of(direction: float) -> Plan:
             return given_plan(problem, np.full(self._section.ahead, direction), step_key)
@@ -86,7 +89,7 @@ class HandController(PlainController):
 
     @property
     def given(self) -> SequenceSection:
-        """The section of `sequence` with the directions sent so far, at least one."""
+        """The section of `sequence` with the directions sent so far. There is at least one."""
         return self._section.model_copy(update={"directions": tuple(self.directions)})
 
     def plan_of_sequence(self, k: int) -> Plan:
@@ -112,7 +115,7 @@ class HandLog(Relay):
         self._calls.append(call)
 
     def on_step(self, step: Step) -> None:
-        """Keep a step; its plan will be that of `sequence`."""
+        """Keep a step. Its plan will be the one of `sequence`."""
 
         def write(log: Observer) -> None:
             plan = self._controller.plan_of_sequence(step.k)
@@ -121,7 +124,7 @@ class HandLog(Relay):
         self.put(write)
 
     def save(self, spec: LoadedSpec, path: Path) -> None:
-        """Write the log; `spec` is that of the trial."""
+        """Write the log of a trial with this spec."""
         with_directions = with_controller(spec, self._controller.given)
         start = start_of(
             with_directions, self._start.trial, self._start.plant, self._start.start_unix_ns
@@ -143,8 +146,16 @@ def run_by_hand(
     interrupt: Interrupt | None = None,
     supervision: LabSupervision | None = None,
 ) -> Result:
-    """Run the controller's trial of a spec by `directed_spec`, and write its log to `folder`; no
-    log if no direction was given."""
+    """Run a trial that a person steers, and write its log. Without a direction, there is no log.
+
+    Args:
+        spec: The spec of the trial, from `directed_spec`.
+        folder: Where to write the log.
+        controller: Asks the person for directions.
+        observers: Observers that watch the trial.
+        interrupt: Requests to end the trial.
+        supervision: How people supervise the run. Only real robots need it.
+    """
     make_folder(folder)
     path = log_path(folder, controller.trial)
     hand_log = HandLog(controller)

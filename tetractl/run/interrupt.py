@@ -156,11 +156,11 @@ class _Leave:
 
 
 class _Listener:
-    """Ends the process at a signal whose handler does, from a thread of its own.
+    """A thread that ends the process at a signal whose handler would end it.
 
-    Python calls a handler once the main thread is back from compiled code, which may take minutes.
-    What came before handlers changed is forgotten: the main thread, which changes them, has called
-    or calls now the handler of each such signal.
+    Python calls a handler only when the main thread returns from compiled code, which may take
+    minutes. Signals that arrived before the handlers changed are forgotten: the main thread, which
+    changes the handlers, has called or is now calling the handler for each of these signals.
     """
 
     def __init__(self) -> None:
@@ -170,7 +170,8 @@ class _Listener:
     def start(self) -> None:
         """Start the thread, once.
 
-        A process that is forked would send its own signals to its parent's thread: it sends none.
+        In a forked process, the signals would go to the parent's thread. Therefore, a forked
+        process sends none.
         """
         if self._signals is not None:
             return
@@ -186,8 +187,10 @@ class _Listener:
 
     @contextmanager
     def changing(self) -> Iterator[None]:
-        """Let handlers be changed in the block, and forget signals that came before its end; main
-        thread only."""
+        """Allow handlers to be changed in the `with` block, and forget all signals up to its end.
+
+        Only the main thread may use it.
+        """
         with self._lock:
             yield
             if self._signals is not None:
@@ -218,9 +221,9 @@ def ignore_signals() -> None:
 
 
 def _install(handlers: dict[int, Handler]) -> dict[int, Handler]:
-    """Set handlers of signals and return the previous handlers.
+    """Set handlers of signals, and return the previous handlers.
 
-    SIGHUP stays ignored under `nohup`. Handlers set by a program that uses tetractl are kept,
+    Under `nohup`, SIGHUP stays ignored. Handlers that a program using tetractl has set are kept,
     except those of Ctrl-C and SIGTERM.
     """
     before: dict[int, Handler] = {}

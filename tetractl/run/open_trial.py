@@ -1,12 +1,13 @@
-"""A trial that a script steps: it asks for a direction in place of a controller.
+"""A trial that a script steps: it asks the script for directions instead of a controller.
 
-The trial is that of the controller `sequence` with the directions sent so far: the same plant, the
-same random draws, the same end. So what a script does is logged, verified and compared as any
-trial: `save` runs the same directions by `sequence`, and checks that the result is the same.
+The trial is the same as one of the controller `sequence` with the directions sent so far: it has
+the same plant, the same random draws and the same end. What a script does is therefore logged,
+verified and compared like any other trial. `save` runs the same directions with `sequence`, and
+checks that the result is the same.
 
-Threads. The trial runs in a thread of its own. That thread and the script's take turns: the trial
-waits in `plan` while the script decides, the script waits in `step` while the trial runs. What one
-hands to the other goes through a queue; they share nothing else.
+Threads: the trial runs in its own thread. That thread and the script's thread take turns. The trial
+waits in `plan` while the script decides, and the script waits in `step` while the trial runs. They
+pass values to each other through a queue, and share nothing else.
 """
 
 import math
@@ -43,10 +44,12 @@ FIRST_SENT = 0.0
 
 
 def directed_spec(spec: LoadedSpec) -> LoadedSpec:
-    """Return a spec with the controller `sequence`, whose directions are given as it runs.
+    """Return a spec with the controller `sequence`, which receives its directions while it runs.
 
-    Period, dead time, limit of time and `arrival_tolerance` are those of the spec's controller.
-    Raises SpecError for what `sequence` cannot do, such as a hold.
+    The period, dead time, time limit and `arrival_tolerance` come from the spec's controller.
+
+    Raises:
+        SpecError: If `sequence` cannot run the spec, for example because of a hold.
     """
     experiment = spec.experiment
     if experiment.chosen is not None:
@@ -63,10 +66,10 @@ def directed_spec(spec: LoadedSpec) -> LoadedSpec:
 
 
 class TruthWatch(Observer):
-    """An observer of the true paths: whether a robot entered an obstacle or left the arena, as far
-    as camera frames show it. The trial's result knows it from the finest samples.
+    """An observer that checks whether a robot has truly entered an obstacle or left the arena.
 
-    A `PathCheck` of the same frames would find distances too, which are not read at each step, and
+    It checks the true poses at camera frames, while the trial's result is computed from the finest
+    samples. A `PathCheck` of the same frames would also compute distances, which no step needs, and
     take three to six times as long.
     """
 
@@ -75,10 +78,10 @@ class TruthWatch(Observer):
         self._obstacles = Obstacles.of(setup.obstacles)
         self._last: Poses | None = None
         self.failed = False
-        """Whether any robot did so."""
+        """Whether any robot has done so."""
 
     def on_samples(self, samples: list[Sample]) -> None:
-        """Look at the true poses of new frames, and at the straight ways to them."""
+        """Check the true poses of new frames, and the straight lines that lead to them."""
         poses = [sample.truth for sample in samples if sample.truth is not None]
         if not poses:
             return
@@ -94,21 +97,22 @@ class TruthWatch(Observer):
 
 
 class DroppedError(BaseException):
-    """The script has dropped the trial: its result is not wanted."""
+    """The script has dropped the trial and does not want its result."""
 
 
 class AskingController:
-    """The controller of a stepped trial: in `plan`, its thread waits for the script's decision.
+    """The controller of a stepped trial.
 
-    The trial ends where `sequence` ends it: on arrival, at the limit of time, by an error.
+    In `plan`, the trial's thread waits for the script's decision. The trial ends where `sequence`
+    would end it: on arrival, at the time limit, or after an error.
     """
 
     def __init__(self, sequence: SequenceController) -> None:
         self._sequence = sequence
         self.asked = SimpleQueue[Observation | Result | BaseException]()
-        """Of which frame a decision is wanted; at last how the trial has ended."""
+        """Frames for which a decision is wanted, and finally how the trial ended."""
         self.answers = SimpleQueue[Plan | Outcome | None]()
-        """The decisions, None if the trial is dropped."""
+        """The decisions. None if the trial is dropped."""
 
     def plan(
         self,
@@ -116,7 +120,7 @@ class AskingController:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome:
-        """Return what the script decides, unless the trial is over."""
+        """Return what the script decides, unless the trial is over; see `Controller.plan`."""
         state = self._sequence.step(observation, last_command)
         if isinstance(state, Outcome):
             return state
@@ -127,7 +131,7 @@ class AskingController:
         return answer
 
     def run(self, trial: Trial) -> None:
-        """Run the trial that this is the controller of, and hand its end to the script."""
+        """Run a trial with this controller, and pass its result or error to the script."""
         try:
             self.asked.put(trial.run())
         except BaseException as error:  # the script raises it
@@ -135,7 +139,7 @@ class AskingController:
 
 
 def drop(answers: SimpleQueue[Plan | Outcome | None], thread: threading.Thread) -> None:
-    """Let the trial end that waits for an answer, and wait until it has."""
+    """End a trial that waits for an answer, and wait until it has ended."""
     answers.put(None)
     thread.join()
 
@@ -143,9 +147,9 @@ def drop(answers: SimpleQueue[Plan | Outcome | None], thread: threading.Thread) 
 class OpenTrial:
     """A simulated trial that waits for a direction at each control step.
 
-    Call `step` until `result` is there, or end the trial by `stop`; then `save` writes its log. A
-    trial runs once: open another for the next. A trial that is dropped ends like one that is
-    stopped, without a result.
+    Call `step` until `result` is no longer None, or end the trial with `stop`. Then `save` writes
+    its log. A trial runs once: open another trial for the next run. A trial that is dropped ends
+    like a stopped trial, but without a result.
     """
 
     def __init__(self, spec: LoadedSpec, trial: int, seed: int) -> None:
@@ -182,7 +186,7 @@ class OpenTrial:
 
     @property
     def observation(self) -> Observation:
-        """The newest camera frame; its poses are measured, and cannot be written."""
+        """The newest camera frame. Its poses are measured, and read-only."""
         return self._observation
 
     @property
@@ -192,12 +196,12 @@ class OpenTrial:
 
     @property
     def last_direction(self) -> float | None:
-        """The direction sent last [rad], None before the first."""
+        """The direction sent last [rad]. None before the first direction."""
         return self._directions[-1] if self._directions else None
 
     @property
     def result(self) -> Result | None:
-        """How the trial ended, None as long as it waits for a direction."""
+        """How the trial ended. None as long as it waits for a direction."""
         return self._result
 
     @property
@@ -211,8 +215,11 @@ class OpenTrial:
     def step(self, direction: float) -> Observation:
         """Send a direction [rad] for one control period, and return the next observation.
 
-        After the last step that is the observation before it. Raises UsageError for a direction
-        that is not finite and for a trial that has ended; neither counts as sent.
+        If the trial ends in this step, the observation before it is returned.
+
+        Raises:
+            UsageError: If the direction is not finite, or if the trial has ended. Such a direction
+                does not count as sent.
         """
         self._demand_open()
         try:
@@ -229,7 +236,8 @@ class OpenTrial:
     def stop(self) -> Result:
         """End the trial after the directions sent so far, and return the result.
 
-        Raises UsageError for a trial that has ended, and before the first direction.
+        Raises:
+            UsageError: If the trial has ended, or if no direction has been sent.
         """
         self._demand_open()
         if not self._directions:
@@ -241,7 +249,7 @@ class OpenTrial:
 
     @property
     def spec(self) -> LoadedSpec:
-        """The spec of this trial with the directions sent so far, which `tetractl run` takes."""
+        """The spec of this trial with the directions sent so far, for `tetractl run`."""
         if not self._directions:
             raise UsageError("no direction was sent", "step the trial first")
         section = self._spec.experiment.controller
@@ -249,9 +257,10 @@ class OpenTrial:
         return with_seed(with_controller(self._spec, with_directions), self._seed)
 
     def save(self, folder: str | Path) -> Path:
-        """Write the log of the trial to a folder and return its path.
+        """Write the log of the trial to a folder, and return its path.
 
-        Raises UsageError for a trial that has not ended and for a log that exists already.
+        Raises:
+            UsageError: If the trial has not ended, or if the log already exists.
         """
         if self._result is None:
             raise UsageError("the trial has not ended", "step it until it has a result, or stop it")
@@ -274,7 +283,7 @@ class OpenTrial:
             raise UsageError(f"the trial has ended: {outcome}", "open another trial")
 
     def _plan(self, direction: float) -> Plan:
-        """Return the plan of one direction, without the prediction that the log of `save` has."""
+        """Return a plan of one direction, without the prediction that the log from `save` has."""
         unknown = np.empty((0, len(self.setup.names), 3))
         return Plan(
             signals=np.array([direction]),
@@ -288,8 +297,10 @@ class OpenTrial:
         )
 
     def _wait(self) -> None:
-        """Wait until the trial asks for the next decision or has ended. What breaks the wait off,
-        such as Ctrl-C, ends the trial without a result."""
+        """Wait until the trial asks for the next decision or has ended.
+
+        Anything that interrupts the wait, such as Ctrl-C, ends the trial without a result.
+        """
         try:
             said = self._controller.asked.get()
             if isinstance(said, BaseException):
@@ -305,5 +316,5 @@ class OpenTrial:
 
 
 def _outcome_of(result: Result) -> tuple[object, ...]:
-    """Return what two runs of one trial have in common."""
+    """Return the part of a result that is the same whenever a trial is repeated."""
     return result.outcome, result.steps, result.duration_s, result.robot_errors

@@ -1,9 +1,9 @@
-"""The warnings of a valid spec: problems that may prevent a trial from working as intended.
+"""The warnings about a valid spec: problems that may prevent a trial from working as intended.
 
-`RULES` is the list of all warnings. Each rule reads the numbers of a spec, gathered in a
-`CheckContext`, and yields its findings (where, text, hint); the first line of its docstring says
-when. docs/reference/warnings.md explains the warnings; `tetractl.spec.consistency` has the
-rules by which a spec is refused.
+`RULES` lists all warnings. Each rule reads the numbers of a spec, which are gathered in a
+`CheckContext`, and yields its findings (where, text, hint). The first line of its docstring says
+what it finds. docs/reference/warnings.md explains the warnings. The rules that make a spec invalid
+are in `tetractl.spec.consistency`.
 """
 
 import math
@@ -39,31 +39,38 @@ from tetractl.spec.yaml.document import Document
 from tetractl.spec.yaml.problems import Loc, SpecProblem, dotted
 
 COARSE = 2.0
-"""Largest product of turning rate a and time per signal T: above it, headings computed by the
-paper's equation (6) oscillate with a growing amplitude.
+"""Maximum product of turning rate a and time per signal T.
+
+Above it, headings computed with the paper's equation (6) oscillate with a growing amplitude.
 """
 A_MAX = 60.0
-"""Turning rate above which a robot is doubted [rad/s]: the fastest published here, a microjet,
-has 25 rad/s."""
+"""Maximum plausible turning rate of a robot [rad/s].
+
+The fastest published here, a microjet, has 25 rad/s.
+"""
 WHEELS_M = (0.005, 0.3)
-"""Distances of a wheel from the centre that are accepted [m]: toio cubes 0.013, m3pi 0.04, iRobot
-Create 0.13, the largest robots of laboratories 0.27."""
+"""Plausible distances of a wheel from the centre [m]. toio cubes have 0.013, m3pi robots 0.04, the
+iRobot Create 0.13, and the largest laboratory robots 0.27.
+"""
 OVERSHOOTING = "euler"
-"""The motion whose heading advances by the paper's equation (6)."""
+"""The motion that computes the heading with the paper's equation (6)."""
 ROBOTS_ALIKE = 0.05
-"""Robots are alike if their turning rates a differ by at most this fraction, and their start
-headings by at most this number of radians."""
+"""Robots are similar if their turning rates a differ by at most this fraction, and their start
+headings by at most this number of radians.
+"""
 SAME_HEADING_RAD = 1e-9
 """Start headings that differ by less are equal but for rounding [rad]."""
 LEAST_ERROR = 0.7
-"""Least total error worth asking for, in deviations of a measured position for each robot. With 0.4
-in place of 0.7 trials last longer for hardly less error (docs/decisions/controller.md)."""
+"""Minimum total error worth asking for, in standard deviations of a measured position for each
+robot. With 0.4 instead of 0.7, trials last longer, and their error hardly decreases
+(docs/decisions/controller.md).
+"""
 ROUNDING = 1e-9
 """Times that differ by less than this fraction are equal but for rounding."""
 NO_ERROR = 1e-6
-"""A least total error below this fraction of the arena's longer side is none but for rounding."""
+"""A lower bound of the total error counts as 0 below this fraction of the arena's longer side."""
 NAMED_MAX = 2
-"""Of more than four robots alike, so many are named besides the first."""
+"""If more than four robots are similar, the message names the first and this many more."""
 
 
 class CheckContext:
@@ -75,9 +82,9 @@ class CheckContext:
         self.setup = experiment.setup
         self.unit = self.setup.unit
         self.ends = {"start": self.setup.starts.xy, "target": self.setup.targets}
-        """The points (N, 2) at which robots start and end, by their fields."""
+        """The points (N, 2) at which robots start and end, by the name of the field."""
         self.tolerance = control.arrival_tolerance
-        """Distance to its target within which a robot has arrived [length unit]."""
+        """Distance from its target at which a robot has arrived [length unit]."""
         periods = control.signal_periods if isinstance(control, HoldsSignals) else 1
         self.signal_s = control.period * periods
         """Time for which a signal of a plan is held [s]."""
@@ -85,9 +92,9 @@ class CheckContext:
         self.plan_s = signals_max * self.signal_s
         """Longest time of a plan [s], inf if it is not limited."""
         self.longest_s = self.setup.time_limit_s
-        """Longest time for which robots move [s], the lesser one of two limits."""
+        """Maximum time for which robots move [s], the smaller of two limits."""
         self.collision = control.collision if isinstance(control, KeepsClear) else None
-        """What plans keep clear of, None if they keep clear of nothing."""
+        """The distances that plans keep. None if they keep none."""
         self.margin = 0.0
         """Distance that plans keep to obstacles, including a robot's radius [length unit]."""
         self.walls = False
@@ -98,15 +105,14 @@ class CheckContext:
 
     @property
     def limit(self) -> str:
-        """The controller's field that sets that time: the number of its steps, if these are over by
-        then, else its time."""
+        """The controller's field that sets that time: its number of steps, or its time limit."""
         control = self.experiment.controller
         steps_max = control.steps_max if isinstance(control, CountsSteps) else math.inf
         steps_s = (steps_max + 1) * control.period
         return "steps_max" if steps_s <= self.longest_s * (1 + ROUNDING) else "time_limit"
 
     def is_worth_warning(self, least: float, robots: int) -> bool:
-        """Return whether a least total error of some robots is above the tolerance and rounding."""
+        """Decide whether a lower bound of the total error is above tolerance and rounding."""
         arena = self.setup.arena
         return least > max(robots * self.tolerance, NO_ERROR * max(arena.width, arena.height))
 
@@ -123,7 +129,7 @@ class CheckContext:
         return self.length_text(float(self.setup.starts.distances(self.setup.targets)[i]))
 
     def driven(self, i: int, seconds: float) -> str:
-        """Return how far robot i drives in a time [s] as text."""
+        """Return how far robot i drives in a time [s], as text."""
         return self.length_text(self.setup.speed[i] * seconds)
 
 
@@ -210,8 +216,9 @@ def coarse_period(context: CheckContext) -> Findings:
 
 
 def unknown_dead_time(context: CheckContext) -> Findings:
-    """A plant whose dead time differs from the controller's by more than a control period, unless
-    the controller identifies it.
+    """A plant's dead time differs from the controller's by more than a control period.
+
+    There is no warning if the controller identifies the dead time.
     """
     plant = context.experiment.plant
     control = context.experiment.controller
@@ -264,7 +271,7 @@ def _groups_alike(setup: Setup) -> Iterator[list[int]]:
 
 
 def _alike_text(alike: Setup, least: str) -> str:
-    """Return what makes these robots alike, and that `least` is their least total error for it."""
+    """Describe why robots are similar, with the lower bound `least` of their total error."""
     first, *others = alike.names
     them = _listed(others)
     robots = len(alike.names)
@@ -273,14 +280,16 @@ def _alike_text(alike: Setup, least: str) -> str:
     turns = np.abs(wrap(headings - headings[0]))
     turned = float(turns.max())
     if spread == 0 and turned < SAME_HEADING_RAD:
+        turn = "turns" if len(others) == 1 else "turn"
+        start = "starts" if len(others) == 1 else "start"
         return (
-            f"is that of {first}, and so is the start heading: {them} can only move "
-            f"in parallel, and the least total error of the {robots} is {least}"
+            f"{them} {turn} at the same rate as {first} and {start} with the same heading, so "
+            f"the {robots} can only move in parallel: their total error cannot fall below {least}"
         )
     return (
-        f"{them} and {first} differ by {100 * spread:.2g} % in turning rate a and "
-        f"{turned:.2g} rad in start heading, perhaps too little to separate them: if "
-        f"they did not differ, the least total error of the {robots} would be {least}"
+        f"{them} and {first} differ by only {100 * spread:.2g} % in turning rate a and "
+        f"{turned:.2g} rad in start heading. That may be too little to separate them: the total "
+        f"error of {robots} identical robots could not fall below {least}"
     )
 
 
@@ -381,8 +390,9 @@ def inside_margin(context: CheckContext) -> Findings:
 
 
 def target_near_obstacle(context: CheckContext) -> Findings:
-    """Targets so near to an obstacle that an adaptive margin gives way to the way that a robot
-    drives in a control period.
+    """A target is so near to an obstacle that an adaptive margin gives way there.
+
+    That happens within the distance that a robot drives in a control period.
     """
     if not context.collision or not context.collision.radius or not context.collision.adaptive:
         return
@@ -406,14 +416,15 @@ def accepts_less_than_noise(context: CheckContext) -> Findings:
     if control.accept_error < least:
         yield SpecFinding(
             ("controller", "accept_error"),
-            f"is less than {LEAST_ERROR} x position_noise x robots, {least:.3g} {context.unit}: so "
-            "small an error is hardly seen, and trials take longer for little",
+            f"is less than {LEAST_ERROR} x position_noise x robots, {least:.3g} {context.unit}: "
+            "the camera can hardly measure so small an error, so trials take longer and gain "
+            "little",
             f"accept {least:.3g} {context.unit} or more",
         )
 
 
 def too_close(context: CheckContext) -> Findings:
-    """Starts or targets nearer to each other than the lab's least separation."""
+    """Starts or targets are closer to each other than the lab's minimum separation."""
     per_mm = 1e-3 / context.setup.metres
     places = {"plant": context.experiment.plant, "lab": context.experiment.lab}
     for section, part in places.items():
@@ -444,8 +455,9 @@ def same_place(context: CheckContext) -> Findings:
 
 
 def targets_near_each_other(context: CheckContext) -> Findings:
-    """Targets so near to each other that robots are led to places farther apart, as bodies could
-    touch at the targets.
+    """Targets are so close together that bodies could touch there.
+
+    The controller then steers the robots to points further apart.
     """
     if not context.collision:
         return

@@ -29,8 +29,11 @@ from tetractl.spec.plants import on_plant
 PRACTICE_S = 3.0
 """Time for which control steps are practised [s]."""
 LATE_SHARE_MAX = 0.2
-"""Maximum fraction of late steps. Five in a row end a run: at this fraction about one trial of 400
-steps in eight, if steps are late independently of one another."""
+"""Maximum fraction of late steps.
+
+Five late steps in a row end a run. At this fraction, that happens in about one of eight trials of
+400 steps, if steps are late independently of each other.
+"""
 FACT = "control steps"
 
 
@@ -49,7 +52,7 @@ class Practice:
     silence_ns: int
 
     def added_to(self, findings: Preflight, limits: LabLimits) -> Preflight:
-        """Return the findings of a preflight with those of the practice."""
+        """Return the findings of a preflight, including those of the practice."""
         problems = list(findings.problems)
         warnings = list(findings.warnings)
         facts = dict(findings.facts)
@@ -78,13 +81,15 @@ class Practice:
 
 
 class PacedSteps(Observer):
-    """Lets the control steps of simulated trials be due in real time, and measures their delays.
+    """An observer that makes the control steps of simulated trials due in real time.
+
+    It measures how late each step is.
 
     Args:
         period_ns: The control period.
         clock: The clock by which steps are due.
         silent_ns: Returns the time since the last camera frame was read.
-        interrupt: It ends the trial that runs after PRACTICE_S.
+        interrupt: Ends the trial that is still running after PRACTICE_S.
     """
 
     def __init__(
@@ -128,7 +133,7 @@ def practise(spec: LoadedSpec, clock: Clock, silent_ns: Callable[[], int]) -> Pr
     """Let the controller of a spec steer simulated robots for PRACTICE_S.
 
     Args:
-        spec: The spec of a lab whose robots are known. Its controller's code is compiled.
+        spec: The spec of a lab with known robots. Its controller's code is compiled.
         clock: The host's clock, by which steps are due.
         silent_ns: Returns the time since the last frame of the lab's camera was read [ns].
 

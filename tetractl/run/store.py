@@ -1,9 +1,9 @@
-"""The folder of a run: its lock, the logs of its trials, and which trials have a whole log.
+"""The folder of a run: its lock, the logs of its trials, and which trials are finished.
 
-A batch is a folder with the logs of the trials of one experiment. A study is a folder of batches,
-its arms. Both are a `Store`: it is `opened` first, which locks the folder and reads which trials
-are finished; for each trial that is run, `place` then returns the folder of its log, and `add`
-reads the log. A `RecordStore` is the folder of numbered records that are no trials.
+A batch is a folder with the logs of one experiment's trials. A study is a folder of batches, its
+arms. Both are a `Store`. First it is `opened`, which locks the folder and reads which trials are
+finished. For each trial that is run, `place` then returns the folder of its log, and `add` reads
+the log. A `RecordStore` is a folder of numbered records that are not trials.
 """
 
 import itertools
@@ -27,12 +27,12 @@ from tetractl.tools.files import save_whole
 
 
 class BatchFolder:
-    """The folder of the trials of one experiment; `results` are those of its finished trials by
-    number.
+    """The folder of the trials of one experiment.
 
-    A trial is finished if its log is complete: if the trial was not interrupted
-    and, unless this very code would abort it again, not aborted. All others are run, by
-    `run --resume` as by a study.
+    `results` are the results of its finished trials, by index. A trial is finished if its log is
+    complete, and if it was neither interrupted nor aborted. An aborted trial also counts as
+    finished if this very code would abort it again. All other trials are run, both by `run
+    --resume` and by a study.
     """
 
     def __init__(self, folder: Path, experiment: Experiment) -> None:
@@ -95,8 +95,9 @@ class BatchFolder:
 
 
 class Store:
-    """The folder of a run with the folders of its batches, by arm: those of a study, or one named
-    "", the folder itself.
+    """The folder of a run, with the folders of its batches by the name of the arm.
+
+    For a single batch, the arm is named "", and its folder is the folder itself.
     """
 
     def __init__(self, folder: Path, batches: Mapping[str, BatchFolder]) -> None:
@@ -159,8 +160,7 @@ class Store:
             )
 
     def place(self, arm: str, trial: int) -> Path:
-        """Rename logs of earlier attempts of a trial, as `set_aside` does; return the folder for
-        its log."""
+        """Rename the logs of earlier attempts at a trial, and return the folder for its log."""
         folder = self.batches[arm].folder
         make_folder(folder)
         set_aside(folder, trial)
@@ -172,11 +172,11 @@ class Store:
 
 
 class RecordStore:
-    """The folder of what is computed by number and is no trial with a log, such as the days of a
-    rehearsal: a JSON file for each number, written whole.
+    """A folder of numbered results that are not trials, such as the days of a rehearsal.
 
-    `identity` says of what they are, and each record has at least `fields`. A file that cannot be
-    read does not count, as a damaged log does not: what it was of is computed again.
+    Each number has a JSON file, which is written completely or not at all. `identity` describes
+    what the records belong to. Each record has at least `fields`. A file that cannot be read does
+    not count, and its result is computed again.
     """
 
     def __init__(self, folder: Path, identity: str, fields: Collection[str]) -> None:
@@ -204,7 +204,7 @@ class RecordStore:
             yield
 
     def _read(self, path: Path) -> dict[str, Any] | None:
-        """Return the record in a file; None if it cannot be read."""
+        """Return the record in a file. None if it cannot be read."""
         try:
             stated = json.loads(path.read_bytes())
             identity = stated["of"]
@@ -220,7 +220,11 @@ class RecordStore:
         return record if is_whole else None
 
     def add(self, number: int, record: Mapping[str, Any]) -> None:
-        """Write a record; LogError if that fails."""
+        """Write a record.
+
+        Raises:
+            LogError: If that fails.
+        """
         text = json.dumps({"of": self._identity, "record": dict(record)})
         save_whole(self.folder / f"record-{number:06d}.json", text.encode())
         self.records[number] = dict(record)
@@ -242,7 +246,7 @@ def set_aside(folder: Path, trial: int) -> None:
 
 
 def _next_attempt(folder: Path, log: Path) -> int:
-    """Return the number of the first attempt of a trial of which there are no files."""
+    """Return the first attempt number for which a trial has no files yet."""
     stem = log.name.partition(SUFFIX)[0]
     names = [path.name for path in folder.iterdir()]
     for number in itertools.count(1):
@@ -252,7 +256,7 @@ def _next_attempt(folder: Path, log: Path) -> int:
 
 
 def _rename(log: Path, number: int) -> None:
-    """Rename a log to that of attempt `number`."""
+    """Rename a log to the name for attempt `number`."""
     aside = log.with_name(attempt_name(log.name, number))
     aside.touch(exist_ok=False)  # reserves the name
     log.replace(aside)

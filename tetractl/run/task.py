@@ -29,10 +29,14 @@ SPECS_KEPT = 64
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Trial number `trial` of `count`, counted from 0; in a study, of the arm named `arm`.
+    """One trial to run, in a form that can be sent to another process.
 
-    `spec` is the pickled LoadedSpec. `code` is the hash, by
-    `code_of`, of the code with which the trial must be run, "" for any code.
+    Attributes:
+        trial: Index of the trial, from 0.
+        count: Number of trials.
+        spec: The pickled LoadedSpec.
+        arm: Name of the arm in a study. Empty otherwise.
+        code: Hash of the code with which the trial must be run (see `code_of`). Empty for any code.
     """
 
     trial: int
@@ -53,11 +57,11 @@ class Finished:
 
     result: Result
     wall_s: float
-    """Time from the building of the plant to the end of the log, with that of a first run [s]."""
+    """Time from creating the plant to the end of the log, including that of a first run [s]."""
 
 
 class OtherCodeError(UsageError):
-    """A worker's code differs from that of the study's machine, so trials could differ."""
+    """A worker's code differs from the code on the study's machine, so trials could differ."""
 
 
 def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
@@ -79,10 +83,19 @@ def run_task(
     observers: Sequence[Observer] = (),
     supervision: LabSupervision | None = None,
 ) -> Finished:
-    """Run a task's trial and write its log to `folder`.
+    """Run a task's trial and write its log.
 
-    Raises OtherCodeError if the code of this process is not the task's, and any error that leaves
-    the trial without an outcome, such as a camera that does not answer.
+    Args:
+        task: The trial.
+        folder: Where to write the log.
+        interrupt: Requests to end the trial.
+        observers: Observers that watch the trial.
+        supervision: How people supervise the run. Only real robots need it.
+
+    Raises:
+        OtherCodeError: If the code of this process is not the task's.
+        Exception: Any error that leaves the trial without an outcome, such as a camera that does
+            not answer.
     """
     spec = _prepared(task.spec, task.code)
     began_s = time.perf_counter()

@@ -6,7 +6,7 @@ from tetractl.spec.loaded_spec import LoadedSpec
 from tetractl.spec.yaml.core_yaml import dump
 
 MODEL_MOTION = "exact"
-"""The motion of robots whose plant is not a simulation by one motion."""
+"""The motion of robots if their plant is not a simulation with one motion."""
 
 
 def undisturbed_spec(spec: LoadedSpec) -> LoadedSpec:

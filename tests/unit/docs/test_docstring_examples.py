@@ -85,8 +85,6 @@ UNFINISHED = (
     "control",
     "lab",
     "log",
-    "model",
-    "plant",
     "reach",
     "report",
     "run",

@@ -49,9 +49,9 @@ robots.0.a <- robots.green.a=360
 wheels.radius <- units.length=cm
   0.8 m from wheel to wheel | is units.length, cm, right
 robots.1.a <- robots.blue.a=6
-  is that of green, .* error of the 2 is 575.6 mm | different a
+  blue turns at the same rate as green .* cannot fall below 575.6 mm | different a
 robots.1.a <- robots.blue.a=5.9
-  blue and green differ by 1.7 % in turning rate a and 0 rad .* would be 575.6 mm | different a
+  blue and green differ by only 1.7 % in turning rate a and 0 rad .* below 575.6 mm | different a
 robots.1.a <- robots.blue.a=6; robots.blue.heading=0.04
   0 % in turning rate a and 0.04 rad in start heading | different a
 robots <- robots.blue.a=6

@@ -90,7 +90,7 @@ from tetractl.control.search.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Stop, Turn
 from tetractl.core.errors import ControlError
-from tetractl.core.losses import told_dead
+from tetractl.core.losses import describe_dead
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Decision, End, Limits, Outcome, Plan, Problem, Search, State
 from tetractl.core.poses import Bools, Floats, Observation, Poses
@@ -265,7 +265,7 @@ class Mpc:
         motion = self.estimator.add_step(observation, last_command, earlier)
         dead = self.estimator.losses.dead
         if dead.any() and self.setup.loss and self.setup.loss.ends:
-            raise ControlError(told_dead(self.setup.names, dead))
+            raise ControlError(describe_dead(self.setup.names, dead))
         poses = observation.poses
         if self.estimator.robots_changed:
             leg = self.leg

@@ -14,7 +14,7 @@ from tetractl.model.motion.polynomials import onwards
 def step(
     x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
 ) -> XYHeading:
-    """Advance by (4)-(6)."""
+    """Advance by (4)-(6); see `StepFunction`."""
     return (
         x + t * v * elementwise.cos(heading),  # (4)
         y + t * v * elementwise.sin(heading),  # (5)
@@ -25,7 +25,10 @@ def step(
 def hold(
     x: Floats, y: Floats, heading: Floats, held: Held, a: Floats, v: Floats, t: Floats
 ) -> XYHeading:
-    """Follow the chord of (4)-(5), turning steadily: after a whole period this is (4)-(6)."""
+    """Follow the chord of (4)-(5) with a constant turning rate; see `Hold`.
+
+    After a whole period, this equals (4)-(6).
+    """
     chord = v * t
     half = 0.5 * held.turning * t
     return (
@@ -36,7 +39,10 @@ def hold(
 
 
 def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Derivatives:
-    """Return a step of (4)-(6) and its derivatives; by ln a and ln v they are turn and chord."""
+    """Compute a step of (4)-(6) and its derivatives; see `Lanes.differentiate`.
+
+    The derivatives with respect to ln a and ln v are the turn and the chord.
+    """
     a, v = robot[:2]
     chord = t * v
     east = chord * c
@@ -58,7 +64,7 @@ class EulerLanes(PlainLanes):
 
     @staticmethod
     def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:
-        """Return x, y, cos and sin of the heading at the end of the step."""
+        """Compute x, y, cos and sin of the heading at the end of the step; see `Lanes.advance`."""
         return onwards(x, y, c, s, differentiate(c, s, cu, su, k[:-1], k[-1])[0])
 
 

@@ -33,7 +33,14 @@ ODD = 2 * np.arange(TERMS) + 1
 
 
 def rates(heading: Floats, u: Floats | float, a: Floats, v: Floats) -> XYHeading:
-    """Return dx/dt, dy/dt [length unit/s] and dheading/dt [rad/s] of (1)-(3) as printed."""
+    """Compute the derivatives of x, y [length unit/s] and heading [rad/s] by (1)-(3).
+
+    Args:
+        heading: Heading [rad].
+        u: Direction [rad].
+        a: Turning rate [rad/s].
+        v: Speed [length unit/s].
+    """
     return (
         v * elementwise.cos(heading),  # (1)
         v * elementwise.sin(heading),  # (2)
@@ -44,7 +51,7 @@ def rates(heading: Floats, u: Floats | float, a: Floats, v: Floats) -> XYHeading
 def step(
     x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
 ) -> XYHeading:
-    """Advance by the closed form of (1)-(3).
+    """Advance by the closed form of (1)-(3); see `StepFunction`.
 
     Half angles keep phi near pi exact, where 1 + cos(phi) would cancel.
     """
@@ -72,24 +79,31 @@ def step(
 def hold(
     x: Floats, y: Floats, heading: Floats, held: Held, a: Floats, v: Floats, t: Floats
 ) -> XYHeading:
-    """Follow (1)-(3) under the direction held."""
+    """Follow (1)-(3) under the held direction; see `Hold`."""
     return step(x, y, heading, held.direction, a, v, t)
 
 
 def turn(phi: float, a: float, t: float) -> float:
-    """Return by how much a robot turns in a time t [s] under a direction at an angle phi."""
+    """Compute the angle by which a robot turns under a held direction [rad].
+
+    Args:
+        phi: Angle from the heading to the direction [rad].
+        a: Turning rate [rad/s].
+        t: Duration [s].
+    """
     c = cos(phi / 2)
     s = sin(phi / 2)
     return 2 * atan2(-expm1(-a * t) * s * c, c * c + s * s * exp(-a * t))
 
 
 def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Derivatives:
-    """Return a step and its derivatives, for any a t.
+    """Compute a step and its derivatives, for any a t; see `Lanes.differentiate`.
 
-    With the whole angle phi in place of half of it, h = d/2 where d = near + far E, near = 1 + cos
+    With the whole angle phi instead of half of it, h = d/2 where d = near + far E, near = 1 + cos
     phi and far = (1 - cos phi) E. Near phi = pi, 1 + cos phi cancels, and the turn of fast robots
-    depends on it. Turn and way/(v t) depend on a and t by a t alone, so that their derivatives by
-    ln a are those by ln t. One division gives all three inverses.
+    depends on it. The turn and the path/(v t) depend on a and t only through a t, so their
+    derivatives with respect to ln a equal those with respect to ln t. One division gives all three
+    inverses.
     """
     a, v = robot[:2]
     e = decay(a * t)
@@ -142,9 +156,11 @@ def odd_multiples(count: int) -> tuple[Floats, Floats]:
 
 
 def _recurrence(first: Floats, before: Floats) -> Floats:
-    """Return the polynomials p_n of n = 1, 3, 5, ..., given those of n = 1 and of n = -1, by
+    """Compute the polynomials p_n for n = 1, 3, 5, ..., from those for n = 1 and n = -1.
 
-    p_n = 2 cos(2 t) p_(n-2) - p_(n-4),   2 cos(2 t) = 4 cos^2 t - 2.
+    The recurrence is
+
+        p_n = 2 cos(2 t) p_(n-2) - p_(n-4),   2 cos(2 t) = 4 cos^2 t - 2.
     """
     rows = np.zeros((first.size, first.size))
     rows[0] = first
@@ -189,7 +205,7 @@ class ExactLanes(NamedTuple):
 
     @staticmethod
     def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:
-        """Return x, y, cos and sin of the heading after a piece.
+        """Compute x, y, cos and sin of the heading after a piece; see `Lanes.advance`.
 
         With H the heading and U the direction as unit vectors, r = tanh(a t/2) and G = H + r U, the
         heading after t is (1 - r^2) G/|G|^2 + r U. The heading M after t/2 follows in the same way

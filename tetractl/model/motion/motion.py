@@ -16,13 +16,19 @@ Time = float | Floats
 XYHeading = tuple[Floats, Floats, Floats]
 XYTurn = tuple[float, float, float]
 Derivatives = tuple[XYTurn, XYTurn, XYTurn, tuple[XYTurn, ...]]
-"""dx, dy, dheading of one step; the derivatives of the new x, y, heading by the heading, by the
-direction u (that of the heading is 1 minus the one by the heading), and by each of PARAMETERS."""
+"""A step dx, dy, dheading, and the derivatives of the new x, y and heading.
+
+The derivatives are taken with respect to the heading, the direction u, and each of PARAMETERS. The
+derivative of the heading with respect to u is 1 minus the one with respect to the heading.
+"""
 
 
 PARAMETERS = "a", "speed"
-"""The parameters of all motions, in the order in which functions take them: a [rad/s] and the speed
-v [length unit/s]. Both are above 0: derivatives are taken by their logarithms."""
+"""The parameters of all motions, in the order of function arguments.
+
+They are a [rad/s] and the speed v [length unit/s]. Both are above 0, because derivatives are taken
+with respect to their logarithms.
+"""
 
 
 def in_rows(robots: Any) -> Floats:
@@ -62,10 +68,10 @@ class StepFunction(Protocol):
 
 
 class Hold(Protocol):
-    """Poses of simulated robots a time t [s] later, in closed form, while no new command arrives.
+    """A function that computes poses of simulated robots while no new command arrives.
 
-    Arguments are as for `StepFunction`, with the held command in place of u; t (M, N) gives poses
-    (M, N).
+    The poses are in closed form. Arguments are as for `StepFunction`, with the held command instead
+    of u. t has shape (M, N), and so have the poses.
     """
 
     def __call__(
@@ -104,20 +110,45 @@ class Lanes(Protocol):
 
     @staticmethod
     def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:
-        """Return x, y, c, s after a piece; c, s and cu, su are cos and sin of heading and u."""
+        """Compute the pose of a robot after a piece of a step.
+
+        Args:
+            x: x of the robot.
+            y: y of the robot.
+            c: Cosine of its heading.
+            s: Sine of its heading.
+            cu: Cosine of the direction.
+            su: Sine of the direction.
+            k: The robot's row of constants.
+
+        Returns:
+            x, y, and the cosine and sine of the heading.
+        """
         ...
 
     @staticmethod
     def differentiate(
         c: float, s: float, cu: float, su: float, robot: Any, t: float
     ) -> Derivatives:
-        """Return a whole step of t [s] and its derivatives; `robot` are one robot's PARAMETERS."""
+        """Compute a whole step and its derivatives.
+
+        Args:
+            c: Cosine of the heading.
+            s: Sine of the heading.
+            cu: Cosine of the direction.
+            su: Sine of the direction.
+            robot: The PARAMETERS of one robot.
+            t: Duration of the step [s].
+        """
         ...
 
 
 class PlainLanes(NamedTuple):
-    """`Lanes` of a motion that computes nothing beforehand: PARAMETERS and t of each robot. Its
-    subclass has `differentiate` and `advance`; the latter may be that and `onwards`."""
+    """`Lanes` of a motion that computes nothing in advance: PARAMETERS and t of each robot.
+
+    A subclass implements `differentiate` and `advance`. The latter may consist of `differentiate`
+    and `onwards`.
+    """
 
     rows: Floats  # (N, K + 1)
     pieces: int = 1

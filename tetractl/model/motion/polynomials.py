@@ -87,10 +87,15 @@ def horner(coefficients, q):
 
 
 def alternating(k, first, end, q):
-    """Return the value of a polynomial with the two or more coefficients k[first:end], lowest
-    first.
+    """Evaluate a polynomial with two or more coefficients.
 
     Even and odd powers are summed separately, which halves the chain of dependent operations.
+
+    Args:
+        k: Array that contains the coefficients, lowest first.
+        first: Index of the first coefficient.
+        end: Index after the last coefficient.
+        q: The argument.
     """
     q2 = q * q
     odd = k[end - 1]
@@ -103,7 +108,7 @@ def alternating(k, first, end, q):
 
 
 def sincos(x):
-    """Return (sin x, cos x) for |x| <= pi, by halving the angle twice."""
+    """Compute (sin x, cos x) for |x| <= pi, by halving the angle twice."""
     t = 0.25 * x
     q = t * t
     s_quarter = t * horner(SINE, q)
@@ -119,7 +124,18 @@ def wrap(x):
 
 
 def onwards(x, y, c, s, step):
-    """Return x, y, cos and sin of the heading after a step dx, dy, dheading."""
+    """Compute the pose after a step.
+
+    Args:
+        x: x before the step.
+        y: y before the step.
+        c: Cosine of the heading before the step.
+        s: Sine of the heading before the step.
+        step: The step: dx, dy, dheading.
+
+    Returns:
+        x, y, and the cosine and sine of the heading.
+    """
     dx, dy, turn = step
     sw, cw = sincos(wrap(turn))
     return x + dx, y + dy, c * cw - s * sw, s * cw + c * sw

@@ -1,12 +1,14 @@
 """Two-wheeled robots in plain loops: which wheel speeds a host sends them, and where they go.
 
     host      wish    wheel speeds towards a direction, by the paper's (24)-(25), for the headings
-                      that robots will have when the speeds act; `note` what was sent
+                      that robots will have when the speeds take effect; `note` records what was
+                      sent
               count   speeds rounded to whole counts of a motor
     robots    roll    x, y and heading after some time, by (21)-(23)
 
-The emulated robots and the lab's actuator run the loops as they are, by the classes of
-`model.wheels`; `plant.drive_kernels` compiles them for the simulation, with the same bits.
+The emulated robots and the lab's actuator run these loops uncompiled, through the classes of
+`model.wheels`. `plant.drive_kernels` compiles them for the simulation, with the same results to the
+bit.
 """
 
 from typing import Any, NamedTuple, Self
@@ -23,7 +25,15 @@ SERIES_HALF_TURN_RAD = 0.3
 
 
 def count(speeds: Floats, owed: Floats, gain: Floats, dead_zone: Any, limit: Any) -> Floats:
-    """Return the counts beyond the dead zones (2, N) for speeds, see `Drivetrains.counts`."""
+    """Convert wheel speeds to counts beyond the dead zones, shape (2, N); see `Drivetrains.counts`.
+
+    Args:
+        speeds: Wheel speeds [length unit/s], shape (2, N).
+        owed: Rounding errors of earlier calls [counts], shape (2, N), changed in place.
+        gain: Speed of a wheel for each count [length unit/s], shape (2, N).
+        dead_zone: Counts at which a wheel does not turn yet, shape (2, N).
+        limit: Maximum count of each robot, shape (N,).
+    """
     steps = np.empty(speeds.shape)
     for i in range(speeds.shape[1]):
         scale = 1.0
@@ -40,14 +50,26 @@ def count(speeds: Floats, owed: Floats, gain: Floats, dead_zone: Any, limit: Any
 
 
 def wheel_speeds(sine: Any, a: Any, v: Any, radius: Any) -> Any:
-    """Return left and right wheel speeds [length unit/s] by the paper's (24)-(25), for the `sine`
-    of u - heading, a [rad/s], v [length unit/s], and the distance from a wheel to the centre."""
+    """Compute left and right wheel speeds by the paper's (24)-(25) [length unit/s].
+
+    Args:
+        sine: sin(u - heading).
+        a: Turning rate [rad/s].
+        v: Speed [length unit/s].
+        radius: Distance from a wheel to the centre [length unit].
+    """
     difference = a * radius * sine
     return v - difference, v + difference
 
 
 def rolled(heading: float, angle: float, way: float) -> tuple[float, float]:
-    """Return the displacement x, y on an arc by (21)-(23), of a robot that turns by `angle`."""
+    """Compute the displacement x, y on an arc by (21)-(23).
+
+    Args:
+        heading: Heading at the beginning of the arc [rad].
+        angle: Angle by which the robot turns [rad].
+        way: Length of the arc [length unit].
+    """
     half = angle / 2
     if abs(half) <= SERIES_HALF_TURN_RAD:
         square = angle * angle / 4
@@ -68,7 +90,7 @@ class KnownRobots(NamedTuple):
     radius: Floats
     """Distances from a wheel to the centre [length unit]."""
     lag_s: float
-    """Time constant T with which the wheels follow commands [s], 0 to neglect it; of all robots."""
+    """Time constant T with which all wheels follow commands [s]. 0 to neglect it."""
 
     def turning(self) -> Self:
         """Return the robots with speed 0, as they turn on the spot."""
@@ -83,8 +105,10 @@ class SentRates(NamedTuple):
     """The turning rates sent to N robots that still matter: `wish` drops older ones."""
 
     times_ns: Times
-    """When each of them begins to act, oldest first, (Q,); NEVER for entries not in use, of which
-    the last always is one."""
+    """When each of them takes effect, oldest first, (Q,).
+
+    NEVER for unused entries; the last entry is always unused.
+    """
     rates: Floats
     """The rates that the wheels then follow [rad/s], (Q, N)."""
     true_at_first: Floats
@@ -111,13 +135,21 @@ class SentRates(NamedTuple):
 def wish(
     heading: Floats, u: Floats, since_ns: int, acts_ns: int, robots: KnownRobots, sent: SentRates
 ) -> Floats:
-    """Return the wheel speeds (2, N), left and right, by (24)-(25) for the directions `u` (N,).
+    """Compute the wheel speeds (2, N) that turn robots towards directions, by (24)-(25).
 
-    They are computed for the headings at `acts_ns`, when the command acts, predicted from the
-    headings (N,) measured at `since_ns`, which must not decrease between calls: `sent` forgets
-    what acted before. Wheels without a lag have turned by (3) until then. Of wheels with a lag, the
-    heading at which the robot would come to rest is taken: from there robots turn by (3), as
-    without a lag.
+    The speeds, left and right, are computed for the headings at `acts_ns`, when the command takes
+    effect. These are predicted from the measured headings. Wheels without a lag have turned by (3)
+    until then. For wheels with a lag, the heading in which the robot would come to a standstill is
+    used: from there, robots turn by (3), as without a lag.
+
+    Args:
+        heading: Measured headings [rad], shape (N,).
+        u: Directions [rad], shape (N,).
+        since_ns: Time of the measurement. It must not decrease between calls, because `sent`
+            forgets older rates.
+        acts_ns: When the command takes effect.
+        robots: What the host knows of the robots.
+        sent: The rates sent so far.
     """
     if robots.lag_s > 0:
         forget(sent, since_ns, robots.lag_s)
@@ -134,7 +166,15 @@ def wish(
 
 
 def headings_turned(heading: Floats, u: Floats, since_ns: int, acts_ns: int, a: Floats) -> Floats:
-    """Return the headings (N,) after robots have turned towards `u` by (3) from `since_ns` on."""
+    """Predict the headings after robots have turned towards directions by (3), shape (N,).
+
+    Args:
+        heading: Headings at `since_ns` [rad], shape (N,).
+        u: Directions [rad], shape (N,).
+        since_ns: When robots start to turn.
+        acts_ns: When the headings are wanted.
+        a: Turning rates [rad/s], shape (N,).
+    """
     seconds = (acts_ns - since_ns) / SECOND
     turned = heading.copy()
     if seconds > 0:
@@ -146,12 +186,20 @@ def headings_turned(heading: Floats, u: Floats, since_ns: int, acts_ns: int, a: 
 def headings_at_rest(
     heading: Floats, since_ns: int, acts_ns: int, lag_s: float, sent: SentRates
 ) -> Floats:
-    """Return the headings (N,) at which robots come to rest if the rates sent act until `acts_ns`.
+    """Predict the headings (N,) in which robots come to a standstill if they stop at `acts_ns`.
 
-    A robot of the heading theta and the true turning rate w at `since_ns`, whose wheels follow
-    the rates c sent to it with the time constant T until `acts_ns` and then 0, comes to rest at
+    A robot has the heading theta and the true turning rate w at `since_ns`. Its wheels follow the
+    rates c that were sent with the time constant T, until `acts_ns`, and then 0. It comes to a
+    standstill at
 
         theta + T w + integral of c from `since_ns` to `acts_ns`.
+
+    Args:
+        heading: Headings at `since_ns` [rad], shape (N,).
+        since_ns: Time of the measurement.
+        acts_ns: When the robots stop.
+        lag_s: The time constant T [s].
+        sent: The rates sent so far.
     """
     times_ns = sent.times_ns
     share = exp(min(times_ns[0] - since_ns, 0) / SECOND / lag_s)  # that the lag has left
@@ -170,7 +218,13 @@ def headings_at_rest(
 
 
 def forget(sent: SentRates, now_ns: int, lag_s: float) -> None:
-    """Drop the rates that were replaced by others until `now_ns`."""
+    """Drop the rates that were replaced by others before `now_ns`.
+
+    Args:
+        sent: The rates sent so far.
+        now_ns: The time.
+        lag_s: Time constant of the wheels [s].
+    """
     times_ns = sent.times_ns
     rates = sent.rates
     true_rates = sent.true_at_first
@@ -185,8 +239,14 @@ def forget(sent: SentRates, now_ns: int, lag_s: float) -> None:
 
 
 def note(sent: SentRates, acts_ns: int, speeds: Floats, radius: Floats) -> None:
-    """Add to the rates sent those of wheel speeds (2, N) that act from `acts_ns` [ns] on; there
-    must be room."""
+    """Record wheel speeds that were sent. There must be space for them.
+
+    Args:
+        sent: The rates sent so far.
+        acts_ns: When the speeds take effect [ns].
+        speeds: Wheel speeds [length unit/s], shape (2, N).
+        radius: Distance from a wheel to the centre [length unit], shape (N,).
+    """
     k = 0
     while sent.times_ns[k] != NEVER:
         k += 1
@@ -208,15 +268,15 @@ LEFT_TARGET = 5
 RIGHT_TARGET = 6
 """The speed that the right wheel follows [length unit/s]."""
 TURNS = 7
-"""Factor by which the difference of the wheels' ways turns the robot [rad/length unit]."""
+"""Row: how far a robot turns for a difference of its wheels' paths [rad/length unit]."""
 MOVES = 8
-"""Factor by which the sum of the wheels' ways moves the robot."""
+"""Row: how far a robot moves for a sum of its wheels' paths."""
 LAG = 9
 """The wheels' time constant [s]."""
 STANDS_BELOW = 10
 """Speed below which the wheels of a stopped robot stand [length unit/s]."""
 MOVING = 11
-"""1 for a robot whose heading swerves, else 0."""
+"""Row: 1 for robots whose heading swerves, 0 for others."""
 ROWS = 12  # of the array
 
 
@@ -229,12 +289,19 @@ def roll(
     drawn: Floats,
     path: Floats,
 ) -> None:
-    """Advance N robots, `body` (ROWS, N), from `now_ns` to the last of the `times` (M,) [ns]; write
-    x, y, heading at these into `path` (M, 3, N).
+    """Advance N robots, and write their poses at given times.
 
-    At each time after `now_ns` for which `ticks` (M,) is True, a heading swerves by `walk` [rad]
-    times its next number in `drawn` (number of ticks, N). A path does not depend on how it is
-    divided into calls.
+    The path does not depend on how it is divided into calls.
+
+    Args:
+        body: State of the robots, shape (ROWS, N), changed in place.
+        now_ns: The time of the state.
+        times: Times of the poses [ns], shape (M,).
+        ticks: Whether the heading swerves at each time after `now_ns`, shape (M,).
+        walk: Size of a swerve [rad].
+        drawn: Standard normal numbers, shape (number of ticks, N). Each swerve is `walk` times the
+            next number.
+        path: Filled with x, y and heading, shape (M, 3, N).
     """
     since = now_ns
     tick = 0
@@ -252,9 +319,11 @@ def roll(
 
 
 def _step(body: Floats, seconds: float) -> None:
-    """Advance robots (ROWS, N) along the chords of arcs, by (21)-(23). Wheel speeds, distances and
-    headings are exact. Chords are exact for settled wheels, otherwise their error falls with the
-    square of the time."""
+    """Advance robots (ROWS, N) along the chords of arcs, by (21)-(23).
+
+    Wheel speeds, distances and headings are exact. Chords are exact for settled wheels. Otherwise,
+    their error falls with the square of the time.
+    """
     share = 1.0  # completed fraction of the change of the wheels' speeds
     for i in range(body.shape[1]):
         lag = body[LAG, i]

@@ -18,8 +18,9 @@ SINK_S = 5.0  # guess: time constant of the wander in depth
 
 
 class CellArrays(NamedTuple):
-    """N swimming cells and what acts on them, a number per cell in each array (N,). `step` also
-    takes lists of them.
+    """N swimming cells and what acts on them. Each array has shape (N,).
+
+    `step` also takes lists of these numbers.
     """
 
     x: Any
@@ -29,7 +30,7 @@ class CellArrays(NamedTuple):
     heading: Any
     """Direction of the helix's axis [rad]."""
     phase: Any
-    """Place of the body on the helix [rad]."""
+    """Position of the body on the helix [rad]."""
     depth: Any
     """Height of the axis from focus [um]."""
     a: Any
@@ -45,7 +46,7 @@ class CellArrays(NamedTuple):
     helix_um: Any
     """Radius of the helix [um]."""
     going: Any
-    """1, or 0 for a cell that rests, which only drifts."""
+    """1, or 0 for a resting cell, which only drifts."""
     field_x: Any
     """x of the field, as a fraction of the reference field."""
     field_y: Any
@@ -55,23 +56,22 @@ class CellArrays(NamedTuple):
     flow_y: Any
     """y of the medium's flow [um/s]."""
     wall_left: Any
-    """x of the left wall, along which cells slide [um]; -inf for none."""
+    """x of the left wall, along which cells slide [um]. -inf if there is no wall."""
     wall_right: Any
-    """x of the right wall [um]; inf for none."""
+    """x of the right wall [um]. inf if there is no wall."""
     wall_bottom: Any
-    """y of the lower wall [um]; -inf for none."""
+    """y of the lower wall [um]. -inf if there is no wall."""
     wall_top: Any
-    """y of the upper wall [um]; inf for none."""
+    """y of the upper wall [um]. inf if there is no wall."""
 
 
 def steps_in(seconds: float) -> int:
-    """Return the number of time steps in which `step` advances cells by a time [s]."""
+    """Return the number of time steps that `step` needs for a time [s]."""
     return math.ceil(seconds / STEP_S)
 
 
 def steps_until(since_ns: int, times_ns: Sequence[int]) -> int:
-    """Return the number of time steps from `since_ns` to the first of the times, and from each to
-    the next."""
+    """Return the number of time steps from `since_ns` through all of the given times."""
     steps = 0
     begin_ns = since_ns
     for end_ns in times_ns:
@@ -81,17 +81,27 @@ def steps_until(since_ns: int, times_ns: Sequence[int]) -> int:
 
 
 def torque(dipole: float, across: float, up: float) -> tuple[float, float]:
-    """Return the turning rate for a = 1 by equation (3), for a dipole's direction [rad] in the
-    field (across, up), and its derivative by the direction."""
+    """Compute the turning rate for a = 1 by equation (3), and its derivative by the direction.
+
+    Args:
+        dipole: Direction of the dipole [rad].
+        across: x of the field, as a fraction of the reference field.
+        up: y of the field, as a fraction of the reference field.
+    """
     along = cos(dipole)
     aside = sin(dipole)
     return up * along - across * aside, -(up * aside + across * along)
 
 
 def step(cells: CellArrays, seconds: float, noise: Any) -> None:
-    """Advance N cells by a time [s], by the midpoint rule in equal steps of at most STEP_S; `noise`
-    (at least steps_in(seconds), 2, N) is standard normal: swerves of the headings, and jolts of
-    the depths."""
+    """Advance N cells by the midpoint rule, in equal steps of at most STEP_S.
+
+    Args:
+        cells: The cells, changed in place.
+        seconds: Duration [s].
+        noise: Standard normal numbers, shape (at least steps_in(seconds), 2, N): swerves of the
+            headings, and jolts of the depths.
+    """
     x = cells.x
     y = cells.y
     heading = cells.heading
@@ -146,11 +156,17 @@ def step(cells: CellArrays, seconds: float, noise: Any) -> None:
 def swim(
     cells: CellArrays, now_ns: int, times: Times, noise: Floats, unit_um: float, path: Floats
 ) -> None:
-    """Advance N cells from `now_ns` to the last of the `times` (M,) [ns]; write x, y and heading of
-    the bodies, in units of `unit_um`, at these into `path` (M, 3, N).
+    """Advance N cells, and write their poses at given times.
 
-    `noise` (S, 2, N) is standard normal, a row for each time step. A path does not depend on how
-    it is divided into calls.
+    The path does not depend on how it is divided into calls.
+
+    Args:
+        cells: The cells, changed in place.
+        now_ns: The time of the cells' state.
+        times: Times of the poses [ns], shape (M,).
+        noise: Standard normal numbers, one row for each time step, shape (S, 2, N).
+        unit_um: The length unit of the path [um].
+        path: Filled with x, y and heading of the bodies, shape (M, 3, N).
     """
     since = now_ns
     used = 0

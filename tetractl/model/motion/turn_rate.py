@@ -1,11 +1,12 @@
-"""How robots turn other than by (3): faster to one side, and not faster than their motors allow.
+"""Extensions of (3): robots that turn faster to one side, or no faster than their motors allow.
 
-A robot turns with the rate a exp(k) to the left and a exp(-k) to the right, where k is its `side`,
-and never faster than `saturation` times the greater of these; 1 for motors that never saturate.
+A robot turns with the rate a exp(k) to the left and a exp(-k) to the right, where k is its `side`.
+It never turns faster than `saturation` times the larger of these two rates. `saturation` is 1 for
+motors that never saturate.
 
-Under a held direction the side does not change, so that a step of any motion is one with a exp(+-k)
-in place of a. While motors saturate, the a is taken with which the robot turns at its greatest rate
-in the middle of the step: the turn differs by the order of its third power.
+Under a held direction, the side does not change. A step of any motion is therefore a step with a
+exp(+-k) instead of a. While motors saturate, a is chosen so that the robot turns at its maximum
+rate in the middle of the step. The turn then differs by the order of its third power.
 """
 
 import math
@@ -20,7 +21,7 @@ from tetractl.model.motion.polynomials import sincos
 
 
 class RobotParameters(NamedTuple):
-    """The PARAMETERS of the motion of one robot, and behind them those of how it turns."""
+    """The PARAMETERS of the motion of one robot, followed by those of its turning."""
 
     a: float
     speed: float
@@ -39,14 +40,32 @@ def all_in_rows(robots: Any) -> Floats:
 
 
 def is_left(c: float, s: float, cu: float, su: float) -> bool:
-    """Return whether a robot turns to the left, or not at all."""
+    """Check whether a robot turns to the left, or not at all.
+
+    Args:
+        c: Cosine of the heading.
+        s: Sine of the heading.
+        cu: Cosine of the direction.
+        su: Sine of the direction.
+    """
     return su * c - cu * s >= 0
 
 
 def turning(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> Any:
-    """Return the a [rad/s] of a step of t [s] under a direction, and the derivatives of its
-    logarithm by phi = u - heading, by `side` and by ln `saturation`; c, s and cu, su are cos and
-    sin of heading and u, and `robot` is a `RobotParameters`."""
+    """Compute the turning rate a of a step, and the derivatives of its logarithm.
+
+    Args:
+        c: Cosine of the heading.
+        s: Sine of the heading.
+        cu: Cosine of the direction u.
+        su: Sine of the direction u.
+        robot: The robot's `RobotParameters`.
+        t: Duration of the step [s].
+
+    Returns:
+        a [rad/s], and the derivatives of ln a with respect to phi = u - heading, `side` and ln
+        `saturation`.
+    """
     a, _, side, saturation = robot
     sine = su * c - cu * s
     factor = exp(side)
@@ -67,14 +86,20 @@ def turning(c: float, s: float, cu: float, su: float, robot: Any, t: float) -> A
 
 
 def held(a: float, slopes: Any, c: float, s: float, hold: Any) -> Any:
-    """Return what `turning` does for wheels that are sent the rate of a heading, a sin(phi), and
-    keep it until they are sent the next, which is Euler's method; c and s are cos and sin of phi.
+    """Compute the turning rate like `turning`, for wheels that keep a rate until the next is sent.
 
-    `hold` are the means over time of the first three powers of how long a rate is kept [s, s2, s3].
-    By the modified equation of the method (Hairer, Lubich and Wanner, Geometric Numerical
-    Integration, section IX.1), phi follows to the third order, with x_k = a^k hold_k,
+    Such wheels are sent the rate a sin(phi) of a heading. This is Euler's method. By its modified
+    equation (Hairer, Lubich and Wanner, Geometric Numerical Integration, section IX.1), phi follows
+    to the third order, with x_k = a^k hold_k,
 
         phi' = -a sin(phi) (1 + x_1 c / 2 + x_2 (c^2 / 3 - s^2 / 12) + x_3 (c^3 / 4 - c s^2 / 6)).
+
+    Args:
+        a: Turning rate [rad/s].
+        slopes: Its derivatives, as `turning` returns them.
+        c: Cosine of phi.
+        s: Sine of phi.
+        hold: Means over time of the first three powers of how long a rate is kept [s, s2, s3].
     """
     rate = min(a, 1.0 / hold[0])  # beyond, the series says nothing
     first = rate * hold[0]
@@ -92,8 +117,10 @@ def times(by: Any, factor: float) -> Any:
 
 
 def by_turning(derivatives: Derivatives, slopes: Any) -> Derivatives:
-    """Return a step made with the a of `turning` with its derivatives by all parameters, given the
-    `slopes` of that a."""
+    """Extend a step that was made with the a of `turning` to its derivatives by all parameters.
+
+    `slopes` are the derivatives of that a.
+    """
     step, (x_h, y_h, turn_h), (x_u, y_u, turn_u), (by_a, by_speed) = derivatives
     x, y, turn = times(by_a, slopes[0])  # by phi: a changes with it, too
     by_heading = (x_h - x, y_h - y, turn_h - turn)

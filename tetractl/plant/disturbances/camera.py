@@ -44,7 +44,7 @@ class TrackingLoss(Disturbance):
         )
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses unchanged, and which robots are tracked at this time."""
+        """Return the poses unchanged, and which robots are tracked; see `Disturbance.measured`."""
         return poses, valid & self._tracked.well(time_s)
 
 
@@ -55,8 +55,10 @@ class CameraLatencySection(DisturbanceSection):
     mean: float = Field(ge=0, le=10, allow_inf_nan=False)
     """Mean time from exposure to arrival [s]."""
     deviation: float = Field(default=0.0, ge=0, le=1, allow_inf_nan=False)
-    """Standard deviation of a frame's latency [s], normally distributed, truncated at 4 standard
-    deviations."""
+    """Standard deviation of a frame's latency [s].
+
+    The latency is normally distributed, truncated at 4 standard deviations.
+    """
     late_share: Fraction = 0.0
     """Fraction of the frames that are late."""
     late_by: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
@@ -106,9 +108,12 @@ class FrameLossSection(DisturbanceSection):
 
 
 class FrameLoss(Disturbance):
-    """Loses frames by a Markov chain with two states, received and lost; the first frame is not
-    lost. A burst of mean length b ends with the probability 1 / b, and one begins with such a
-    probability that `share` of the frames are lost in the long run."""
+    """A disturbance that loses frames, by a Markov chain with the states received and lost.
+
+    The first frame is not lost. A burst with the mean length b ends with the probability 1 / b. The
+    probability that a burst begins is such that the fraction `share` of the frames is lost in the
+    long run.
+    """
 
     def __init__(self, section: FrameLossSection, rng: np.random.Generator) -> None:
         self._burst_begins = section.share / (1 - section.share) / section.burst
@@ -117,7 +122,7 @@ class FrameLoss(Disturbance):
         self._losing = False  # whether the next frame is lost
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
-        """Return the time of arrival unchanged, None for a frame that is lost."""
+        """Return the time of arrival unchanged, or None for a lost frame."""
         lost = self._losing
         chance = self._rng.random()
         if lost:
@@ -128,9 +133,7 @@ class FrameLoss(Disturbance):
 
 
 class FrozenCameraSection(SpellsSection):
-    """Intervals in which every frame repeats the last one before the interval, or in which all
-    frames are lost.
-    """
+    """Intervals in which all frames are lost, or repeat the last frame before the interval."""
 
     type: Literal["frozen-camera"]
     repeats: bool = True
@@ -155,20 +158,20 @@ class FrozenCamera(Disturbance):
         self._last: tuple[Poses, Bools] | None = None  # measurement before the interval
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the measurement; during an interval, the last measurement before the interval."""
+        """Return the measurement, or the last one before an interval; see `Disturbance`."""
         frozen = self._repeats and self._spells.include(time_s)
         if self._last is None or not frozen:
             self._last = (poses, valid)
         return self._last
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
-        """Return the time of arrival unchanged, None for a frame that is lost."""
+        """Return the time of arrival unchanged, or None for a lost frame."""
         lost = not self._repeats and self._spells.include(exposed_ns / SECOND)
         return None if lost else received_ns
 
 
 class MarkerOffSection(DisturbanceSection):
-    """Each robot's measured heading has an offset, whose sign is drawn once per trial."""
+    """Each robot's measured heading has an offset with a random sign, sampled once per trial."""
 
     type: Literal["marker-off"]
     heading: NonNegativeAngle
@@ -186,7 +189,7 @@ class MarkerOff(Disturbance):
         self.offsets = offsets
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses with the offsets added to the headings."""
+        """Return the poses with the offsets added to the headings; see `Disturbance.measured`."""
         return Poses(poses.x, poses.y, poses.heading + self.offsets), valid
 
 
@@ -195,7 +198,7 @@ class StaleCameraSection(SpellsSection):
 
     type: Literal["stale-camera"]
     age: Positive = 0.1
-    """Age of the poses shown [s]; frames before this time of the trial show the first poses."""
+    """Age of the poses shown [s]. Frames before this time of the trial show the first poses."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StaleCamera":
         """Return this disturbance for one trial."""
@@ -212,7 +215,7 @@ class Measurement:
 
 
 class StaleCamera(Disturbance):
-    """Stores the measurements and, during an interval, shows those of `age_s` [s] earlier."""
+    """A disturbance that shows measurements of `age_s` [s] earlier during an interval."""
 
     def __init__(self, age_s: float, spells: Spells) -> None:
         self._age_s = age_s
@@ -220,7 +223,7 @@ class StaleCamera(Disturbance):
         self._recent: deque[Measurement] = deque()  # those of the last `age_s` and one before
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses; in an interval, the newest poses that are at least `age_s` old."""
+        """Return the poses, or old poses during an interval; see `Disturbance.measured`."""
         self._recent.append(Measurement(time_s, poses, valid))
         while len(self._recent) > 1 and self._recent[1].time_s <= time_s - self._age_s:
             self._recent.popleft()

@@ -22,8 +22,10 @@ class RadioSection(DisturbanceSection):
     jitter: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """Largest additional delay of a transmission, uniformly distributed [s]."""
     spread: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """Largest additional delay of a robot, uniformly distributed, drawn for each robot once per
-    trial [s]."""
+    """Maximum additional delay of a robot [s].
+
+    It is uniformly distributed and sampled for each robot once per trial.
+    """
     loss: Fraction = 0.0
     """Probability that a robot does not receive a transmission."""
 
@@ -61,8 +63,10 @@ class Radio(Disturbance):
 
 
 class SilentRadioSection(SpellsSection):
-    """Intervals in which robots receive no command and keep following the last one, until a
-    watchdog (`wheels.watchdog`) stops them."""
+    """Intervals in which robots receive no command and keep following the last one.
+
+    A watchdog (`wheels.watchdog`) may stop them.
+    """
 
     type: Literal["silent-radio"]
 

@@ -35,19 +35,22 @@ class Battery(Disturbance):
         self._section = section
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Return turning rates and speeds, reduced by the fractions lost up to this time."""
+        """Reduce turning rate and speed by the fractions lost; see `Disturbance.varied`."""
         used = min(1.0, time_s / self._section.over)
         return a * (1 - self._section.a * used), speed * (1 - self._section.speed * used)
 
 
 class HeadingDriftSection(DisturbanceSection):
-    """A constant rate is added to the turning rate of the paper's equation (3): the wheels are
-    uneven, or a cell is bent."""
+    """A constant rate is added to the turning rate of the paper's equation (3).
+
+    The cause may be uneven wheels, or a bent cell.
+    """
 
     type: Literal["heading-drift"]
     rate: NonNegative
-    """Greatest turning rate; each robot's is uniform in [-rate, rate], drawn once per trial
-    [rad/s].
+    """Maximum turning rate [rad/s].
+
+    Each robot's rate is uniform in [-rate, rate], sampled once per trial.
     """
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "HeadingDrift":
@@ -62,7 +65,7 @@ class HeadingDrift(Disturbance):
         self._rates = rates
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        """Return the poses after the drift has turned the robots for `seconds`."""
+        """Turn the robots by the drift; see `Disturbance.moved`."""
         return Poses(poses.x, poses.y, poses.heading + self._rates * moving * seconds)
 
 
@@ -89,14 +92,16 @@ class Sticking(Disturbance):
         )
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Return turning rates and speeds, 0 for the robots that stick."""
+        """Set turning rate and speed of robots that are stuck to 0; see `Disturbance.varied`."""
         free = self._free.well(time_s)
         return a * free, speed * free
 
 
 class WanderSection(DisturbanceSection):
-    """Relative errors of turning rate a and speed that change slowly, independently for each robot
-    and quantity: their logarithms are stationary Ornstein-Uhlenbeck processes.
+    """Relative errors of turning rate a and speed that change slowly.
+
+    They are independent for each robot and quantity. Their logarithms are stationary
+    Ornstein-Uhlenbeck processes.
     """
 
     type: Literal["wander"]
@@ -123,7 +128,7 @@ class Wander(Disturbance):
         self._last_s = 0.0  # the time of this state
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Return turning rates and speeds with the errors at this time."""
+        """Apply the present errors to turning rates and speeds; see `Disturbance.varied`."""
         correlation = elementwise.exp(-(time_s - self._last_s) / self._correlation_s)
         self._last_s = time_s
         fresh = self._rng.standard_normal(self._state.shape)

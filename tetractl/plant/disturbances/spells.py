@@ -15,7 +15,7 @@ class SpellsSection(DisturbanceSection):
     """A disturbance that acts only in a few intervals per trial, each at a random time."""
 
     times: Annotated[int, Field(ge=0, le=1000)] = 1
-    """Number of intervals in a trial; they may overlap."""
+    """Number of intervals in a trial. They may overlap."""
     duration: Positive
     """Duration of each interval [s]."""
     between: tuple[NonNegative, NonNegative] = (1.0, 14.0)
@@ -27,7 +27,7 @@ class SpellsSection(DisturbanceSection):
 
 
 class Spells:
-    """The intervals of one trial in which a disturbance acts."""
+    """The intervals of one trial during which a disturbance acts."""
 
     def __init__(self, section: SpellsSection, rng: np.random.Generator) -> None:
         self._begin_s = rng.uniform(*section.between, section.times)
@@ -39,10 +39,10 @@ class Spells:
 
 
 class ByTurns:
-    """The state of N robots, each of which alternates between undisturbed (well) and disturbed
-    (unwell), independently of the others; all are well at first.
+    """The state of N robots, each of which alternates between undisturbed and disturbed.
 
-    `well_s` and `unwell_s` draw the durations of the two states [s].
+    Each robot does so independently of the others. All are undisturbed (well) at first. `well_s`
+    and `unwell_s` sample the durations of the two states [s].
     """
 
     def __init__(
@@ -54,8 +54,10 @@ class ByTurns:
         self._until_s = [well_s() for _ in range(robots)]  # when each robot's state changes next
 
     def well(self, time_s: float) -> Bools:
-        """Return whether each robot is undisturbed at `time_s` (N,); later calls must not have
-        earlier times."""
+        """Return whether each robot is undisturbed at a time (N,).
+
+        Later calls must not have earlier times.
+        """
         for i, until_s in enumerate(self._until_s):
             while until_s <= time_s:
                 self._well[i] = not self._well[i]

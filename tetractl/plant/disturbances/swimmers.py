@@ -18,7 +18,7 @@ class FlowSection(DisturbanceSection):
     speed: NonNegative
     """Speed of the flow [length unit/s]."""
     direction: Annotated[Finite | None, ANGLE] = None
-    """Direction of the flow, anticlockwise from +x [rad]; by default drawn in every trial."""
+    """Direction of the flow, anticlockwise from +x [rad]. Default: sampled in every trial."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Flow":
         """Return this disturbance for one trial."""
@@ -35,7 +35,7 @@ class Flow(Disturbance):
         self.velocity = velocity
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        """Return the poses after the flow has carried the cells for `seconds`."""
+        """Move the cells with the flow; see `Disturbance.moved`."""
         moving_s = moving * seconds
         x_rate, y_rate = self.velocity
         return Poses(poses.x + x_rate * moving_s, poses.y + y_rate * moving_s, poses.heading)
@@ -59,10 +59,10 @@ class WobbleSection(DisturbanceSection):
 
 
 class Wobble(Disturbance):
-    """Moves cells with speeds (N,) [length unit/s] sideways along their helices, beginning at
-    phases (N,) [rad].
+    """A disturbance that moves cells sideways along their helices.
 
-    The true heading is the axis's direction; the camera measures the body's direction.
+    The cells have speeds (N,) [length unit/s] and begin at phases (N,) [rad]. The true heading is
+    the axis's direction. The camera measures the body's direction.
     """
 
     def __init__(self, section: WobbleSection, speed: Floats, phase: Floats) -> None:
@@ -73,7 +73,7 @@ class Wobble(Disturbance):
         self._moving = np.zeros_like(phase)  # which cells swam up to now
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        """Return the poses after the swimming cells have moved on along their helices."""
+        """Move the swimming cells along their helices; see `Disturbance.moved`."""
         before = self._phase
         self._moving = moving
         self._phase = before + self._rate_rad_s * seconds * moving
@@ -83,7 +83,7 @@ class Wobble(Disturbance):
         return Poses(x, y, poses.heading)
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses with the headings of the bodies."""
+        """Return the poses with the headings of the bodies; see `Disturbance.measured`."""
         sideways = self._radius * self._rate_rad_s * elementwise.cos(self._phase) * self._moving
         tilt = elementwise.atan2(sideways, np.maximum(self._speed, np.finfo(float).tiny))
         return Poses(poses.x, poses.y, poses.heading + tilt), valid

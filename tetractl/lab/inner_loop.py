@@ -102,6 +102,8 @@ class InnerLoop:
         """The first that was sent since `stop` was called."""
         self._abort_stops_begun = False
         """Whether the guard has aborted, and its stops were begun: they are so once."""
+        self._operator_obeyed = False
+        """Whether the stops of the operator's key were begun."""
         self._sent: deque[Transmission] = deque(maxlen=WAITING_MAX)
         self._warnings: deque[tuple[int, str]] = deque(maxlen=WAITING_MAX)
         self._transmit_ns = 0  # when the next transmission is due
@@ -152,6 +154,7 @@ class InnerLoop:
             self.guard = Guard(rules, self.guard.checks_of)
             self.frames = FrameBuffer()
             self._abort_stops_begun = False  # this guard has not aborted
+            self._operator_obeyed = False
 
     def stop(self) -> Transmission | None:
         """Send a stop to every robot, STOPS times with STOP_GAP_NS between them; return the first,
@@ -284,8 +287,9 @@ class InnerLoop:
                 self.frames.append(accepted)
 
     def _obey_operator(self, now: int) -> None:
-        """Begin the stops of an emergency, also after an abort: devices latch them."""
-        if self._emergency.is_set() and not self.guard.emergency:
+        """Begin the stops of an emergency once, also after an abort: devices latch them."""
+        if self._emergency.is_set() and not self._operator_obeyed:
+            self._operator_obeyed = True
             self.guard.abort("emergency stop by the operator", emergency=True)
             self._begin_stops(now)
 

@@ -224,6 +224,20 @@ def test_an_emergency_stop_is_sent_after_an_abort_too(lab):
     assert lab.plant.rig.loop.guard.reason == "another fault"
 
 
+def test_the_operators_key_is_obeyed_after_an_emergency_stop_of_the_program(lab):
+    """Regression: stops that the camera had asked for had ended, and the key sent none."""
+    lab.plant.rig.loop.guard.abort("blue moves after a stop", emergency=True)
+    wait_a_second(lab)
+    assert lab.actuator.emergencies == 10
+    wait_a_second(lab)
+    assert lab.actuator.emergencies == 10
+    lab.supervision.emergency.set()
+    wait_a_second(lab)
+    assert lab.actuator.emergencies == 20
+    wait_a_second(lab)
+    assert lab.actuator.emergencies == 20
+
+
 def test_a_failed_port_leaves_the_robots_at_other_ports_their_ten_stops(lab):
     """Regression: the first stop that a port did not take ended the series, though the actuator had
     written it to the ports of the other robots: they got one stop of each ten."""

@@ -89,9 +89,11 @@ from tetractl.core.clock import SECOND
 from tetractl.core.guard_findings import Abort, Finding, Lose, Moved, Refuse, RobotPlace, Warn
 from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.lab.camera_stream import CameraStream
 from tetractl.lab.culprit import RECENT_NS, Culprit
 from tetractl.lab.drift_check import DriftCheck
-from tetractl.lab.frames import AcceptedFrame, CameraStream, FrameBuffer
+from tetractl.lab.frame_buffer import FrameBuffer
+from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import COMPARED_NS, DOES_NOT_MOVE, PUSHED, REPEATS
@@ -372,7 +374,8 @@ class Guard:
         self.check_awake(now_ns)
         if failure:
             self.abort(failure)
-        recently_damaged = self._stream.damaged_recently(now_ns, damaged)
+        self._stream.damaged.add(now_ns, damaged)
+        recently_damaged = self._stream.damaged.recent
         poses = tuple(self._pose_now(i, robot) for i, robot in enumerate(self._robots))
         nobody = (False,) * len(self._robots)
         moving = nobody

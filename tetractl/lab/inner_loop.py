@@ -40,7 +40,7 @@ from tetractl.core.errors import AbortError, WrongValueError, text_of
 from tetractl.core.poses import POSE_MAX, CameraFrame
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.lab.device_abilities import HearsDirections
-from tetractl.lab.frames import FrameBuffer
+from tetractl.lab.frame_buffer import FrameBuffer
 from tetractl.lab.guard import Guard, GuardState, Ruling
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.spec.lab_section import STOP_GAP_NS, STOPS

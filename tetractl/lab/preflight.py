@@ -23,7 +23,8 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import Health, LabSupervision, RobotStatus
 from tetractl.core.trial import EMULATED_DEVICES
-from tetractl.lab.frames import AcceptedFrame, as_shown, rate_hz
+from tetractl.lab.camera_stream import rate_hz
+from tetractl.lab.frames import AcceptedFrame, as_shown
 from tetractl.lab.rest_check import drifting_robots, moving_robots
 from tetractl.lab.rig import Rig
 

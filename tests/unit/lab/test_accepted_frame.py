@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.frames import AcceptedFrame, FrameBuffer
+from tetractl.lab.frame_buffer import FrameBuffer
+from tetractl.lab.frames import AcceptedFrame
 from tetractl.tools.worker import WAITING_MAX
 
 
@@ -55,3 +56,9 @@ def test_the_newest_frame_is_the_last_one_if_there_is_any():
     for number in (1, 2):
         buffer.append(frame(number))
         assert buffer.newest.frame.number == number
+
+
+def test_a_reader_that_counted_more_frames_than_came_gets_none():
+    buffer = FrameBuffer()
+    buffer.append(frame(1))
+    assert buffer.since(7) == ([], 1)

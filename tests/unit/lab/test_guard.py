@@ -19,7 +19,7 @@ from tetractl.core.protocols import GuardCheck
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.lab.drift_check import DriftCheck
-from tetractl.lab.frames import FrameBuffer
+from tetractl.lab.frame_buffer import FrameBuffer
 from tetractl.lab.guard import BUSY, Guard, GuardState
 from tetractl.lab.guard_checks import robot_checks
 from tetractl.lab.guard_rules import GuardRules

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from tetractl.core.clock import SECOND
-from tetractl.lab.frames import SLOW_HZ, rate_hz
+from tetractl.lab.camera_stream import SLOW_HZ, rate_hz
 
 KEPT_SEARCHES = 20  # number of last pictures whose results are kept
 

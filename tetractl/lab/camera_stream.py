@@ -1,0 +1,179 @@
+"""What a lab knows of its camera's frames before it looks at their poses: order, rate, repeats.
+
+    CameraStream        the newest frame, and how many came too late
+      RepeatDetector    whether a frame repeats the one before
+      RateWindow        how many frames come per second
+      DamagedCount      how many frames could not be read within the last second
+
+Times are on the run's clock [ns].
+"""
+
+from collections import deque
+from collections.abc import Sequence
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import CameraFrame
+
+SLOW_HZ = 20.0
+"""Rate of frames below which one lost frame looks like a lost stream [Hz]."""
+NOISE_FRAMES = 25
+"""Number of frames in a row that must differ in each body, before the first run, for the poses to
+count as noisy. At 120 Hz they take 0.2 s, in which robots stand or somebody carries one of them."""
+
+
+def rate_hz(numbers: Sequence[int], received_ns: Sequence[int]) -> float | None:
+    """Return the rate [Hz] of frames or pictures with these numbers, received at these times, those
+    between them included; None for fewer than two.
+    """
+    if len(numbers) < 2 or received_ns[-1] <= received_ns[0]:
+        return None
+    return (numbers[-1] - numbers[0]) * SECOND / (received_ns[-1] - received_ns[0])
+
+
+class RepeatDetector:
+    """Detects that a camera sends its last frame again and again, each time as if it were new.
+
+    If the poses of robots that stand have noise, each frame differs from the one before. A frame
+    that equals it to the last bit was then not measured. Poses without noise, or on a grid, may
+    repeat.
+    """
+
+    def __init__(self) -> None:
+        self.repeats = False
+        """Whether the last frame repeats the one before, although poses are noisy."""
+        self._is_noisy = False
+        self._differing_in_a_row = 0  # frames before robots were first driven
+
+    def add(self, frame: CameraFrame, before: CameraFrame, driven: bool) -> None:
+        """Compare a frame with the one before; `driven` is whether robots ever were."""
+        if not driven and not self._is_noisy:
+            if _each_body_differs(frame, before):
+                self._differing_in_a_row += 1
+            else:
+                self._differing_in_a_row = 0
+            self._is_noisy = self._differing_in_a_row >= NOISE_FRAMES
+        is_equal = (frame.poses, frame.strangers) == (before.poses, before.strangers)
+        self.repeats = is_equal and self._is_noisy
+
+
+def _each_body_differs(frame: CameraFrame, before: CameraFrame) -> bool:
+    """Return whether each body that is in one of two frames is elsewhere in the other one."""
+    pairs = zip(frame.poses, before.poses, strict=True)
+    seen = [(now, then) for now, then in pairs if now is not None or then is not None]
+    return bool(seen) and all(now != then for now, then in seen)
+
+
+class RateWindow:
+    """The times of the frames of the last second."""
+
+    def __init__(self) -> None:
+        self._exposed_ns: deque[int] = deque()
+
+    def add(self, exposed_ns: int) -> None:
+        """Add the time of a frame that is newer than all before."""
+        self._exposed_ns.append(exposed_ns)
+        while self._exposed_ns[0] < exposed_ns - SECOND:
+            self._exposed_ns.popleft()
+
+    @property
+    def hz(self) -> float | None:
+        """The rate of the frames [Hz]; None if they span less than half a second."""
+        times_ns = self._exposed_ns
+        if not times_ns or times_ns[-1] - times_ns[0] < SECOND // 2:
+            return None
+        return rate_hz(range(len(times_ns)), times_ns)
+
+
+class DamagedCount:
+    """How many pictures or datagrams could not be read within the last second."""
+
+    def __init__(self) -> None:
+        self._totals: deque[tuple[int, int]] = deque()  # each with its time, oldest first
+
+    def add(self, now_ns: int, total: int) -> None:
+        """Add the total of a camera, which never falls."""
+        self._totals.append((now_ns, total))
+        while self._totals[0][0] < now_ns - SECOND:
+            self._totals.popleft()
+
+    @property
+    def recent(self) -> int:
+        """By how much the total rose within the last second."""
+        return self._totals[-1][1] - self._totals[0][1] if self._totals else 0
+
+
+class CameraStream:
+    """The newest frame of a camera, and the frames that came too late.
+
+    Attributes:
+        newest: The newest frame; None before the first.
+        outdated: How many frames came since the newest, but were exposed before it or together
+            with it.
+        behind_ns: By how much the last of these was behind.
+        dropped: How many frames came too late since the last start of a run.
+        damaged: Counts what could not be read.
+    """
+
+    def __init__(self) -> None:
+        self.newest: CameraFrame | None = None
+        self.outdated = 0
+        self.behind_ns = 0
+        self.dropped = 0
+        self.damaged = DamagedCount()
+        self._repeated = RepeatDetector()
+        self._rate = RateWindow()
+
+    @property
+    def newest_ns(self) -> int:
+        """When the newest frame was exposed, 0 before the first."""
+        return 0 if self.newest is None else self.newest.sampled_ns
+
+    @property
+    def repeats(self) -> bool:
+        """Whether the newest frame repeats the one before, although poses are noisy."""
+        return self._repeated.repeats
+
+    def advance(self, frame: CameraFrame, driven: bool) -> bool:
+        """Take a frame, and count it as dropped if it is not newer than all before.
+
+        Args:
+            frame: The frame.
+            driven: Whether robots ever were driven.
+
+        Returns:
+            Whether the frame is newer than all before.
+        """
+        exposed_ns = frame.sampled_ns
+        before = self.newest
+        if before is not None:
+            if exposed_ns <= before.sampled_ns:
+                self.dropped += 1
+                self.outdated += 1
+                self.behind_ns = before.sampled_ns - exposed_ns
+                return False
+            self._repeated.add(frame, before, driven)
+        self.newest = frame
+        self.outdated = 0
+        self._rate.add(exposed_ns)
+        return True
+
+    @property
+    def slow_text(self) -> str:
+        """What is added to a reason that blames a robot if frames come slowly, "" if not."""
+        rate = self._rate.hz
+        if rate is None or rate >= SLOW_HZ:
+            return ""
+        few = f"only {rate:.0f} pictures per second came, {SLOW_HZ:.0f} or more are needed"
+        return f"; {few}: is this computer busy?"
+
+    @property
+    def outdated_text(self) -> str:
+        """A text on how old the last outdated frame was."""
+        return f"exposed {self.behind_ns / SECOND:.2f} s before the newest frame"
+
+    def frameless_text(self, silent_ns: int) -> str:
+        """Return a text that no new frame has come for so long, with those that came too late."""
+        text = f"no new camera frame for {silent_ns / SECOND:.2f} s"
+        if not self.outdated:
+            return text
+        return f"{text}: {self.outdated} outdated frames came, the last {self.outdated_text}"

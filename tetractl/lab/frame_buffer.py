@@ -1,0 +1,47 @@
+"""The accepted frames of a lab between the guard's thread, which appends them, and its readers."""
+
+import threading
+from collections import deque
+from itertools import islice
+
+from tetractl.lab.frames import AcceptedFrame
+from tetractl.tools.worker import WAITING_MAX
+
+
+class FrameBuffer:
+    """The last accepted frames, oldest first.
+
+    The inner loop appends, and any thread reads: one lock guards both.
+    """
+
+    def __init__(self) -> None:
+        self.newest: AcceptedFrame | None = None
+        self.count = 0  # number of frames appended so far
+        self._frames: deque[AcceptedFrame] = deque(maxlen=WAITING_MAX)
+        self._lock = threading.Lock()
+
+    def append(self, frame: AcceptedFrame) -> None:
+        """Append the next frame, and drop the oldest one if the buffer is full."""
+        with self._lock:
+            self._frames.append(frame)
+            self.newest = frame
+            self.count += 1
+
+    def since(self, count: int) -> tuple[list[AcceptedFrame], int]:
+        """Return the frames after the first `count`, oldest first, and the number of all frames so
+        far: the `count` for the next call. Frames dropped from the buffer are left out.
+        """
+        with self._lock:
+            new_frames = list(islice(reversed(self._frames), max(self.count - count, 0)))
+            new_frames.reverse()
+            return new_frames, self.count
+
+    def last(self, span_ns: int) -> list[AcceptedFrame]:
+        """Return the frames exposed at most `span_ns` before the newest, oldest first."""
+        with self._lock:
+            frames: list[AcceptedFrame] = []
+            for frame in reversed(self._frames):
+                if self._frames[-1].frame.sampled_ns - frame.frame.sampled_ns > span_ns:
+                    break
+                frames.append(frame)
+        return frames[::-1]

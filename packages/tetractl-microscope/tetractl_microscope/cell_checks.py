@@ -2,23 +2,40 @@
 
 A cell cannot be stopped: one that does not swim as commanded is warned of, one that leaves is lost,
 and one that meets an obstacle swims on. Two cells that come too close end the run.
+
+A cell's magnet does not lie along its axis. Under a field at the angle phi to its axis, a cell
+whose magnet is off by d turns at the rate
+
+    w = a sin(phi + d) = w0 cos d + a cos(phi) sin d,   w0 = a sin(phi),
+
+where w0 is the commanded rate. The angle d of a cell is not known. Therefore every rate is allowed
+that has |d| <= MAGNET_RAD, with the relative error WANDERS.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from tetractl.core.guard_findings import Finding, Lose, RobotPlace, Warn
-from tetractl.core.poses import Pose
+from tetractl.core.poses import Floats, Pose
 from tetractl.core.protocols import GuardCheck
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_checks import GuardChecks
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import MotionCheck
 from tetractl.lab.places import driven, outside, too_close
+from tetractl.model.swimmers import DIPOLE_SD_RAD
 
 WANDERS = 0.7
 """Relative error of a cell's speed and turning rate: cells wander, by far more than wheels slip."""
 NOISE = 0.0
 """Error of a cell's position [length unit], of which the slack of WANDERS is a multiple."""
+MAGNET_RAD = 3 * DIPOLE_SD_RAD
+"""Largest angle between a cell's magnet and its axis [rad]: three standard deviations."""
+HEADING_RAD = 0.06
+"""Largest error of a measured heading [rad]: four standard deviations of 0.0146 rad, which the
+headings in emulated pictures had (450 poses of three cells)."""
 
 
 def cell_checks(rules: GuardRules) -> GuardChecks:
@@ -33,6 +50,17 @@ class Swims(MotionCheck):
     def __init__(self, rules: GuardRules) -> None:
         super().__init__(rules, NOISE, WANDERS)
         self._names = rules.names
+        self._a = np.array(rules.turning)
+        self._slack[:, 2] += 2 * HEADING_RAD
+
+    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
+        """Take a transmission: the cells' speeds [length unit/s] and turning rates [rad/s]."""
+        v = np.array(speed)
+        slowest, fastest = turning_rates(np.array(turning), self._a)
+        error = WANDERS * np.abs(v)
+        least = np.array([v - error, -error, slowest - WANDERS * np.abs(slowest)]).T
+        greatest = np.array([v + error, error, fastest + WANDERS * np.abs(fastest)]).T
+        self._commanded.sent(now_ns, np.array([least, greatest]))
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
         """Check a pose in a run."""
@@ -44,6 +72,21 @@ class Swims(MotionCheck):
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> tuple[Finding, ...]:
         """Find nothing: cells swim on."""
         return ()
+
+
+def turning_rates(commanded: Floats, a: Floats) -> tuple[Floats, Floats]:
+    """Compute the least and the greatest rate at which cells with a tilted magnet turn.
+
+    Args:
+        commanded: Turning rates of cells whose magnets lie along their axes, shape (N,) [rad/s].
+        a: The cells' greatest turning rates, shape (N,) [rad/s].
+    """
+    along = commanded * math.cos(MAGNET_RAD)
+    across = np.sqrt(np.maximum(np.square(a) - np.square(commanded), 0.0)) * math.sin(MAGNET_RAD)
+    near_greatest = a * math.cos(MAGNET_RAD)  # beyond it, some angle d gives the rate a
+    least = np.where(commanded <= -near_greatest, -a, along - across)
+    greatest = np.where(commanded >= near_greatest, a, along + across)
+    return least, greatest
 
 
 class Stays(GuardCheck):

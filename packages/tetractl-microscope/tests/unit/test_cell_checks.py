@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tetractl_microscope.cell_checks import cell_checks
+from tetractl_microscope.cell_checks import MAGNET_RAD, cell_checks, turning_rates
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
@@ -59,6 +59,61 @@ def test_cells_that_do_not_move_as_commanded_are_warned_of_once():
     backward, still = warnings
     assert backward.startswith("two moves backward")
     assert still.startswith("one does not swim")
+
+
+A = (6.0, 3.0)
+UP = np.pi / 2
+
+
+def warnings_of_turning(direction, rate_of, seconds=3.0):
+    """Warnings on two cells that swim under a held field, and turn at rates of their headings."""
+    guard = swimming()
+    warnings = []
+    headings = [0.0, 0.0]
+    places = [(500.0, 500.0), (500.0, 1500.0)]
+    for k in range(1, round(seconds * SECOND / FRAME_NS)):
+        for i, heading in enumerate(headings):
+            headings[i] = heading + rate_of(i, heading) * FRAME_NS / SECOND
+            way = SPEEDS[i] * FRAME_NS / SECOND
+            x, y = places[i]
+            places[i] = x + way * np.cos(headings[i]), y + way * np.sin(headings[i])
+        now = k * FRAME_NS
+        poses = [Pose(x, y, heading) for (x, y), heading in zip(places, headings, strict=True)]
+        guard.check_frame(CameraFrame(k, now, now, tuple(poses)))
+        guard.note_direction(now)
+        turning = [a * np.sin(direction - h) for a, h in zip(A, headings, strict=True)]
+        guard.note_transmission(now, SPEEDS, turning)
+        warnings += guard.decide(now).warnings
+    return warnings
+
+
+@pytest.mark.parametrize("off", [-MAGNET_RAD, -0.1, 0.0, 0.1, MAGNET_RAD])
+@pytest.mark.parametrize("direction", [0.0, 0.5, UP, 2.5])
+def test_cells_whose_magnets_are_tilted_are_not_warned_of(direction, off):
+    """Regression: 2 of 3 trials of the shipped dish warned of cells that turn away."""
+    assert warnings_of_turning(direction, lambda i, h: A[i] * np.sin(direction - h + off)) == []
+
+
+def test_cells_that_turn_away_from_the_field_are_warned_of():
+    one, two = warnings_of_turning(UP, lambda i, h: -A[i] * np.sin(UP - h), seconds=1.0)
+    assert one.startswith("one turns away from the field")
+    assert two.startswith("two turns away from the field")
+
+
+def test_cells_that_do_not_turn_are_warned_of():
+    """A cell without a magnet swims straight on across the field."""
+    warned = warnings_of_turning(UP, lambda i, h: 0.0, seconds=1.0)
+    assert {warning.split()[0] for warning in warned} == {"one", "two"}
+
+
+def test_the_rates_of_tilted_magnets_are_those_of_all_angles_between():
+    a = np.full(200, 4.0)
+    phi = np.linspace(-np.pi, np.pi, 200)
+    off = np.linspace(-MAGNET_RAD, MAGNET_RAD, 301)[:, None]
+    rates = a * np.sin(phi + off)
+    least, greatest = turning_rates(a * np.sin(phi), a)
+    np.testing.assert_allclose(least, rates.min(axis=0), atol=1e-4)
+    np.testing.assert_allclose(greatest, rates.max(axis=0), atol=1e-4)
 
 
 def test_a_cell_whose_pose_repeats_ends_the_run():

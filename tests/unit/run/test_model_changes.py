@@ -15,6 +15,7 @@ from tetractl.run.model_changes import (
     NOISE_UNSTATED,
     ModelMonitor,
     StatedModel,
+    describe_dead_time_error,
     stated_model,
 )
 from tetractl.spec.load import load_spec
@@ -90,6 +91,16 @@ def test_a_latency_that_is_wrong_is_named(dead_time, std, told):
     texts = [text for s in (1, 2) for _, text in monitor.notices(estimate, SETUP, round(1e9 * s))]
     question = "not 0.030 s: is controller.dead_time or lab.camera.latency wrong?"
     assert texts[1:] == ([f"commands act {told} after they are sent, {question}"] if told else [])
+
+
+def test_a_dead_time_within_one_command_of_the_shipped_lab_is_not_reported():
+    """A robot that misses one command obeys the next: no field of the spec is wrong then."""
+    spec = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml").experiment
+    between_commands_s = 1 / spec.lab.actuator.rate
+    late = replace(UNFIT, dead_time=0.03 + 0.99 * between_commands_s, dead_time_std=0.001)
+    assert describe_dead_time_error(late, StatedModel(0.03)) == ""
+    later = replace(late, dead_time=0.03 + 1.01 * between_commands_s)
+    assert describe_dead_time_error(later, StatedModel(0.03))
 
 
 @pytest.mark.parametrize(

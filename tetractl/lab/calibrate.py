@@ -1,22 +1,23 @@
-"""Measures a robot's wheel gains, dead zones, r (the distance from a wheel to the centre), heading
-offset, and whether its wheels are swapped, by small motions.
+"""Measure a robot's wheels and heading offset with small motions.
 
-The actuator is any of robots on two wheels (`WheeledActuator`) whose section says what it sends
-(`CalibratedSection`). An output is what is sent to a motor, in the actuator's own unit.
+The result contains the gains and dead zones of the wheels, r (the distance from a wheel to the
+centre), the heading offset, and whether the wheels are swapped. The actuator can be any for robots
+on two wheels (`WheeledActuator`) whose section describes its outputs (`CalibratedSection`). An
+output is what is sent to a motor, in the actuator's own unit.
 
-One wheel alone turns the robot about the other, whatever the heading offset:
+One wheel alone turns the robot about the other wheel, whatever the heading offset is:
 
     |turning rate| = k (|output| - dead zone),   k = gain / (2 r).
 
 Both wheels together, with outputs whose turning rates w1 and w2 cancel, drive the robot straight at
-the speed v = r (|w1| + |w2|), which gives r; the direction of travel gives the heading offset and
-which way is forward. The rigid body's x axis, turned by the spec's heading offset, must point less
-than a right angle away from the robot's front; beyond 60 degrees the calibration fails.
+the speed v = r (|w1| + |w2|), which gives r. The direction of travel gives the heading offset, and
+shows which way is forward. The rigid body's x axis, turned by the spec's heading offset, must point
+less than a right angle away from the robot's front. Beyond 60 degrees, the calibration fails.
 
-The order of motions: each motor channel alone, forwards and backwards, with growing outputs
-(`_channel`); then both straight, away and back (`measure`). After each motion the frames must be
-complete, or it is repeated. The robot is stopped, and AbortError raised, if it strays too far from
-its first place.
+The order of motions is: each motor channel alone, forwards and backwards, with growing outputs
+(`_channel`); then both straight, away and back (`measure`). If frames are missing after a motion,
+it is repeated. If the robot strays too far from its first position, it is stopped, and AbortError
+is raised.
 """
 
 import math
@@ -38,7 +39,10 @@ from tetractl.model.wheels import CountArray
 from tetractl.spec.lab_section import LabLimits, LabSection, Measured
 
 GAP_S = 0.06
-"""Longest time without a frame, of cameras that are fast enough [s]: the guard's is longer."""
+"""Maximum time without a frame for cameras that are fast enough [s].
+
+The guard's limit is longer.
+"""
 GAP_PERIODS = 2.5
 """The same for slower cameras, in periods of their frames: one frame may be missing."""
 SETTLED_S = 0.2
@@ -50,17 +54,17 @@ STRAIGHT_S = 0.7
 STAND_S = 0.25
 """Time until a stopped robot stands [s]."""
 ATTEMPTS = 4
-"""Number of attempts at a motion of which frames are missing."""
+"""Number of attempts at a motion if frames are missing."""
 FIRST_OUTPUT = 6
-"""Least output of a channel, of 127ths of full speed."""
+"""Minimum output of a channel, in 127ths of full speed."""
 OUTPUT_STEP = 4
-"""Step between two outputs of a channel, of 127ths of full speed."""
+"""Step between two outputs of a channel, in 127ths of full speed."""
 SLOWEST_RAD_S = 0.25
 """Turning rate below which it is noise, or a wheel that sticks [rad/s]."""
 POINTS_MIN = 3
 """Least number of turning rates for the fit of a line."""
 STRAIGHT_SHARE = 0.6
-"""Turning rate of each wheel while the robot drives straight, over the greatest of both."""
+"""Turning rate of each wheel while the robot drives straight, relative to the maximum of both."""
 RADII_MM = 5.0, 500.0
 """Range of possible distances from a wheel to the robot's centre [mm]."""
 OFFSET_MAX_RAD = math.pi / 3
@@ -88,8 +92,10 @@ class DrivenPath:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One motor channel: an output above the dead zone turns the robot at the rate
-    sign * k * (output - dead_zone) [rad/s], anticlockwise if positive.
+    """One motor channel.
+
+    An output above the dead zone turns the robot at the rate sign * k * (output - dead_zone)
+    [rad/s], anticlockwise if positive.
     """
 
     sign: int
@@ -171,7 +177,11 @@ class _Bench:
         rig.loop.restart(rules_of_fast_robots)
 
     def open(self) -> None:
-        """Connect; AbortError unless the robot is tracked and answers."""
+        """Connect to the devices.
+
+        Raises:
+            AbortError: Unless the robot is tracked and answers.
+        """
         rig = self.rig
         rig.open()
         problems = rig.camera.check().problems
@@ -232,7 +242,7 @@ class _Bench:
     def _radius(
         self, straight: DrivenPath, channels: Sequence[Channel], outputs: Sequence[int]
     ) -> float:
-        """Return the distance r from a wheel to the centre [mm], by v = r (|w1| + |w2|)."""
+        """Compute the distance r from a wheel to the centre [mm], from v = r (|w1| + |w2|)."""
         speed_mm_s = math.hypot(straight.along, straight.across)
         rates = [
             channel.k * (output - channel.dead_zone)
@@ -248,8 +258,10 @@ class _Bench:
         return radius_mm
 
     def _offset(self, forwards: DrivenPath, backwards: DrivenPath) -> float:
-        """Return the direction of travel in the body's frame [rad]; what drifts in both motions
-        cancels."""
+        """Return the direction of travel in the body's frame [rad].
+
+        Whatever drifts in both motions cancels.
+        """
         offset = math.atan2(forwards.across - backwards.across, forwards.along - backwards.along)
         if abs(offset) > OFFSET_MAX_RAD:
             raise AbortError(
@@ -261,8 +273,9 @@ class _Bench:
         return offset
 
     def _channel(self, number: int) -> Channel:
-        """Drive motor channel 0 or 1 with growing outputs in both directions; fit k and dead zone
-        to the turning rates.
+        """Drive motor channel 0 or 1 with growing outputs, and fit its k and dead zone.
+
+        Both directions are driven.
         """
         outputs = list[int]()
         rates = list[float]()  # means of both directions
@@ -293,8 +306,10 @@ class _Bench:
         return Channel(1 if rates[0] > 0 else -1, k, dead_zone)
 
     def _rate(self, number: int, output: int) -> float:
-        """Return the turning rate of one channel with an output [rad/s]: the mean of both
-        directions, so that what turns the robot by itself cancels."""
+        """Return the turning rate of one channel with an output [rad/s].
+
+        It is the mean of both directions, so that any turning of the robot by itself cancels.
+        """
         counts = np.zeros(2, dtype=np.int64)
         counts[number] = output
         forwards = self._run(counts, CHANNEL_S).turning
@@ -338,8 +353,10 @@ class _Bench:
         self.rig.clock.sleep_until(self.rig.clock.now() + round(STAND_S * SECOND))
 
     def _abort_if_astray(self) -> bool:
-        """Abort the calibration if the robot is too far from its first place; return whether it
-        has been aborted, for this or another reason.
+        """Abort the calibration if the robot is too far from its first position.
+
+        Returns:
+            Whether the calibration has been aborted, for this or another reason.
         """
         guard = self.rig.loop.guard
         newest = self.rig.loop.frames.newest
@@ -358,8 +375,10 @@ class _Bench:
 
 
 def _excess_delay_s(frames: Sequence[AcceptedFrame]) -> float:
-    """Return by how much [s] it takes longer than GAP_S until a frame that follows another by
-    GAP_PERIODS is here."""
+    """Compute how much longer than GAP_S it takes until a frame arrives [s].
+
+    The frame is one that follows another after GAP_PERIODS.
+    """
     if len(frames) < 3:
         return 0.0
     way_ns = np.median([frame.frame.received_ns - frame.exposed(0) for frame in frames])
@@ -368,11 +387,11 @@ def _excess_delay_s(frames: Sequence[AcceptedFrame]) -> float:
 
 
 def _steady(poses: Sequence[TimedPose], since_ns: int, mm: float) -> DrivenPath:
-    """Return the steady motion fitted to poses from `since_ns` on; `mm` is the spec's length unit
-    in millimetres.
+    """Fit a steady motion to poses from `since_ns` on.
 
-    The turning rate is the slope of the headings; the speeds are the sums of the displacements
-    along and across the heading in the middle of each, over the time.
+    The turning rate is the slope of the headings. The speeds are the sums of the displacements
+    along and across the heading in the middle of each, divided by the time. `mm` is the spec's
+    length unit in millimetres.
     """
     steady = [timed for timed in poses if timed.exposed_ns >= since_ns]
     t = np.array([timed.exposed_ns for timed in steady]) / SECOND

@@ -8,11 +8,11 @@ from tetractl.lab.serial_port import SerialPort
 
 
 class ClientPort(SerialPort, ABC):
-    """A client that gives messages unasked, used like a port of the name `name`.
+    """A client that receives messages without asking for them, used like a port called `name`.
 
-    A thread calls `connect`, then `wait` until the port is closed, then `disconnect`. An exception
-    in them, or `lost`, is the end of the port, so of the trial. Messages go to `take`, from this
-    thread or from those of the library.
+    A thread calls `connect`, then `wait` until the port is closed, then `disconnect`. If one of
+    them raises an exception, or calls `lost`, the port ends, and with it the trial. Messages go to
+    `take`, from this thread or from threads of the library.
     """
 
     @abstractmethod
@@ -20,8 +20,10 @@ class ClientPort(SerialPort, ABC):
         """Connect; any exception says why that failed."""
 
     def wait(self) -> None:
-        """Wait for the next message and `take` it, for at most some 0.1 s if that is possible; not
-        needed if the library calls back."""
+        """Wait for the next message and `take` it, if possible for at most about 0.1 s.
+
+        This method is not needed if the library uses callbacks.
+        """
         self._closing.wait(0.1)
 
     def disconnect(self) -> None:

@@ -22,7 +22,11 @@ class Flag(IntFlag):
 
 
 def checked_flags(flags: int) -> Flag:
-    """Return a command's flags; WireError if there are others."""
+    """Return a command's flags.
+
+    Raises:
+        WireError: If there are unknown flags.
+    """
     if flags & ~7:
         raise WireError(f"unknown flags 0x{flags:02X}")
     return Flag(flags)
@@ -34,9 +38,9 @@ def crc16(data: bytes) -> int:
 
 
 def encode(payload: bytes) -> bytes:
-    """Stuff a payload of at most `FRAME_MAX` bytes and append the closing byte 00.
+    """Encode a payload of at most `FRAME_MAX` bytes, and append the closing byte 00.
 
-    So short a payload needs none of the full blocks of 254 bytes that COBS also has.
+    Such a short payload never needs the full blocks of 254 bytes that COBS also has.
     """
     parts = payload.split(b"\0")
     return b"".join(bytes([len(part) + 1]) + part for part in parts) + b"\0"
@@ -65,8 +69,10 @@ def frame_with_crc(payload: bytes) -> bytes:
 
 
 def checked_payload(frame: bytes) -> bytes:
-    """Return the payload of a frame, given without the closing byte 00; WireError for a wrong
-    CRC.
+    """Return the payload of a frame, given without the closing byte 00.
+
+    Raises:
+        WireError: If the CRC or the size is wrong.
     """
     payload = decode(frame)
     if not 2 < len(payload) <= FRAME_MAX:
@@ -77,7 +83,11 @@ def checked_payload(frame: bytes) -> bytes:
 
 
 def pack_fields(layout: struct.Struct, *fields: int) -> bytes:
-    """Return the frame of a payload of fixed layout; WireError for a field that does not fit."""
+    """Return the frame for a payload with a fixed layout.
+
+    Raises:
+        WireError: If a field does not fit.
+    """
     try:
         return frame_with_crc(layout.pack(*fields))
     except struct.error as error:
@@ -85,9 +95,15 @@ def pack_fields(layout: struct.Struct, *fields: int) -> bytes:
 
 
 def unpack_fields(layout: struct.Struct, kind: int, frame: bytes) -> tuple[int, ...]:
-    """Return the fields after the type byte of a frame, given without the closing byte 00.
+    """Return the fields after the type byte of a frame.
 
-    WireError if the type is not `kind` or the size differs from `layout`.
+    Args:
+        layout: Layout of the payload.
+        kind: The expected type.
+        frame: The frame, without the closing byte 00.
+
+    Raises:
+        WireError: If the type or the size is different.
     """
     payload = checked_payload(frame)
     if len(payload) != layout.size or payload[0] != kind:

@@ -1,24 +1,26 @@
-"""Finds what is at fault when a pose contradicts commands: one robot, the camera, the radio, or the
-numbers of two robots. It is asked once, of the last frames, after the robots were stopped.
+"""Find the cause when a pose contradicts the commands.
 
-What robots have done in the last RECENT_NS differs from what they were commanded by z_j (3,), in
-standard deviations. Of the explanations
+The cause may be one robot, the camera, the radio, or two robots with swapped numbers. This is
+called once, with the last frames, after the robots were stopped.
+
+What robots have done in the last RECENT_NS differs from their commands by z_j (3,), in standard
+deviations. The explanations are
 
     one robot i:  the others follow their commands,    sum of |z_j|^2 over j != i
-    the camera:   its picture shifts, turns and grows, least sum of |z_j - G_j g|^2 + |g|^2
+    the camera:   its image shifts, turns and grows,   minimum of sum |z_j - G_j g|^2 + |g|^2
     the radio:    all follow their commands later,     sum of |z_j|^2 with delayed commands
 
-one of the last two must be better than the first by CLEAR, and that of the radio below CLEAR a
-robot, as one that is carried moves as it never was commanded, and below the first with usual
-delays, as the others are late too. G_j g is the motion of pose j if the picture moves at g, over
-LIKELY_RATES. For the camera, motion is compared as in `drift_check`; for the radio, commands are
-integrated with each delay up to LATEST_NS, and the first explanation may have any delay up to
-DELAY_NS.
+One of the last two must be better than the first by CLEAR. The value for the radio must also be
+below CLEAR for each robot, because a robot that is carried moves as it never was commanded, and
+below the first with usual delays, because the others are also late. G_j g is the motion of pose j
+if the image moves at g, over LIKELY_RATES. For the camera, motion is compared as in `drift_check`.
+For the radio, commands are integrated with each delay up to LATEST_NS, and the first explanation
+may have any delay up to DELAY_NS.
 
 Robots i and j have exchanged numbers or bodies if each moves as the other is commanded: then
-|z_i|^2 + |z_j|^2 with the commands exchanged is below CLEAR, and with their own greater by CLEAR.
-Each motion may have any delay up to DELAY_NS. That i alone moves as j is commanded is not asked: a
-push of some millimetres is as well explained by it. Lengths are mm.
+|z_i|^2 + |z_j|^2 with exchanged commands is below CLEAR, and larger by CLEAR with their own
+commands. Each motion may have any delay up to DELAY_NS. Whether only i moves as j is commanded is
+not tested, because a push of a few millimetres explains that as well. Lengths are in mm.
 """
 
 from collections.abc import Sequence
@@ -43,9 +45,9 @@ LIKELY_RATES = np.array([100.0, 100.0, 0.1, 0.1])
 MISFIT_NOISE = np.array([2.0, 2.0, 0.02])
 """Error of a difference of poses: along and across the heading, and around [mm, mm, rad]."""
 SHARE = np.array([0.08, 0.04, 0.1])
-"""Share of the way, or the angle, by which it may be wrong in addition."""
+"""Additional error of a distance or angle, as a fraction of it."""
 CLEAR = 9.0
-"""Difference of two sums of squares by which one explanation is better."""
+"""Difference of two sums of squares that makes one explanation better."""
 CAMERA = (
     "all robots are seen to move as no command does: has the camera or its origin moved, or does "
     "another program drive the robots?"
@@ -55,9 +57,11 @@ SWAPPED = "{} and {} move as the other is commanded: are their numbers or bodies
 
 
 class Culprit:
-    """Asks what the N robots of `rules` have done by `frames`: at least one, oldest first, of the
-    last RECENT_NS, of which all poses count that the camera shows, accepted or not. `drift` follows
-    their motion.
+    """The search for the cause of an abort.
+
+    It looks at what the N robots of `rules` did in `frames`: at least one frame, oldest first,
+    within the last RECENT_NS. All poses that the camera shows count, accepted or not. `drift`
+    follows the robots' motion.
     """
 
     def __init__(self, rules: GuardRules, drift: DriftCheck, frames: Sequence[CameraFrame]) -> None:
@@ -66,10 +70,15 @@ class Culprit:
         self._frames = [as_shown(frame) for frame in frames]
 
     def why(self, suspect: int, reason: str) -> str:
-        """Return a text if the camera, the radio or two numbers are at fault, "" if the suspect of
-        the abort with this `reason` is: so it is if it does not move, whose link, power or wheels
-        are at fault. Swapped numbers are only asked for if it moved as no command does: swapped
-        wheels have a reason of their own.
+        """Name the cause if it is the camera, the radio, or two swapped robot numbers.
+
+        The text is empty if the suspected robot itself is the cause. A robot that does not move
+        always is: its link, power or wheels have failed. Swapped numbers are considered only if it
+        moved as no command does, because swapped wheels have their own reason.
+
+        Args:
+            suspect: Index of the suspected robot.
+            reason: The reason of the abort.
         """
         ends = zip(self._frames[0].poses, self._frames[-1].poses, strict=True)
         robots = [i for i, pair in enumerate(ends) if None not in pair]  # shown throughout
@@ -82,8 +91,7 @@ class Culprit:
         return self._common_cause(suspect, robots)
 
     def _common_cause(self, suspect: int, robots: Sequence[int]) -> str:
-        """Return a text if camera or radio explain the motion of the robots better than the
-        suspect does."""
+        """Return a text if the camera or the radio explains the motion better than the suspect."""
         others = np.array(robots) != suspect
         camera, one_robot = self._camera(robots, others)
         radio, one_robot_late, delay_ns = self._radio(robots, others)
@@ -105,8 +113,10 @@ class Culprit:
         return ""
 
     def _misfits(self, robots: Sequence[int], commanded: Sequence[int]) -> Floats:
-        """Return |z|^2 (K,) of robots with the commands of the robots `commanded` (K,), each at the
-        delay up to DELAY_NS that fits best."""
+        """Return |z|^2 (K,) of robots with the commands of the robots `commanded` (K,).
+
+        Each is taken at the delay up to DELAY_NS that fits best.
+        """
         return self._squares_by_delay(robots, commanded, DELAY_NS // STEP_NS).min(axis=0)
 
     def _camera(self, robots: Sequence[int], others: Bools) -> tuple[float, float]:
@@ -131,8 +141,10 @@ class Culprit:
     def _squares_by_delay(
         self, robots: Sequence[int], commanded: Sequence[int], delays: int
     ) -> Floats:
-        """Return |z|^2 (delays, K) of robots with the commands of the robots `commanded` (K,),
-        which act later by 0, 1, ... steps of STEP_NS."""
+        """Return |z|^2 (delays, K) of robots with the commands of the robots `commanded` (K,).
+
+        The commands act later by 0, 1, ... steps of STEP_NS.
+        """
         then = self._array(self._frames[0].poses, robots)
         now = self._array(self._frames[-1].poses, robots)
         ended_ns = {i: self._frames[-1].exposed(i) for i in robots}
@@ -160,7 +172,7 @@ class Culprit:
         return np.array(rows)
 
     def _array(self, poses: Sequence[Pose | None], robots: Sequence[int]) -> Floats:
-        """Return the poses of robots, of which none is None (K, 3) [mm, mm, rad]."""
+        """Return the poses of tracked robots as an array (K, 3) [mm, mm, rad]."""
         rows: list[tuple[float, float, float]] = []
         for i in robots:
             pose = poses[i]
@@ -171,7 +183,7 @@ class Culprit:
 
 
 def ends_of_blocks(frames: Sequence[AcceptedFrame], i: int) -> list[TimedPose]:
-    """Return poses of robot i that are at least BLOCK_NS apart."""
+    """Select poses of robot i that are at least BLOCK_NS apart."""
     ends: list[TimedPose] = []
     for timed in timed_poses(frames, i):
         if not ends or timed.exposed_ns - ends[-1].exposed_ns >= BLOCK_NS:
@@ -180,8 +192,12 @@ def ends_of_blocks(frames: Sequence[AcceptedFrame], i: int) -> list[TimedPose]:
 
 
 def squares_of(then: Floats, now: Floats, sent: Floats) -> Floats:
-    """Return |z|^2 (n,) of poses `then` and `now` (n, 3), between which the ways and angles `sent`
-    (T, 2, n) were commanded.
+    """Compute |z|^2 (n,) of the motion between two poses.
+
+    Args:
+        then: Poses before, shape (n, 3).
+        now: Poses afterwards, shape (n, 3).
+        sent: Distances and angles that were commanded in between, shape (T, 2, n).
     """
     ways = sent[:, 0]
     turns = sent[:, 1]

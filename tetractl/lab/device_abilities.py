@@ -18,9 +18,9 @@ class HearsDirections(Protocol):
     """A camera that receives each transmission, and so can distinguish robots by their response."""
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
-        """Take the common direction u [rad] sent at `sent_ns`; None if the field was switched off.
+        """Take note of a common direction u [rad]. None if the field was switched off.
 
-        Called in the inner loop's thread.
+        It is called in the inner loop's thread, with the time of sending.
         """
         ...
 
@@ -30,7 +30,7 @@ class AddsToFrames(Protocol):
     """A camera that knows more of its frames: messages to log."""
 
     def additions(self) -> list[FrameAddition]:
-        """Return what was found in each picture since the last call, oldest first."""
+        """Return what was found in each image since the last call, oldest first."""
         ...
 
 
@@ -38,8 +38,7 @@ class RobotWatch(Protocol):
     """What a camera knows of the robots of a trial beyond their poses."""
 
     def see(self, sampled_ns: int) -> Iterable[Note]:
-        """Take the time of a frame that the guard has accepted; return what the log should say of
-        it."""
+        """Take note of the time of an accepted frame, and return notes about it for the log."""
         ...
 
     def lost(self) -> Iterable[Lose]:
@@ -47,8 +46,11 @@ class RobotWatch(Protocol):
         ...
 
     def replace(self, robot: int) -> str:
-        """Follow another body in place of a lost robot from now on; return what it is, "" if none
-        is like it."""
+        """Track another body instead of a lost robot from now on.
+
+        Returns:
+            What the body is. Empty if none is similar to the robot.
+        """
         ...
 
 

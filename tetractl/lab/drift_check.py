@@ -1,26 +1,26 @@
 """Compares what a camera shows over the whole trial with what the robots' wheels can have done.
 
-The window of `motion_check` must allow for every command that may be acting, and so cannot see a
-pose that leaves its robot slowly. Here the motion of each block of BLOCK_NS, along, across and
-around the heading, is fitted by least squares over the whole trial. A robot of wheel distance r,
-commanded a speed v and a turning rate w, moves by
+The window of `motion_check` must allow for every command that may be acting, so it cannot see a
+pose that leaves its robot slowly. Here, the motion of each block of BLOCK_NS, along, across and
+around the heading, is fitted by least squares over the whole trial. A robot with wheel distance r,
+a commanded speed v and a turning rate w moves by
 
     along:   (1 + s) v + d w r + l w,   across: b v + f w,   around:  (1 + s + k) w + d v / r,
 
-where s is the mean error of its wheels and d half their difference, k the error of 1 / r, b that of
-its heading, and (f, l) where its pose is measured from. Each is unknown but constant, with a normal
-prior. A command acts after a delay between the TAPS: weights of the earlier and later ones are
-fitted too. What no command explains is
+where s is the mean error of its wheels, d half their difference, k the error of 1 / r, b the error
+of its heading, and (f, l) the point where its pose is measured. Each is unknown but constant, with
+a normal prior. A command acts after a delay between the TAPS: weights of the earlier and later
+commands are also fitted. The motions that no command explains are
 
     one robot:   a constant velocity along, across and around its heading,
-    the camera:  one shift, turn and growth of the whole picture, of all robots,
+    the camera:  one shift, turn and growth of the whole image, for all robots,
 
-since some moment of the trial: for each moment of a grid, the statistic is the gain of the sum of
-squares by the best such motion (a generalised likelihood ratio over the time of a change; a
+beginning at some moment of the trial. For each moment of a grid, the statistic is the gain in the
+sum of squares by the best such motion (a generalised likelihood ratio over the time of a change; a
 cumulative sum is the case of known parameters). The grid begins with the trial, so a motion that
-was there from the start is found as far as no error of a wheel explains it. A lost packet matters
-the more the commands differ: so much more uncertain is the block, and by a fifth of it those up to
-a quarter second later. Lengths are mm.
+was there from the start is found if no error of a wheel explains it. A lost packet matters more if
+the commands differ more: by that much, the block is more uncertain, and so are, by a fifth of it,
+those up to a quarter of a second later. Lengths are in mm.
 """
 
 from collections.abc import Sequence
@@ -56,7 +56,7 @@ BEFORE_NS = (*TAPS_NS, 37 * SECOND // 200)
 NOISE = np.array([0.4, 0.4, 0.005])
 """Standard deviation of a pose [mm, mm, rad]."""
 LATEST = 3
-"""Number of taps within which commands differ where a packet is lost."""
+"""Number of taps within which commands differ if a packet is lost."""
 SLIP = np.array([1.5, 1.5, 0.02])
 """Random walk of a robot [mm, mm, rad, each per sqrt(s)]."""
 LOST = np.array([0.15, 0.0, 0.15])
@@ -96,26 +96,33 @@ class At:
 PRIOR = np.array([0.04, 0.05, 0.04, 0.06, 5.0, 1.0, *[0.2] * 6])
 """Standard deviations of s, k, d, b, f, l (see the module) and of the weights of delays."""
 ERRORS = np.zeros((3, len(PRIOR)))
-"""Errors of the left and right wheel and of the heading, by the columns `constants`."""
+"""Errors of the left wheel, the right wheel and the heading, by the columns `constants`."""
 ERRORS[:, At.speed - 1] = (1, 1, 0)
 ERRORS[:, At.difference - 1] = (-1, 1, 0)
 ERRORS[:, At.heading - 1] = (0, 0, 1)
 LARGEST = 1 / np.square([500.0, 500.0, 5.0, 500.0, 500.0, 5.0, 5.0])
 """Inverse variances of the columns `motion` [mm/s, rad/s, 1/s]."""
 LEAST_BLOCKS = 12
-"""Younger changes are left to `motion_check`: lost packets make 7 blocks wrong alike."""
+"""Number of blocks before a change is judged here.
+
+Younger changes are left to `motion_check`, because a lost packet makes 7 blocks wrong in the same
+way.
+"""
 SPACING = 5
 """Blocks between two moments of the grid."""
 MOMENTS_MAX = 32
 """Most moments of the grid."""
 LIMIT = 16.0
-"""Statistic from which on a pose is false: good trials of the emulated lab reach 13
-(docs/decisions/safety.md)."""
+"""Statistic above which a pose is false. Good trials of the emulated lab reach 13
+(docs/decisions/safety.md).
+"""
 STEADY = 0.25
-"""Largest error of wheels whose error is constant, as a part of their speed; a dead zone causes a
-larger one."""
+"""Maximum error of wheels with a constant error, as a fraction of their speed.
+
+A dead zone causes a larger one.
+"""
 SURE_ERRORS = 3.0
-"""Standard deviations by which a wheel must be beyond its largest error."""
+"""Number of standard deviations by which a wheel must exceed its maximum error."""
 LEAST_KNOWN = 0.01
 """Share of the prior's variance that a trial must have explained."""
 TOGETHER = "all robots drift together: has the camera, its origin or its scale moved?"
@@ -131,8 +138,13 @@ WRONG = (
 
 @dataclass(frozen=True, slots=True)
 class MeasuredPose:
-    """The last accepted pose of a robot, its time, and the robot's motion until then since its rest
-    (3,) [mm, mm, rad]; at the beginning or the end of a block."""
+    """The last accepted pose of a robot at the beginning or end of a block.
+
+    Attributes:
+        pose: The pose.
+        exposed_ns: Its time [ns].
+        travelled: The robot's motion from its last standstill until then, shape (3,) [mm, mm, rad].
+    """
 
     pose: Pose
     exposed_ns: int
@@ -152,9 +164,12 @@ class MotionBlock:
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """What is left of the motion since each of G moments of the grid, but for the constants: the
-    motions that no wheel explains, as sums of products with themselves, `squares` (G, N, 7, 7), and
-    with what is left, `pulls` (G, N, 7); and each robot's share of noise, at least 1 (N, 1).
+    """The motion since each of G moments of the grid that the constants do not explain.
+
+    Attributes:
+        squares: Sums of products of the possible motions with themselves, shape (G, N, 7, 7).
+        pulls: Sums of their products with the unexplained motion, shape (G, N, 7).
+        noise: Noise of each robot relative to what is expected, at least 1, shape (N, 1).
     """
 
     squares: Floats
@@ -163,10 +178,10 @@ class Changes:
 
 
 class DriftCheck(GuardCheck):
-    """Aborts a run of the N robots of `rules` if their motion over the whole trial, which `motion`
-    adds up, is none that their wheels can make.
+    """A check that aborts a run if its robots move as their wheels cannot over the whole trial.
 
-    `worst` is the statistic at the worst moment of the grid, `blocks` how many have been fitted.
+    `motion` adds up the motion of the N robots of `rules`. `worst` is the statistic at the worst
+    moment of the grid, `blocks` the number of fitted blocks.
     """
 
     def __init__(self, rules: GuardRules, motion: MotionCheck) -> None:
@@ -204,7 +219,7 @@ class DriftCheck(GuardCheck):
         self._carried[:] = 0.0
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
+        """Take note of a transmission; see `GuardCheck.sent`."""
         speeds = np.array(speed) * self._mm
         self._fastest = np.maximum(self._fastest, speeds)
         self.commands.sent(now_ns, np.array([speeds, turning]))
@@ -212,9 +227,10 @@ class DriftCheck(GuardCheck):
     def frame(
         self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
     ) -> tuple[Abort, ...]:
-        """Return what is wrong with the motion up to a frame. Poses that repeat are left out.
-        Wheels that may be wrong by more than STEADY, as before they are calibrated, would explain
-        any drift.
+        """Check the motion up to a frame; see `GuardCheck.frame`.
+
+        Repeated poses are left out. Wheels that may be wrong by more than STEADY, as before a
+        calibration, would explain any drift.
         """
         poses_before = self._poses
         times_before = self._times
@@ -243,7 +259,14 @@ class DriftCheck(GuardCheck):
     # ---- what is known ----
 
     def carried(self, i: int, pose: Pose, then_ns: int, late_ns: int) -> Pose:
-        """Return a pose of robot i as it will be `late_ns` later, by the commands sent."""
+        """Predict a pose of robot i with the commands that were sent.
+
+        Args:
+            i: Index of the robot.
+            pose: Its pose.
+            then_ns: The time of the pose [ns].
+            late_ns: How much later the prediction is [ns].
+        """
         v, w = self.commands.mean(then_ns + late_ns - TAPS_NS[0], late_ns)[:, i]
         way = v / self._mm * late_ns / SECOND
         turned = w * late_ns / SECOND
@@ -251,9 +274,10 @@ class DriftCheck(GuardCheck):
         return replace(pose, x=pose.x + dx, y=pose.y + dy, heading=pose.heading + turned)
 
     def turns(self) -> str:
-        """Return a text about robots that turn by themselves while they drive, by more than
-        SURE_ERRORS standard deviations; "" if none does. Their wheels differ, or their poses are
-        false since the start: one trial cannot distinguish them.
+        """Describe robots that turn off course while they drive. Empty if none does.
+
+        A robot counts if it turns by more than SURE_ERRORS standard deviations. Either its wheels
+        differ, or its poses have been wrong from the start; one trial cannot tell which.
         """
         texts = [
             f"{name} {rate:+.2f} ± {error:.2f} rad/s"
@@ -263,13 +287,15 @@ class DriftCheck(GuardCheck):
         return TURNS_TEXT.format(", ".join(texts)) if texts else ""
 
     def turning(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return the rates (N,) at which the robots turn by themselves when they drive as fast as
-        they were commanded at most, and their standard errors, inf for robots that did not drive
-        [rad/s]; both empty if none is known.
+        """Return how fast each robot turns off course when it drives at its highest command.
 
-        The prior of d is taken out again, so that trials of one robot can be compared: d known by
-        m with the variance q, of which the prior is p, has the rate v / r m / (1 - q / p) and the
-        variance (v / r)^2 q / (1 - q / p).
+        The prior of d is removed, so that trials of one robot can be compared. If d is known to be
+        m with the variance q, and its prior variance is p, the rate is v / r m / (1 - q / p) and
+        its variance (v / r)^2 q / (1 - q / p).
+
+        Returns:
+            The rates and their standard errors [rad/s], N entries each. The error is inf for robots
+            that did not drive. Both are empty if no rate is known.
         """
         d = At.difference - 1
         per = self._fastest / self._radius if self._radius else 0.0 * self._fastest
@@ -284,9 +310,15 @@ class DriftCheck(GuardCheck):
         return tuple(rates.tolist()), tuple(errors.tolist())
 
     def left_over(self, i: int, poses: Sequence[TimedPose]) -> tuple[Floats, Floats]:
-        """Return what commands and wheels do not explain of the motion of robot i over its poses:
-        z (3,), in standard deviations, and its regressors on a shift, turn and growth of the
-        picture (3, 4) [mm/s, mm/s, rad/s, 1/s].
+        """Return the part of a robot's motion that commands and wheels do not explain.
+
+        Args:
+            i: Index of the robot.
+            poses: Its poses.
+
+        Returns:
+            z (3,), in standard deviations, and its regressors on a shift, turn and growth of the
+            image (3, 4) [mm/s, mm/s, rad/s, 1/s].
         """
         total = np.zeros((3, At.width))
         variance = 2 * np.square(self._noise)
@@ -306,14 +338,18 @@ class DriftCheck(GuardCheck):
     # ---- the fit ----
 
     def _commanded(self, block: MotionBlock) -> Floats:
-        """Return what was commanded over a block, with each delay of BEFORE_NS: speed and turning
-        rate (5, 2)."""
+        """Return speed and turning rate commanded over a block, for each delay of BEFORE_NS.
+
+        The shape is (5, 2).
+        """
         means = [self.commands.mean(block.until_ns - tap_ns, block.dt_ns) for tap_ns in BEFORE_NS]
         return np.array(means)[:, :, block.robot]
 
     def _regressors(self, blocks: Sequence[MotionBlock], motions: Floats) -> tuple[Floats, Floats]:
-        """Return residuals and regressors (K, 3, 20) of blocks with the `motions` (K, 3), and
-        the variances (K, 3) of those motions."""
+        """Return residuals and regressors of blocks, and the variances of their motions.
+
+        The blocks have the `motions` (K, 3). The results have the shapes (K, 3, 20) and (K, 3).
+        """
         commanded = np.array([self._commanded(block) for block in blocks])  # (K, 5, 2)
         sent = commanded[:, : len(TAPS_NS)]
         dt_s = np.array([block.dt_ns / SECOND for block in blocks])
@@ -347,8 +383,10 @@ class DriftCheck(GuardCheck):
         return x, walk
 
     def _picture_moves(self, poses: Sequence[Pose], dt_s: Floats) -> Floats:
-        """Return how poses move along and across their headings if the picture shifts, turns and
-        grows (K, 2, 4)."""
+        """Return how poses move if the image shifts, turns and grows, shape (K, 2, 4).
+
+        The motion is given along and across the headings.
+        """
         px, py, heading = np.array([(pose.x, pose.y, pose.heading) for pose in poses]).T
         px = px * self._mm
         py = py * self._mm
@@ -361,7 +399,7 @@ class DriftCheck(GuardCheck):
         return product(axes, moves.transpose(2, 0, 1)) * dt_s[:, None, None]
 
     def _add(self, blocks: Sequence[MotionBlock]) -> None:
-        """Add blocks of different robots to the sums, each clipped to what is expected of it."""
+        """Add blocks of different robots to the sums. Each is clipped to what is expected of it."""
         if not blocks:
             return
         robots = [block.robot for block in blocks]
@@ -379,8 +417,7 @@ class DriftCheck(GuardCheck):
         self._sums[robots] += product(x.swapaxes(1, 2), x)
 
     def _fit_and_judge(self) -> Abort | None:
-        """Fit the constants again, and add a moment to the grid if it is time; return what is
-        wrong, None for nothing."""
+        """Fit the constants again, add a moment to the grid if it is time, and return any fault."""
         sums = self._sums
         self._spread = inverse(sums[:, At.constants, At.constants] + np.diag(1 / np.square(PRIOR)))
         self._fit = np.einsum("npq,nq->np", self._spread, sums[:, At.constants, At.residual])
@@ -396,8 +433,11 @@ class DriftCheck(GuardCheck):
     # ---- changes ----
 
     def _find_worst_change(self) -> Abort | None:
-        """Return the motion since a moment of the grid that gains most, of one robot or of the
-        whole picture; set `worst` to its gain. None while no moment is old enough."""
+        """Find the motion since a moment of the grid that gains most.
+
+        It may be the motion of one robot or of the whole image. `worst` is set to its gain. The
+        result is None while no moment is old enough.
+        """
         youngest = self.blocks - LEAST_BLOCKS
         old = [sums_then for blocks, sums_then in self._grid.items() if blocks <= youngest]
         if not old:
@@ -428,8 +468,10 @@ class DriftCheck(GuardCheck):
         return Abort(f"{self._names[i]} {ANOTHER.format(kind)}", (i,), suspect=i)
 
     def _changes(self, old: Floats, squares: Floats, count: float) -> Changes:
-        """Return what is left of the motion since moments with the sums `old` (G, N, ...), if
-        `squares` (N,) of `count` residuals are left over in all."""
+        """Return the unexplained motion since moments with the sums `old` (G, N, ...).
+
+        `squares` (N,) of `count` residuals in total remain.
+        """
         since = self._sums - old
         mixed = since[..., At.constants, At.motion]
         explained = product(product(mixed.swapaxes(2, 3), self._spread), mixed)
@@ -439,8 +481,10 @@ class DriftCheck(GuardCheck):
         return Changes(unexplained, pulls, noise)
 
     def _shift_of_all(self, changes: Changes) -> tuple[Floats, Floats]:
-        """Return the motion of the picture (G, 4) since each moment that explains most of all
-        robots' motion, and what it gains (G,), nothing with one robot."""
+        """Find the motion of the image since each moment that best explains all robots' motion.
+
+        The results are the motion (G, 4) and its gain (G,), which is 0 with one robot.
+        """
         picture = slice(3, 7)
         total = (changes.pulls[..., picture] / changes.noise).sum(axis=1)
         squares = (changes.squares[..., picture, picture] / changes.noise[..., None]).sum(axis=1)
@@ -451,7 +495,7 @@ class DriftCheck(GuardCheck):
         return shift, (total * shift).sum(axis=1)
 
     def _gains_of_shift(self, changes: Changes, g: int, shift: Floats) -> Floats:
-        """Return what a motion of the picture (4,) since moment g gains of each robot (N,)."""
+        """Return the gain of each robot (N,) from a motion of the image (4,) since moment g."""
         picture = slice(3, 7)
         pulls = changes.pulls[g][:, picture]
         squares = changes.squares[g][:, picture, picture]

@@ -1,10 +1,10 @@
 """The inner loop passes camera frames to the guard, and the guard's decisions to the actuator.
 
 The loop makes a step at every camera frame, in its own thread, so that planning cannot delay a
-stop. In each step it takes the new frames, lets the guard decide, and transmits one of these:
+stop. In each step, it takes the new frames, lets the guard decide, and transmits one of these:
 
-    a stop                    while some of STOPS are left: after an abort, and after `stop`
-    the action that is held   in a run: at once if it is new or a robot must stop, else at the
+    a stop                    while some of STOPS remain: after an abort, and after `stop`
+    the held action           in a run: at once if it is new or a robot must stop, otherwise at the
                               actuator's rate
     the direction of `idle`   before a run, to robots in a field that turns meanwhile
     nothing                   otherwise
@@ -12,18 +12,18 @@ stop. In each step it takes the new frames, lets the guard decide, and transmits
 What happens if something goes wrong:
 
     a frame is late or missing    the guard decides (`tetractl.lab.guard`)
-    camera, guard or actuator     the guard aborts, and the first stop is sent in the same step, the
-    raise, or return nonsense     others in the steps that follow; the loop goes on
-    the actuator fails            the guard aborts; the stops are sent all the same, as robots at
-                                  other ports may hear them
-    emergency                     the guard aborts for good; stops are sent, also after an abort, in
+    camera, guard or actuator     the guard aborts; the first stop is sent in the same step, the
+    raise, or return nonsense     others in the following steps, and the loop continues
+    the actuator fails            the guard aborts; the stops are sent nevertheless, because robots
+                                  on other ports may receive them
+    emergency                     the guard aborts for good; stops are sent even after an abort, in
                                   a step that fails, or past a thread that hangs
     the loop's thread hangs       `hold` and `between_steps` abort after HOLD_S; `stop` sends past
                                   it after STOP_S
 
-Threads: the loop's own makes the steps; the controller's calls `hold`, `between_steps`, `stop`,
-`sent`, `warnings` and `restart`. A lock lets one of them act at a time. Times are ns on the run's
-clock.
+Threads: the loop's own thread makes the steps. The controller's thread calls `hold`,
+`between_steps`, `stop`, `sent`, `warnings` and `restart`. A lock lets only one of them act at a
+time. Times are ns on the run's clock.
 """
 
 import threading
@@ -49,17 +49,25 @@ from tetractl.tools.worker import WAITING_MAX, drained
 IDLE_S = 0.01
 """Longest time between two steps without a frame [s]."""
 HOLD_S = 0.25
-"""Time for which `hold` and `between_steps` wait for the thread to end its step [s]; chosen, not
-measured."""
+"""How long `hold` and `between_steps` wait for the thread to end its step [s]; chosen, not
+measured.
+"""
 STOP_S = 1.0
-"""Time for which `stop` waits for it [s]: longer, as a stop that is sent past a step which only
-takes long may come between its bytes."""
+"""How long `stop` waits for the thread [s].
+
+It is longer than HOLD_S, because a stop that is sent past a step which only takes long may come
+between its bytes.
+"""
 
 
 @dataclass(slots=True)
 class HeldAction:
-    """The action that is sent again and again, and which robots it let move when it was sent last,
-    None before."""
+    """The action that is sent repeatedly.
+
+    Attributes:
+        action: The action.
+        moving: Which robots it allowed to move when it was sent last. None before that.
+    """
 
     action: Steer | Turn
     moving: tuple[bool, ...] | None = None
@@ -138,9 +146,13 @@ class InnerLoop:
 
     @contextmanager
     def between_steps(self) -> Iterator[Guard]:
-        """Let the loop make no step during the `with` block, which may change its guard's robots: a
-        step goes on with what it has read of them. AbortError if the loop is within a step for too
-        long."""
+        """Pause the loop during the `with` block, in which its guard's robots may be changed.
+
+        A step that has already read the robots goes on with what it has read.
+
+        Raises:
+            AbortError: If the loop stays within a step for too long.
+        """
         with self._locked(HOLD_S) as is_locked:
             if not is_locked:
                 self.guard.abort("the inner loop did not answer")
@@ -148,8 +160,13 @@ class InnerLoop:
             yield self.guard
 
     def restart(self, rules: GuardRules) -> None:
-        """Continue with a guard of other rules, as of newly found robots; forget the frames so far.
-        AbortError if the loop is within a step for too long."""
+        """Continue with a guard that has other rules, for example for newly found robots.
+
+        All frames so far are forgotten.
+
+        Raises:
+            AbortError: If the loop stays within a step for too long.
+        """
         with self.between_steps():
             self.guard = Guard(rules, self.guard.checks_of)
             self.frames = FrameBuffer()
@@ -157,8 +174,10 @@ class InnerLoop:
             self._operator_obeyed = False
 
     def stop(self) -> Transmission | None:
-        """Send a stop to every robot, STOPS times with STOP_GAP_NS between them; return the first,
-        None if none could be sent; never raises."""
+        """Send STOPS stops to every robot, STOP_GAP_NS apart, and return the first.
+
+        It never raises. The result is None if no stop could be sent.
+        """
         with self._locked(STOP_S) as is_locked:
             # without the lock, too: a step that ends after all goes on with stops
             self._held = None
@@ -178,8 +197,11 @@ class InnerLoop:
         return self._first_stop
 
     def _stop_past_thread(self) -> Transmission | None:
-        """Send the stops without the lock, as the loop's thread hangs; return the first stop since
-        `stop` was called, None if none could be sent."""
+        """Send the stops without the lock, because the loop's thread hangs.
+
+        Returns:
+            The first stop since `stop` was called. None if no stop could be sent.
+        """
         first = self._first_stop
         for _ in range(STOPS):
             # read here, as the step that hangs does not read the operator's key
@@ -195,7 +217,7 @@ class InnerLoop:
         return drained(self._sent)
 
     def warnings(self) -> list[tuple[int, str]]:
-        """Return the guard's warnings since the last call, each as (time [ns], text)."""
+        """Return the guard's warnings since the last call, with the time of each [ns]."""
         return drained(self._warnings)
 
     def close(self) -> None:
@@ -238,8 +260,11 @@ class InnerLoop:
                 self._lock.release()
 
     def _step_safely(self) -> Transmission | None:
-        """Make one step; return the transmission of the held action, None if it was not sent. An
-        error during the step stops the robots, but not this loop."""
+        """Make one step. An error during the step stops the robots, but not this loop.
+
+        Returns:
+            The transmission of the held action. None if it was not sent.
+        """
         try:
             return self._check_and_transmit()
         except (Exception, SystemExit) as error:
@@ -254,8 +279,11 @@ class InnerLoop:
             return None
 
     def _check_and_transmit(self) -> Transmission | None:
-        """Let the guard decide on what has come, and transmit what the table above says, if it is
-        due; return the transmission of the held action, None if it was not sent."""
+        """Let the guard decide, and transmit what is due by the table in the module's docstring.
+
+        Returns:
+            The transmission of the held action. None if it was not sent.
+        """
         now = self._clock.now()
         self.guard.check_awake(now)
         self._take_frames()
@@ -321,8 +349,11 @@ class InnerLoop:
             self.guard.abort(error.message)
 
     def _send_held(self, held: HeldAction, ruling: Ruling, now: int) -> Transmission | None:
-        """Send the action if the actuator's period has passed, it is new, or a robot must stop;
-        return the transmission, None if there is none."""
+        """Send the held action if the period has passed, the action is new, or a robot must stop.
+
+        Returns:
+            The transmission. None if nothing was sent.
+        """
         if held.moving is not None and now < self._transmit_ns:
             pairs = zip(held.moving, ruling.moving, strict=True)
             if not any(moved and not may_move for moved, may_move in pairs):
@@ -377,7 +408,7 @@ class InnerLoop:
 
 
 def frame_fault(frame: CameraFrame, robots: int) -> str:
-    """Return what is wrong with a camera's frame of N robots, "" if nothing is."""
+    """Describe what is wrong with a camera's frame of N robots. Empty if nothing is."""
     numbers = [frame.number, frame.sampled_ns, frame.received_ns, *frame.exposed_ns]
     poses = [pose for pose in frame.poses if pose is not None]
     is_loggable = (
@@ -396,7 +427,13 @@ def frame_fault(frame: CameraFrame, robots: int) -> str:
 
 
 def transmission_fault(sent: object, robots: int, now_ns: int) -> str:
-    """Return what is wrong with what an actuator says that it has sent, "" if nothing is."""
+    """Describe what is wrong with a transmission that an actuator reports. Empty if nothing is.
+
+    Args:
+        sent: What the actuator returned.
+        robots: Number of robots.
+        now_ns: The present time.
+    """
     unloggable = "a transmission that no log can hold"
     if not isinstance(sent, Transmission):
         return unloggable

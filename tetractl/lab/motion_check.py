@@ -1,34 +1,35 @@
 """Checks whether robots move as commanded: compares a camera's poses with the transmissions.
 
-A motion has three parts: the displacement along the robot's heading, that across it (positive to
-the left), and the angle turned around. A command is a speed v and a turning rate w: a robot that
-obeys it exactly has the rates v along, 0 across and w around.
+A motion has three parts: the displacement along the robot's heading, the displacement across it
+(positive to the left), and the angle turned around. A command is a speed v and a turning rate w. A
+robot that obeys it exactly has the rates v along, 0 across and w around.
 
 Bounds. A robot has two wheels, each at a distance r from its centre. The sum of their speeds is 2 v
-and the difference 2 w r. If each may be wrong by a fraction g of itself, v is wrong by up to
-e = g max(|v|, |w| r), and w by up to e / r. So a command allows the rates
+and the difference 2 w r. If each may be wrong by a fraction g of itself, v is wrong by up to e = g
+max(|v|, |w| r), and w by up to e / r. So a command allows the rates
 
     along    v - e    to  v + e
     across     - e    to    + e      (a rolling robot does not move sideways: this is tolerance)
     around   w - e/r  to  w + e/r
 
-For robots without wheels r is 0: then e = g |v|, and g |w| takes the place of e/r.
+For robots without wheels, r is 0: then e = g |v|, and g |w| replaces e/r.
 
-Which command a robot obeys is unknown: radio and wheels delay commands, and some are lost. From one
-frame to the next, it may be any command that was the newest one at some time from DELAY_NS before
-the one frame until the other. It may also be standing, with the rates 0, if this time begins before
-the first transmission, or if a gap that reaches into it, between two transmissions or since the
-last, is longer than WATCHDOG_NS. The *bounds* from one frame to the next are the least and the
-greatest rates that any of these allows.
+It is unknown which command a robot obeys: radio and wheels delay commands, and some are lost. From
+one frame to the next, it may be any command that was the newest one at some time between DELAY_NS
+before the first frame and the second frame. The robot may also be standing still, with the rates 0,
+if this time begins before the first transmission, or if a gap between two transmissions, or since
+the last, that reaches into it is longer than WATCHDOG_NS. The *bounds* from one frame to the next
+are the minimum and the maximum of all these rates.
 
 Comparison. The bounds are integrated over time, and the motion is added up from pose to pose; each
-robot's integrals end at the time of its own pose. When a pose comes, each part of the motion must
-lie between the integral of its least rate and that of its greatest, plus or minus a slack. This is
-compared over several times: until now, since each of the *moments* of about the last second, which
-are those of consistent poses, SPACING_NS apart or more. A pose that is out of bounds since any of
-them contradicts the commands; its motion is not counted. Every other pose is *consistent*.
+robot's integrals end at the time of its own pose. When a pose arrives, each part of the motion must
+lie between the integral of its minimum rate and that of its maximum rate, plus or minus a slack.
+This is compared over several times: until now, since each of the *moments* of about the last
+second. Moments are times of consistent poses at least SPACING_NS apart. A pose that is out of
+bounds since any of them contradicts the commands, and its motion is not counted. Every other pose
+is *consistent*.
 
-Repeats. A pose that equals the one before to the last bit may be that of a frozen picture. Let
+Repeats. A pose that equals the previous one to the last bit may come from a frozen image. Let
 bounds *exclude zero* if the rates along, or those around, are all positive or all negative. The
 robot must have moved
 
@@ -36,15 +37,15 @@ robot must have moved
     2. if commands whose own bounds exclude zero have been in force for more than DELAY_NS in all
        since its pose changed: each from its transmission to the next, for WATCHDOG_NS at most.
 
-The second rule finds a frozen picture though robots are stopped so often that they might always
-stand by the first. If the camera measures on a grid, a pose may repeat while its robot moves: then,
-in addition, the integrals since the pose changed must say that the robot has gone further than such
-a camera may leave unseen.
+The second rule finds a frozen image even if robots are stopped so often that, by the first rule,
+they might always stand still. If the camera measures on a grid, a pose may repeat while its robot
+moves. Then, in addition, the integrals since the pose changed must say that the robot has gone
+further than such a camera may leave unseen.
 
-Lengths are in the spec's length unit, angles rad, positive anticlockwise, times ns on the run's
-clock. N is the number of robots. Arrays (..., 3) hold the parts along, across and around; arrays
-(2, ...) the least and the greatest; of arrays (3, 3) the rows are the motion, the least and the
-greatest.
+Lengths are in the spec's length unit, angles in rad, positive anticlockwise, times in ns on the
+run's clock. N is the number of robots. Arrays (..., 3) hold the parts along, across and around.
+Arrays (2, ...) hold the minimum and the maximum. In arrays (3, 3), the rows are the motion, the
+minimum and the maximum.
 """
 
 import math
@@ -78,10 +79,12 @@ COMPARED_NS = SECOND
 SPACING_NS = SECOND // 20
 """Least time between two moments."""
 STANDS_SHARE = 0.3
-"""A robot that makes less than this share of the commanded motion stands still."""
+"""A robot that makes less than this fraction of the commanded motion stands still."""
 MEANT_SHARE = 0.3
-"""If less than this share of the motion is commanded, its direction is not wrong: a disturbance
-moves the robot."""
+"""Minimum fraction of a motion that must be commanded for its direction to be wrong.
+
+Below it, a disturbance moves the robot.
+"""
 
 REPEATS = "its pose repeats to the last bit though it is commanded to move: is the camera frozen?"
 DOES_NOT_MOVE = (
@@ -95,18 +98,19 @@ OF_CELLS = {
     BACKWARD: "moves backward: is its heading reversed, or another cell tracked in its place?",
     WRONG_WAY: "turns away from the field: is the camera's rotation or the field's sign wrong?",
 }
-"""What is said instead of robots without wheels."""
+"""The texts for robots without wheels."""
 AS_NO_COMMAND = "as no command does"
 PUSHED = ": was it pushed, or does the camera track another body as this robot?"
 ANOTHER = f"moves {{}} {AS_NO_COMMAND}{PUSHED}"
-"""Holds a place for one of KINDS."""
+"""The text for a motion without a command; the placeholder is for one of KINDS."""
 KINDS = ("along its heading", "sideways", "around")
 """The names of a motion's three parts."""
 
 
 class CommandHistory:
-    """Rates in arrays of a `shape`, each commanded from its transmission until the next; 0 before
-    the first.
+    """Rates in arrays of a `shape`. Each is commanded from its transmission until the next one.
+
+    Before the first transmission, the rates are 0.
     """
 
     def __init__(self, *shape: int) -> None:
@@ -127,8 +131,11 @@ class CommandHistory:
             del self._times[: old - 1]
 
     def acting(self, since_ns: int, until_ns: int) -> tuple[list[int], Floats]:
-        """Return the transmissions of which one acted between two times: times (K,), and rates (K,
-        ...), a view."""
+        """Return the transmissions that may have acted between two times.
+
+        Returns:
+            Times (K,), and rates (K, ...) as a view.
+        """
         first = max(0, bisect_right(self._times, since_ns) - 1)
         last = bisect_right(self._times, until_ns)
         return self._times[first:last], self._sent[first:last]
@@ -151,12 +158,13 @@ class CommandHistory:
 
 
 class MotionSinceRest:
-    """The motion of N robots since they started from rest: by consistent poses (N, 3), and the
-    integrals of the bounds (2, N, 3), until now and until each robot's pose changed last.
+    """The motion of N robots since they started from standstill.
 
-    `moments` are each robot's, oldest first: a time, and the motion and integrals (3, 3) until
-    then. Those older than COMPARED_NS are dropped when a consistent pose is added. This is after it
-    was compared: the first pose after a gap is compared with older moments too.
+    It holds the motion from consistent poses (N, 3), and the integrals of the bounds (2, N, 3),
+    until now and until each robot's pose last changed. `moments` are each robot's moments, oldest
+    first: a time, and the motion and integrals (3, 3) until then. Moments older than COMPARED_NS
+    are dropped when a consistent pose is added. This happens after the comparison, so the first
+    pose after a gap is also compared with older moments.
     """
 
     def __init__(self, robots: int) -> None:
@@ -167,12 +175,12 @@ class MotionSinceRest:
 
 
 class MotionCheck(GuardCheck):
-    """Refuses a pose if it moves as no command of the last 0.3 s does, of the N robots of `rules`;
-    in a pause, says which robot has moved so for UNTRACKED_STOP_S: a stop may be lost and sent
-    again.
+    """A check that refuses a pose if the robot moves as no command of the last 0.3 s does.
 
-    `share` is the relative error g of the wheels. `noise` is the largest error of a position
-    [length unit]; the slack holds it once, though a motion has the errors of two.
+    During a pause, it reports which of the N robots of `rules` has moved in this way for
+    UNTRACKED_STOP_S: a stop may be lost, and is sent again. `share` is the relative error g of the
+    wheels. `noise` is the maximum error of a position [length unit]. The slack contains it once,
+    although a motion has the errors of two positions.
     """
 
     def __init__(self, rules: GuardRules, noise: float, share: float) -> None:
@@ -207,7 +215,7 @@ class MotionCheck(GuardCheck):
 
     @property
     def travelled(self) -> Floats:
-        """The motion (N, 3) since the robots started from rest, by consistent poses."""
+        """The motion (N, 3) since the robots started from standstill, from consistent poses."""
         return self._since_rest.travelled
 
     def start(self) -> None:
@@ -220,12 +228,15 @@ class MotionCheck(GuardCheck):
         self._straying.clear()
 
     def replace(self, robot: int) -> None:
-        """Forget the moments of a robot: its next pose is taken as consistent, and the motion up to
-        that is not counted. What is known of a repeated pose is kept."""
+        """Forget the moments of a robot; see `GuardCheck.replace`.
+
+        Its next pose counts as consistent, and the motion up to that pose is not counted. What is
+        known of a repeated pose is kept.
+        """
         self._since_rest.moments[robot].clear()
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
+        """Take note of a transmission; see `GuardCheck.sent`."""
         v = np.array(speed)
         w = np.array(turning)
         error = self._share * np.maximum(np.abs(v), np.abs(w) * self._radius)
@@ -237,12 +248,13 @@ class MotionCheck(GuardCheck):
     # ---- a frame ----
 
     def exposed(self, times: tuple[int, ...]) -> None:
-        """Take the times (N,) of a frame's poses, before these are compared.
+        """Take note of the times (N,) of a frame's poses, before these are compared.
 
-        A robot that measures its own pose may have an earlier time than before: that of its last
-        accepted pose, if a later one was refused and now none comes. Integrating backward then
-        takes back what was added while the commands did not change. More than DELAY_NS back it does
-        not: no command is found, and what follows is counted twice, as it always is by rule 2.
+        A robot that measures its own pose may have an earlier time than before: the time of its
+        last accepted pose, if a later one was refused and none arrives now. Integrating backward
+        then takes back what was added while the commands did not change. More than DELAY_NS back,
+        it does not: no command is found, and what follows is counted twice, as it always is by rule
+        2.
         """
         intervals = list(zip(self._times, times, strict=True))
         distinct = set(intervals)
@@ -262,9 +274,9 @@ class MotionCheck(GuardCheck):
         self._driven_s[robots] += self._driven_between(since_ns, until_ns)[robots]
 
     def _bounds_between(self, since_ns: int, until_ns: int) -> Floats:
-        """Return the bounds (2, N, 3) between two times, by all that robots may obey then.
+        """Return the bounds (2, N, 3) between two times, for all commands that robots may obey.
 
-        Gaps are those between transmissions; whether a robot received these is not known.
+        Gaps are gaps between transmissions. Whether a robot received these is not known.
         """
         earliest_ns = since_ns - DELAY_NS
         times, rates = self._commanded.acting(earliest_ns, until_ns)
@@ -275,8 +287,10 @@ class MotionCheck(GuardCheck):
         return np.array([rates[:, 0].min(axis=0), rates[:, 1].max(axis=0)])
 
     def _driven_between(self, since_ns: int, until_ns: int) -> Floats:
-        """Return for how long (N,) [s] commands that exclude zero were in force between two times:
-        each from its transmission to the next, for WATCHDOG_NS at most."""
+        """Return how long commands that exclude zero were in force between two times (N,) [s].
+
+        Each counts from its transmission to the next, for at most WATCHDOG_NS.
+        """
         times, rates = self._commanded.acting(since_ns, until_ns)
         driven_s = np.zeros(len(self._times))
         in_force = pairwise([*times, until_ns])
@@ -290,11 +304,11 @@ class MotionCheck(GuardCheck):
     # ---- a pose ----
 
     def repeat(self, robot: int) -> Iterator[Finding]:
-        """Refuse a pose that repeats if its robot must have moved, and by as much as the camera can
-        see: "Repeats" in the head of this module.
+        """Refuse a repeated pose if its robot must have moved, and visibly to the camera.
 
-        Rule 1 asks the bounds of all commands together: if one drives forward and one backward, or
-        one drives and one turns on the spot, these do not exclude zero though each moves the robot.
+        See "Repeats" in the module's docstring. Rule 1 uses the bounds of all commands together: if
+        one drives forward and one backward, or one drives and one turns on the spot, these bounds
+        do not exclude zero although each command moves the robot.
         """
         moves_now = bool(exclude_zero(self._bounds[:, robot]))
         moved_long = bool(self._driven_s[robot] > DELAY_NS / SECOND)
@@ -307,13 +321,13 @@ class MotionCheck(GuardCheck):
             yield Refuse(robot, REPEATS)
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
-        """Refuse a pose that contradicts the commands."""
+        """Refuse a pose that contradicts the commands; see `GuardCheck.pose`."""
         fault = self.take_pose(robot, before, pose)
         if fault:
             yield Refuse(robot, fault)
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
-        """Note a robot that has moved for long against its commands, which are to stand."""
+        """Note a robot that keeps moving although it should stand still; see `GuardCheck.pause`."""
         stood = self._straying.get(robot, TimedPose(now_ns, before))
         fault = self.take_pose(robot, stood.pose, pose)
         if not fault:
@@ -324,11 +338,18 @@ class MotionCheck(GuardCheck):
             yield Moved(robot, fault)
 
     def take_pose(self, i: int, before: Pose, pose: Pose) -> str:
-        """Take a pose of robot i in the newest frame; `before` is the last consistent one. Return
-        how it contradicts the commands, "" if it is consistent.
+        """Compare a new pose of a robot with the commands.
 
-        The first pose after `start` or `replace` is taken as consistent, and the motion up to it is
-        not counted. Every pose counts as changed: repeats are only to be passed in pauses.
+        The first pose after `start` or `replace` counts as consistent, and the motion up to it is
+        not counted. Every pose counts as changed: repeated poses may be passed only during pauses.
+
+        Args:
+            i: Index of the robot.
+            before: Its last consistent pose.
+            pose: Its new pose.
+
+        Returns:
+            How the pose contradicts the commands. Empty if it is consistent.
         """
         since_rest = self._since_rest
         moments = since_rest.moments[i]
@@ -351,8 +372,11 @@ class MotionCheck(GuardCheck):
         return ""
 
     def _contradiction(self, i: int, now: Floats) -> Floats | None:
-        """Return the motion of robot i and its bounds (3, 3) since the newest moment since which it
-        is out of these by more than the slack; None if there is no such moment."""
+        """Find the newest moment since which robot i is out of its bounds by more than the slack.
+
+        Returns:
+            The motion since then and its bounds (3, 3). None if there is no such moment.
+        """
         moments = self._since_rest.moments[i]
         if not moments:
             return None
@@ -364,23 +388,29 @@ class MotionCheck(GuardCheck):
 
 
 def exclude_zero(bounds: Floats) -> Bools:
-    """Return whether bounds (2, ..., 3) exclude zero (...): whether the rates of a part are all
-    positive or all negative. Those across never are."""
+    """Check whether bounds (2, ..., 3) exclude zero, shape (...).
+
+    They do if the rates of a part are all positive or all negative. The rates across never are.
+    """
     least, most = bounds
     return ((least > 0.0) | (most < 0.0)).any(axis=-1)
 
 
 def out_of_bounds(motion: Floats, slack: Floats) -> Bools:
-    """Return which parts (..., 3) of motions (..., 3, 3) are out of their bounds by more than
-    `slack` (3,)."""
+    """Check which parts (..., 3) of motions (..., 3, 3) are out of their bounds.
+
+    A part may exceed its bounds by `slack` (3,).
+    """
     travelled = motion[..., 0, :]
     return (travelled < motion[..., 1, :] - slack) | (travelled > motion[..., 2, :] + slack)
 
 
 def motion(before: Pose, pose: Pose) -> Floats:
-    """Return the motion (3,) between two poses, on an arc: its length, the displacement across the
-    heading halfway, and the angle turned. Of more than half a turn, as may be made in a long gap,
-    the shorter way round is returned, which is wrong.
+    """Compute the motion (3,) between two poses, on an arc.
+
+    The parts are the arc's length, the displacement across the heading halfway, and the angle
+    turned. For more than half a turn, which is possible during a long gap, the shorter way round is
+    returned, which is wrong.
 
     The displacement along the heading halfway is the chord of the arc: sin(h) / h of its length,
     where h is half the angle turned.
@@ -397,18 +427,22 @@ def motion(before: Pose, pose: Pose) -> Floats:
 
 
 def fault_of(motion: Floats, slack: Floats, has_wheels: bool) -> str:
-    """Return what is said of a motion (3, 3) of which a part is out of its bounds by more than
-    `slack` (3,).
+    """Describe a motion that has a part out of its bounds.
 
-    What is commanded is the middle of the bounds. A part *stands* if it is smaller than
-    STANDS_SHARE of what is commanded. It is *against* the command if their signs differ and what is
-    commanded is greater than MEANT_SHARE of it. The first row that holds is said:
+    The command is taken as the middle of the bounds. A part *stands* if it is smaller than
+    STANDS_SHARE of the command. It is *against* the command if their signs differ and the command
+    is larger than MEANT_SHARE of it. The first row that holds is reported:
 
         it does not move             along is out of bounds and stands; or around is out of bounds
                                      and stands, and along is smaller than its slack
         it moves backward            along is out of bounds, and against the command
         it turns the wrong way       around is out of bounds, and against the command
         it moves as no command does  of along, across and around, the first that is out of bounds
+
+    Args:
+        motion: The motion and its bounds, shape (3, 3).
+        slack: How much a part may exceed its bounds, shape (3,).
+        has_wheels: Whether the robot has wheels.
     """
     along, across, around = out_of_bounds(motion, slack)
     travelled, least, most = motion
@@ -430,5 +464,5 @@ def fault_of(motion: Floats, slack: Floats, has_wheels: bool) -> str:
 
 
 def of_kind(fault: str, has_wheels: bool) -> str:
-    """Return how a fault is said of a robot with wheels or without."""
+    """Return the text of a fault for a robot with or without wheels."""
     return fault if has_wheels else OF_CELLS[fault]

@@ -18,8 +18,10 @@ from tetractl.model.motion.rolling import rolled
 
 
 class Keeps(GuardCheck):
-    """The run is aborted before a robot leaves the arena, enters an obstacle or touches another;
-    one that was lost stands at its last pose."""
+    """A check that aborts a run before a robot leaves the arena, hits an obstacle or another robot.
+
+    A lost robot counts as standing at its last pose.
+    """
 
     def __init__(self, rules: GuardRules) -> None:
         self._rules = rules
@@ -33,7 +35,7 @@ class Keeps(GuardCheck):
         self._least.clear()
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take a transmission."""
+        """Take note of a transmission; see `GuardCheck.sent`."""
         self._speeds = speed
         self._turning = turning
 
@@ -56,9 +58,10 @@ class Keeps(GuardCheck):
         yield from too_close(now, then, self._rules)
 
     def enters(self, i: int, pose: Pose) -> bool:
-        """Return whether robot i is in an obstacle or will be after its reaction, at the rates of
-        the last transmission. A robot that has touched one since the run started may leave it, but
-        not go deeper.
+        """Check whether robot i is in an obstacle, or will be after its reaction time.
+
+        The prediction uses the rates of the last transmission. A robot that has touched an obstacle
+        since the run started may leave it, but not go deeper.
         """
         noise = self._largest_error
         depth = self._depth(pose.x, pose.y)
@@ -73,7 +76,7 @@ class Keeps(GuardCheck):
         return self._depth(pose.x + dx, pose.y + dy) > 0.0
 
     def _depth(self, x: float, y: float) -> float:
-        """Return how deep a centre is in an obstacle, negative outside; -inf if none is near."""
+        """Return how deep a centre is in an obstacle. Negative outside, -inf if none is near."""
         deepest = -math.inf
         near = self._largest_error
         for shape in self._rules.obstacles:
@@ -102,8 +105,16 @@ def driven(pose: Pose, way: float) -> Pose:
 def too_close(
     now: Mapping[str, Pose], then: Mapping[str, Pose], rules: GuardRules
 ) -> Iterator[Finding]:
-    """Yield an abort for each two robots that come nearer than the least distance, by where they
-    are `now`, and will be `then`, when they can be stopped."""
+    """Find pairs of robots that come closer than the minimum distance.
+
+    Args:
+        now: Present poses, by robot.
+        then: Poses when the robots could be stopped, by robot.
+        rules: The limits.
+
+    Yields:
+        An abort for each pair.
+    """
     names = list(now)
     for i, name in enumerate(names):
         for neighbour in names[:i]:

@@ -15,13 +15,17 @@ ENDING_SIGNALS = (
     (signal.SIGTERM, "asked the process to end at once", 4.0),
     (signal.SIGKILL, "killed the process; `tetractl recover` mends its log", 6.0),
 )
-"""Signals to a process that has the port: what is said of each, and the time from the beginning
-until which stops are sent after it [s]."""
+"""The signals sent to a process that has the port, in order.
+
+Each comes with a description, and with the time from the beginning until which stops are sent after
+it [s].
+"""
 
 
 def holder(port: str) -> int | None:
-    """Return the id of the process that has locked a port; None if there is none, and on systems
-    other than Linux.
+    """Return the id of the process that has locked a port.
+
+    None if there is none, and on systems other than Linux.
     """
     with suppress(OSError):
         status = Path(port).stat()
@@ -42,12 +46,17 @@ def command_line(pid: int) -> list[str]:
 
 
 def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None]) -> None:
-    """Stop the robots of the run that has a port open, and end that run, if needed by SIGKILL.
+    """Stop the robots of a run that has a port open, and end that run, if necessary with SIGKILL.
 
-    `stops` sends stops on the port and returns a summary; it is called until the port is free,
-    since a hanging run may still drive robots. `say` prints a line, after the first stops, and must
-    not raise. AbortError if the process that has the port open cannot be ended: it is unknown,
-    another user's, or not tetractl.
+    Args:
+        port: The port.
+        stops: Sends stops on the port, and returns a summary. It is called until the port is free,
+            because a run that hangs may still drive robots.
+        say: Prints a line, after the first stops. It must not raise.
+
+    Raises:
+        AbortError: If the process that has the port open cannot be ended, because it is unknown,
+            belongs to another user, or is not tetractl.
     """
     began_s = time.monotonic()
     pid = holder(port)
@@ -78,8 +87,10 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
 
 
 class _StopsBeside:
-    """Sends stops while another process has the port; says what was done once the first were tried.
-    `failure` is why the newest could not be sent to all."""
+    """Sends stops while another process has the port, and reports what was done after the first.
+
+    `failure` is the reason why the newest stop could not be sent to all robots.
+    """
 
     def __init__(self, stops: Callable[[], str], say: Callable[[str], None], line: str) -> None:
         self.failure = ""
@@ -121,7 +132,7 @@ def _end(pid: int | None, number: signal.Signals) -> str:
 
 
 def _why_unendable(pid: int | None, words: Sequence[str]) -> str:
-    """Return why this program does not end a process with this command line, "" if it does."""
+    """Explain why this program does not end a process with this command line. Empty if it does."""
     if pid is None:
         return "is unknown"
     if any(Path(word).name == "tetractl" for word in words[:3]):

@@ -1,17 +1,17 @@
-"""The preflight: finds what keeps robots from starting, without moving one.
+"""The preflight: finds what prevents robots from starting, without moving a robot.
 
-`inspect` looks at the next FRAMES_CHECKED frames, and asks:
+`inspect` takes the next FRAMES_CHECKED frames, and checks:
 
-    frames    do they come? is the median of their ages on arrival, from the exposure, at most
-              `latency` [s]? (warned of: fewer a second than RATE_SHARE of the camera's rate)
+    frames    do they arrive? is the median of their ages on arrival, counted from the exposure, at
+              most `latency` [s]? (A warning, if fewer arrive than RATE_SHARE of the camera's rate.)
     robots    is each tracked, and at most `start_mm` [mm] and `start_heading` [rad] from its start?
               does it answer, and what does it report?
-    arena     if robots can stand: do they, and does nothing else stand in it?
-    devices   what do camera and actuator report themselves?
+    arena     if robots can stand still: do they, and is nothing else in the arena?
+    devices   what do camera and actuator themselves report?
 
-`look_over` does it once, and of one device alone if the other cannot be opened. `wait_until_ready`
-looks every 0.2 s at the newest frame alone while robots are placed, and inspects once all stand on
-their starts.
+`look_over` does this once, and checks one device alone if the other cannot be opened. While robots
+are placed, `wait_until_ready` checks the newest frame every 0.2 s, and inspects once when all
+robots are on their starts.
 """
 
 import math
@@ -29,9 +29,9 @@ from tetractl.lab.rest_check import drifting_robots, moving_robots
 from tetractl.lab.rig import Rig
 
 FRAMES_CHECKED = 60
-"""Number of camera frames that are checked, those of a second at most."""
+"""Number of camera frames that are checked, but at most those of one second."""
 RATE_SHARE = 0.8
-"""Least share of the camera's rate at which frames come without a warning."""
+"""Minimum fraction of the camera's rate at which frames arrive without a warning."""
 NOT_POLLED = RobotStatus(None)
 QUARTER = math.pi / 2
 """A quarter turn [rad]."""
@@ -39,11 +39,15 @@ QUARTER = math.pi / 2
 
 @dataclass(frozen=True, slots=True)
 class RobotFinding:
-    """The state of one robot. `off_mm` is its distance from its start [mm] and `off_heading` its
-    heading minus its start heading [rad]; both are None if it is not tracked.
+    """The state of one robot before a run.
 
-    `misplaced` is a text that says how far the robot is from its start, "" if it is there or not
-    tracked. `untracked` is a text that says why the robot is not tracked, "" if it is.
+    Attributes:
+        name: The robot.
+        off_mm: Distance from its start [mm]. None if it is untracked.
+        off_heading: Its heading minus its start heading [rad]. None if it is untracked.
+        misplaced: How far the robot is from its start. Empty if it is there, or untracked.
+        untracked: Why the robot is untracked. Empty if it is tracked.
+        status: Its answer to a poll.
     """
 
     name: str
@@ -66,9 +70,17 @@ class RobotFinding:
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
-    """The result of a preflight. `latency_ms` (median, greatest) is the age of frames on arrival,
-    None if the camera does not report it. `problems` keep a run from starting, `warnings` do not;
-    `facts` come from the devices; the operator has to answer yes to the `questions`.
+    """The result of a preflight.
+
+    Attributes:
+        robots: The state of each robot.
+        latency_ms: Median and maximum age of frames on arrival [ms]. None if the camera does not
+            report it.
+        camera_rate_hz: Rate of frames [Hz]. None if unknown.
+        problems: What prevents a run from starting, one line each.
+        warnings: What the operator should know, one line each.
+        facts: Facts about the devices.
+        questions: What the operator has to agree to, one line each.
     """
 
     robots: tuple[RobotFinding, ...]
@@ -96,7 +108,7 @@ class Preflight:
 
     @property
     def all_warnings(self) -> tuple[str, ...]:
-        """All warnings: of the preflight, the devices and the robots."""
+        """All warnings about the run, the devices and the robots."""
         robots = (w for robot in self.robots for w in robot.status.warnings)
         return (*self.warnings, *self.questions, *robots)
 
@@ -104,12 +116,14 @@ class Preflight:
 def look_over(
     rig: Rig, go_on: Callable[[Preflight], Preflight] = lambda findings: findings
 ) -> Preflight:
-    """Open a rig, inspect it, and close it. If a device cannot be opened, that is a problem in
-    addition to those of the other, so that the operator learns of all that is missing at once.
+    """Open a lab, inspect it, and close it.
+
+    If a device cannot be opened, that is reported together with the problems of the other device,
+    so that the operator learns everything at once.
 
     Args:
-        rig: The rig, which was not opened before.
-        go_on: Called with the findings while both devices are open; returns them with its own.
+        rig: The lab, which has not been opened before.
+        go_on: Called with the findings while both devices are open. It returns them with its own.
     """
     try:
         failures = rig.open_devices()
@@ -122,7 +136,7 @@ def look_over(
 
 
 def _inspect_opened(rig: Rig, failures: Mapping[str, AbortError]) -> Preflight:
-    """Inspect the devices of a rig that are open; the others have `failures`."""
+    """Inspect the devices of a lab that are open. The others have `failures`."""
     problems = [
         f"{failure.message} ({failure.hint})" if failure.hint else failure.message
         for failure in failures.values()
@@ -203,9 +217,11 @@ def unplaced(rig: Rig) -> list[str]:
 
 
 def turned_by_quarters(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
-    """Return a line if all robots stand on their starts, and all headings are off by the same
-    number of quarter turns: then the tags or bodies are turned, not the robots. Robots that may
-    start at any heading, such as cells that a trial finds, have no heading to be off.
+    """Report tags or bodies that are mounted with a wrong orientation.
+
+    If all robots are on their starts, and all headings are off by the same number of quarter turns,
+    the tags or bodies are turned, not the robots. Robots that may start at any heading, such as
+    cells that a trial finds, are not checked.
     """
     if rig.limits.start_heading >= QUARTER:
         return []
@@ -260,8 +276,10 @@ def _strangers(rig: Rig, frame: CameraFrame) -> list[str]:
 
 
 def _next_frames(rig: Rig) -> list[CameraFrame]:
-    """Return the next `FRAMES_CHECKED` frames, fewer if they take a second or the camera falls
-    silent."""
+    """Return the next `FRAMES_CHECKED` frames, or fewer.
+
+    There are fewer if they take more than a second, or if the camera falls silent.
+    """
     clock = rig.clock
     frames = rig.loop.frames
     first = rig.loop.frames.count
@@ -281,7 +299,7 @@ def _next_frames(rig: Rig) -> list[CameraFrame]:
 
 
 def _latency_ms(frames: Sequence[CameraFrame]) -> tuple[float, float] | None:
-    """Return the median and greatest age of frames on arrival [ms]; None if ages are not known."""
+    """Return the median and maximum age of frames on arrival [ms]. None if ages are not known."""
     ages = sorted(frame.received_ns - frame.sampled_ns for frame in frames)
     if not ages or not ages[-1]:
         return None

@@ -73,8 +73,13 @@ class Rig:
         self.close()
 
     def open(self) -> None:
-        """Open the devices that are not open and start the inner loop; do nothing the second time.
-        AbortError with all that fails."""
+        """Open the devices that are not open yet, and start the inner loop.
+
+        A second call does nothing.
+
+        Raises:
+            AbortError: If a device fails. The error names all failures.
+        """
         if self._was_opened:
             return
         self._was_opened = True
@@ -92,8 +97,10 @@ class Rig:
             raise
 
     def open_devices(self) -> dict[str, AbortError]:
-        """Open the devices that are not open; return the errors of those that cannot be opened, by
-        "actuator" or "camera".
+        """Open the devices that are not open yet.
+
+        Returns:
+            The errors of those that cannot be opened, by "actuator" or "camera".
         """
         failures = dict[str, AbortError]()
         for name, device in (("actuator", self.actuator), ("camera", self.camera)):
@@ -116,8 +123,9 @@ class Rig:
         return tuple(name for name in said if said[name] or name in self._emulated)
 
     def settle(self, setup: Setup) -> None:
-        """Continue with the robots of a new setup, to which camera and actuator have settled; their
-        present poses become their starts.
+        """Continue with the robots of a new setup, to which the devices have already changed.
+
+        Their present poses become their starts.
         """
         self.setup = setup
         self.start_anywhere()
@@ -153,7 +161,14 @@ class Rig:
 def build_rig(
     lab: LabSection, setup: Setup, clock: Clock, emergency: threading.Event | None = None
 ) -> Rig:
-    """Build the rig of a spec, without opening any device."""
+    """Build the connected lab of a spec, without opening any device.
+
+    Args:
+        lab: The section of the lab.
+        setup: The constants of the experiment.
+        clock: The clock of the run.
+        emergency: Setting this event triggers the emergency stop. None if nobody can.
+    """
     wake = threading.Event()
     camera = lab.camera.build(setup, clock, wake.set)
     actuator = lab.actuator.build(setup, clock)

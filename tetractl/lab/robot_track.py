@@ -25,27 +25,37 @@ from tetractl.spec.lab_section import UNTRACKED_STOP_S
 FORGIVEN = 0.25
 """Share of the time for which a robot is seen that is taken off the time for which it was not."""
 JUMP_HEADING = 0.7
-"""A heading may differ by so much in no time [rad], as `jump_mm` of the limits says it of a
-position."""
+"""How far a heading may jump at once [rad], as `jump_mm` in the limits for a position."""
 FASTER = 2.0
 """Multiple of a robot's speed and turning limits above which its pose jumped."""
 REMEMBERED_NS = SECOND
 """Largest age of the accepted poses with which a new one is compared."""
 JUMP_SPACING_NS = SECOND // 50
-"""Least time between two of these: FASTER times a robot's way in it is what a pose may jump by in
-addition, because up to so much time lies between a pose that is remembered and one that is not."""
+"""Minimum time between two remembered poses.
+
+A pose may additionally jump by FASTER times the robot's path in this time, because a new pose may
+be this much later than the one remembered.
+"""
 JUMPED = "its pose jumped"
 LIFTED_MM = 40.0
-"""By how much a body may be higher or lower than when the run began [mm]: a floor that is 1 degree
-off the camera's zero makes 35 mm of 2 m, and heights of a webcam's tags are off by up to 16 mm."""
+"""Maximum change of a body's height since the start of the run [mm].
+
+A floor that is 1 degree off the camera's zero changes the height by 35 mm over 2 m, and heights of
+a webcam's tags are off by up to 16 mm.
+"""
 HEIGHT_NS = SECOND // 4
 """Time before a run begins over which a body's height is measured: robots stand then."""
 
 
 @dataclass(frozen=True, slots=True)
 class PoseDecision:
-    """What becomes of a robot's pose: it is `accepted`, or why it is `refused`, and whether that is
-    since the robot disobeys; neither if there is none. `findings` are what checks found besides.
+    """The guard's decision on a robot's new pose.
+
+    Attributes:
+        accepted: The pose if it is accepted. None otherwise.
+        refused: Why it is refused. Empty if it is accepted, or if there is no pose.
+        disobeys: Whether it is refused because the robot disobeys.
+        findings: What checks found in addition.
     """
 
     accepted: Pose | None = None
@@ -60,8 +70,9 @@ MISSING = PoseDecision()
 
 @dataclass(slots=True)
 class RobotTrack:
-    """What the guard remembers of one robot; a body that replaces a lost one has a track of its
-    own.
+    """What the guard remembers of one robot.
+
+    A body that replaces a lost robot gets its own track.
     """
 
     name: str
@@ -69,31 +80,34 @@ class RobotTrack:
     i: int
     """Its index."""
     last: Pose | None = None
-    """The last accepted pose, None before the first."""
+    """The last accepted pose. None before the first."""
     last_ns: int = 0
-    """When that was exposed, 0 before the first."""
+    """When that pose was exposed. 0 before the first."""
     newest_ns: int = 0
-    """When the newest frame was exposed, 0 before the first: all that follows is as of then."""
+    """When the newest frame was exposed, 0 before the first.
+
+    Everything below refers to this time.
+    """
     read_ns: int = 0
-    """The time of its pose in that frame, or of the one accepted before if there is none."""
+    """The time of its pose in that frame. If there is none, the time of the last accepted pose."""
     is_new: bool = True
-    """Whether that frame, if there is a pose in it, shows a new measurement."""
+    """Whether that frame shows a new measurement, if it shows the robot."""
     unseen_ns: float = 0.0
-    """For how long it was not seen in runs, less `FORGIVEN` of the time it was seen."""
+    """How long it was not seen in runs, minus `FORGIVEN` of the time it was seen."""
     _counted_ns: int = 0
-    """Time until which that is counted."""
+    """Time up to which that is counted."""
     decision: PoseDecision = MISSING
-    """What became of its newest pose."""
+    """The decision on its newest pose."""
     ghost: str = ""
-    """Why its poses are refused for good, "" if they are not."""
+    """Why all its poses are refused from now on. Empty if they are not."""
     lost_ns: int | None = None
-    """When a robot that is lost was last seen [ns]; None for one that is not lost."""
+    """When a lost robot was last seen [ns]. None if it is not lost."""
     strayed: str = ""
-    """How it was first seen to move in a pause, "" if it was not."""
+    """How it was first seen moving in a pause. Empty if it was not."""
     _height: float | None = None
-    """That of its body when the run began; None if the camera measures none."""
+    """Height of its body at the start of the run. None if the camera does not measure heights."""
     _remembered: deque[TimedPose] = field(default_factory=deque)
-    """Accepted poses with which a new one is compared, oldest first."""
+    """Accepted poses that a new pose is compared with, oldest first."""
 
     @property
     def lost(self) -> bool:
@@ -122,8 +136,10 @@ class RobotTrack:
         return self.last is not None and not self.lost and not self.hidden
 
     def start_run(self) -> None:
-        """Forget how the robot moved before a run, as it may have been carried: compare new poses
-        with the last one only, and with the height at which the body is now."""
+        """Forget how the robot moved before a run, because it may have been carried.
+
+        New poses are compared only with the last pose, and with the present height of the body.
+        """
         heights = [
             earlier.pose.height
             for earlier in self._remembered
@@ -141,16 +157,23 @@ class RobotTrack:
     def read(self, newest_ns: int, read_ns: int, own_times: bool) -> None:
         """Take the times of the newest frame and of the robot's pose in it.
 
-        Where poses have times of their own, a frame may show a pose again that was measured for one
-        before: it is new only if it is later than that accepted, and than that read, last.
+        If poses have their own times, a frame may repeat a pose that was measured for an earlier
+        frame. It is new only if it is later than the last accepted pose and the last pose read.
+
+        Args:
+            newest_ns: Time of the frame.
+            read_ns: Time of the pose.
+            own_times: Whether poses have their own times.
         """
         self.is_new = not own_times or read_ns > max(self.last_ns, self.read_ns)
         self.newest_ns = newest_ns
         self.read_ns = read_ns
 
     def count_absence(self, stale_ns: float) -> None:
-        """Count for how long the robot was not seen, up to the newest frame of a run, before its
-        poses; it counts as seen until its last pose is `stale_ns` old."""
+        """Count how long the robot was not seen, up to the newest frame of a run.
+
+        It counts as seen until its last pose is `stale_ns` old.
+        """
         seen_until_ns = self.last_ns + stale_ns
         unseen_ns = max(0.0, self.newest_ns - max(self._counted_ns, seen_until_ns))
         seen_ns = self.newest_ns - self._counted_ns - unseen_ns
@@ -168,10 +191,13 @@ class RobotTrack:
             remembered.append(TimedPose(exposed_ns, pose))
 
     def fault(self, pose: Pose, exposed_ns: int, driving: bool) -> str:
-        """Return why a pose cannot be the robot's, "" if it can.
+        """Explain why a pose cannot belong to the robot. Empty if it can.
 
-        Robots that are not `driving` may be carried: only the limits of height and tilt are
-        checked.
+        Args:
+            pose: The pose.
+            exposed_ns: Its time.
+            driving: Whether robots drive. Robots that do not may be carried, so only the limits of
+                height and tilt are checked.
         """
         fault = self._off_the_floor(pose)
         if fault or not driving:
@@ -179,7 +205,10 @@ class RobotTrack:
         return self._lifted(pose) or (JUMPED if self._jumps(pose, exposed_ns) else "")
 
     def _off_the_floor(self, pose: Pose) -> str:
-        """Return why a body's height or tilt is wrong for a robot on the floor; "" if both fit."""
+        """Explain why a body's height or tilt is wrong for a robot on the floor.
+
+        Empty if both fit.
+        """
         mm = self.rules.mm
         lowest_mm, highest_mm = self.rules.limits.height_mm
         if pose.height is not None and not lowest_mm / mm <= pose.height <= highest_mm / mm:
@@ -189,7 +218,10 @@ class RobotTrack:
         return ""
 
     def _lifted(self, pose: Pose) -> str:
-        """Return how much higher or lower the body is than when the run began, "" if it is not."""
+        """Describe how much higher or lower the body is than at the start of the run.
+
+        Empty if it is not.
+        """
         if pose.height is None or self._height is None:
             return ""
         higher_mm = (pose.height - self._height) * self.rules.mm

@@ -29,7 +29,10 @@ SWITCH_OFF = "switch the robots off by hand if they move"
 
 
 class PortHeldError(AbortError):
-    """Another process has locked the file `port`, of the port `name` if that is no file."""
+    """Another process has locked the file `port`.
+
+    If the port `name` is not a file, this is its lock.
+    """
 
     def __init__(self, port: str, name: str = "") -> None:
         super().__init__(
@@ -45,10 +48,16 @@ Ports = Callable[[str, int, str, Clock, Heard, str], "SerialPort"]
 
 
 class SerialPort:
-    """The port `name` at `baud` bits per second; `device` names what is connected to it.
+    """A serial port with a reader thread.
 
-    `heard(data, time)` is called in the reader's thread with received bytes and their time [ns on
-    `clock`], and with b"" when the port has failed; `hint` is the hint of the errors raised.
+    Args:
+        name: Name of the port.
+        baud: Speed [bits per second].
+        device: What is connected to it, for messages.
+        clock: The clock for times.
+        heard: Called in the reader's thread with received bytes and their time [ns], and with b""
+            when the port has failed.
+        hint: The hint of the errors raised.
     """
 
     def __init__(
@@ -56,7 +65,7 @@ class SerialPort:
     ) -> None:
         self.failure: str | None = None
         self.refusal: str | None = None
-        """Why nothing hears what the system accepts to send; None if that is not known."""
+        """Why nobody receives what the system accepts to send. None if this is not known."""
         self._name = name
         self._baud = baud
         self._device = device
@@ -105,8 +114,10 @@ class SerialPort:
             return self._clock.now()
 
     def set_baud(self, baud: int) -> None:
-        """Change the speed of the open port [bits per second]; ports that are not serial have
-        none."""
+        """Change the speed of the open port [bits per second].
+
+        Ports that are not serial have none.
+        """
         if self._port is not None:
             self._port.baudrate = baud
 
@@ -146,9 +157,12 @@ class SerialPort:
 
 
 def _put(fd: int, data: bytes) -> None:
-    """Write to a file descriptor; TimeoutError if it accepts no bytes for 20 ms.
+    """Write to a file descriptor.
 
     pyserial's own write would also time out if this process was not scheduled for that time.
+
+    Raises:
+        TimeoutError: If it accepts no bytes for 20 ms.
     """
     rest = memoryview(data)
     while rest:
@@ -200,7 +214,7 @@ class PortGroup:
 
     @property
     def failure(self) -> str | None:
-        """The reason why nothing can be sent any more; None without a fault."""
+        """Why nothing can be sent any more. None if there is no fault."""
         return next((port.failure for port in self.ports if port.failure), None)
 
     def open(self) -> None:
@@ -209,8 +223,14 @@ class PortGroup:
             port.open()
 
     def send(self, messages: Iterable[bytes]) -> int:
-        """Send each port its message, even if another port has failed; return the time of the last
-        [ns]. AbortError if a port has failed."""
+        """Send each port its message, even if another port fails.
+
+        Returns:
+            The time of the last sending [ns].
+
+        Raises:
+            AbortError: If a port has failed.
+        """
         sent_ns = 0
         lost = list[AbortError]()
         for port, message in zip(self.ports, messages, strict=True):
@@ -231,12 +251,22 @@ class PortGroup:
 def stop_all_at(
     ports: Sequence[SerialPort], stop: Callable[[], object], clock: Clock, alone: bool
 ) -> str:
-    """Open the ports of robots, send stops, and close them; return a summary.
+    """Open the ports of robots, send stops, and close the ports.
 
-    `stop` sends a stop to each port, also if another one fails. A robot whose port cannot be
-    opened, or where no device listens, keeps none of the others from their stops; then AbortError
-    says which are not reached. If not `alone`, another process may have the ports open; else
-    PortHeldError, if one has.
+    If a port cannot be opened, or no device listens there, the other robots still get their stops.
+
+    Args:
+        ports: The ports.
+        stop: Sends a stop to each port, even if one of them fails.
+        clock: The clock for timeouts.
+        alone: False if another process may have the ports open.
+
+    Returns:
+        A summary.
+
+    Raises:
+        AbortError: If some robots were not reached. The error names them.
+        PortHeldError: If `alone` is True and another process has a port open.
     """
     try:
         unreached = _open_reachable(ports, alone)

@@ -10,8 +10,7 @@ from tetractl.spec.lab_section import STOP_GAP_NS, STOPS, ActuatorSection
 
 
 def stop_all(section: ActuatorSection, setup: Setup, clock: Clock, alone: bool) -> str:
-    """Open the actuator and send it ten emergency stops within 200 ms; return a summary, as
-    `ActuatorSection.stop_all`."""
+    """Open the actuator and send ten emergency stops in 200 ms; see `ActuatorSection.stop_all`."""
     with section.build(setup, clock) as actuator:
         failure = send_stops(partial(actuator.stop, emergency=True), clock)
     if failure is not None:
@@ -20,8 +19,13 @@ def stop_all(section: ActuatorSection, setup: Setup, clock: Clock, alone: bool) 
 
 
 def send_stops(stop: Callable[[], object], clock: Clock) -> AbortError | None:
-    """Send STOPS stops, STOP_GAP_NS apart, also after one that fails: it may fail for one robot,
-    and the others need those to come. Return the first failure, None without one."""
+    """Send STOPS stops, STOP_GAP_NS apart, even after one that fails.
+
+    A stop may fail for one robot while the others still need the following stops.
+
+    Returns:
+        The first failure. None if there was none.
+    """
     failure: AbortError | None = None
     for _ in range(STOPS):
         try:

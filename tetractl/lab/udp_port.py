@@ -1,9 +1,10 @@
-"""A port to devices that take UDP datagrams, used as a serial port: `udp://host:port`.
+"""A port to devices that take UDP datagrams, used like a serial port: `udp://host:port`.
 
-A datagram to a broadcast address reaches all devices of a network. Nothing tells that a datagram
-arrives; the computer there may refuse it, if no device listens. Only the address written to is
-heard; at a broadcast address anybody is, since each device replies from its own. `udp://:port`
-hears what anybody sends to this port of this computer, and sends nothing.
+A datagram to a broadcast address reaches all devices of a network. UDP does not confirm delivery,
+and the remote computer may refuse a datagram if no device listens. Only datagrams from the address
+written to are received. At a broadcast address, those of any sender are received, because each
+device replies from its own address. `udp://:port` receives what anybody sends to this port of this
+computer, and sends nothing.
 """
 
 import errno
@@ -24,13 +25,13 @@ SCHEME = "udp://"  # beginning of an address of such a port
 PACKET_MAX = 1500  # most bytes of a datagram that are read: an Ethernet frame
 PORT_DIGITS = 5  # most digits of a port's number
 LOCKS = Path("/tmp")
-"""The folder of locks, one for all users and terminals, whatever their TMPDIR."""
+"""The folder of locks, the same for all users and terminals, whatever their TMPDIR is."""
 REFUSALS_MAX = 3
 """Tries to send a datagram: each may report the refusal of one sent before."""
 
 
 def address_of(name: str) -> tuple[str, int] | None:
-    """Return host and port of `udp://host:port`; None if the name is not of this form."""
+    """Return host and port of `udp://host:port`. None if the name has another form."""
     host, _, digits = name.removeprefix(SCHEME).rpartition(":")
     port = _port_number(digits)
     if not name.startswith(SCHEME) or not host or port is None:
@@ -43,13 +44,13 @@ def address_of(name: str) -> tuple[str, int] | None:
 
 
 def heard_at(name: str) -> int | None:
-    """Return the port of `udp://:port`; None if the name is not of this form."""
+    """Return the port of `udp://:port`. None if the name has another form."""
     to_all = f"{SCHEME}:"
     return _port_number(name.removeprefix(to_all)) if name.startswith(to_all) else None
 
 
 def _port_number(digits: str) -> int | None:
-    """Return the number of a port, None if these are no digits of one."""
+    """Parse the number of a port. None if the text is not one."""
     if not (digits.isascii() and digits.isdecimal()) or len(digits) > PORT_DIGITS:
         return None
     number = int(digits)
@@ -63,11 +64,14 @@ def lock_file(name: str) -> Path:
 
 
 def _open_lock(path: Path) -> int:
-    """Open a lock's file in a folder where others can write, and return its descriptor.
+    """Open a lock file in a folder where others can write, and return its descriptor.
 
-    A link, which would lead to a file of somebody's choice, and what is no file are refused. It is
-    opened for reading, which is enough for a lock: it may be another user's, whose robots these
-    are too. OSError if it cannot be opened.
+    A link, which would lead to a file of somebody else's choice, is refused, and so is anything
+    that is not a file. The file is opened for reading, which is enough for a lock: it may belong to
+    another user who shares the robots.
+
+    Raises:
+        OSError: If it cannot be opened.
     """
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
@@ -83,11 +87,11 @@ def _open_lock(path: Path) -> int:
 
 
 class UdpPort(SerialPort):
-    """The devices at `udp://host:port`; see SerialPort, whose `baud` has no meaning here.
+    """The devices at `udp://host:port`; see SerialPort. Its `baud` has no meaning here.
 
-    A refusal is of a datagram sent before, so it fails no port: the device may be starting, or out
-    of the network's reach. It is kept until data comes, as only some of many datagrams are refused.
-    An empty datagram, which anybody may send, is not heard.
+    A refusal belongs to an earlier datagram, so it does not fail the port: the device may be
+    starting, or out of the network's reach. The refusal is kept until data arrives, because only
+    some of many datagrams are refused. An empty datagram, which anybody may send, is ignored.
     """
 
     def __init__(
@@ -101,11 +105,14 @@ class UdpPort(SerialPort):
         """Descriptors of the files that are locked."""
 
     def open(self, alone: bool = True) -> None:
-        """Open a socket and start to read; PortHeldError if `alone` and another program uses the
-        devices at this address.
+        """Open a socket and start to read.
 
-        The name is locked before it is resolved, so that a run that uses it is seen while no name
-        can be resolved; then the address, which another program may have by another name.
+        The name is locked before it is resolved, so that a run that uses it is noticed even if no
+        name can be resolved. Then the address is locked, which another program may know under
+        another name.
+
+        Raises:
+            PortHeldError: If `alone` is True and another program uses the devices at this address.
         """
         listening_port = heard_at(self._name)
         if listening_port is not None:
@@ -128,7 +135,11 @@ class UdpPort(SerialPort):
         self._listen(0)
 
     def _hold(self, name: str) -> None:
-        """Lock a name of the devices; PortHeldError if another program has."""
+        """Lock a name of the devices.
+
+        Raises:
+            PortHeldError: If another program has locked it.
+        """
         lock = lock_file(name)
         try:
             file = _open_lock(lock)
@@ -144,7 +155,11 @@ class UdpPort(SerialPort):
             ) from None
 
     def _listen(self, port: int) -> None:
-        """Read from a port of this computer, 0 for any; AbortError if another program does."""
+        """Read from a port of this computer; 0 means any port.
+
+        Raises:
+            AbortError: If another program reads from it.
+        """
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.settimeout(0.05)
         try:
@@ -176,8 +191,14 @@ class UdpPort(SerialPort):
             return self._clock.now()
 
     def _send(self, sender: socket.socket, data: bytes) -> None:
-        """Send a datagram; again, if the system reports that an earlier one found no listener, as
-        while a robot starts. AbortError if it only reports that."""
+        """Send a datagram, and try again up to REFUSALS_MAX times.
+
+        The system may report a refusal that belongs to an earlier datagram, for example while a
+        robot starts up.
+
+        Raises:
+            AbortError: If every attempt is refused.
+        """
         for _ in range(REFUSALS_MAX):
             try:
                 sender.sendto(data, self._to)
@@ -203,7 +224,10 @@ class UdpPort(SerialPort):
                 self._heard(data, self._clock.now())
 
     def _received(self) -> bytes:
-        """Wait for a datagram; b"" if none comes, or one that was sent is reported as refused."""
+        """Wait for a datagram.
+
+        Empty if none arrives, or if one that was sent is reported as refused.
+        """
         assert self._socket is not None
         try:
             data = self._socket.recv(PACKET_MAX)
@@ -223,6 +247,17 @@ class UdpPort(SerialPort):
 def open_port(
     name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
 ) -> SerialPort:
-    """Return the port of this name, not yet opened: UDP for `udp://...`, else a serial port."""
+    """Create the port with this name, without opening it.
+
+    It is a UDP port for `udp://...`, and a serial port otherwise.
+
+    Args:
+        name: Name of the port.
+        baud: Speed [bits per second]. Without meaning for UDP.
+        device: What is connected to it, for messages.
+        clock: The clock for times.
+        heard: Called with received bytes and their time [ns].
+        hint: The hint of the errors raised.
+    """
     make = UdpPort if name.startswith(SCHEME) else SerialPort
     return make(name, baud, device, clock, heard, hint)

@@ -63,14 +63,14 @@ class Swims(MotionCheck):
         self._commanded.sent(now_ns, np.array([least, greatest]))
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
-        """Check a pose in a run."""
+        """Check a new pose during a run; see `GuardCheck.pose`."""
         fault = self.take_pose(robot, before, pose)
         if fault:
             self.replace(robot)
             yield Warn(f"{self._names[robot]} {fault}")
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> tuple[Finding, ...]:
-        """Find nothing: cells swim on."""
+        """Find nothing, because cells swim on; see `GuardCheck.pause`."""
         return ()
 
 

@@ -27,15 +27,22 @@ LEAST_CELLS = 3  # fewest cells that show a rotation
 SURE = 3.0  # standard deviations by which a rotation must differ from 0
 ALLOWED = 0.15  # rotation below which nothing is said [rad]
 ALIKE = 1e-6
-"""Difference of the shares that two sides explain which is rounding: a field that never changes
-explains the same on both."""
+"""Difference between the fractions that two sides explain that counts as rounding.
+
+A field that never changes explains the same on both sides.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Handedness:
-    """How `cells` cells turned in the field: to its side, or to the other if `mirrored`; towards a
-    direction off the field's by `turned` +- `turned_sd` [rad]. `explained` is the share of their
-    turning that this explains.
+    """How cells turned in the field.
+
+    Attributes:
+        cells: Number of cells.
+        mirrored: Whether they turned to the other side than the field.
+        turned: Angle from the field's direction to the one that they turned towards [rad].
+        turned_sd: Its standard deviation [rad].
+        explained: Fraction of their turning that this explains.
     """
 
     cells: int
@@ -53,8 +60,19 @@ class Handedness:
 def watch_turning(
     rig: Rig, choice: Choice, seed: int, supervision: LabSupervision
 ) -> tuple[list[RobotCandidate], Handedness | None]:
-    """Turn the field of an entered rig; return the cells in view, and how they turned, None if too
-    few of them were seen for long enough. Raises as `turn_field`.
+    """Turn the field of a connected lab, and watch how the cells turn.
+
+    It raises the same errors as `turn_field`.
+
+    Args:
+        rig: The connected lab.
+        choice: The spec's rule for choosing cells.
+        seed: Seed of the choice.
+        supervision: How people supervise the run.
+
+    Returns:
+        The cells in view, and how they turned. The latter is None if too few of them were seen for
+        long enough.
     """
     seen_paths: dict[int, list[tuple[float, float, float]]] = {}
     tracker = tracker_of(rig)
@@ -83,8 +101,10 @@ def watch_turning(
 
 
 def handedness(paths: Sequence[Floats], field: FieldAt) -> Handedness | None:
-    """Return how cells turned in a field; `paths` (K, 3) are their times [s] and positions x, y.
-    None for fewer than LEAST_CELLS cells.
+    """Determine how cells turned in a field.
+
+    `paths` (K, 3) are their times [s] and positions x, y. The result is None for fewer than
+    LEAST_CELLS cells.
     """
     turned_courses = courses(paths)
     if len(turned_courses) < LEAST_CELLS:
@@ -121,7 +141,13 @@ def handedness_lines(turning: Handedness | None) -> tuple[list[str], str]:
 
 
 def wrong_sides(turning: Handedness, mirrored: str, rotated: str) -> list[str]:
-    """Return what is wrong with the field's directions, each with its cause or cure."""
+    """Describe what is wrong with the field's directions, with a cause or remedy for each.
+
+    Args:
+        turning: How cells turned.
+        mirrored: The text if they turned to the other side.
+        rotated: The text if they turned towards a rotated direction.
+    """
     if turning.explained < EXPLAINED or not (turning.mirrored or turning.rotated):
         return []
     if turning.mirrored:

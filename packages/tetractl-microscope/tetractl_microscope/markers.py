@@ -95,8 +95,11 @@ def markers(
 
 
 def arranged(size: tuple[float, float], cards: Sequence[Card]) -> Iterator[list[Placed]]:
-    """Yield the cards of each page of a size [mm], in rows from the top; UsageError if a tag is
-    larger than a page."""
+    """Yield the cards of each page of a given size [mm], in rows from the top.
+
+    Raises:
+        UsageError: If a tag is larger than a page.
+    """
     width, height = size
     page: list[Placed] = []
     x = MARGIN_MM

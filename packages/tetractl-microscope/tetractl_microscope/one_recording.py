@@ -1,10 +1,13 @@
-"""Whether poses and commands are of one recording: commands explain the motion that was seen, with
-their sign and in their unit, and times of the two files are of one clock.
+"""Checks that poses and commands belong to the same recording.
 
-What commands explain of turns or ways is the share of their squares that a response to the commands
-leaves no rest of. If it is small, one of other readings of the commands may explain more: reversed,
-in another unit, by another clock. Else the commands are others than those that acted. What is seen
-and what is sent must overlap, and robots must follow as late at the end as at the begin.
+The commands must explain the motion that was seen, with their sign and in their unit, and the times
+of both files must come from the same clock.
+
+The fraction of turns or distances that commands explain is the fraction of their squares that
+disappears if a response to the commands is subtracted. If it is small, another reading of the
+commands may explain more: reversed, in another unit, or on another clock. Otherwise, other commands
+acted. The times of poses and commands must overlap, and robots must follow as late at the end as at
+the beginning.
 """
 
 from collections.abc import Sequence
@@ -18,22 +21,33 @@ from tetractl.core.poses import Floats
 # ---- What commands explain ----
 
 EXPLAINED = 0.4
-"""Least share of the motion that commands explain if they are what they state. In 40 trials of the
-emulated bench the directions that were sent explained .58 or more of the turning, others at most
-.37."""
+"""Minimum fraction of the motion that commands explain if they are what they claim to be.
+
+In 40 trials of the emulated bench, the directions that were sent explained at least .58 of the
+turning, others at most .37.
+"""
 SURELY_MORE = 0.2
-"""How much more of the motion another reading explains if the stated one is wrong: in those trials
-.58 and .37 are .21 apart."""
+"""How much more of the motion another reading explains if the stated one is wrong.
+
+In the trials above, .58 and .37 are .21 apart.
+"""
 REST_LEFT = 0.25
-"""Where commands as stated explain too much for that: the share of what they leave unexplained that
-another reading leaves at most. In a regular cycle, directions of a clock that was off explained .80
-of the turning."""
+"""Maximum unexplained fraction that another reading leaves, of what the stated reading leaves.
+
+This is used if the stated commands explain too much for the limits above. In a regular cycle,
+directions from a wrong clock explained .80 of the turning.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What commands may be that they do not state: the `share` of the motion that they explain
-    then, what is said of it, and what to do."""
+    """Another reading of commands that could explain the motion.
+
+    Attributes:
+        share: Fraction of the motion that it explains.
+        said: The message.
+        hint: What to do.
+    """
 
     share: float
     said: str
@@ -43,8 +57,18 @@ class Reading:
 def check_explained(
     source: str, what: str, share: float, least: float, readings: Sequence[Reading]
 ) -> None:
-    """Raise UsageError if another reading explains surely more of `what` moved than the `share`
-    that commands explain as stated, or if that is below `least`."""
+    """Check that no other reading explains the motion better than the stated one.
+
+    Args:
+        source: The file of the commands.
+        what: What was compared, for the message.
+        share: Fraction of the motion that the stated commands explain.
+        least: Minimum fraction that they must explain.
+        readings: The other readings.
+
+    Raises:
+        UsageError: If another reading explains certainly more, or if `share` is below `least`.
+    """
     best = max(readings, key=lambda reading: reading.share)
     explains_enough = best.share >= EXPLAINED
     explains_more = best.share >= share + SURELY_MORE
@@ -80,8 +104,16 @@ def _shared_s(poses: Span, commands: Span) -> float:
 
 
 def refuse_times_apart(poses: Span, sent: Floats, commands: Span) -> None:
-    """Raise UsageError if no command acts in the time of the poses; `sent` (C,) are the times of
-    the commands [s], in order."""
+    """Check that at least one command acts while poses were recorded.
+
+    Args:
+        poses: When poses were recorded.
+        sent: Times of the commands [s], in order, shape (C,).
+        commands: When commands acted.
+
+    Raises:
+        UsageError: If no command does.
+    """
     if _shared_s(poses, commands) <= 0:
         last = Span(commands.source, commands.begin, float(sent[-1]))
         raise UsageError(
@@ -93,18 +125,30 @@ def refuse_times_apart(poses: Span, sent: Floats, commands: Span) -> None:
 COVERED = 0.9
 """Share of the robots' way while commands act, below which it is said; chosen."""
 DIRECTIONS_MIN = 2
-"""Number of commands in the time seen, below which it is said if there are more: the direction
-hardly changes."""
+"""Minimum number of commands during the recording.
+
+Below it, a warning says that the direction hardly changes, if there are more commands outside the
+recording.
+"""
 COMMANDS_USUAL = 20
 TIMES_AS_LONG = 100
-"""It is said of fewer than COMMANDS_USUAL commands in the time seen, too, if all commands last more
-than TIMES_AS_LONG the time seen; chosen, below the factor of 1000 between two units of time, as of
-times in milliseconds that are said to be seconds."""
+"""Maximum ratio of all commands' duration to the recording's, if it has few commands.
+
+Above it, a warning also appears for fewer than COMMANDS_USUAL commands during the recording. It is
+chosen below the factor of 1000 between two units of time, for example if milliseconds are given as
+seconds.
+"""
 
 
 def clock_remark(poses: Span, sent: Floats, commands: Span, of_way: float) -> str | None:
-    """Return what to say of commands that act while robots drive a share `of_way` of their way, or
-    most of which act at other times; `sent` (C,) are their times [s], in order."""
+    """Return a remark if commands seem to come from another clock. None if they do not.
+
+    Args:
+        poses: When poses were recorded.
+        sent: Times of the commands [s], in order, shape (C,).
+        commands: When commands acted.
+        of_way: Fraction of the robots' path during which a command acts.
+    """
     seen_s = poses.end - poses.begin
     if of_way < COVERED:
         shared_s = _shared_s(poses, commands)

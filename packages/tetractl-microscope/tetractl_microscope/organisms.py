@@ -23,9 +23,16 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Organism:
-    """A kind of swimmer: ranges of the body's length and width [um] and of the speed [um/s]; mean
-    and standard deviation of the turns of its helix [1/s] and of the helix's radius [um]; and where
-    these values come from.
+    """A kind of swimmer.
+
+    Attributes:
+        name: Its name.
+        long_um: Range of the body's length [um].
+        wide_um: Range of the body's width [um].
+        speed_um_s: Range of the speed [um/s].
+        helix_hz: Mean and standard deviation of the turns of its helix [1/s].
+        helix_um: Mean and standard deviation of the helix's radius [um].
+        source: Where these values come from.
     """
 
     name: str
@@ -138,8 +145,12 @@ MAGNETOSPIRILLUM = Organism(
 
 
 def named(name: str) -> Organism:
-    """Return the organism with this name; UsageError if there is none, PluginError if another
-    package offers it and it cannot be loaded."""
+    """Return the organism with this name.
+
+    Raises:
+        UsageError: If there is none.
+        PluginError: If another package offers it, but it cannot be loaded.
+    """
     if name not in ORGANISMS:
         raise UsageError(
             f"no organism is named '{name}'", f"known are {', '.join(ORGANISMS.names())}"

@@ -68,11 +68,11 @@ def _tracked(strength: float, slope: float, rng: np.random.Generator) -> Sequenc
 
 
 def fitted(slopes: Floats, deviations: Floats) -> tuple[float, float, float]:
-    """Return the mean of the slopes a / B of tracks (T,), the ends of its 95 % interval by
-    Student's t.
+    """Fit the slope a / B to those of tracks (T,), and return it with its 95 % interval.
 
-    It is the line through the origin of a on B, each track weighted by its own variance and the
-    variance among cells. Tracks over OUTLIER deviations away are left out.
+    It is the line through the origin of a on B. Each track is weighted by its own variance and the
+    variance among cells. The interval is by Student's t. Tracks more than OUTLIER deviations away
+    are left out.
     """
     from scipy import stats  # slow to import
 
@@ -91,8 +91,11 @@ def fitted(slopes: Floats, deviations: Floats) -> tuple[float, float, float]:
 
 
 def tables(seed: int, number: int) -> dict[str, Any]:
-    """Return the slope put into a set of tables, one per strength, and a / B of each track with its
-    standard deviation [rad/(mT s)]."""
+    """Generate a set of tables, one for each field strength, with a known slope.
+
+    Returns:
+        The slope, and a / B of each track with its standard deviation [rad/(mT s)].
+    """
     from scipy import stats  # slow to import
 
     rng = np.random.default_rng([seed, number])

@@ -1,13 +1,14 @@
-"""Which directions robots turn by: those they were sent, their mirror image, or those of another
-unit of angles or time.
+"""Determines which directions robots turn by: those that were sent, or others.
 
-A robot turns towards the direction u that acts: its heading h obeys dh/dt = a sin(u - h), or, if
-the directions are rotated by f, dh/dt = a sin(u + f - h), which is linear in a cos f and a sin f,
+The others are their mirror image, or directions in another unit of angles or time.
 
-    dh/dt = a cos f sin(u - h) + a sin f cos(u - h),
+A robot turns towards the direction u that acts. Its heading h obeys dh/dt = a sin(u - h) or, if the
+directions are rotated by f, dh/dt = a sin(u + f - h), which is linear in a cos f and a sin f:
 
-and is fitted to each robot by least squares. The share of the turning that this explains is near 1
-for the directions that acted, and near 0 for others, unless these hardly change.
+    dh/dt = a cos f sin(u - h) + a sin f cos(u - h).
+
+This is fitted to each robot by least squares. The fraction of the turning that it explains is near
+1 for the directions that acted, and near 0 for others, unless these hardly change.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,8 +40,10 @@ AT_ONCE_S = np.arange(3) / 10
 SHIFTS_S = np.arange(-100, 101) / 10
 """Differences of two clocks that are tried [s]."""
 ENOUGH_S = 8.0
-"""Time for which robots are seen, all together, below which chance explains much of their turning
-[s]."""
+"""Minimum time for which robots must be seen, added over all robots [s].
+
+Below it, chance explains much of their turning.
+"""
 COURSES_MAX = 20
 """Number of courses, the longest, that are enough to see which directions act."""
 COURSE_S = 120.0
@@ -52,14 +55,19 @@ WHEN = "{when}"
 FieldAt = Callable[[Floats], NDArray[np.complex128]]
 """Function that returns the direction that acts at times [s] as x + iy, 0 for none."""
 Response = Callable[[Floats, Floats], tuple[complex, Floats]]
-"""Function that fits the turning rate of a course (K,) to what a field turns robots by, along it
-and across (K, 2): returns the field's factor, and the turning rate that it explains (K,)."""
+"""A function that fits a course's turning rate (K,) to the field along it and across it, (K, 2).
+
+It returns the field's factor, and the turning rate that this explains (K,).
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class TurnedCourse:
-    """The heading or direction of motion `angle` (K,) [rad] of a robot, over SMOOTH steps, at
-    `times` (K,) [s], GRID_S apart.
+    """The heading or direction of motion of a robot over time, in steps of GRID_S.
+
+    Attributes:
+        times: The times [s], shape (K,).
+        angle: The angles over SMOOTH steps [rad], shape (K,).
     """
 
     times: Floats
@@ -72,8 +80,12 @@ class TurnedCourse:
 
 @dataclass(frozen=True)  # without slots, for the cached property
 class SentDirections:
-    """The directions `angles` (C,) [rad] that are sent at `times` (C,) [s], in order; each acts
-    until the next one. `strengths` are those of a field, relative to the reference field.
+    """Directions that were sent, in the order of time. Each acts until the next one.
+
+    Attributes:
+        times: When they were sent [s], shape (C,).
+        angles: The directions [rad], shape (C,).
+        strengths: Strengths of a field, relative to the reference field.
     """
 
     times: Floats
@@ -93,8 +105,15 @@ class SentDirections:
 
 @dataclass(frozen=True, slots=True)
 class DirectionReading:
-    """Directions that may act instead of those stated, after one of `delays_s`; the response by
-    which robots turn to them; and, if they do, what is said, with the delay, and what to do."""
+    """Directions that may have acted instead of the stated ones.
+
+    Attributes:
+        sent: The directions.
+        delays_s: Delays after which they may have acted [s].
+        response: How robots turn towards them.
+        said: The message if they acted, with the delay.
+        hint: What to do then.
+    """
 
     sent: SentDirections
     delays_s: Floats
@@ -104,8 +123,10 @@ class DirectionReading:
 
 
 def courses(paths: Sequence[Floats]) -> list[TurnedCourse]:
-    """Return the courses along paths (K, 3) of times [s] and positions x, y: by the direction from
-    each place to that SMOOTH steps later."""
+    """Compute the courses along paths (K, 3) of times [s] and positions x, y.
+
+    A course is the direction from each place to the place SMOOTH steps later.
+    """
     turned: list[TurnedCourse] = []
     for piece in chain.from_iterable(map(_pieces, paths)):
         times = np.arange(piece[0, 0], piece[-1, 0], GRID_S)
@@ -129,11 +150,22 @@ def check_directions(
     readings: Sequence[DirectionReading],
     least: float = 0.0,
 ) -> None:
-    """Raise UsageError if robots turn by another reading of the directions than that which act
-    after one of `delays_s`, or if these explain less than a share `least` of their turning.
+    """Check that robots turn by the stated directions, and not by another reading of them.
 
-    Directions that are only rotated are no problem: the heading bias is the angle. Nothing is known
-    of robots that were seen for less than ENOUGH_S, or hardly turn.
+    Directions that are only rotated are accepted: the angle is the heading bias. If robots were
+    seen for less than ENOUGH_S, or hardly turn, nothing is known and nothing is raised.
+
+    Args:
+        source: The file of the directions.
+        turned: The courses of the robots.
+        sent: The directions.
+        delays_s: Delays after which they may act [s].
+        readings: The other readings.
+        least: Minimum fraction of the turning that the directions must explain.
+
+    Raises:
+        UsageError: If another reading explains the turning, or if the directions explain too
+            little.
     """
     longest = _longest(turned)
     if not longest:
@@ -164,7 +196,14 @@ def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:
 def image(
     poses_file: str, source: str, sent: SentDirections, who: str = "robots"
 ) -> DirectionReading:
-    """Return the mirror image of the directions of the file `source`, by which `who` turn."""
+    """Return the mirror image of the directions in a file.
+
+    Args:
+        poses_file: The file of the poses.
+        source: The file of the directions.
+        sent: The directions.
+        who: Who turns by them, for the message.
+    """
     return DirectionReading(
         sent=replace(sent, angles=-sent.angles),
         delays_s=DELAYS_S,
@@ -177,9 +216,17 @@ def image(
 def other_readings(
     source: str, sent: SentDirections, picture_s: float, who: str = "robots"
 ) -> list[DirectionReading]:
-    """Return the directions of the file `source`, by which `who` turn, in degrees, or at other
-    times: those of another clock, or of times that count pictures, of `picture_s` [s] each, or are
-    in another unit."""
+    """Return other readings of the directions in a file.
+
+    They may be in degrees, on another clock, in another unit of time, or their times may count
+    images.
+
+    Args:
+        source: The file of the directions.
+        sent: The directions.
+        picture_s: Time between two images [s].
+        who: Who turns by them, for the message.
+    """
     degrees = replace(sent, angles=np.radians(sent.angles))
     said = f"{source}: {who} turn by its directions if these are degrees"
     readings = [
@@ -208,8 +255,11 @@ def other_readings(
 def _best_delay(
     turned: Sequence[TurnedCourse], sent: SentDirections, delays_s: Floats, response: Response
 ) -> tuple[float, float]:
-    """Return the largest share of the turning that directions explain by a response, and the delay
-    after which they act then [s]."""
+    """Find the delay after which directions explain the most turning.
+
+    Returns:
+        The fraction that they explain, and the delay [s].
+    """
     best = (-np.inf, 0.0)
     for delay_s in delays_s.tolist():
         field = replace(sent, times=sent.times + delay_s).at
@@ -236,8 +286,17 @@ def towards(basis: Floats, rate: Floats) -> tuple[complex, Floats]:
 def turning_fit(
     turned: Sequence[TurnedCourse], field: FieldAt, response: Response = rotated
 ) -> tuple[float, NDArray[np.complex128]]:
-    """Return the share of the turning of N courses that a field explains by a response, and the
-    field's factor a exp(if) of each course (N,) [rad/s]."""
+    """Compute how well a field explains the turning of N courses.
+
+    Args:
+        turned: The courses.
+        field: The field.
+        response: How robots turn in it.
+
+    Returns:
+        The fraction of the turning that it explains, and the field's factor a exp(if) for each
+        course (N,) [rad/s].
+    """
     total = 0.0
     unexplained = 0.0
     vectors: list[complex] = []

@@ -206,8 +206,9 @@ def _print_cells(
     pairs: "Sequence[tuple[RobotCandidate, RobotCandidate]]",
     unit: str,
 ) -> None:
-    """Print each cell with 95 % intervals, and the pairs of cells whose turning rates a are too
-    similar to tell the cells apart.
+    """Print each cell with 95 % intervals.
+
+    Then print the pairs of cells whose turning rates a are too similar to tell the cells apart.
     """
     from tetractl.statistics.estimate import Z
 

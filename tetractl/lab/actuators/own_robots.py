@@ -21,11 +21,11 @@ SILENT_ROBOT_HINT = "is the robot on, and in this computer's network?"
 
 
 class OwnRobots(WheeledActuator):
-    """Drives robots that do not answer; see `tetractl.core.protocols.Actuator`. A subclass packs
-    the speeds of a robot's wheels. `ports` makes other ports, such as those in memory.
+    """The actuator for robots that do not answer. A subclass packs the speeds of their wheels.
 
-    `robots` are their entries in the section, and `radii` (N,) the distances r from their wheels to
-    their centres [mm], in the order of the setup.
+    See `tetractl.core.protocols.Actuator`. `robots` are their entries in the section, and `radii`
+    (N,) the distances r from their wheels to their centres [mm], in the order of the setup. `ports`
+    can create other ports, such as those in memory.
     """
 
     def __init__(
@@ -51,12 +51,19 @@ class OwnRobots(WheeledActuator):
 
     @abstractmethod
     def packed(self, row: int, left: int, right: int) -> bytes:
-        """Return the message to the robot in a row of the setup that asks for these speeds of its
-        wheels, in units of the section's `unit_mm`."""
+        """Pack a message to one robot that sets the speeds of its wheels.
+
+        Args:
+            row: Index of the robot in the setup.
+            left: Speed of its left wheel, in units of the section's `unit_mm`.
+            right: Speed of its right wheel, in the same unit.
+        """
 
     def halt(self, row: int, emergency: bool) -> bytes:
-        """Return the message that stops a robot, if `emergency` until it is switched off; by
-        default that of speeds 0."""
+        """Return the message that stops a robot, by default with speeds of 0.
+
+        If `emergency` is True, the stop should last until the robot is switched off.
+        """
         return self.packed(row, 0, 0)
 
     def _halt(self, emergency: bool) -> int:
@@ -70,7 +77,9 @@ class OwnRobots(WheeledActuator):
 
 
 def stop_all(section: OwnSection, setup: Setup, clock: Clock, alone: bool) -> str:
-    """Stop every robot by ten messages within 200 ms; return a summary. AbortError and
-    PortHeldError as of `stop_all_at`."""
+    """Stop every robot with ten messages within 200 ms; see `ActuatorSection.stop_all`.
+
+    It raises the same errors as `stop_all_at`.
+    """
     robots: OwnRobots = resolve_name(section.device)(section, setup, clock)
     return stop_all_at(robots.links.ports, partial(robots.stop, emergency=True), clock, alone)

@@ -24,7 +24,7 @@ class OwnRobot(RobotPart):
     address: str = Field(min_length=1, max_length=500)
     """Where its commands go: udp://HOST:PORT, or a serial port such as /dev/rfcomm0."""
     radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
-    """Distance r from a wheel to its centre [mm], as in its program; by default the spec's."""
+    """Distance r from a wheel to its centre [mm], as in its program. Default: the spec's."""
     left_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
     """True speed of the left wheel over the speed that it was sent."""
     right_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
@@ -32,24 +32,27 @@ class OwnRobot(RobotPart):
 
 
 class OwnSection(ActuatorSection):
-    """Robots on two wheels, each with a port of its own; a subclass names its `OwnRobots` in
-    `device`, and gives `type` and, if entries have more fields, `robots`."""
+    """Robots on two wheels, each with its own port.
+
+    A subclass names its `OwnRobots` in `device`, and defines `type`. If entries have more fields,
+    it also defines `robots`.
+    """
 
     calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
     stopping: ClassVar[str] = "tetractl.lab.actuators.own_robots:stop_all"
     dead_zone_max: ClassVar[int] = 0
     unit_mm: ClassVar[float] = 1.0
-    """The speed of a wheel that is sent 1 [mm/s]."""
+    """The speed of a wheel that receives 1 [mm/s]."""
     watchdog_s: ClassVar[float] = 0.25
-    """The time without a command after which the robots stop by themselves [s]."""
+    """Time without a command after which the robots stop by themselves [s]."""
     unique: ClassVar[tuple[str, ...]] = ("address",)
-    """The fields in which the entries of two robots must differ, besides the name."""
+    """Fields in which the entries of two robots must differ, in addition to the name."""
     rate: float = Field(default=20.0, ge=10, le=200, allow_inf_nan=False)
     """Commands to each robot per second [Hz]."""
     delay: float = Field(default=0.01, ge=0, le=0.2, allow_inf_nan=False)
-    """Time from the sending of a command until the wheels follow it [s]."""
+    """Time from sending a command until the wheels follow it [s]."""
     speed_max_mm_s: Positive = Field(default=400.0, le=5000)
-    """Largest wheel speed that is sent [mm/s]."""
+    """Maximum wheel speed that is sent [mm/s]."""
     robots: tuple[OwnRobot, ...] = Field(min_length=1, max_length=32)
     """One entry for each robot of the spec."""
 
@@ -78,7 +81,7 @@ class OwnSection(ActuatorSection):
         }
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
-        """Return what is sent for a 127th of the largest wheel speed, and for `limit` of them."""
+        """Return the output for a 127th of the maximum wheel speed, and for `limit` of these."""
         unit = self.speed_max_mm_s / self.unit_mm / 127
         return unit, int(unit * limit)
 

@@ -1,5 +1,7 @@
-"""What is common to actuators of robots on two wheels: the speeds to send for a direction, and what
-robots reply."""
+"""The common part of actuators for robots on two wheels.
+
+It computes the speeds to send for a direction, and reads what robots reply.
+"""
 
 import math
 from abc import ABC, abstractmethod
@@ -55,8 +57,10 @@ class PolledLink(Protocol):
         ...
 
     def ask(self) -> tuple[int, int]:
-        """Send a poll; return its sequence, and when it was sent [ns]. What came before is
-        dropped."""
+        """Send a poll, and return its sequence number and when it was sent [ns].
+
+        Whatever arrived before is dropped.
+        """
         ...
 
     def hear(self, timeout_s: float) -> Iterable[Reply]:
@@ -67,12 +71,22 @@ class PolledLink(Protocol):
 def polled(
     link: PolledLink, indices: Sequence[int], clock: Clock, timeout_s: float, slot_ms: int
 ) -> list[Reply | None]:
-    """Poll robots with the numbers `indices` until each has replied, at most TRIES times; a robot
-    without a reply gives None. Ends at once if the link has failed.
+    """Poll robots until each of them has replied, at most TRIES times.
 
-    Robot i replies to a poll i slots later. A reply counts if its sequence is that of one of these
-    polls: what answers an earlier command, or was made up without hearing this one, says nothing of
-    the robot now. A time in which the computer slept counts as one try.
+    Robot i replies to a poll i slots later. A reply counts only if its sequence number belongs to
+    one of these polls. A reply to an earlier command, or one made up without receiving this poll,
+    says nothing about the robot now. Time during which the computer slept counts as one try. The
+    function returns at once if the link has failed.
+
+    Args:
+        link: The connection to the robots.
+        indices: The robots' indices.
+        clock: The clock for timeouts.
+        timeout_s: How long to wait in total [s].
+        slot_ms: Duration of a slot [ms].
+
+    Returns:
+        The reply of each robot. None if it did not reply.
     """
     replies = dict[int, Reply]()
     wanted = set(indices)
@@ -98,8 +112,10 @@ def polled(
 
 
 def radii_mm(setup: Setup, stated_mm: Sequence[float | None]) -> Floats:
-    """Return the distances (N,) from robots' wheels to their centres [mm], by default the spec's;
-    NaN for those of which neither is given."""
+    """Return the distances (N,) from robots' wheels to their centres [mm].
+
+    The default is the spec's distance. NaN if neither is stated.
+    """
     radius = math.nan if setup.wheel_radius is None else setup.wheel_radius * setup.metres / MM
     return np.array([radius if stated is None else stated for stated in stated_mm])
 
@@ -133,17 +149,17 @@ class RobotLink(Protocol):
 
 
 class WheeledActuator(ABC):
-    """Drives a setup's robots over a `link` at `rate` commands per second [Hz], see
-    `tetractl.core.protocols.Actuator`; `ask` polls them, None if they cannot answer, and below
-    `warn_v` a battery is low.
+    """The base class of actuators for robots on two wheels; see `tetractl.core.protocols.Actuator`.
 
-    The robots' wheels are `drivetrains`, at the distances `stated_radii_mm` (N,) from their
-    centres, None for that of the spec. A command reaches them `delay_ns` after it is sent.
+    It sends `rate` commands per second [Hz] over a `link`. `ask` polls the robots; it is None if
+    they cannot answer. A battery below `warn_v` is low. The robots' wheels are `drivetrains`, at
+    the distances `stated_radii_mm` (N,) from their centres; None means the spec's distance. A
+    command reaches the robots `delay_ns` after it is sent.
     """
 
     halts = True
     held: CountArray | None = None
-    """Outputs (2, N) that are sent whatever the action, as in calibration."""
+    """Outputs (2, N) that are sent whatever the action is, for calibration."""
 
     def __init__(
         self,
@@ -183,7 +199,7 @@ class WheeledActuator(ABC):
 
     @property
     def failure(self) -> str | None:
-        """The reason why nothing can be sent any more; None without a fault."""
+        """Why nothing can be sent any more. None if there is no fault."""
         return self._link.failure
 
     def send(
@@ -193,7 +209,7 @@ class WheeledActuator(ABC):
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Send each robot its outputs; robots not `moving` stand."""
+        """Send each robot its outputs; see `Actuator.send`."""
         may = np.array(moving, dtype=np.bool_)
         if self.held is None:
             outputs = self.outputs(self.wished(action, poses, exposed_ns), may)
@@ -211,14 +227,22 @@ class WheeledActuator(ABC):
         return self._transmission(sent_ns, Stop(), still, (True,) * count)
 
     def outputs(self, wished: Floats, may: Bools) -> CountArray:
-        """Return the outputs (2, N) for wheel speeds (2, N) [mm/s], of robots that `may` move."""
+        """Return the outputs (2, N) for wheel speeds (2, N) [mm/s].
+
+        They are 0 for robots that may not move.
+        """
         return self._host.counts(wished) * may
 
     def wished(self, action: Steer | Turn, poses: Sequence[Pose | None], exposed_ns: int) -> Floats:
-        """Return the wheel speeds (2, N) [mm/s] by `WheelHost`.
+        """Compute the wheel speeds (2, N) for an action [mm/s], with `WheelHost`.
 
-        Headings are predicted from the time of the poses, `exposed_ns`, to the time when the
-        command reaches the wheels, over at most AHEAD_NS. Robots without a pose stand.
+        Headings are predicted to the time when the command reaches the wheels, over at most
+        AHEAD_NS. Robots without a pose stand still.
+
+        Args:
+            action: The action.
+            poses: Pose of each robot. None if it is untracked.
+            exposed_ns: The time of the poses [ns].
         """
         arrives = self._clock.now() + self._delay_ns
         since = max(exposed_ns, arrives - AHEAD_NS)
@@ -231,8 +255,11 @@ class WheeledActuator(ABC):
 
     @abstractmethod
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
-        """Send outputs (2, N) in the actuator's own unit; return when they were sent [ns], and the
-        wheel speeds (2, N) that they ask for [mm/s]."""
+        """Send outputs (2, N) in the actuator's own unit.
+
+        Returns:
+            When they were sent [ns], and the wheel speeds (2, N) that they request [mm/s].
+        """
 
     @abstractmethod
     def _halt(self, emergency: bool) -> int:
@@ -252,8 +279,10 @@ class WheeledActuator(ABC):
     def _transmission(
         self, sent_ns: int, action: Action, speeds: Floats, delivered: tuple[bool, ...]
     ) -> Transmission:
-        """Return what was sent, by wheel speeds (2, N) [mm/s]; that robots have received it is
-        assumed, as broadcasts are not acknowledged."""
+        """Return what was sent, given the wheel speeds (2, N) [mm/s].
+
+        Robots are assumed to have received it, because broadcasts are not acknowledged.
+        """
         speed, turning = self._host.sent(sent_ns + self._delay_ns, speeds)
         left_speed, right_speed = speeds / self._mm
         return Transmission(
@@ -268,8 +297,13 @@ class WheeledActuator(ABC):
 
 
 def robot_status(name: str, reply: Reply | None, warn_v: float) -> RobotStatus:
-    """Return what a robot's reply says to the operator, None if it gave none; below `warn_v` its
-    battery is low."""
+    """Describe a robot's reply for the operator.
+
+    Args:
+        name: The robot.
+        reply: Its reply. None if it did not reply.
+        warn_v: Voltage below which its battery is low [V].
+    """
     if reply is None:
         line = f"{name} does not answer: is it on, and is its index right?"
         return RobotStatus(False, problems=(line,))

@@ -7,8 +7,13 @@ from tetractl.core.errors import AbortError
 
 
 class FoundWheel(NamedTuple):
-    """A wheel's speed per output [mm/s], dead zone, and whether it turns backward at positive
-    outputs."""
+    """What a calibration found about a wheel.
+
+    Attributes:
+        gain_mm: Speed per output [mm/s].
+        dead_zone: Output up to which the wheel does not turn.
+        invert: Whether the wheel turns backward at positive outputs.
+    """
 
     gain_mm: float
     dead_zone: int
@@ -35,8 +40,11 @@ class Found:
 
 
 def wheel_gains(calibrated: Found, unit_mm: float) -> dict[str, float]:
-    """Return r and the gains of wheels that are nominally driven at `unit_mm` [mm/s] per output;
-    AbortError if they are swapped or inverted, which gains cannot state."""
+    """Return r and the gains of wheels that nominally drive at `unit_mm` [mm/s] per output.
+
+    Raises:
+        AbortError: If the wheels are swapped or inverted, which gains cannot express.
+    """
     if calibrated.swap or calibrated.left.invert or calibrated.right.invert:
         raise AbortError(
             "a wheel turns the wrong way, or the wheels are swapped",
@@ -56,10 +64,18 @@ class CalibratedSection(Protocol):
     """The largest dead zone that the section can state [outputs]."""
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
-        """Return the output at a 127th of full speed, and the largest output that the robot with
-        this name may be sent if `limit` 127ths of full speed are allowed."""
+        """Return the output for a 127th of full speed, and the maximum output for a robot.
+
+        Args:
+            name: The robot.
+            limit: Maximum speed, in 127ths of full speed.
+        """
         ...
 
     def measured(self, calibrated: Found) -> dict[str, Any]:
-        """Return a robot's fields in the section; AbortError if it cannot state what was found."""
+        """Return a robot's fields in the section.
+
+        Raises:
+            AbortError: If the section cannot express what the calibration found.
+        """
         ...

@@ -22,12 +22,11 @@ STAMPS = 600  # frames whose times on the camera's clock are compared with their
 
 
 class PortCamera(ABC):
-    """Frames of a setup's robots from its section's `address`, a `tetractl.core.protocols.Camera`.
-    `ports` makes another port, such as one in memory.
+    """A `tetractl.core.protocols.Camera` that receives its frames from the section's `address`.
 
-    A frame was exposed the section's `latency` [s] before its message came, unless messages have
+    A frame was exposed the section's `latency` [s] before its message arrived, unless messages have
     stamps (`stamp_s`). If the port fails, the robots stop at once. A subclass sets `emulated` once
-    a message says that the camera is.
+    a message says that the camera is emulated. `ports` creates another port, such as one in memory.
     """
 
     connect_s = 3.0  # longest wait for the first frame
@@ -55,25 +54,35 @@ class PortCamera(ABC):
         self._port = make(section.address, PORT_BAUD, "the camera", clock, self._heard, self.hint)
 
     def port(self, *arguments: Any) -> SerialPort:
-        """Return the port that gives the messages, by the arguments of `SerialPort`; by default a
-        serial port. At udp:// addresses the port is always that, as of emulated cameras."""
+        """Create the port that receives the messages, with the arguments of `SerialPort`.
+
+        By default, it is a serial port. At udp:// addresses, such as those of emulated cameras,
+        this port is not used.
+        """
         return SerialPort(*arguments)
 
     @abstractmethod
     def poses(self, message: bytes) -> tuple[Pose | None, ...]:
-        """Return the pose of each robot of the setup, None if it is not tracked.
+        """Return the pose of each robot of the setup. None if a robot is untracked.
 
         Raises any of UNREADABLE, such as ValueError or KeyError, if the message cannot be read.
         """
 
     def stamp_s(self, message: bytes) -> float | None:
-        """Return when a message's picture was exposed, by the camera's own clock [s], whatever its
-        zero; None, as by default, if it does not say. Of the last STAMPS messages with stamps, the
-        one that took least took `latency`, and others so much longer as they came later."""
+        """Return when a message's image was exposed, on the camera's own clock with any zero [s].
+
+        None, the default, if the message does not say so. Among the last STAMPS messages with
+        stamps, the fastest is assumed to have taken `latency`. The others took longer by as much as
+        they arrived later.
+        """
         return None
 
     def __enter__(self) -> Self:
-        """Ask for frames; return once one has come. AbortError if none comes."""
+        """Ask for frames, and return once one has arrived.
+
+        Raises:
+            AbortError: If none arrives.
+        """
         self._port.open()
         self._port.write(ASKED)
         came = wait_for(self._clock, lambda: self._came > 0, self.connect_s)
@@ -116,7 +125,9 @@ class PortCamera(ABC):
         self._wake()
 
     def _late_ns(self, gap_ns: int) -> int:
-        """Take the time from a stamp to the arrival of its message; return by how much it exceeds
-        the least of the last STAMPS."""
+        """Compute how much later than the fastest of the last messages this one arrived [ns].
+
+        `gap_ns` is the time from its stamp to its arrival. The last STAMPS messages count.
+        """
         self._gaps.append(gap_ns)
         return gap_ns - min(self._gaps)

@@ -22,19 +22,26 @@ from tetractl_microscope.pictures.searches import PictureSearch, stated
 # a tag whose size differs by this fraction is a different tag, or at a different height
 ODD_SIZE = 0.2
 HEIGHT_PX = 25.0
-"""Least side of a tag whose height is measured [px]: at 25 px heights differ by up to 16 mm from
-place to place, at 23 by 42, at 15 by 59."""
+"""Minimum side of a tag for measuring its height [px].
+
+At 25 px, measured heights differ by up to 16 mm from place to place, at 23 px by 42 mm, and at 15
+px by 59 mm.
+"""
 _MODEL = SQUARE[:, 0] + 1j * SQUARE[:, 1]
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The tags found in one picture. `poses` has one entry per robot, None if not tracked;
-    `strangers` are the poses of unknown tags, computed as if on the floor. Poses are in the spec's
-    length unit. `tags` are the numbers of all tags, repeated if seen several times. `sizes` are
-    each robot's ratio of the tag's measured side to `size_mm`, None if not seen. Of the robots' and
-    floor tags, `blur` is the largest blur of an edge [modules: eighths of the tag's side] and
-    `side_px` the shortest side [px]; both are None if no such tag is seen.
+    """The tags found in one image. Poses are in the spec's length unit.
+
+    Attributes:
+        poses: Pose of each robot. None if it is untracked.
+        strangers: Poses of unknown tags, computed as if they were on the floor.
+        tags: The numbers of all tags, repeated if a tag is seen several times.
+        sizes: For each robot, the measured side of its tag relative to `size_mm`. None if not seen.
+        blur: Maximum blur of an edge of the robots' and floor tags [modules: eighths of a tag's
+            side]. None if no such tag is seen.
+        side_px: Minimum side of these tags [px]. None if no such tag is seen.
     """
 
     poses: tuple[Pose | None, ...]

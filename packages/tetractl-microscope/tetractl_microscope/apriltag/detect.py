@@ -107,11 +107,17 @@ NOTHING = 1e-9
 
 
 def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[Floats, Floats]:
-    """Refine the corners (T, 4, 2) [px] of T tags; return refined corners and blurs (T,) [px].
+    """Refine the corners of T tags.
 
-    Corners run clockwise round a dark square with `modules` modules per side. The blur is the
-    standard deviation of the Gaussian that blurs a step to the width of the sides. If a tag's sides
-    cannot be found, its rough corners are returned.
+    Args:
+        picture: The image.
+        corners: Rough corners [px], shape (T, 4, 2), clockwise round a dark square.
+        modules: Number of modules on each side of the square.
+
+    Returns:
+        The refined corners [px], or the rough ones if a tag's sides cannot be found. Then the blurs
+        (T,) [px]: the standard deviation of the Gaussian that blurs a step to the width of the
+        sides.
     """
     rough = corners
     blur = np.zeros(len(corners))
@@ -153,8 +159,10 @@ def _sampled(picture: NDArray[np.uint8], points: Floats) -> Floats:
 
 
 def _lines(points: Floats, weight: Floats) -> Floats:
-    """Fit lines to points (..., S, 2) with weights (..., S); return a, b, c (..., 3) of
-    a x + b y + c = 0 with a^2 + b^2 = 1.
+    """Fit lines to points (..., S, 2) with weights (..., S).
+
+    Returns:
+        a, b, c (..., 3) of a x + b y + c = 0 with a^2 + b^2 = 1.
     """
     share = (weight / weight.sum(axis=-1, keepdims=True))[..., None]
     middle = (share * points).sum(axis=-2)

@@ -71,11 +71,16 @@ class Plane:
         return camera[:2] + reach[..., None] * ahead[..., :2]
 
     def stance(self, pixels: Floats, side: float) -> tuple[float, float] | None:
-        """Return a tag's height above the floor [m] and its tilt against the floor [rad]; None if
-        no pose fits.
+        """Compute a tag's height above the floor [m] and its tilt against the floor [rad].
 
-        `pixels` (4, 2) are the tag's corners and `side` its side [m]. Two tilts may fit a small or
-        distant tag equally well: the smaller tilt is returned.
+        Two tilts may fit a small or distant tag equally well. The smaller tilt is returned.
+
+        Args:
+            pixels: The tag's corners [px], shape (4, 2).
+            side: Its side [m].
+
+        Returns:
+            Height and tilt. None if no pose fits.
         """
         square = np.column_stack([side * SQUARE, np.zeros(4)])
         _, turns, shifts, errors = cv2.solvePnPGeneric(
@@ -112,11 +117,14 @@ def calibrated(
     lens: Lens | None = None,
     highest: float = 0.0,
 ) -> Plane:
-    """Return the camera that sees the corners of F floor tags, which are at `places` (F, 4, 2) [m],
-    in `pixels` (F, 4, 2).
+    """Find the camera that sees the corners of floor tags where they are seen.
 
-    `size` is the picture's width and height [px]; `highest` is the height of the highest robot's
-    tag [m], for which `doubt_mm` is computed.
+    Args:
+        pixels: Corners of F floor tags in the image [px], shape (F, 4, 2).
+        places: Their positions on the floor [m], shape (F, 4, 2).
+        size: Width and height of the image [px].
+        lens: The lens. None if it is unknown and must be fitted.
+        highest: Maximum height of a robot's tag above the floor [m].
     """
     points = pixels.reshape(-1, 2)
     spots = places.reshape(-1, 2)
@@ -147,8 +155,9 @@ def _matrix(focal: float, centre: Sequence[float]) -> Floats:
 
 
 def _lens_of(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, Floats]:
-    """Return K and the distortion for `usual` (2,): log(f / width) and k1, each divided by its
-    prior's standard deviation.
+    """Return K and the distortion of a lens.
+
+    `usual` (2,) are log(f / width) and k1, each divided by its prior's standard deviation.
     """
     # standard deviations among lenses, of log(f / width): 40 to 70 degrees of view, and of k1
     focal = width * math.exp(0.35 * usual[0])
@@ -157,8 +166,9 @@ def _lens_of(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats
 
 
 def _posed(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) -> Plane:
-    """Return the camera with a known lens that sees floor positions `spots` (M, 2) [m] in pixels
-    `points` (M, 2).
+    """Find the pose of a camera with a known lens.
+
+    It sees the floor positions `spots` (M, 2) [m] at the pixels `points` (M, 2).
     """
     _, turn, shift = cv2.solvePnP(_flat(spots), points, matrix, distortion)
     rotation, _ = cv2.Rodrigues(turn)
@@ -169,18 +179,22 @@ def _posed(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) ->
 def _fitted(
     points: Floats, spots: Floats, width: int, middle: Sequence[float]
 ) -> tuple[Floats, Floats]:
-    """Return the most probable log(f / width) and k1 (2,), and their standard deviations (2, 2),
-    for a camera that sees floor positions `spots` (M, 2) [m] in pixels `points` (M, 2).
+    """Fit the most probable lens of a camera.
 
-    All are divided by the priors' standard deviations. Each row of the second array is one standard
-    deviation along an axis of the error ellipse.
+    The camera sees the floor positions `spots` (M, 2) [m] at the pixels `points` (M, 2).
+
+    Returns:
+        log(f / width) and k1 (2,), and their standard deviations (2, 2), all divided by the priors'
+        standard deviations. Each row of the second array is one standard deviation along an axis of
+        the error ellipse.
     """
     start = _posed(*_lens_of(np.zeros(2), width, middle), points, spots)
     turn, _ = cv2.Rodrigues(start.rotation)
 
     def misfit(x: Floats) -> Floats:
-        """Return the errors of the spots' pixels for pose and lens x (8,), and the lens's own, all
-        in standard deviations.
+        """Return the errors of the spots' pixels for pose and lens x (8,), and of the lens.
+
+        All are in standard deviations.
         """
         pixels, _ = cv2.projectPoints(_flat(spots), x[:3], x[3:6], *_lens_of(x[6:], width, middle))
         return np.append((pixels.reshape(-1, 2) - points).ravel() / CORNER_PX, x[6:])
@@ -223,10 +237,11 @@ class Floor:
         self._count = 0
 
     def see(self, corners: Mapping[int, Floats], size: tuple[int, int]) -> None:
-        """Take the corners (4, 2) [px], by tag number, of the floor tags seen exactly once in one
-        picture.
+        """Use the floor tags that are seen exactly once in an image.
 
-        `size` is the picture's width and height [px].
+        Args:
+            corners: The tags' corners (4, 2) [px], by tag number.
+            size: Width and height of the image [px].
         """
         by_tag = {i: corners[n] for i, n in enumerate(self._numbers) if n in corners}
         if self._mean is not None and any(

@@ -50,11 +50,15 @@ class FirstSight:
 
 @dataclass(frozen=True, slots=True)
 class CellsInView:
-    """The cells of the picture exposed at `now_s` [s], and since when each track has been in view
-    without a gap (`first`). Knocks have moved what the picture shows by `moved_um` [um], along its
-    rows and up.
+    """The cells of the newest image.
 
-    The searching thread replaces it as a whole, since another thread reads it.
+    The searching thread replaces this object as a whole, because another thread reads it.
+
+    Attributes:
+        cells: The cells.
+        now_s: When the image was exposed [s].
+        first: For each track, since when it has been in view without a gap.
+        moved_um: How far knocks have moved the content of the image [um], along its rows and up.
     """
 
     cells: Sequence[SeenCell] = ()
@@ -65,8 +69,13 @@ class CellsInView:
     def followed_by(
         self, cells: Sequence[SeenCell], now_s: float, shift_um: tuple[float, float]
     ) -> "CellsInView":
-        """Return the view of the next picture, in which a knock has moved everything by
-        `shift_um` [um]."""
+        """Return the view of the next image.
+
+        Args:
+            cells: The cells in that image.
+            now_s: When it was exposed [s].
+            shift_um: How far a knock has moved everything since the previous image [um].
+        """
         first = {
             cell.track: self.first.get(cell.track, FirstSight(now_s, float(cell.mean[WAY])))
             for cell in cells
@@ -75,8 +84,10 @@ class CellsInView:
         return CellsInView(cells, now_s, first, moved_um)
 
     def speed(self, cell: SeenCell) -> tuple[float, float]:
-        """Return the mean speed of a cell since it came into view, and its standard deviation
-        [um/s]; in its first MEAN_S there the filter's present one."""
+        """Return a cell's mean speed since it came into view, and its standard deviation [um/s].
+
+        During its first MEAN_S in view, the filter's present speed is returned.
+        """
         first = self.first[cell.track]
         seconds = self.now_s - first.seconds
         if seconds > MEAN_S:
@@ -89,8 +100,10 @@ class CellsInView:
 
 
 class LearningPictures:
-    """The pictures of the first `learning_s` [s], from which the background is computed; all have
-    one shape, as the base class refuses others."""
+    """The images of the first `learning_s` [s], from which the background is computed.
+
+    All have the same shape, because the base class refuses others.
+    """
 
     def __init__(self, learning_s: float) -> None:
         self._learning_s = learning_s
@@ -112,8 +125,11 @@ class LearningPictures:
 
 
 class PictureNews:
-    """What there is to say of each picture besides its frame: messages `added` to the log, and how
-    sure the robots' cells are `identified`, for a watch."""
+    """What is reported about each image in addition to its frame.
+
+    These are messages `added` to the log, and how certainly the robots' cells are `identified`, for
+    a watch.
+    """
 
     def __init__(self) -> None:
         self.identified = deque[Identities](maxlen=QUEUED_MOST)
@@ -123,7 +139,14 @@ class PictureNews:
     def add(
         self, picture: Grey, exposed_ns: int, background: Grey | None, probability: Floats
     ) -> None:
-        """Add a picture, in which the robots' cells are those with a probability (N,)."""
+        """Add an image.
+
+        Args:
+            picture: The image.
+            exposed_ns: When it was exposed [ns].
+            background: The background. None while it is being learned.
+            probability: How certain the identity of each robot's cell is, shape (N,).
+        """
         messages = self._whole.messages(picture, exposed_ns, background)
         self.added.append(FrameAddition(exposed_ns, messages))
         self.identified.append(Identities(exposed_ns, probability))
@@ -168,15 +191,17 @@ class CellCamera(PictureCamera[SeenDish]):
         self._sent = FieldSignals()
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
-        """Record the common direction [rad, in the spec's axes] sent at `sent_ns`; None if the
-        field was switched off.
+        """Record the common direction [rad, in the spec's axes] sent at `sent_ns`.
+
+        None means that the field was switched off.
         """
         self._sent.note(direction, sent_ns)
 
     def candidates(self) -> list[RobotCandidate]:
-        """Return the cells in the newest picture whose identity is sure, with the filter's
-        estimates of a and of the mean speed since each came into view. Cells near the arena's edge
-        are not free.
+        """List the cells in the newest image that are identified with certainty.
+
+        Each has the filter's estimates of a and of its mean speed since it came into view. Cells
+        near the arena's edge do not count as free.
         """
         view = self._view
         sure = [cell for cell in view.cells if cell.has_blob and cell.probability >= SURE]
@@ -251,8 +276,11 @@ class CellCamera(PictureCamera[SeenDish]):
         return Health(tuple(wrong), tuple(doubtful), facts)
 
     def _see(self, picture: Grey, exposed_ns: int) -> SeenDish | None:
-        """Learn from a picture, or follow the cells in it; return what it shows, None while the
-        background is learned."""
+        """Learn from an image, or track the cells in it.
+
+        Returns:
+            What the image shows. None while the background is being learned.
+        """
         if self.section.mirrored:
             picture = np.asarray(cv2.flip(picture, 1), np.uint8)
         finder = self._tracker.finder
@@ -284,10 +312,9 @@ class CellCamera(PictureCamera[SeenDish]):
         )
 
     def _take_robots(self, view: CellsInView) -> RobotCells:
-        """Return the present robots, after noting which cells they are at first, and which of them
-        have divided in this picture.
+        """Return the present robots, and note which cells they are and which of them have divided.
 
-        Called once a picture, since the trial's thread may put others in their place at any time.
+        It is called once for each image, because the trial's thread may replace robots at any time.
         """
         robots = self._robots
         if not robots.cells:
@@ -299,8 +326,10 @@ class CellCamera(PictureCamera[SeenDish]):
         return robots
 
     def _nearest_to_starts(self, view: CellsInView, setup: Setup) -> Sequence[int]:
-        """Return the numbers of the cells nearest to the robots' starts, none if there are fewer
-        cells than robots."""
+        """Return the indices of the cells nearest to the robots' starts.
+
+        The result is empty if there are fewer cells than robots.
+        """
         if len(view.cells) < len(setup.names):
             return ()
         starts = setup.starts.array()[:, :2]
@@ -315,15 +344,18 @@ class CellCamera(PictureCamera[SeenDish]):
         return Pose(x, y, cell.heading + self.section.rotation)
 
     def _placed(self, view: CellsInView, x: Lengths, y: Lengths) -> tuple[Lengths, Lengths]:
-        """Return positions in the picture [um] in the spec's coordinates, which are the dish's: a
-        knock moves neither targets nor walls.
+        """Convert positions in the image [um] to the spec's coordinates.
+
+        These are the dish's coordinates: a knock moves neither targets nor walls.
         """
         off_x, off_y = view.moved_um
         return self.section.placed(x - off_x, y - off_y, self._metres)
 
     def _near_wall(self, x: Floats, y: Floats) -> Bools:
-        """Return whether a wall may turn cells at positions (R,) in the picture [um]; the tracker
-        asks before it is known whether a knock has moved the newest picture."""
+        """Check whether a wall may turn cells at positions (R,) in the image [um].
+
+        The tracker calls this before it is known whether a knock has moved the newest image.
+        """
         return self._near_wall_in(self._view, x, y)
 
     def _near_wall_in(self, view: CellsInView, x: Floats, y: Floats) -> Bools:

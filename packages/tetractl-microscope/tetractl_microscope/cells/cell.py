@@ -74,8 +74,10 @@ class SeenCell:
     blob_um: Floats | None = None
 
     def on_blob(self) -> "SeenCell":
-        """Return the cell with its middle moved straight to the edge of the ellipse of its blob if
-        it was outside; one that the picture's edge cuts off has no size, and is at the middle.
+        """Return the cell with its centre moved into the ellipse of its blob.
+
+        If the centre was outside, it is moved straight to the edge. A blob that the image's edge
+        cuts off has no size, and the cell is placed at its centre.
         """
         if self.blob_um is None:
             return self
@@ -89,8 +91,16 @@ class SeenCell:
 
 
 def to_edge(off: Floats, axis: Floats, long: Floats, wide: Floats) -> Floats:
-    """Return distances (...) of points from the middles of ellipses, by their offsets (..., 2), as
-    shares of the distances of the ellipses' edges in the same directions.
+    """Compute how far points are from the centres of ellipses, relative to the ellipses' edges.
+
+    Args:
+        off: Offsets of the points from the centres, shape (..., 2).
+        axis: Directions of the ellipses [rad].
+        long: Lengths of the ellipses.
+        wide: Widths of the ellipses.
+
+    Returns:
+        The distances (...), divided by the distances of the edges in the same directions.
     """
     along = off[..., 0] * np.cos(axis) + off[..., 1] * np.sin(axis)
     across = off[..., 1] * np.cos(axis) - off[..., 0] * np.sin(axis)
@@ -99,8 +109,13 @@ def to_edge(off: Floats, axis: Floats, long: Floats, wide: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class TrackName:
-    """The number `identity` of the cell on a track, the probability `certainty` that it is that
-    cell, and the time [s] since which it is.
+    """Which cell is on a track.
+
+    Attributes:
+        track: Number of the track.
+        identity: Number of the cell.
+        certainty: Probability that it is this cell.
+        since_s: Since when it has been on the track [s].
     """
 
     track: int

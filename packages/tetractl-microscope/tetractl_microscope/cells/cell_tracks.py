@@ -31,11 +31,14 @@ TURNS = 0.2  # probability that a cell has turned by itself while it was with ot
 
 @dataclass(slots=True)
 class TrackBlob:
-    """The blob that shows a cell in the newest picture: `blobs[index]` of that picture, in `place`
-    (5,): x, y [um], axis [rad], length and width [um].
+    """The blob that shows a cell in the newest image.
 
-    `is_shared`: it shows other cells that are followed, too. `is_large`: it is the cell's own but
-    too large for one cell.
+    Attributes:
+        index: Its index among the image's blobs.
+        blob: The blob.
+        place: x, y [um], axis [rad], length and width [um], shape (5,).
+        is_shared: Whether it also shows other tracked cells.
+        is_large: Whether it is the cell's own blob, but too large for one cell.
     """
 
     index: int
@@ -98,8 +101,10 @@ class CellTrack:
 
     @property
     def rows(self) -> Sequence[int]:
-        """The filter's rows that follow it: with an open question, one for each cell that it may
-        be.
+        """The filter's rows that follow the track.
+
+        If it is an open question which cell is on the track, there is one row for each cell that it
+        may be.
         """
         if self.question is None:
             return [self.row]
@@ -116,9 +121,14 @@ class CellTrack:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Member:
-    """A track in a meeting, and the cell that it showed when it joined: its `name`, the probability
-    `certainty` that it is that cell, and its size; the filter's `row` predicts it without
-    measurements.
+    """A track in a meeting, and the cell that was on it when it joined.
+
+    Attributes:
+        track: The track.
+        row: The filter's row that predicts the cell without measurements.
+        name: Number of the cell.
+        certainty: Probability that it is this cell.
+        size: Size of the cell.
     """
 
     track: CellTrack
@@ -130,8 +140,9 @@ class Member:
 
 @dataclass(slots=True, eq=False)
 class Meeting:
-    """Tracks that are too near to tell which cell is on which. Something unknown may have joined
-    them.
+    """Tracks that are too close together to tell which cell is on which.
+
+    An unknown object may have joined them.
     """
 
     members: list[Member]
@@ -150,13 +161,16 @@ class Meeting:
 
 @dataclass(slots=True, eq=False)
 class WhichIsWhich:
-    """The open question which of the K cells of `members`, that were in a meeting, is on which of
-    their K tracks, asked at `since_s` [s].
+    """The open question of which cell is on which track, after K cells were in a meeting.
 
-    `rows[t, n]` (K, K) is the filter's row that follows track t as cell n, `likelihood` (K, K) the
-    sum of its log-likelihoods. `prior` (P,) is the log-probability of each assignment in `orders`
-    (P, K) when the question was asked, `not_unknown` (K, K) the probability that nothing unknown is
-    there instead of the cell.
+    Attributes:
+        members: The K cells and tracks.
+        rows: The filter's row that follows track t as cell n, shape (K, K).
+        prior: Log-probability of each assignment in `orders` when the question arose, shape (P,).
+        not_unknown: Probability that the cell, and not an unknown object, is on the track, (K, K).
+        since_s: When the question arose [s].
+        likelihood: Sum of the log-likelihoods of each of `rows`, shape (K, K).
+        orders: The possible assignments, shape (P, K).
     """
 
     members: Sequence[Member]
@@ -181,9 +195,16 @@ class WhichIsWhich:
     def add(
         self, track: CellTrack, likelihood: Floats, size: Sequence[float] | None, seconds: float
     ) -> None:
-        """Add the log-likelihoods (K,), one per cell, of a track's measurement in one picture, and
-        length and width [um] of the blob, unless it is cut off. Measurements count once the rows of
-        the filter have settled on the track: where it begins is in the prior.
+        """Add a measurement of a track from one image.
+
+        Measurements count once the filter's rows have settled on the track, because the beginning
+        is part of the prior.
+
+        Args:
+            track: The track.
+            likelihood: Log-likelihood of the measurement for each cell, shape (K,).
+            size: Length and width of the blob [um]. None if it is cut off.
+            seconds: Time of the image [s].
         """
         t = self.tracks.index(track)
         if seconds - self.since_s > SETTLED_S:
@@ -200,8 +221,11 @@ class WhichIsWhich:
         return normalised(self.prior + log_of_each(self.orders, self.likelihood))
 
     def best(self) -> tuple[tuple[int, ...], Floats]:
-        """Return the cell of each track in the likeliest assignment, and for each track (K,) the
-        probability that this cell is on it.
+        """Return the most probable assignment.
+
+        Returns:
+            The cell of each track, and for each track the probability that this cell is on it,
+            (K,).
         """
         shares = self.probabilities()
         order = self.orders[int(np.argmax(shares))]
@@ -221,8 +245,10 @@ def orders(tracks: int) -> np.ndarray:
 
 
 def log_of_each(orders: np.ndarray, table: Floats) -> Floats:
-    """Return the log-probability of each assignment in `orders` (P, K), up to a constant, by those
-    in `table` (K, K) of each cell on each track: the sum of `table[t, orders[p, t]]` over t.
+    """Compute the log-probability of each assignment in `orders` (P, K), up to a constant.
+
+    It is the sum of `table[t, orders[p, t]]` over t, with the log-probability of each cell on each
+    track in `table` (K, K).
     """
     return table[np.arange(len(table)), orders].sum(axis=1)
 
@@ -236,9 +262,15 @@ def normalised(logs: Floats) -> Floats:
 def log_densities(
     bank: HelixFilter, rows: Sequence[int], places: Floats, sd_um: Floats, unknown: float
 ) -> Floats:
-    """Return the log-density [1/um^2] of the cells in the filter's `rows` at places (K, 3), as
-    (K, M), with further standard deviations (K,) of the places. `unknown` is that of a cell that
-    may have been anywhere: a cell may have turned by itself.
+    """Compute the log-density of cells at given places [1/um^2], shape (K, M).
+
+    Args:
+        bank: The filter.
+        rows: The cells' rows, M of them.
+        places: The places, shape (K, 3).
+        sd_um: Additional standard deviations of the places [um], shape (K,).
+        unknown: Log-density of a cell that may have been anywhere, because a cell may have turned
+            by itself.
     """
     expected, spread = bank.expected(np.array(rows, int))
     spread = WIDER**2 * (spread + np.square(sd_um)[:, None, None, None] * np.eye(2))

@@ -1,5 +1,7 @@
-"""Watches the robots of a trial in a dish: which cells count as lost though they may be in view,
-and which other cell is steered in place of a lost one. The lab's plant asks it.
+"""Watches the robots of a trial in a dish, for the lab's plant.
+
+It decides which cells count as lost although they may be in view, and which other cell is steered
+instead of a lost one.
 """
 
 from collections import deque
@@ -17,16 +19,22 @@ from tetractl_microscope.choice.dish_abilities import TracksCells
 
 @dataclass(frozen=True, slots=True)
 class Identities:
-    """With which probability (N,) each robot's cell in the picture exposed at `exposed_ns` is still
-    that cell; NaN if it is not seen."""
+    """How certainly each robot's cell in an image is still the same cell.
+
+    Attributes:
+        exposed_ns: When the image was exposed [ns].
+        probability: The probability for each robot, shape (N,). NaN if it is not seen.
+    """
 
     exposed_ns: int
     probability: Floats
 
 
 class CellWatch:
-    """A `RobotWatch` of the cells of a `camera`, which adds to `waiting` for each picture. An
-    identity that has not been known for `patience_s` [s] is lost."""
+    """A `RobotWatch` for the cells of a camera, which adds to `waiting` for each image.
+
+    A robot is lost if its identity has been unknown for `patience_s` [s].
+    """
 
     def __init__(
         self, camera: TracksCells, waiting: deque[Identities], setup: Setup, patience_s: float
@@ -52,8 +60,11 @@ class CellWatch:
             yield Lose(robot, why)
 
     def replace(self, robot: int) -> str:
-        """Steer the most similar free cell in place of a lost robot; return a text about it, "" if
-        no free cell is similar."""
+        """Steer the most similar free cell instead of a lost robot.
+
+        Returns:
+            A text about that cell. Empty if no free cell is similar.
+        """
         free = [
             cell
             for cell in self._camera.candidates()

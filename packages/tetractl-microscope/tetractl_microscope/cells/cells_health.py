@@ -30,11 +30,16 @@ SMALL_PX = 8.0  # least width of a cell in a picture, below which a warning is g
 
 @dataclass(frozen=True, slots=True)
 class SeenDish:
-    """The results of one picture: the robots at that time, their poses, other cells, light and
-    sharpness.
+    """The results of one image.
 
-    `sure` is the least probability of the identity of a robot in view, 0 if none is in view.
-    `level` is the median of the picture's grey levels; for `sharpness` see the function.
+    Attributes:
+        robots: The robots at that time.
+        poses: Their poses. None if a robot is untracked.
+        strangers: Poses of other cells.
+        light: Properties of the image's light.
+        level: Median of the grey levels.
+        sharpness: Sharpness, as the function computes it. None if it is unknown.
+        sure: Minimum probability of the identity of a robot in view. 0 if none is in view.
     """
 
     robots: RobotCells
@@ -49,9 +54,19 @@ class SeenDish:
 def sharpness(
     picture: Grey, cells: Sequence[SeenCell], um_px: float, contrast: float | None
 ) -> float | None:
-    """Return the median, over the first cells, of the steepest slope of grey levels in any
-    direction, divided by the cells' contrast [1/px]; None without contrast or without a cell that
-    is large enough.
+    """Compute the sharpness of an image from the edges of its cells [1/px].
+
+    It is the median, over the first cells, of the steepest slope of grey levels in any direction,
+    divided by the cells' contrast.
+
+    Args:
+        picture: The image.
+        cells: The cells in it.
+        um_px: Scale of the image [um/px].
+        contrast: Contrast of the cells [grey levels]. None if unknown.
+
+    Returns:
+        The sharpness. None without contrast, or if no cell is large enough.
     """
     if not contrast:
         return None
@@ -72,8 +87,15 @@ def sharpness(
 def dish_lines(
     names: Sequence[str], searches: Sequence[PictureSearch[SeenDish]], width_px: float
 ) -> tuple[list[str], list[str]]:
-    """Return problems and warnings about light, focus and cells in the last pictures, which are
-    given oldest first, for cells `width_px` wide; two empty lists without pictures.
+    """Find problems and warnings about light, focus and cells in the last images.
+
+    Args:
+        names: Names of the robots.
+        searches: The searches of the images, oldest first.
+        width_px: Width of a cell [px].
+
+    Returns:
+        Problems and warnings. Both are empty if there are no images.
     """
     if not searches:
         return [], []

@@ -54,12 +54,18 @@ AGAIN = 9  # and begins again from so many
 
 @dataclass(frozen=True, slots=True)
 class Blob:
-    """A region of a picture that differs from the background; x, y [px] is its middle, `axis` [rad]
-    its direction mod pi.
+    """A region of an image that differs from the background.
 
-    `long` and `wide` [px] are the axes of the ellipse with the same moments, `strength` is the mean
-    difference [grey levels]. `body` is a mask of the blob, in a rectangle whose upper left pixel is
-    at `corner`. `at_edge`: the picture's edge cuts the blob.
+    Attributes:
+        x: x of its centre [px].
+        y: y of its centre [px].
+        axis: Its direction [rad], modulo pi.
+        long: Long axis of the ellipse with the same moments [px].
+        wide: Short axis of that ellipse [px].
+        strength: Mean difference from the background [grey levels].
+        body: A mask of the blob in a rectangle.
+        corner: The rectangle's upper left pixel.
+        at_edge: Whether the image's edge cuts the blob.
     """
 
     x: float
@@ -87,13 +93,17 @@ class Blob:
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """Properties of a picture: `gain` is its light relative to the background's, `noise` the
-    standard deviation of its noise [grey levels].
+    """Properties of an image's light and contrast.
 
-    `contrast` [grey levels] is the median strength of the blobs, None without blobs. `changed` is
-    the fraction of pixels that differ from the background; `lost` is True if cells cannot explain
-    that fraction. `shift_px` is by how much the stage was moved since the picture before: columns
-    to the right, rows down. `limit` [grey levels] is the least contrast of a cell that is found.
+    Attributes:
+        gain: Its light, relative to the background's.
+        noise: Standard deviation of its noise [grey levels].
+        contrast: Median strength of the blobs [grey levels]. None without blobs.
+        changed: Fraction of pixels that differ from the background.
+        lost: Whether cells cannot explain that fraction.
+        shift_px: How far the stage has moved since the previous image [px]: columns to the right,
+            rows down.
+        limit: Minimum contrast at which a cell is found [grey levels].
     """
 
     gain: float
@@ -106,8 +116,11 @@ class Light:
 
 
 class Background:
-    """The picture without cells, in fractions of grey levels and in whole ones, and as it was when
-    it was `learned`."""
+    """The image without cells.
+
+    It is kept in fractions of grey levels, in whole grey levels, and as it was when it was
+    `learned`.
+    """
 
     def __init__(self, fine: NDArray[np.float32]) -> None:
         self.fine = fine
@@ -121,8 +134,10 @@ class Background:
         self.grey = _grey(cv2.convertScaleAbs(self.fine))
 
     def follow_knock(self, smooth: Grey, gain: float) -> tuple[float, float]:
-        """Move it as far as a picture has shifted, whose light is `gain` times its own; return the
-        shift."""
+        """Move the background as far as an image has shifted, and return the shift.
+
+        The image's light is `gain` times the background's.
+        """
         shift = shift_of(cv2.convertScaleAbs(self.grey, alpha=gain), smooth)
         if shift != (0.0, 0.0):
             self.move(shift)
@@ -131,20 +146,37 @@ class Background:
     def correct(
         self, part: tuple[slice, slice], wrong: Bools, levels: NDArray[np.floating]
     ) -> None:
-        """Replace the pixels of a part that are `wrong` by those of `levels`."""
+        """Replace the wrong pixels in a part of the background.
+
+        Args:
+            part: The part, as slices of rows and columns.
+            wrong: Which of its pixels are wrong.
+            levels: The grey levels that replace them.
+        """
         self.fine[part][wrong] = levels[wrong]
         self.grey[part][wrong] = np.clip(self.fine[part][wrong], 0, 255)
 
     def update(self, rows: slice, levels: NDArray[np.float32], calm: Grey) -> None:
-        """Let rows approach `levels` slowly where a mask `calm` says so."""
+        """Let rows of the background slowly approach new levels.
+
+        Args:
+            rows: The rows.
+            levels: The new grey levels.
+            calm: A mask of the pixels to update.
+        """
         fine = self.fine[rows]
         cv2.accumulateWeighted(levels, fine, LEARNING, calm)
         self.grey[rows] = cv2.convertScaleAbs(fine)
 
 
 class SearchLimits(NamedTuple):
-    """A body's averaged differences are above `low` and, somewhere, above `high` [grey levels], and
-    it covers from `least_px2` to `most_px2` pixels.
+    """Limits for finding bodies in the averaged difference from the background.
+
+    Attributes:
+        low: All differences of a body are above it [grey levels].
+        high: Some difference of a body is above it [grey levels].
+        least_px2: Minimum area of a body [px^2].
+        most_px2: Maximum area of a body [px^2].
     """
 
     low: float
@@ -196,16 +228,17 @@ class LostPictures:
 
 
 class BlobFinder:
-    """Finds blobs that cover `least_px2` to `most_px2` pixels once differences were averaged over
-    squares a little larger than the least; either are brighter or darker than the background.
+    """Finds blobs that are brighter or darker than the background.
 
-    `learn` computes the background from pictures taken over a second or more. `follow` updates it
-    by later pictures, except around the cells, so that the background shows no resting cells. After
-    a knock the background is moved by the picture's shift; where a cell rested while the background
-    was learned, it is mended once the cell has left; it is learned again if it does not apply.
+    A blob covers `least_px2` to `most_px2` pixels after differences were averaged over squares
+    slightly larger than the minimum. `learn` computes the background from images taken over a
+    second or more. `follow` updates it with later images, except around the cells, so that the
+    background never shows resting cells. After a knock, the background is moved by the image's
+    shift. If a cell rested while the background was learned, that place is repaired once the cell
+    has left. If the background no longer applies, it is learned again.
 
-    `bright`: most of what moves is brighter than the background. `light` is that of the newest
-    picture.
+    `bright` tells whether most moving objects are brighter than the background. `light` belongs to
+    the newest image.
     """
 
     def __init__(self, least_px2: float, most_px2: float) -> None:
@@ -225,8 +258,10 @@ class BlobFinder:
         return None if self._background is None else self._background.grey
 
     def learn(self, pictures: Sequence[Grey]) -> None:
-        """Compute the background as the median of pictures (height, width), each shifted and scaled
-        to fit the middle one; determine whether most cells are brighter or darker than it.
+        """Compute the background as the median of images (height, width).
+
+        Each image is first shifted and scaled to fit the middle one. This also determines whether
+        most cells are brighter or darker than the background.
         """
         medians = np.array([np.median(_sparse(picture)) for picture in pictures])
         levels = np.maximum(medians, 1.0)
@@ -282,8 +317,10 @@ class BlobFinder:
         return blobs
 
     def _compare(self, background: Background, newest: SearchArrays) -> Light:
-        """Compute the difference of the newest picture from the background, its limits, the mean
-        differences and the mask of those above the lower limit; return its light.
+        """Compare the newest image with the background, and return its light.
+
+        This computes the difference, its limits, the mean differences, and the mask of those above
+        the lower limit.
         """
         levels = _sparse(newest.smooth)
         background_levels = np.maximum(_sparse(background.grey), 1)
@@ -329,9 +366,11 @@ class BlobFinder:
     def _without_ghosts(
         self, candidates: Sequence[Blob], gain: float, background: Background
     ) -> list[Blob]:
-        """Return the blobs that show bodies, and correct the background where they do not: the
-        picture is there as it was when the background was learned, or a body is only in the
-        background. One after the other, since blobs may share a rectangle.
+        """Return the blobs that show bodies, and correct the background at the others.
+
+        A blob shows no body if the image there is as it was when the background was learned, or if
+        a body is only in the background. Blobs are corrected one after another, because they may
+        share a rectangle.
         """
         blobs: list[Blob] = []
         for blob in candidates:
@@ -352,8 +391,10 @@ class BlobFinder:
         return blobs
 
     def follow(self, keep: Sequence[tuple[int, int, int, int]]) -> None:
-        """Update the next stripe of the background by the last picture, except in the rectangles
-        `keep`, each given by left, top, right and bottom [px]. Learn it again if pictures are lost.
+        """Update the next stripe of the background with the last image, except around cells.
+
+        If images are lost, it is learned again. `keep` are rectangles: left, top, right and bottom
+        [px].
         """
         assert self._background is not None, "learn() comes first"
         newest = self._newest
@@ -381,8 +422,10 @@ class BlobFinder:
 def _is_ghost(
     now: NDArray[np.float32], background: NDArray[np.float32], body: Bools, ring: Bools
 ) -> bool:
-    """Return whether a body is only in a part of the background: it differs GHOST times less from
-    the unchanged ring around it in the same part of a picture.
+    """Check whether a body is only in the background.
+
+    It is if the part of the image differs GHOST times less from the unchanged ring around it than
+    the same part of the background does.
     """
     level = background[ring].mean() if ring.any() else np.median(background)
     off_now = float(np.abs(now - level)[body].mean())
@@ -413,8 +456,10 @@ def _box_px2(contour: np.ndarray) -> int:
 def _bodies(
     region: np.ndarray, difference: Grey, mean: NDArray[np.float32], limits: SearchLimits
 ) -> Iterator[Blob]:
-    """Yield the bodies in a region, a contour, by the difference of the picture from its background
-    and its `mean` over squares; the body with the greatest mean comes first.
+    """Find the bodies in a region, the one with the largest mean difference first.
+
+    `region` is a contour. `difference` is the image minus its background, and `mean` the mean of
+    that over squares.
     """
     box = Box(*cv2.boundingRect(region))
     inside = np.zeros((box.tall, box.wide), np.uint8)

@@ -25,8 +25,9 @@ class FieldRecord(SentDirections):
         return {"time_s": self.times, "x": self.acts.real, "y": self.acts.imag}
 
     def pieces(self, start: float, end: float) -> Sequence[Piece]:
-        """Return the field between two times [s] as constant pieces, each with its duration [s], x
-        and y.
+        """Return the field between two times [s] as constant pieces.
+
+        Each piece has its duration [s], x and y.
         """
         first, last = np.searchsorted(self.times, (start, end), side="right")
         cuts = np.array([start, *self.times[first:last], end])
@@ -36,8 +37,10 @@ class FieldRecord(SentDirections):
 
 
 class FieldSignals:
-    """The newest directions that were sent, in order of time. One thread may note them, another one
-    ask."""
+    """The newest directions that were sent, in the order of time.
+
+    One thread may record them while another reads them.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()

@@ -24,8 +24,13 @@ ASTRAY = 0.67  # distance of a cell's state from its own blob above which it is 
 def update_filter(
     bank: HelixFilter, readings: Sequence[BlobReading], seconds: float, body_um: float
 ) -> None:
-    """Update the filter by the readings of a picture, taken at a time [s], of some cells; a body is
-    `body_um` long.
+    """Update the filter with what an image shows of some cells.
+
+    Args:
+        bank: The filter.
+        readings: The measurements of the cells.
+        seconds: Time of the image [s].
+        body_um: Length of a body [um].
     """
     if not readings:
         return
@@ -50,8 +55,10 @@ def update_filter(
 def _answer(
     reading: BlobReading, question: WhichIsWhich, log_likelihoods: Floats, seconds: float
 ) -> None:
-    """Add to a question what a blob says: the log-likelihood of each cell that this one may be
-    (K,), and its size, if the blob shows it alone and whole.
+    """Add a blob's measurement to a question.
+
+    That is the log-likelihood of each cell that this one may be (K,), and its size if the blob
+    shows the cell alone and completely.
     """
     newest = reading.newest
     size = None
@@ -64,8 +71,14 @@ def _answer(
 def check_state(
     bank: HelixFilter, reading: BlobReading, squared_distance: float, body_um: float
 ) -> None:
-    """Mend the state of a cell that the filter follows wrongly, by its blob's squared distance from
-    where it was expected, in standard deviations.
+    """Repair the state of a cell that the filter follows wrongly.
+
+    Args:
+        bank: The filter.
+        reading: The measurement of the cell.
+        squared_distance: Squared distance of its blob from where it was expected, in standard
+            deviations.
+        body_um: Length of a body [um].
     """
     cell = reading.cell
     is_odd = squared_distance > ODD_DISTANCE

@@ -96,8 +96,12 @@ def open_water(x: Floats, y: Floats) -> Bools:
 
 
 class NewCell(NamedTuple):
-    """Mean (n,) and covariance (n, n) of the state of a cell that begins at the origin, and the
-    numbers (12,) of its model, as in `kernels.helix_steps`.
+    """The initial estimate of a new cell at the origin.
+
+    Attributes:
+        mean: Mean of the state, shape (n,).
+        covariance: Covariance of the state, shape (n, n).
+        model: Numbers of its model, shape (12,), as in `kernels.helix_steps`.
     """
 
     mean: Floats
@@ -146,12 +150,16 @@ def new_cell(organism: Organism, field_known: bool) -> NewCell:
 
 @dataclass(slots=True)
 class HelixFilter:
-    """A filter with one row per cell: `mean` (R, n) and `covariance` (R, n, n); `used` is False
-    for free rows.
+    """A filter with one row for each cell.
 
-    `field_known`: whether the field is known, so that little turning is unexplained. `near_wall`
-    says where a wall may turn cells: turning there leaves the estimates of states a and bias
-    unchanged. New cells are like those of the `organism`.
+    Attributes:
+        field_known: Whether the field is known, so that little turning is unexplained.
+        near_wall: Tells where a wall may turn cells. Turning there leaves the estimates of a and
+            bias unchanged.
+        organism: What new cells are like.
+        mean: Mean of each state, shape (R, n).
+        covariance: Covariance of each state, shape (R, n, n).
+        used: Whether each row is in use, shape (R,).
     """
 
     field_known: bool = True
@@ -175,7 +183,14 @@ class HelixFilter:
         self._field = None
 
     def add(self, x: float, y: float, heading: float, speed: float) -> int:
-        """Add a new cell by its position [um], heading [rad] and speed [um/s]; return its row."""
+        """Add a new cell, and return its row.
+
+        Args:
+            x: x of its position [um].
+            y: y of its position [um].
+            heading: Its heading [rad].
+            speed: Its speed [um/s].
+        """
         row = self._free()
         self.mean[row] = self._new.mean
         self.covariance[row] = self._new.covariance
@@ -190,8 +205,15 @@ class HelixFilter:
         return new
 
     def moved(self, row: int, x: float, y: float, heading: float) -> int:
-        """Copy a cell's row to a free row and move the copy to another pose, keeping speed, turning
-        and helix rate; return the index of the copy.
+        """Copy a cell's row to a free row, move the copy to another pose, and return its row.
+
+        The copy keeps its speed, turning and helix rate.
+
+        Args:
+            row: The cell's row.
+            x: x of the pose [um].
+            y: y of the pose [um].
+            heading: Heading of the pose [rad].
         """
         new = self.copied(row)
         pose = [X, Y, HEADING, C, S]
@@ -215,15 +237,19 @@ class HelixFilter:
             self._field = field[-1]
 
     def loosen(self, rows: Sequence[int]) -> None:
-        """Make cells that move unexpectedly as uncertain of position, heading, speed, c and s as
-        new ones.
+        """Make cells that move unexpectedly as uncertain as new cells.
+
+        This applies to position, heading, speed, c and s.
         """
         for row in rows:
             self.covariance[row, :RATE, :RATE] += self._new.covariance[:RATE, :RATE]
 
     def expected(self, rows: np.ndarray) -> tuple[Floats, Floats]:
-        """Return the predicted x, y and axis of the body (M, 3) for rows (M,), and the covariances
-        of its position (M, 2, 2) [um^2].
+        """Predict where the bodies of cells are.
+
+        Returns:
+            x, y and axis (M, 3) for rows (M,), and the covariances of the positions (M, 2, 2)
+            [um^2].
         """
         bodies = np.empty((len(rows), 3))
         slopes = np.empty((len(rows), 3, STATES))
@@ -234,11 +260,16 @@ class HelixFilter:
     def update(
         self, rows: np.ndarray, measured: Floats, deviation: Floats
     ) -> tuple[Floats, Floats]:
-        """Update rows (M,) by measurements of x, y [um] and axis [rad] (M, 3) with standard
-        deviations (M, 3).
+        """Update cells with measurements.
 
-        Returns the measurements' log-likelihoods (M,) by Student's distribution, and their squared
-        Mahalanobis distances (M,) from the prediction.
+        Args:
+            rows: The cells' rows, shape (M,).
+            measured: Measured x, y [um] and axis [rad], shape (M, 3).
+            deviation: Their standard deviations, shape (M, 3).
+
+        Returns:
+            The log-likelihoods (M,) by Student's distribution, and the squared Mahalanobis
+            distances (M,) from the prediction.
         """
         likelihood = np.empty(len(rows))
         distance = np.empty(len(rows))

@@ -1,5 +1,7 @@
-"""Notes when it becomes unknown which cell is which of the robots, and which of them must therefore
-count as lost. The rule of lost robots in the spec decides what follows.
+"""Notes when it becomes unknown which cell is which robot.
+
+It also decides which robots must therefore count as lost. The spec's rule for lost robots decides
+what follows.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,8 +28,11 @@ class IdentityWatch:
         self.unknown: dict[int, str] = {}
 
     def see(self, now: int, probabilities: Floats) -> Iterator[Note]:
-        """Take the probability of each robot's identity (N,) in the frame of the time `now` [ns],
-        NaN if it is not seen; yield a note for each robot that becomes known or unknown.
+        """Yield a note for each robot whose cell becomes known or unknown.
+
+        Args:
+            now: Time of the frame [ns].
+            probabilities: Probability of each robot's identity, shape (N,). NaN if it is not seen.
         """
         for i, (name, probability) in enumerate(
             zip(self._names, probabilities.tolist(), strict=True)

@@ -15,8 +15,9 @@ LEFT = 0.85  # fraction of changed pixels that may be left if pictures are shift
 
 
 def shift_of(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
-    """Return by how many columns and rows the content of a grey picture was shifted; (0, 0) unless
-    that explains a part of the difference between the two pictures.
+    """Find by how many columns and rows the content of a grey image was shifted.
+
+    The result is (0, 0) unless a shift explains a part of the difference between the two images.
     """
     scale = min(1.0, SIDE / max(now.shape))
     if round(scale * min(now.shape)) < PLAIN:
@@ -43,8 +44,9 @@ def _both(shift: float, size: int) -> slice:
 
 
 def moved(picture: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
-    """Return a picture with its content shifted by columns and rows; new pixels at an edge are like
-    their neighbours.
+    """Return an image with its content shifted by columns and rows.
+
+    New pixels at an edge are like their neighbours.
     """
     if shift == (0.0, 0.0):
         return picture

@@ -57,8 +57,12 @@ SAMPLED = 200  # most pixels that are used then
 
 @dataclass(frozen=True, slots=True)
 class CellCosts:
-    """The costs (C, B) of blobs for cells: of a blob of its `own`, and of a place in a blob that is
-    `shared`. `is_away` (C, B) is whether an own blob is not where the filter expects it.
+    """The costs of assigning blobs to cells, shape (C, B).
+
+    Attributes:
+        own: Cost of a blob that shows only this cell.
+        shared: Cost of a place in a blob that shows several cells.
+        is_away: Whether an own blob is not where the filter expects it.
     """
 
     own: Floats
@@ -91,8 +95,16 @@ def cell_costs(
     now: PictureNow,
     organism: Organism,
 ) -> CellCosts:
-    """Return the costs of blobs in `places` (B, 5) for C cells, which are `expected` at x, y [um]
-    and axis [rad] (C, 3), where `spread` (C, 2, 2) [um^2] is the covariance of x and y.
+    """Compute the costs of assigning blobs to cells.
+
+    Args:
+        cells: The C cells.
+        expected: Expected x, y [um] and axis [rad] of each cell, shape (C, 3).
+        spread: Covariance of x and y [um^2], shape (C, 2, 2).
+        blobs: The B blobs.
+        places: Their x, y [um], axis [rad], length and width [um], shape (B, 5).
+        now: The newest image.
+        organism: The organism.
     """
     body_um = organism.body_um[0]
     off = places[None, :, :2] - expected[:, None, :2]
@@ -126,8 +138,14 @@ def speck_costs(
     passed_s: float,
     organism: Organism,
 ) -> SpeckCosts:
-    """Return the costs of blobs in `places` (B, 5) at a time [s] for S specks, by where their last
-    motion leads; `passed_s` is the time since the last picture [s].
+    """Compute the costs of assigning blobs to specks, by where their last motion leads.
+
+    Args:
+        specks: The S specks.
+        places: x, y [um], axis [rad], length and width [um] of the B blobs, shape (B, 5).
+        seconds: Time of the image [s].
+        passed_s: Time since the previous image [s].
+        organism: The organism.
     """
     ahead = np.array([speck.ahead(seconds) for speck in specks]).reshape(-1, 1, 2)
     reach = np.array([REACH if len(speck.path) > 2 else FIRST for speck in specks])
@@ -141,8 +159,9 @@ def speck_costs(
 def _shared_costs(
     cells: Sequence[CellTrack], pixels: Floats, blobs: Sequence[Blob], um_px: float
 ) -> Floats:
-    """Return the costs (C, B) of a place in a blob that covers the cell's expected column and row,
-    `pixels` (C, 2), for C cells.
+    """Return the costs (C, B) of a place in a blob that covers a cell's expected position.
+
+    `pixels` (C, 2) are the expected columns and rows.
     """
     cost = np.full((len(cells), len(blobs)), NONE)
     if not blobs or not cells:
@@ -165,11 +184,11 @@ def _shared_costs(
 
 
 def assigned(cells: CellCosts, specks: SpeckCosts) -> Assignment:
-    """Return the assignment of least total cost. Only cells share a blob: a speck in a cell's blob
-    has none.
+    """Find the assignment with the lowest total cost.
 
-    The table that is solved has a row for each track, the cells first. Its columns are the blobs;
-    one more of a blob for each cell that may share it; and, for each track, one for no blob.
+    Only cells share a blob. A speck in a cell's blob gets none. The table that is solved has a row
+    for each track, the cells first. Its columns are the blobs, one more for each cell that may
+    share a blob, and one for each track without a blob.
     """
     count, blobs = cells.own.shape
     may_share = cells.shared < NONE
@@ -196,11 +215,16 @@ def assigned(cells: CellCosts, specks: SpeckCosts) -> Assignment:
 
 
 def parted(owners: Sequence[CellTrack], expected: Floats, points: Floats) -> Floats:
-    """Return the middles (K, 2) [um] of the K cells in a shared blob, whose pixels are at `points`
-    (M, 2) [um].
+    """Find the centres of K cells in a blob that they share, shape (K, 2) [um].
 
     A sample of the pixels is fitted, by expectation-maximisation, with a mixture of Gaussians that
-    have the cells' sizes and directions, starting at `expected` (K, 3): x, y [um], axis [rad].
+    have the cells' sizes and directions.
+
+    Args:
+        owners: The cells' tracks.
+        expected: Expected x, y [um] and axis [rad] of each cell, shape (K, 3), where the fit
+            starts.
+        points: Pixels of the blob [um], shape (M, 2).
     """
     points = points[:: max(1, len(points) // SAMPLED)]
     middles = expected[:, :2].copy()

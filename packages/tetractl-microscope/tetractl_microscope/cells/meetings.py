@@ -60,8 +60,9 @@ class Meetings:
         return tuple(self._running)
 
     def bring(self, together: Sequence[CellTrack], with_unknown: bool) -> None:
-        """Put tracks into one meeting, with all those that they were in; whether something unknown
-        may have joined it.
+        """Put tracks into one meeting, together with all tracks that they were already meeting.
+
+        `with_unknown` tells whether an unknown object may have joined it.
         """
         meeting = self._merged(together)
         meeting.with_unknown = meeting.with_unknown or with_unknown
@@ -110,8 +111,9 @@ class Meetings:
         member.track.meeting = None
 
     def own_shares(self, meeting: Meeting) -> Floats:
-        """Return the probability (K,) that each of the tracks of a meeting still follows the cell
-        that it did before, by where the cells are.
+        """Compute the probability that each track of a meeting still follows the same cell, (K,).
+
+        It depends on where the cells are.
         """
         tracks = meeting.tracks
         places, _ = self._bank.expected(np.array([track.row for track in tracks]))
@@ -129,16 +131,23 @@ class Meetings:
         return not_unknown * (likely @ has_own)
 
     def not_unknown(self, meeting: Meeting, table: Floats) -> Floats:
-        """Return the probability (K, M) that a cell, rather than something unknown that has joined
-        a meeting, is where its log-density is that of `table`.
+        """Compute the probability that cells are at given places, not an unknown object, (K, M).
+
+        The unknown object may have joined the meeting. `table` holds the cells' log-densities
+        there.
         """
         if not meeting.with_unknown:
             return np.ones(table.shape)
         return 1 / (1 + np.exp(self._log_unknown() - table))
 
     def log_densities(self, meeting: Meeting, places: Floats, deviations: Floats) -> Floats:
-        """Return the log-density [1/um^2] of a meeting's cells at places (K, 3), as (K, M), with
-        further standard deviations (K,) of the places [lengths of a cell].
+        """Compute the log-density of a meeting's cells at given places [1/um^2], shape (K, M).
+
+        Args:
+            meeting: The meeting.
+            places: The places, shape (K, 3).
+            deviations: Additional standard deviations of the places [lengths of a cell], shape
+                (K,).
         """
         sd_um = self._body_um * deviations
         return log_densities(self._bank, meeting.rows, places, sd_um, self._log_unknown())

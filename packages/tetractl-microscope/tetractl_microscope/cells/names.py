@@ -75,8 +75,14 @@ class Names:
     # ---- tracks that meet and part ----
 
     def meet(self, together: Sequence[CellTrack], seconds: float, with_unknown: bool) -> None:
-        """Record that tracks are not distinguished at a time [s]: they share a blob, or that of a
-        single one is too large. Something unknown may be with them.
+        """Record that tracks cannot be distinguished.
+
+        They share a blob, or the blob of a single track is too large.
+
+        Args:
+            together: The tracks.
+            seconds: Time of the image [s].
+            with_unknown: Whether an unknown object may be with them.
         """
         for question in {id(t.question): t.question for t in together if t.question}.values():
             self._end(question)
@@ -85,9 +91,12 @@ class Names:
         self._meetings.bring(together, with_unknown)
 
     def part(self, places: dict[int, Floats], awaited: Sequence[CellTrack], seconds: float) -> None:
-        """End the meetings of tracks that are apart again at a time [s]; `places` gives x, y [um]
-        and axis [rad] of the blob of each track. Something new, which may prove to be a cell, was
-        first seen near the tracks `awaited`.
+        """End the meetings of tracks that are apart again.
+
+        Args:
+            places: x, y [um] and axis [rad] of each track's blob.
+            awaited: Tracks near which something new was first seen that may prove to be a cell.
+            seconds: Time of the image [s].
         """
         for meeting in self._meetings.running:
             waits = len(meeting.tracks) == 1 or any(track in awaited for track in meeting.tracks)
@@ -122,8 +131,10 @@ class Names:
                 self._meetings.leave(meeting, track)
 
     def _resolve(self, meeting: Meeting, places: dict[int, Floats], seconds: float) -> None:
-        """End a meeting whose tracks are all apart: ask which is which, or, if they are too many,
-        doubt each.
+        """End a meeting whose tracks are all apart.
+
+        It becomes a question of which cell is on which track. If there are too many tracks, each is
+        doubted.
         """
         tracks = meeting.tracks
         if len(tracks) <= ORDERED_MOST:
@@ -139,10 +150,19 @@ class Names:
     def come_out(
         self, track: CellTrack, near: CellTrack, since_s: float, entered: bool
     ) -> int | None:
-        """Doubt the name of the track `near`, out of whose blob a new one came at a time [s]: it is
-        uncertain which of the two is the cell that was followed. Unless something unknown may have
-        been in that blob, or the new cell may have `entered` the picture, return the number of the
-        cell that has divided; None if none has.
+        """Doubt the name of a track when a new track came out of its blob.
+
+        It is uncertain which of the two is the cell that was tracked.
+
+        Args:
+            track: The new track.
+            near: The track that it came out of.
+            since_s: When that happened [s].
+            entered: Whether the new cell may have entered the image.
+
+        Returns:
+            The number of the cell that has divided. None if none has: an unknown object may have
+            been in the blob, or the new cell may have entered the image.
         """
         meeting = near.meeting
         if meeting is not None and len(meeting.tracks) > 1:
@@ -165,8 +185,10 @@ class Names:
         return divided
 
     def give_up(self, track: CellTrack) -> None:
-        """Forget a track. If only one track is left in the blob that both have shared, it is
-        uncertain which of the cells that is.
+        """Forget a track.
+
+        If only one track remains in a blob that two have shared, it is uncertain which of the two
+        cells it is.
         """
         if track.question is not None:
             self._end(track.question)
@@ -228,9 +250,10 @@ class Names:
         self._name_by(question)
 
     def _rows_of_question(self, meeting: Meeting, places: Floats) -> np.ndarray:
-        """Return new filter rows (K, K) that follow each track of a meeting as each of its cells
-        from `places` (K, 3) on. A cell that was expected far away, or the other way round, is moved
-        to the track.
+        """Create filter rows (K, K) that follow each track of a meeting as each of its cells.
+
+        They start from `places` (K, 3). A cell that was expected far away, or with the opposite
+        heading, is moved to the track.
         """
         bank = self._bank
         places = places.copy()

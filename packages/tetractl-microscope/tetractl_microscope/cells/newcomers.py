@@ -69,7 +69,16 @@ class Newcomers:
     def follow(
         self, free: Sequence[FreeBlob], cells: Sequence[CellTrack], now: PictureNow
     ) -> list[CellTrack]:
-        """Follow specks by the blobs that none of the cells has; return the cells that begin."""
+        """Track specks with the blobs that belong to no cell.
+
+        Args:
+            free: The blobs.
+            cells: The tracked cells.
+            now: The newest image.
+
+        Returns:
+            The cells that specks have become.
+        """
         self.born = []
         places = np.array([self._bank.mean[cell.row, :2] for cell in cells]).reshape(-1, 2)
         new_cells = list[CellTrack]()
@@ -120,9 +129,7 @@ class Newcomers:
     def _begin(
         self, speck: Speck, newest: TrackBlob, cells: Sequence[CellTrack], now: PictureNow
     ) -> CellTrack:
-        """Return the cell that a speck becomes, since it swims, next to the `cells` that there are
-        already.
-        """
+        """Return the cell that a speck becomes because it swims, next to the existing `cells`."""
         path = np.array(speck.path)
         (speed_x, speed_y), fitted = straight(path[-BORN:])
         x, y = fitted[-1].tolist()

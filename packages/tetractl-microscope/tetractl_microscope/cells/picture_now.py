@@ -17,8 +17,14 @@ MISSING = 1.5  # times between pictures for which an object has no blob if one p
 
 @dataclass(frozen=True, slots=True)
 class PictureNow:
-    """The newest picture, taken at a time [s], `passed_s` after the one before: its scale [um/px]
-    and its sides [px].
+    """The time and scale of the newest image.
+
+    Attributes:
+        seconds: Its time [s].
+        passed_s: Time since the previous image [s].
+        um_px: Its scale [um/px].
+        height: Its height [px].
+        width: Its width [px].
     """
 
     seconds: float
@@ -62,5 +68,11 @@ class PictureNow:
 
 
 def pixels_of(places: Floats, um_px: float, height: int) -> Floats:
-    """Return column and row (N, 2) of places (N, >= 2) [um] in a picture with `height` rows."""
+    """Convert places to columns and rows of an image, shape (N, 2).
+
+    Args:
+        places: The places, shape (N, >= 2) [um].
+        um_px: Scale of the image [um/px].
+        height: Number of rows of the image.
+    """
     return np.column_stack([places[:, 0] / um_px - 0.5, height - 0.5 - places[:, 1] / um_px])

@@ -32,8 +32,13 @@ PATH = 15  # number of newest blobs of a track that are kept
 
 @dataclass(frozen=True, slots=True)
 class BlobReading:
-    """What a blob, the `newest` of a cell, says of it: the `values` x, y [um] and axis [rad], and
-    their standard `deviations`.
+    """A measurement of a cell from its newest blob.
+
+    Attributes:
+        cell: The cell's track.
+        newest: The blob.
+        values: x, y [um] and axis [rad].
+        deviations: Their standard deviations.
     """
 
     cell: CellTrack
@@ -43,8 +48,14 @@ class BlobReading:
 
 
 def note_own_blob(cell: CellTrack, newest: TrackBlob, seconds: float) -> None:
-    """Add a cell's own blob to its path, and note whether the blob is too large for the cell, or
-    the cell of another size than was thought.
+    """Add a cell's own blob to its path, and check its size.
+
+    The blob may be too large for the cell, or the cell may have another size than was assumed.
+
+    Args:
+        cell: The cell's track.
+        newest: The blob.
+        seconds: Time of the image [s].
     """
     blob = PathBlob(seconds, *newest.place.tolist())
     size = BodySize(blob.long, blob.wide)
@@ -80,8 +91,17 @@ def _is_odd(cell: CellTrack, newest: TrackBlob) -> bool:
 def own_reading(
     cell: CellTrack, newest: TrackBlob, expected: Floats, now: PictureNow, body_um: float
 ) -> BlobReading:
-    """Return what a cell's own blob says. A blob that is too large shows something else, too, on
-    the other side of its middle from where the cell is `expected` (3,).
+    """Return the measurement from a cell's own blob.
+
+    A blob that is too large also shows something else, on the side of its centre opposite to where
+    the cell is expected.
+
+    Args:
+        cell: The cell's track.
+        newest: The blob.
+        expected: Expected x, y and axis, shape (3,).
+        now: The newest image.
+        body_um: Length of a body [um].
     """
     x, y, axis, long, wide = newest.place.tolist()
     if newest.is_large and not newest.blob.at_edge:
@@ -105,7 +125,15 @@ def shared_readings(
     now: PictureNow,
     body_um: float,
 ) -> list[BlobReading]:
-    """Return what a blob says of the K cells that share it, which are `expected` (K, 3) there."""
+    """Return the measurements of K cells from the blob that they share.
+
+    Args:
+        cells: The cells' tracks.
+        newest: The blob.
+        expected: Expected x, y and axis of each cell, shape (K, 3).
+        now: The newest image.
+        body_um: Length of a body [um].
+    """
     long, wide = newest.place[3:]
     is_as_one_cell = long * wide < LARGE * max(cell.size.area_um2 for cell in cells)
     length_sd, axis_sd = HIDDEN if is_as_one_cell else MERGED

@@ -23,8 +23,10 @@ class RobotCell:
 
 @dataclass(eq=False, slots=True)
 class RobotCells:
-    """The cells that are the robots of a `setup`, in its order; none before all were seen in one
-    picture."""
+    """The cells that are the robots of a `setup`, in its order.
+
+    There are none before all of them were seen in one image.
+    """
 
     setup: Setup
     cells: Sequence[RobotCell] = ()

@@ -45,9 +45,16 @@ class CellsSection(PictureSection):
         return {"camera": f"{self.source_name}, {self.um_px:g} um/px"}
 
     def measured_by(self, first: Point, second: Point, um: float) -> Measured:
-        """Return scale and rotation from two points in a picture, each column and row [px]. The
-        second point lies `um` micrometres from the first, in the direction of the spec's x axis.
-        UsageError if the points are too close together.
+        """Compute scale and rotation from two points in an image.
+
+        Args:
+            first: Column and row of the first point [px].
+            second: Column and row of the second point [px]. It lies in the direction of the spec's
+                x axis from the first.
+            um: Distance between the points [um].
+
+        Raises:
+            UsageError: If the points are too close together.
         """
         across = second[0] - first[0]
         up = first[1] - second[1]
@@ -67,9 +74,7 @@ class CellsSection(PictureSection):
         return Measured({"um_px": um_px, "rotation": rotation}, lines=lines)
 
     def placed(self, x_um: Lengths, y_um: Lengths, metres: float) -> tuple[Lengths, Lengths]:
-        """Convert a position, or positions (N,), in the picture [um] to the spec's coordinates,
-        whose length unit is `metres` [m].
-        """
+        """Convert positions in the image to the spec's coordinates; see `Microscope.placed`."""
         cos = math.cos(self.rotation)
         sin = math.sin(self.rotation)
         scale = 1e-6 / metres

@@ -22,8 +22,13 @@ EVEN = 0.2  # relative variation of a cell's size
 
 @dataclass(slots=True, eq=False)
 class Speck:
-    """An object that has not swum yet: `path` holds its newest blobs, `missed_s` is the time since
-    the last one [s], `near` the cell near which it was first seen, or None.
+    """An object that has not swum yet.
+
+    Attributes:
+        number: Its number.
+        path: Its newest blobs.
+        near: The cell near which it was first seen. None if there was none.
+        missed_s: Time since its last blob [s].
     """
 
     number: int
@@ -46,8 +51,9 @@ class Speck:
 
 
 def swims(entries: Sequence[PathBlob], organism: Organism) -> bool:
-    """Return whether the newest BORN blobs of an object have an organism's size and move fast and
-    straight.
+    """Check whether an object is a swimming organism.
+
+    Its newest BORN blobs must have the organism's size, and move fast and straight.
     """
     path = np.array(entries[-BORN:])
     body_um = organism.body_um[0]

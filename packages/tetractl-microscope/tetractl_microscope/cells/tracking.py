@@ -67,11 +67,11 @@ class CellsInBlob:
 
 
 class CellTracker:
-    """Follows the cells in pictures with the scale `um_px` [um/px]; `field_known`: whether the
-    field is known, `near_wall`: where a wall may turn cells, `organism`: which objects are cells.
+    """Tracks the cells in images with the scale `um_px` [um/px].
 
-    Pictures must be given in order of time, after `finder` has learned the background. Positions
-    are those of `picture_now`.
+    Images must be given in the order of time, after `finder` has learned the background. Positions
+    come from `picture_now`. `field_known` tells whether the field is known, `near_wall` where a
+    wall may turn cells, and `organism` which objects are cells.
     """
 
     def __init__(
@@ -98,8 +98,12 @@ class CellTracker:
         return self._newcomers.born
 
     def see(self, picture: Grey, seconds: float, field: FieldPieces) -> list[SeenCell]:
-        """Return the cells in a picture taken at a time [s]; `field` gives the field that acted
-        since the picture before.
+        """Return the cells in an image.
+
+        Args:
+            picture: The image.
+            seconds: Its time [s].
+            field: Returns the field that acted since the previous image.
         """
         now = self._now(picture, seconds)
         self._predict(now, field)
@@ -177,8 +181,9 @@ class CellTracker:
         expected: Floats,
         now: PictureNow,
     ) -> list[CellsInBlob]:
-        """Give the cells their blobs, by index in `seen`; return the blobs that cells have with
-        these.
+        """Give the cells their blobs, and return each blob together with its cells.
+
+        `blob_of` holds the index in `seen` of each cell's blob.
         """
         cells_of: dict[int, list[int]] = {}
         for i, blob in enumerate(blob_of):
@@ -219,8 +224,9 @@ class CellTracker:
     # ---- step 3: blobs update the states ----
 
     def _update_cells(self, groups: Sequence[CellsInBlob], now: PictureNow) -> None:
-        """Update the cells' states by their blobs, after all meetings of cells are known: the
-        filter has other rows for a cell whose name is asked about.
+        """Update the cells' states with their blobs, after all meetings of cells are known.
+
+        While it is a question which cell is on a track, the filter has other rows for the cell.
         """
         for group in groups:
             if group.newest.is_shared:
@@ -236,8 +242,9 @@ class CellTracker:
             reading.cell.last = reading.newest.place[:2]
 
     def _note_own(self, cell: CellTrack, newest: TrackBlob, now: PictureNow) -> None:
-        """Note the size of a cell's own blob. One that is cut off or too large may show another
-        cell, too.
+        """Note the size of a cell's own blob.
+
+        A blob that is cut off or too large may also show another cell.
         """
         note_own_blob(cell, newest, now.seconds)
         # at the picture's edge, a cell that enters may take the blob of one that leaves
@@ -283,9 +290,10 @@ class CellTracker:
     # ---- step 6: cells that end ----
 
     def _end_cells(self, now: PictureNow) -> None:
-        """Drop cells that have not been seen for long or have left the picture, and new ones that
-        have not swum far in the time that the slowest need for it; note which others have swum so
-        far that they are new no more.
+        """Drop cells that have not been seen for long, have left the image, or do not swim.
+
+        A new cell does not swim if it has not swum far in the time that the slowest need for it.
+        Cells that have swum far enough are no longer new.
         """
         organism = self.bank.organism
         slowest_s = NEW * organism.body_um[0] / organism.slowest_um_s
@@ -317,8 +325,9 @@ class CellTracker:
     # ---- what is said of the cells ----
 
     def _surroundings(self, now: PictureNow) -> list[tuple[int, int, int, int]]:
-        """Return left, top, right and bottom [px] of rectangles around the cells, in which the
-        background is not updated.
+        """Return rectangles around the cells in which the background is not updated.
+
+        Each is left, top, right and bottom [px].
         """
         states = self.bank.mean[[cell.row for cell in self._cells]]
         rectangles = list[tuple[int, int, int, int]]()

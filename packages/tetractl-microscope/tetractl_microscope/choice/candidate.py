@@ -25,6 +25,9 @@ class RobotCandidate:
 
     @property
     def magnetised(self) -> bool:
-        """Whether the cell responds to the field: its a and its speed exceed 0 by RESPONDS standard
-        deviations. What does not swim, such as a speck, has an axis that noise may turn."""
+        """Whether the cell responds to the field.
+
+        Its a and its speed must exceed 0 by RESPONDS standard deviations. The axis of an object
+        that does not swim, such as a speck, may turn because of noise.
+        """
         return self.a > RESPONDS * self.a_sd and self.speed > RESPONDS * self.speed_sd

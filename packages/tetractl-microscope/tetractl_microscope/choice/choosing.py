@@ -38,8 +38,10 @@ def chosen_from(experiment: Experiment, cells: Sequence[RobotCandidate]) -> list
 
 
 def settled(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Experiment:
-    """Return the experiment with the given cells as robots, which start at the cells' poses and are
-    assigned targets."""
+    """Return the experiment with the given cells as robots.
+
+    They start at the cells' poses, and targets are assigned to them.
+    """
     choice = choice_of(experiment)
     places = np.array([(cell.pose.x, cell.pose.y) for cell in cells])
     goals = choice.goals
@@ -61,8 +63,11 @@ def settled(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Experime
 
 
 def unlikeness(a: Floats, a_sd: Floats) -> float:
-    """Return the least difference between two cells in the logarithm of the turning rate a, minus
-    that difference's standard deviation; inf for a single cell."""
+    """Compute how different the turning rates of cells are.
+
+    It is the minimum difference between two cells in the logarithm of the turning rate a, minus
+    that difference's standard deviation. It is inf for a single cell.
+    """
     order = np.argsort(a)
     logs = np.log(a[order])
     sd = a_sd[order] / a[order]  # of the logarithms
@@ -71,8 +76,11 @@ def unlikeness(a: Floats, a_sd: Floats) -> float:
 
 
 def worth(cells: Sequence[RobotCandidate], experiment: Experiment) -> tuple[bool, float, float]:
-    """Return a tuple that is greatest for the best choice of cells: whether all are clear of walls
-    for 0.5 s, the `unlikeness` of their turning rates a up to UNLIKE, and the least."""
+    """Rate a choice of cells with a tuple that is largest for the best choice.
+
+    Its entries are whether all cells stay clear of walls for 0.5 s, the `unlikeness` of their
+    turning rates a up to UNLIKE, and the minimum turning rate.
+    """
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
     speed = np.array([cell.speed for cell in cells])
@@ -85,7 +93,16 @@ def worth(cells: Sequence[RobotCandidate], experiment: Experiment) -> tuple[bool
 
 
 def most_alike(setup: Setup, robot: int, cells: Sequence[RobotCandidate]) -> RobotCandidate | None:
-    """Return the cell most like a robot in turning rate and speed, None if none is similar."""
+    """Find the cell that is most similar to a robot in turning rate and speed.
+
+    Args:
+        setup: The constants of the experiment.
+        robot: Index of the robot.
+        cells: The cells.
+
+    Returns:
+        The cell. None if none is similar.
+    """
     if not cells:
         return None
     wanted = np.log([setup.a[robot], setup.speed[robot]])

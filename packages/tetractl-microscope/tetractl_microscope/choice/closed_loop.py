@@ -113,8 +113,11 @@ def linearise(problem: Problem, signals: Floats) -> Linear:
 def _step_derivatives(
     problem: Problem, headings: Floats, signals: Floats, seconds: Floats
 ) -> Floats:
-    """Return the derivatives (4, L, N, 3) of each step's displacement x, y and of the next heading
-    with respect to the heading (L, N) before the step [rad], its signal, ln a and ln speed."""
+    """Return the derivatives (4, L, N, 3) of each step.
+
+    These are the derivatives of the displacement x, y and of the next heading with respect to the
+    heading (L, N) before the step [rad], its signal, ln a and ln speed.
+    """
     lanes = MOTIONS.load(problem.motion).lanes
     robots = in_rows(problem)
     derivatives = np.empty((4, *headings.shape, 3))
@@ -134,11 +137,15 @@ def _step_derivatives(
 TURN = float(np.pi / np.sqrt(3))
 """Standard deviation of a signal uniform in [-pi, pi] [rad]."""
 SURE = 1e-8
-"""Least variance of a measured turn [rad^2] and of a relative path length: an exact measurement
-would give infinite information."""
+"""Minimum variance of a measured turn [rad^2] and of a relative path length.
+
+An exact measurement would give infinite information.
+"""
 REGULAR = 1e-12
-"""What is added to R + P + M, relative to the sum of their diagonals: they are singular for robots
-that stand."""
+"""Amount added to R + P + M, relative to the sum of their diagonals.
+
+For robots that stand still, these matrices are singular.
+"""
 REGULAR_MIN = 1e-30
 """Least value that is added [length unit^2]."""
 
@@ -193,10 +200,13 @@ class Uncertainty:
 def end_covariance(
     plan: Linear, noise: Noise, corrects: bool = True, identifies: bool = False
 ) -> Floats:
-    """Return the covariance (2N, 2N) of the ends x_1, y_1, x_2, ... [length unit^2].
+    """Compute the covariance (2N, 2N) of the end positions x_1, y_1, x_2, ... [length unit^2].
 
-    `corrects` is whether the controller corrects deviations during the plan, and `identifies`
-    whether the controller identifies turning rate a and speed.
+    Args:
+        plan: The linearised plan.
+        noise: The noise of robots and camera.
+        corrects: Whether the controller corrects deviations during the plan.
+        identifies: Whether the controller identifies turning rate a and speed.
     """
     robots = len(plan.miss)
     none = np.zeros((2 * robots, 2 * robots))
@@ -246,8 +256,14 @@ def _identified(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Unce
 
 
 def information(plan: Linear, noise: Noise, k: int) -> Floats:
-    """Return 1/variance of ln a, then of ln speed, (2N,), as estimated from the headings and
-    positions measured before and after signal k.
+    """Compute 1/variance of ln a, then of ln speed, shape (2N,).
+
+    They are estimated from the headings and positions measured before and after a signal.
+
+    Args:
+        plan: The linearised plan.
+        noise: The noise of robots and camera.
+        k: Index of the signal.
     """
     turn_variance = 2 * noise.heading_std**2 + noise.heading_walk**2 * plan.seconds[k] + SURE
     of_a = plan.turn_by_a[k] ** 2 / turn_variance
@@ -259,12 +275,12 @@ def information(plan: Linear, noise: Noise, k: int) -> Floats:
 
 
 def mean_errors(covariance: Floats, miss: Floats) -> Floats:
-    """Return the robots' mean distances to their targets (N,), for plans that end at the distances
-    `miss` (N,) from the targets.
+    """Compute the robots' mean distances to their targets (N,).
 
-    The mean length m of a normal vector with standard deviations s1 >= s2 is
-    sqrt(2/pi) s1 E(1 - s2^2/s1^2), with the complete elliptic integral E; the result is
-    approximately sqrt(m^2 + miss^2), exact for no miss and for no deviation.
+    The plans end at the distances `miss` (N,) from the targets. The mean length m of a normal
+    vector with standard deviations s1 >= s2 is sqrt(2/pi) s1 E(1 - s2^2/s1^2), with the complete
+    elliptic integral E. The result is approximately sqrt(m^2 + miss^2), which is exact for no miss
+    and for no deviation.
     """
     variances = np.linalg.eigvalsh(of_each(covariance))  # (N, 2), ascending
     smaller, larger = np.maximum(variances, 0.0).T

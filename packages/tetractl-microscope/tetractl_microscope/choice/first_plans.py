@@ -16,8 +16,10 @@ from tetractl.spec.experiment import Experiment
 POINTS = Collision(walls=False, adaptive=False, stop_before_collision=False)
 """How robots are steered whose controller has no margins: as points that may leave the arena."""
 UNHURRIED = Host(timer=lambda: 0)
-"""The host of controllers whose searches no deadline ends: on a busy machine it would end them
-earlier, and the predictions would be others."""
+"""A host of controllers whose searches have no deadline.
+
+On a busy machine, a deadline would end searches earlier, and the predictions would differ.
+"""
 
 
 def planner(experiment: Experiment) -> RecommendedMpc:
@@ -42,18 +44,27 @@ def planner(experiment: Experiment) -> RecommendedMpc:
 
 
 def tolerance(section: RecommendedMpc) -> float:
-    """Return the cost up to which a plan reaches the targets [length unit]: the larger of the
-    optimiser's tolerance and the accepted error.
+    """Return the cost up to which a plan reaches the targets [length unit].
+
+    It is the larger of the optimiser's tolerance and the accepted error.
     """
     return max(section.optimizer.good_enough or 0.0, section.accept_error)
 
 
 def plans(section: RecommendedMpc, setup: Setup, seed: int, count: int) -> Iterator[Plan | None]:
-    """Yield the plans with which the first `count` trials of a batch with this seed would begin,
-    None for one that does not reach the targets.
+    """Yield the plans with which the first trials of a batch would begin.
 
-    It does if its cost is at most the tolerance, without the cost of obstacles if a robot starts
-    within a margin.
+    A plan reaches the targets if its cost is at most the tolerance. If a robot starts within a
+    margin, the cost of obstacles does not count.
+
+    Args:
+        section: The section of the controller.
+        setup: The constants of the experiment.
+        seed: Seed of the batch.
+        count: Number of trials.
+
+    Yields:
+        The plan of each trial. None if it does not reach the targets.
     """
     all_seen = np.ones(len(setup.names), dtype=np.bool_)
     observation = Observation(0, 0, 0, setup.starts, all_seen)

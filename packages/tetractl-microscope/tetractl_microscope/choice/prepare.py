@@ -28,7 +28,17 @@ def prepare(
     seed: np.random.SeedSequence,
     supervision: LabSupervision,
 ) -> PreparedTrial:
-    """Return the experiment with the cells that become the robots of a trial, and their plant."""
+    """Find the cells that become the robots of a trial; a `tetractl.spec.plants.Prepare`.
+
+    Args:
+        experiment: The experiment.
+        clock: The clock of the trial.
+        seed: Seed of the trial.
+        supervision: How people supervise the run.
+
+    Returns:
+        The experiment with these cells as robots, and their plant.
+    """
     plant = experiment.plant
     if isinstance(plant, RigSection):
         return _in_a_dish(plant, experiment, clock, seed, supervision)
@@ -49,8 +59,10 @@ def _in_a_dish(
     seed: np.random.SeedSequence,
     supervision: LabSupervision,
 ) -> PreparedTrial:
-    """Open the lab, and rotate the field to see how cells respond; it goes on rotating until the
-    first direction is sent."""
+    """Open the lab, and rotate the field to see how cells respond.
+
+    The field keeps rotating until the first direction is sent.
+    """
     rig = lab.rig(experiment.setup, clock, seed, supervision, chosen=True)
     rig.open()
     try:
@@ -67,7 +79,13 @@ def _in_a_dish(
 
 
 def settle(rig: Rig, setup: Setup, cells: Sequence[RobotCandidate]) -> None:
-    """Go on with the cells as the robots of a setup, from where they are."""
+    """Continue with cells as the robots of a setup, from where they are.
+
+    Args:
+        rig: The connected lab.
+        setup: The constants of the experiment.
+        cells: The cells.
+    """
     if isinstance(rig.actuator, SettlesRobots):
         rig.actuator.settle(setup)
     tracker_of(rig).settle(setup, [cell.number for cell in cells])

@@ -55,8 +55,9 @@ class RankedChoice:
 
     @property
     def error(self) -> float:
-        """The predicted mean total error [length unit], which is the median along the plans so far;
-        inf if none of them reaches the targets.
+        """The predicted mean total error [length unit], as the median over the plans so far.
+
+        It is inf if no plan reaches the targets.
         """
         return float(np.median(self._errors)) if self._errors else math.inf
 
@@ -73,14 +74,24 @@ def ranked(
     plans: int,
     on_done: Callable[[int, int], object] = lambda *_: None,
 ) -> list[RankedChoice]:
-    """Return the best choices of cells for an experiment that chooses its robots, best first.
+    """Rank the choices of cells for an experiment that chooses its robots.
 
-    Errors are predicted from the cells' poses by a linearised closed loop: first along a few plans
-    for the COMPARED choices of greatest `worth`, then along more, up to `plans`, for the best of
+    Errors are predicted from the cells' poses with a linearised closed loop: first along a few
+    plans for the COMPARED choices with the largest `worth`, then along more plans for the best of
     them (successive halving), with the same random numbers. If no plan reaches the targets in the
-    first round, there are no further ones. Only cells with a magnet count, and no choice has two
-    that are `alike`; [] if no choice is left. A choice with a cell near the edge, whose turning
-    rate is unreliable, comes after all other choices that reach the targets.
+    first round, there are no further rounds. Only cells with a magnet count, and no choice has two
+    similar cells. A choice with a cell near the edge, whose turning rate is unreliable, comes after
+    all other choices that reach the targets.
+
+    Args:
+        experiment: The experiment.
+        cells: The cells.
+        noise: The noise of robots and camera.
+        plans: Maximum number of plans for each choice.
+        on_done: Called with the number of finished plans and the number of all plans.
+
+    Returns:
+        The best choices, best first. Empty if no choice remains.
     """
     choice = choice_of(experiment)
     able = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)

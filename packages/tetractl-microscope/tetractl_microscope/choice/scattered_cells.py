@@ -19,10 +19,14 @@ EDGE = 1 / 8
 def scattered_cells(
     choice: Choice, setup: Setup, random: np.random.Generator
 ) -> list[RobotCandidate]:
-    """Return cells scattered in the arena, numbered from 1, with turning rates and speeds as a
-    survey would measure them.
+    """Generate random cells in the arena, numbered from 1, as a survey would measure them.
 
-    Positions and headings are uniform; a and speed are log-normal around the spec's.
+    Positions and headings are uniform. a and speed are log-normal around the spec's values.
+
+    Args:
+        choice: The spec's rule for choosing cells.
+        setup: The constants of the experiment.
+        random: The random generator.
     """
     arena = setup.arena
     count = max(CELLS_MIN, choice.choose)

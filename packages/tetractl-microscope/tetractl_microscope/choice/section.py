@@ -42,9 +42,11 @@ class WantedCell(Model):
 
 
 class Choice(TrialRobots):
-    """Robots that the trial finds at their present poses. In the lab the field rotates for
-    `seconds`, and the camera measures each cell's response; the robots are the cells whose turning
-    rates a differ most, or the `wanted` cells. In a simulation the cells are drawn at random.
+    """Robots that each trial finds at their present poses.
+
+    In the lab, the field rotates for `seconds`, and the camera measures each cell's response. The
+    robots are then the cells with the most different turning rates a, or the `wanted` cells. In a
+    simulation, the cells are generated at random.
     """
 
     key: ClassVar[str] = "choose"
@@ -53,11 +55,12 @@ class Choice(TrialRobots):
     choose: int = Field(ge=1, le=20)
     """Number of robots to choose."""
     targets: tuple[Point, ...] = Field(default=(), max_length=1000)
-    """Targets [x, y] [length unit], at least as many as robots. Targets are assigned so that the
-    sum of the squared distances from start to target is least.
+    """Targets [x, y] [length unit], at least as many as robots.
+
+    They are assigned so that the sum of the squared distances from start to target is minimal.
     """
     ring: Ring | None = None
-    """Targets on a circle, in place of `targets`."""
+    """Targets on a circle, instead of `targets`."""
     a: Positive
     """Typical turning rate a of the cells [rad/s]."""
     speed: Positive
@@ -65,10 +68,12 @@ class Choice(TrialRobots):
     wanted: tuple[WantedCell, ...] = Field(default=(), max_length=20)
     """The cells that a survey proposed, as many as there are robots."""
     seconds: Positive = Field(default=8.0, le=600)
-    """Time for which the field rotates before the cells are chosen [s]."""
+    """How long the field rotates before the cells are chosen [s]."""
     turn: Positive = Field(default=3.2, le=60)
-    """Duration of one turn of the field [s]; cells with a turning rate a below 2 pi / `turn` lag
-    behind."""
+    """Duration of one turn of the field [s].
+
+    Cells with a turning rate a below 2 pi / `turn` lag behind.
+    """
 
     found: bool = False
     """Whether a trial has found its robots; the trial sets this in the spec that it logs."""

@@ -41,12 +41,21 @@ def turn_field(
     supervision: LabSupervision,
     on_look: Callable[[], None] = lambda: None,
 ) -> list[RobotCandidate]:
-    """Turn the field of an entered rig for the time in `choice`; return the cells in view.
+    """Rotate the field of a connected lab, and return the cells in view.
 
-    The field continues to turn afterwards, also after an error, until the caller stops it.
-    `on_look` is called about every 50 ms. AbortError if no pictures arrive, if they are searched
-    too slowly to follow the cells, if the actuator fails, or at an emergency stop;
-    KeyboardInterrupt if the operator cancels.
+    The field keeps rotating afterwards, even after an error, until the caller stops it.
+
+    Args:
+        rig: The connected lab.
+        choice: The rule for choosing cells. It says how long the field rotates.
+        seed: Seed of the rotation.
+        supervision: How people supervise the run.
+        on_look: Called about every 50 ms.
+
+    Raises:
+        AbortError: If no images arrive, if they are searched too slowly to track the cells, if the
+            actuator fails, or at an emergency stop.
+        KeyboardInterrupt: If the operator cancels.
     """
     tracker = tracker_of(rig)
     rig.loop.idle = manoeuvre(choice.turn, seed)

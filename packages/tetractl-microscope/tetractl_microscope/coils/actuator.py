@@ -39,8 +39,12 @@ OFF: Pair = (0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Requested:
-    """Currents that were requested from the driver at `sent_ns` [ns]; it holds them until
-    `held_until_ns`, and then lets them go to 0.
+    """Currents that were requested from the driver.
+
+    Attributes:
+        currents: The currents.
+        sent_ns: When they were requested [ns].
+        held_until_ns: Until when the driver holds them [ns]. Then it lets them go to 0.
     """
 
     currents: Pair
@@ -108,12 +112,10 @@ class FieldActuator:
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Turn the field to a direction, as far as the slew limit allows in one period.
+        """Turn the field to a direction, as far as the slew limit allows; see `Actuator.send`.
 
         The currents (x, y) change along a straight line, so a field that turns by half a circle
-        becomes weak on the way. The transmission's `turning` [rad/s] is computed for the requested
-        field; it is 0 for cells without a pose. `moving` is ignored. AbortError if the driver has
-        failed, and for a `Turn`: cells swim ahead while the field turns them.
+        becomes 0 in between.
         """
         if isinstance(action, Turn):
             raise AbortError("cells cannot turn on the spot")
@@ -196,8 +198,13 @@ class FieldActuator:
 
 
 def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -> Health:
-    """Return the driver's problems, warnings and facts for a field of `wanted_mt` [mT]; a `reply`
-    of None means a silent driver."""
+    """Check the driver's reply before a run.
+
+    Args:
+        reply: The reply. None if the driver is silent.
+        section: The section of the field.
+        wanted_mt: The field strength that is needed [mT].
+    """
     if reply is None:
         where = f"{section.port} at {section.baud} baud"
         return Health((f"no current driver answers on {where}: is it on?",))
@@ -249,11 +256,11 @@ def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -
 
 
 def stop_all(section: FieldSection, setup: Setup, clock: Clock, alone: bool) -> str:
-    """Switch the field off by ten stops within 200 ms, until the driver is switched off and on;
-    return a summary.
+    """Switch the field off until the driver is power-cycled; see `ActuatorSection.stop_all`.
 
-    AbortError if the driver does not reply that it is stopped. If not `alone`, another process may
-    have the port open and take the replies, so that none is expected.
+    It sends ten stops within 200 ms. It raises AbortError if the driver does not reply that it is
+    stopped. If not `alone`, another process may have the port open and take the replies, so no
+    reply is expected.
     """
     actuator = FieldActuator(section, setup, clock)
     driver = actuator.driver

@@ -142,8 +142,17 @@ class Driver:
         self._port.open(alone)
 
     def send(self, flags: Flag, x_ma: int = 0, y_ma: int = 0) -> int:
-        """Send a command that polls; return the time of sending [ns]. AbortError if sending
-        fails. Once one was an emergency stop, all are.
+        """Send a command that also polls, and return when it was sent [ns].
+
+        After an emergency stop, all commands are emergency stops.
+
+        Args:
+            flags: Flags of the command.
+            x_ma: Current of the x coils [mA].
+            y_ma: Current of the y coils [mA].
+
+        Raises:
+            AbortError: If sending fails.
         """
         with self._lock:
             self._latched |= flags & Flag.EMERGENCY_STOP
@@ -156,8 +165,15 @@ class Driver:
         return sent_ns
 
     def ask(self) -> FieldReply | None:
-        """Switch the field off and poll up to five times, waiting 0.1 s for each reply; return the
-        first reply, None without any. AbortError if the port has failed.
+        """Switch the field off, and poll up to five times.
+
+        It waits 0.1 s for each reply.
+
+        Returns:
+            The first reply. None if there is none.
+
+        Raises:
+            AbortError: If the port has failed.
         """
         self.newest = None
         for _ in range(5):

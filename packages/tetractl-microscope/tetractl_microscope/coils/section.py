@@ -21,7 +21,13 @@ Pair = tuple[float, float]  # x and y, in the coils' axes for currents and in th
 
 
 def approach(now: Pair, wished: Pair, step: float) -> Pair:
-    """Return `now` moved straight towards `wished`, each component by at most `step`."""
+    """Move a pair of currents straight towards another pair.
+
+    Args:
+        now: The present currents.
+        wished: The wanted currents.
+        step: Maximum change of each component.
+    """
     dx = wished[0] - now[0]
     dy = wished[1] - now[1]
     peak = max(abs(dx), abs(dy))
@@ -60,8 +66,9 @@ class CoilsSection(Model):
     """Angle from the spec's x axis to the x pair's axis [rad]."""
 
     def reach(self, direction: float, current_max_a: float) -> float:
-        """Return the greatest field strength [mT] in a direction [rad] with currents up to a limit
-        [A]; the limit must be high enough to cancel the ambient field.
+        """Compute the maximum field strength [mT] in a direction [rad] with limited currents [A].
+
+        The limit must be high enough to cancel the ambient field.
         """
         strength = math.inf
         for axis, pair in zip(self._axes(direction), (self.x, self.y), strict=True):
@@ -77,9 +84,14 @@ class CoilsSection(Model):
         return min(abs(pair.gain_mt_a) * current_max_a - abs(pair.offset_mt) for pair in pairs)
 
     def currents(self, direction: float, strength: float, current_max_a: float) -> Pair:
-        """Return the currents [A] that make a field with a direction [rad] and a strength [mT].
+        """Compute the currents for a field [A].
 
-        If a current would exceed the limit [A], the strength is reduced and the direction kept.
+        If a current would exceed the limit, the strength is reduced and the direction kept.
+
+        Args:
+            direction: Direction of the field [rad].
+            strength: Strength of the field [mT].
+            current_max_a: Maximum current [A].
         """
         strength = min(strength, self.reach(direction, current_max_a))
         along_x, along_y = self._axes(direction)
@@ -119,7 +131,8 @@ class FieldSection(ActuatorSection):
     """Rate of commands [Hz]."""
     strength_mt: Positive | None = None
     """Field strength at which cells turn at the rate `a` [mT], unless the spec states its
-    `strength`; the current limit may weaken it."""
+    `strength`. The current limit may reduce it.
+    """
     coils: CoilsSection
     """The coils, as measured with a field probe at the position of the cells."""
     current_max_a: float = Field(gt=0, le=32, allow_inf_nan=False)

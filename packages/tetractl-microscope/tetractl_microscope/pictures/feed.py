@@ -12,8 +12,11 @@ class SourceEndedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A received picture: a JPEG file, or pixels (height, width) in grey or (height, width, 3) in
-    colour; and its time of arrival [ns].
+    """A received image.
+
+    Attributes:
+        content: A JPEG file, or pixels: (height, width) in grey or (height, width, 3) in colour.
+        received_ns: When it arrived [ns].
     """
 
     content: np.ndarray | bytes

@@ -1,9 +1,8 @@
-"""Reads a microscope's camera through Micro-Manager's core, `pymmcore`; not tested with a real
-camera.
+"""Reads a microscope's camera through Micro-Manager's core, `pymmcore`.
 
-According to its documentation, the core fills a circular buffer while a sequence of pictures is
-taken. This feed removes each picture at once, so that no picture waits in the buffer;
-`PictureCamera` skips and counts the pictures for which its search is too slow.
+It was not tested with a real camera. According to its documentation, the core fills a circular
+buffer while a sequence of images is taken. This feed removes each image at once, so that no image
+waits in the buffer. `PictureCamera` skips and counts the images for which its search is too slow.
 """
 
 import os
@@ -52,13 +51,16 @@ def adapter_folder() -> Path:
 
 
 def require_adapters(config: Path, folder: Path) -> None:
-    """Raise AbortError if a configuration names a device adapter that the folder lacks, or a file
-    in another folder.
+    """Check that a configuration uses only device adapters from one folder.
 
-    The core would let the operating system search for the adapter's library, also next to the spec,
+    The core would let the operating system search for the adapter's library, even next to the spec,
     and some adapters run the file that a property names. Lines are split as by the core: at commas,
     without empty fields, up to the first carriage return. Names of a device's states, such as the
     objective "10x/0.25", name no file.
+
+    Raises:
+        AbortError: If the configuration names an adapter that the folder lacks, or a file in
+            another folder.
     """
     if not config.is_file() or config.stat().st_size > CONFIG_MAX:
         raise AbortError(f"{config}: is not a file of at most {CONFIG_MAX >> 20} MiB")
@@ -83,8 +85,10 @@ def require_adapters(config: Path, folder: Path) -> None:
 
 
 class MicroManagerFeed(Feed):
-    """A camera configured in Micro-Manager; a picture has the upper eight bits of the camera's grey
-    levels or, for a colour camera, the mean of red, green and blue.
+    """A camera that is configured in Micro-Manager.
+
+    An image has the upper eight bits of the camera's grey levels or, for a colour camera, the mean
+    of red, green and blue.
     """
 
     def __init__(self, source: MicroManagerSource, clock: Clock, timeout_s: float) -> None:

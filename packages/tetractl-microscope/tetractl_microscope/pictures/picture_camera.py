@@ -79,8 +79,11 @@ class PictureQueue:
         self.skipped = 0
 
     def put(self, picture: NumberedPicture, live: bool) -> None:
-        """Add a picture: at once, in place of one that waits, if the source is live; otherwise when
-        the place is free. Does nothing once the queue is closed."""
+        """Add an image to the queue, which has space for one.
+
+        If the source is live, it replaces an image that waits. Otherwise, it is added when the
+        space is free. Nothing happens once the queue is closed.
+        """
         with self._changed:
             if live and self._waiting is not None:
                 self.skipped += 1
@@ -113,11 +116,11 @@ class PictureQueue:
 
 
 class PictureSearches(Generic[R]):
-    """What the searches have found, and why no more will come: written by the threads of the
-    camera, read by the program's own, under one lock (`changed`).
+    """The results of the searches, and why no more will follow.
 
-    `ended` is the reason why no more pictures come, "" while they do; `failure` is the unexpected
-    error behind it, if it was one.
+    The camera's threads write it, and the program's own thread reads it, under one lock
+    (`changed`). `ended` is the reason why no more images arrive, empty while they do. `failure` is
+    the unexpected error behind it, if it was one.
     """
 
     def __init__(self) -> None:
@@ -149,8 +152,10 @@ class PictureSearches(Generic[R]):
             self.changed.notify_all()
 
     def take_frames(self) -> list[tuple[CameraFrame, R]]:
-        """Return and forget the frames since the last call, oldest first, each with what was found
-        in its picture; raise the unexpected error that ended the reading or the search."""
+        """Return and forget the frames since the last call, oldest first, each with its result.
+
+        An unexpected error that ended the reading or the search is raised.
+        """
         if self.failure is not None:
             raise self.failure
         with self.changed:
@@ -168,16 +173,15 @@ class PictureSearches(Generic[R]):
 
 
 class PictureCamera(ABC, Generic[R]):
-    """Base class of cameras that track robots in pictures; subclasses implement `_see` and
-    `_health`.
+    """Base class of cameras that track robots in images. Subclasses implement `_see` and `_health`.
 
-    `wake` is called, in the searching thread, after every new frame. A frame has its picture's
-    number: if a live source is faster than the search, numbers are missing. The `fault` of a frame
-    is never set; a picture that repeats the one before is no frame. `join` opens a source in memory
-    that calls a function with each picture, without a thread; None opens the spec's source.
+    `wake` is called, in the searching thread, after every new frame. A frame has the number of its
+    image: if a live source is faster than the search, numbers are missing. The `fault` of a frame
+    is never set. An image that repeats the previous one is no frame. `join` opens a source in
+    memory that calls a function with each image, without a thread; None opens the spec's source.
 
-    The searching thread alone uses `_size`, `_newest_picture`, and what a subclass adds; it alone
-    counts in `_unread`.
+    Only the searching thread uses `_size`, `_newest_picture`, and what a subclass adds. Only that
+    thread counts in `_unread`.
     """
 
     def __init__(
@@ -209,8 +213,10 @@ class PictureCamera(ABC, Generic[R]):
         """Return problems, warnings and facts of what was found in some pictures."""
 
     def check(self) -> Health:
-        """Wait for KEPT_SEARCHES more pictures, or the source's end, up to `connect`; return
-        problems, warnings and facts of the last ones' stream and of what they show."""
+        """Wait for some images, and check the stream and what it shows; see `Device.check`.
+
+        It waits for KEPT_SEARCHES more images, or the source's end, up to `connect`.
+        """
         enough = self._searches.newest_number() + KEPT_SEARCHES
         self._wait(
             lambda: self._searches.newest_number() >= enough or bool(self._searches.ended),
@@ -251,8 +257,10 @@ class PictureCamera(ABC, Generic[R]):
         return self._feed is not None and self._feed.emulated
 
     def frames(self) -> list[CameraFrame]:
-        """Return the frames since the last call, oldest first; raise the unexpected error that
-        ended the reading or the search."""
+        """Return the frames since the last call, oldest first.
+
+        An unexpected error that ended the reading or the search is raised.
+        """
         return [frame for frame, _ in self._searches.take_frames()]
 
     def __enter__(self) -> Self:

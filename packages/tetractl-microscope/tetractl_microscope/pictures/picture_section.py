@@ -26,8 +26,10 @@ class PictureSource(Model):
 
     type: Any  # the source's name, a Literal in each subclass
     feed: ClassVar[str]
-    """The class of the open source, a `Feed`, as "module:class": called with (source, clock,
-    timeout_s) and imported only when the source is opened."""
+    """The class of the open source, a `Feed`, as "module:class".
+
+    It is called with (source, clock, timeout_s), and imported only when the source is opened.
+    """
 
     @property
     def shown(self) -> str:
@@ -35,13 +37,18 @@ class PictureSource(Model):
         return str(self.type)
 
     def open(self, clock: Clock, timeout_s: float) -> Feed:
-        """Open the source, waiting up to `timeout_s` [s] for what answers; AbortError if that
-        fails."""
+        """Open the source, waiting up to `timeout_s` [s] for an answer.
+
+        Raises:
+            AbortError: If that fails.
+        """
         return resolve_name(self.feed)(self, clock, timeout_s)
 
     def checked(self) -> None:
-        """Read five pictures; for `tetractl kinds --check`. A source that cannot be opened is not
-        checked further."""
+        """Read five images, for `tetractl kinds --check`.
+
+        A source that cannot be opened is not checked further.
+        """
         from tetractl_testing.expect import expect, true
 
         clock = MonotonicClock()
@@ -88,8 +95,10 @@ class DeviceSource(PictureSource):
     format: Literal["MJPG", "YUYV"] = "MJPG"
     """Pixel format on the cable; most USB cameras reach their full rate only in `MJPG`."""
     exposure: Positive | None = None
-    """Time of exposure in the camera's own unit, in Video4Linux 0.1 ms; by default the camera
-    chooses it, and lowers its rate in dim light."""
+    """Exposure time in the camera's own unit; in Video4Linux, 0.1 ms.
+
+    By default, the camera chooses it, and lowers its rate in dim light.
+    """
     gain: NonNegative | None = None
     """Gain in the camera's own unit; by default the camera chooses it."""
 
@@ -140,7 +149,7 @@ class MicroManagerSource(PictureSource):
     config: str = Field(min_length=1, max_length=500)
     """The configuration file that Micro-Manager's wizard wrote. Its device adapters are taken from
     the folder where Micro-Manager is installed; the environment variable MICROMANAGER_PATH names
-    another. A field with a slash or backslash is refused; the camera alone is enough.
+    another folder. A field with a slash or backslash is refused. The camera alone is enough.
     """
 
     @property

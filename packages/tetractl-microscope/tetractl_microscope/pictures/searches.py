@@ -48,10 +48,18 @@ def stream_lines(
     declared_hz: float | None,
     damaged: int,
 ) -> tuple[list[str], list[str]]:
-    """Return problems and warnings of a stream of pictures, for display.
+    """Describe problems and warnings of a stream of images, for display.
 
-    `source` is the source's name, `ended` the reason why it has ended ("" if it has not),
-    `declared_hz` its declared rate (None if unknown), and `damaged` the number of damaged pictures.
+    Args:
+        searches: The searches of the newest images.
+        source: Name of the source.
+        ended: Why the source has ended. Empty if it has not.
+        now_ns: The present time.
+        declared_hz: The source's declared rate [Hz]. None if unknown.
+        damaged: Number of damaged images.
+
+    Returns:
+        The problems and the warnings.
     """
     problems: list[str] = []
     warnings: list[str] = []

@@ -29,7 +29,13 @@ class PictureLog:
     def messages(
         self, picture: Grey, exposed_ns: int, background: Grey | None
     ) -> tuple[tuple[str, bytes], ...]:
-        """Return topic and bytes of the messages of a picture, if any is due."""
+        """Return topic and bytes of the messages about an image, if any is due.
+
+        Args:
+            picture: The image.
+            exposed_ns: When it was exposed [ns].
+            background: The background. None if there is none.
+        """
         messages: list[tuple[str, bytes]] = []
         if exposed_ns - self._whole_ns >= WHOLE_NS:
             self._whole_ns = exposed_ns

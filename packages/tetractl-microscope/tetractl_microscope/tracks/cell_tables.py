@@ -88,8 +88,9 @@ def value_of(entry: Any) -> float | None:
 
 
 def known_values(cells: Sequence[Record], key: str) -> tuple[list[Record], list[float]]:
-    """Return the cells of which a quantity is known, and its values; of a and bias, only the cells
-    that respond to the field.
+    """Return the cells for which a quantity is known, and its values.
+
+    For a and bias, only cells that respond to the field count.
     """
     responding = [cell for cell in cells if key not in RESPONSES or cell.get("magnetised")]
     with_values = [(cell, value_of(cell.get(key))) for cell in responding]

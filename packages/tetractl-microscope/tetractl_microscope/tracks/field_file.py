@@ -27,8 +27,9 @@ STRONGEST = 100.0  # greatest strength of a field, relative to the reference fie
 
 
 def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]:
-    """Return a warning if the cells turn as if the field's directions were of the other sense, or
-    rotated; `paths` (K, 3) are the cells' times [s] and positions x, y.
+    """Return a warning if the field's directions seem to be mirrored or rotated.
+
+    This is judged by how the cells turn. `paths` (K, 3) are their times [s] and positions x, y.
     """
     mirrored = (
         "the directions run clockwise (--y-down), or the picture is mirrored; do not use a, bias "
@@ -42,8 +43,18 @@ def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]
 def clock_remarks(
     field: FieldRecord, source: str, tracks: str, begin: float, end: float
 ) -> tuple[str, ...]:
-    """Return a warning if the field's times are hardly those of tracks from `begin` to `end` [s];
-    UsageError if none is."""
+    """Return a warning if the field's times hardly overlap with those of the tracks.
+
+    Args:
+        field: The field.
+        source: The file of the field.
+        tracks: The file of the tracks.
+        begin: When the tracks begin [s].
+        end: When the tracks end [s].
+
+    Raises:
+        UsageError: If they do not overlap at all.
+    """
     shown_span = Span(tracks, begin, end)
     sent = Span(source, float(field.times[0]), math.inf)
     covered = (end - max(begin, sent.begin)) / max(end - begin, 1e-9)  # cells swim all the time

@@ -178,9 +178,14 @@ class _Measured:
 
     @classmethod
     def of(cls, path: CellPath, organism: Organism, field: FieldRecord | None) -> Self | None:
-        """Return the measurements of a track; None if it has too few places.
+        """Return the measurements of a track. None if it has too few places.
 
-        Places deviate by what they scatter about a smooth path.
+        The standard deviation of the places comes from their scatter about a smooth path.
+
+        Args:
+            path: The track.
+            organism: The organism.
+            field: The field. None if it is unknown.
         """
         count = len(path.times)
         if count <= max(ORDER, START):
@@ -226,8 +231,15 @@ class _Measured:
     def smoothed(
         self, mean: Floats, start: int = 0, end: int | None = None
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the last state (n,), its covariance (n, n), and all states (K, n) and bodies
-        (K, 3) given all images from `start` to `end`, for a first state (n,).
+        """Smooth the states of a cell over some images.
+
+        Args:
+            mean: The first state, shape (n,).
+            start: Index of the first image.
+            end: Index after the last image. None for all.
+
+        Returns:
+            The last state (n,), its covariance (n, n), and all states (K, n) and bodies (K, 3).
         """
         last = mean.copy()
         values = self.values[start:end]

@@ -1,5 +1,7 @@
-"""Tracks of other programs: the tables of napari, trackpy, TrackMate, MTrackJ, ImageJ's Manual
-Tracking and Imaris, and GEFF graphs.
+"""Reads tracks from other programs.
+
+It reads the tables of napari, trackpy, TrackMate, MTrackJ, ImageJ's Manual Tracking and Imaris, and
+GEFF graphs.
 """
 
 import math
@@ -62,16 +64,22 @@ COLUMNS = {
     "x": (("x", "position_x"), _is_place),
     "y": (("y", "position_y"), _is_place),
 }
-"""The names of each column in the tables of other programs, before its unit, and which units it may
-have; the first name that a table has counts: spots have an id of their own, too."""
+"""The names of each column in tables of other programs, before its unit, and the units it may have.
+
+The first name that a table has counts, because spots also have their own id.
+"""
 WORDS_BELOW = "position_x"
 """Where TrackMate's tables have rows of words below the header, of which the last states units."""
 
 
 @dataclass(frozen=True, slots=True)
 class AxisStep:
-    """What 1 stands for along an axis: its `size` [um or s], None if it is not stated. If numbers
-    are `counted`, they are pixels or pictures, whose size an option may state instead."""
+    """What one unit along an axis means.
+
+    Attributes:
+        size: Its size [um or s]. None if it is not stated.
+        counted: Whether numbers count pixels or images. Then an option may state the size.
+    """
 
     size: float | None = None
     counted: bool = True
@@ -84,8 +92,13 @@ FROM_ONE = "pictures are numbered from 1: that is taken as the first of the film
 
 @dataclass(frozen=True, slots=True)
 class SpotTable:
-    """Spots of tracks: rows (R, 4) of track, picture or time, x and y, downwards; what 1 stands for
-    in `time` and along x, `across`; along y it is `tall` times as long.
+    """The spots of all tracks in a table from another program.
+
+    Attributes:
+        rows: Array of shape (R, 4): track id, time or image index, x, y (pointing down).
+        across: What one unit of x means.
+        time: What one unit of the second column means.
+        tall: Length of one unit of y, as a multiple of one unit of x.
     """
 
     rows: Floats
@@ -105,10 +118,16 @@ class SpotTrack:
 def spot_tracks(
     path: Path, um_px: float | None, rate_hz: float | None, remarks: list[str]
 ) -> list[SpotTrack]:
-    """Return the tracks in a table or graph of another program; add what is to be said of them.
+    """Read the tracks in a table or graph of another program.
 
-    These are given in pixels, y downwards, and pictures, so that they need a scale `um_px` and a
-    rate, unless the table states them.
+    Positions are usually in pixels, with y downwards, and times in images. Such tables need a scale
+    and a rate, unless they state them.
+
+    Args:
+        path: The table or graph.
+        um_px: Scale [um/px]. None if the table states it.
+        rate_hz: Frame rate [Hz]. None if the table states it.
+        remarks: Remarks for the user are added to it.
     """
     spots = _graph(path) if path.is_dir() else _spot_table(path, rate_hz, remarks)
     um = _size(path, "--scale", "its places are in a unit of length", um_px, spots.across)
@@ -207,8 +226,10 @@ def _name_and_unit(header: str) -> tuple[str, str]:
 def _column(
     quantities: Mapping[str, tuple[str, str]], names: Sequence[str], fits: Callable[[str], bool]
 ) -> str:
-    """Return the column with the first of some names that one with a unit that fits has; "" if none
-    has one."""
+    """Return the column with the first of some names that has a fitting unit.
+
+    Empty if there is none.
+    """
     for wanted in names:
         for header, (name, unit) in quantities.items():
             if name == wanted and fits(unit):
@@ -245,8 +266,10 @@ def _require_whole(path: Path, column: str, frames: Floats) -> None:
 
 
 def _from_first_picture(path: Path, frames: Floats, remarks: list[str]) -> Floats:
-    """Return the numbers of pictures from 0 on, as the first is taken at time 0. Programs that
-    count from 0 hardly ever find nothing in that picture: a table without 0 counts from 1.
+    """Return image indices that start at 0, so that the first image is taken at time 0.
+
+    Programs that count from 0 almost always find something in that image. A table without 0
+    therefore counts from 1.
     """
     if frames.min() != 1:
         return frames
@@ -291,8 +314,11 @@ def _require_one_place(path: Path, number: float, times: Floats) -> None:
 def _size(
     path: Path, option: str, states: str, stated: float | None, step: AxisStep
 ) -> float | None:
-    """Return what 1 stands for: as an option states it, or else the table; UsageError for an option
-    if nothing is counted."""
+    """Return what one unit means, as an option or else the table states it.
+
+    Raises:
+        UsageError: If an option is given, but nothing is counted.
+    """
     if stated is None:
         return step.size
     if not step.counted:
@@ -356,10 +382,11 @@ def _said(error: Exception) -> str:
 
 
 def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
-    """Return the axes of time, x and y, by the types that the metadata state, or else by the names
-    of axes or, without any, of properties: t or time, x and y.
+    """Find the axes of time, x and y.
 
-    In space, x and y are those whose names end so, or else the last two: a picture's are y, x.
+    They are found by the types in the metadata, or else by the names of axes or, without axes, of
+    properties: t or time, x and y. In space, x and y are the axes whose names end so, or else the
+    last two: images have the order y, x.
     """
     times = [axis for axis in stated if axis.type == "time"]
     places = [axis for axis in stated if axis.type == "space"]

@@ -16,23 +16,31 @@ import numpy as np
 from tetractl.core.poses import Floats
 
 ONWARD = 0.5
-"""Mean cosine between successive displacements, long ones counting most, below which objects go to
-and fro: beads in water .23, Euglena .78, Paramecium .92."""
+"""Mean cosine between successive displacements below which objects go to and fro.
+
+Long displacements count most. Beads in water have .23, Euglena .78, Paramecium .92.
+"""
 WAYS_MIN = 10
 """Fewest objects of a film that are examined."""
 FEW = 1 / 3
-"""Share of objects that go on below which hardly any does. Of 2,000 simulated beads, seen in 20 to
-40 pictures, .00 to .21 seem to if a step is a tenth of their length or more. Of slower beads up to
-.57 do, but of these few are examined: most do not get MOVED lengths away."""
+"""Fraction of objects that keep going below which hardly any does.
+
+Of 2,000 simulated beads, seen in 20 to 40 images, .00 to .21 seem to keep going if a step is at
+least a tenth of their length. Of slower beads, up to .57 do, but few of these are examined, because
+most do not get MOVED lengths away.
+"""
 LONGEST_S = 1.0
 """Longest time of a displacement of a track that is tried [s]: swimmers turn, places scatter."""
 PAIRS_MIN = 10
 """Fewest independent pairs of displacements of which a cosine is known."""
 EVEN = 0.2
-"""Standard deviation of the lengths of steps from picture to picture, as a share of their mean,
-below which they are as long as one another. Of simulated tracks of 40 steps, 2,000 of each kind:
-beads .28 or more, beads whose long steps a program does not link .23 or more; swimmers that turn by
-2.2 rad/s, filmed at 1 Hz, .09 or less, and .13 to .31 if their speed varies by a fifth."""
+"""Maximum relative scatter of the lengths of steps that count as equally long.
+
+It is their standard deviation from image to image, divided by their mean. Of simulated tracks of 40
+steps, 2,000 of each kind, beads have .28 or more, and beads whose long steps a program does not
+link .23 or more. Swimmers that turn by 2.2 rad/s, filmed at 1 Hz, have .09 or less, and .13 to .31
+if their speed varies by a fifth.
+"""
 STEPS_MIN = 40
 """Fewest steps of which that is said."""
 TO_AND_FRO = "what moves goes to and fro, as beads do: nothing swims"
@@ -67,8 +75,10 @@ def hardly_any_goes_on(going_on: Sequence[bool]) -> bool:
 
 
 def track_goes_on(times: Floats, places: Floats) -> bool:
-    """Return whether a track goes on as it went over that time in which its displacements are most
-    alike, or by steps as long as one another."""
+    """Check whether a track keeps its direction, or has steps of equal length.
+
+    The direction is compared over the time in which its displacements are most similar.
+    """
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
     if len(lengths) >= STEPS_MIN and lengths.std() < EVEN * lengths.mean():
         return True

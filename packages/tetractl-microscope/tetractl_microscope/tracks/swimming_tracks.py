@@ -22,14 +22,19 @@ SHORTEST_S = 2.0
 COURSE_S = 0.3
 """Time over which a direction of motion is known [s]: less is a part of a turn of the helix."""
 TOGETHER = 3.0
-"""Least ratio of the cells' common velocity to what each has of its own at which a stage moves:
-eight cells that swim each its own way reached it in 22 of 10,000 draws."""
+"""Minimum ratio of the cells' common velocity to each cell's own velocity at which a stage moves.
+
+Eight cells that swim in independent directions reached it in 22 of 10,000 samples.
+"""
 TOGETHER_MIN = 8
 """Fewest cells of which that is said."""
 STRAIGHT = 0.7
 TURNS_ABOUT = 0.5
-"""Share of their way that cells which go with a flow come on at least; and the greatest mean of a
-field's directions, as vectors of length 1, of one that turns about."""
+"""Minimum net displacement of cells that a flow carries, as a fraction of their path.
+
+It is also the maximum mean of a field's directions, as vectors of length 1, for a field that turns
+about.
+"""
 STRAIGHTER = 0.9
 """Share of its VSL below which a speed along a helix cannot be: the cell turns by itself."""
 OF_THE_HELIX = (
@@ -66,10 +71,16 @@ class CellTracks:
 
 
 def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool) -> CellTracks:
-    """Return the tracks of cells that swim, of some that are seen for SHORTEST_S.
+    """Select the tracks of swimming cells from tracks that are seen for SHORTEST_S.
 
-    UsageError if none is, or, with a field, if pictures are too rare; TetractlError if hardly any
-    cell goes on as it went.
+    Args:
+        source: The file of the tracks.
+        tracks: All tracks.
+        with_field: Whether the field is known.
+
+    Raises:
+        UsageError: If there is none, or, with a field, if images are too rare.
+        TetractlError: If hardly any cell keeps its direction.
     """
     long_tracks = [track for track in tracks if np.ptp(track.rows[:, 0]) >= SHORTEST_S]
     brief = [f"{track.number:.0f}" for track in tracks if np.ptp(track.rows[:, 0]) < SHORTEST_S]

@@ -10,12 +10,18 @@ WINDOW_S = 1.0  # length of the parts of a track, whose velocities are averaged 
 
 
 def vsl_um_s(times: Floats, places: Floats) -> float | None:
-    """Return the velocity along the straight line [um/s] (VSL of the WHO laboratory manual for the
-    examination of human semen, 6th edition, 2021) of a track with times (K,) [s] and places (K, 2)
-    [um]; None of one place.
+    """Compute the straight-line velocity of a track [um/s].
 
-    It is the mean over successive parts of WINDOW_S, so that long and short tracks can be compared;
-    a shorter track is one part, and what remains after the last part is none.
+    This is the VSL of the WHO laboratory manual for the examination of human semen, 6th edition,
+    2021. It is the mean over successive parts of WINDOW_S, so that long and short tracks can be
+    compared. A shorter track is one part. What remains after the last part does not count.
+
+    Args:
+        times: Times [s], shape (K,).
+        places: Places [um], shape (K, 2).
+
+    Returns:
+        The velocity. None for a single place.
     """
     if len(times) < 2:
         return None
@@ -27,8 +33,9 @@ def vsl_um_s(times: Floats, places: Floats) -> float | None:
 
 
 def _ends(times: Floats) -> list[int]:
-    """Return the indices of the pictures at which successive parts of a track end, from the first:
-    those nearest to each WINDOW_S.
+    """Return the indices of the images at which successive parts of a track end.
+
+    They are the images nearest to each multiple of WINDOW_S. The first image is included.
     """
     step = float(np.median(np.diff(times)))
     ends = [0]

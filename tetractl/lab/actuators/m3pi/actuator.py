@@ -56,7 +56,7 @@ class M3piActuator(WheeledActuator):
 
 
 def _signed_gains(wheels: Sequence[WheelSection]) -> list[float]:
-    """Return the gains of wheels [mm/s per count], negative for one that is inverted."""
+    """Return the gains of wheels [mm/s per count], negative for inverted wheels."""
     return [-wheel.gain_mm if wheel.invert else wheel.gain_mm for wheel in wheels]
 
 

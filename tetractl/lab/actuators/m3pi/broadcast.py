@@ -31,8 +31,9 @@ _REPLY = struct.Struct("<BBBBHHH")
 
 @dataclass(frozen=True, slots=True)
 class BroadcastCommand:
-    """One frame for all robots: robot i drives with the counts `wheels[i]`, or stops if `wheels`
-    has no entry for it.
+    """One frame for all robots.
+
+    Robot i drives with the counts `wheels[i]`, or stops if `wheels` has no entry for it.
     """
 
     sequence: int
@@ -97,8 +98,9 @@ class Broadcaster:
         return self.send(cobs.Flag.RUN, tuple(wheels))
 
     def send(self, flags: cobs.Flag, wheels: tuple[Counts, ...] = ()) -> int:
-        """Send one frame with these flags, which stops all robots if RUN is not among them; return
-        the time of sending [ns].
+        """Send one frame, and return when it was sent [ns].
+
+        The frame stops all robots if RUN is not among its flags.
         """
         self._sequence = (self._sequence + 1) % 256
         return self._link.send(encode_command(BroadcastCommand(self._sequence, flags, wheels)))
@@ -109,12 +111,14 @@ class Broadcaster:
 
     @property
     def failure(self) -> str | None:
-        """The reason why nothing can be sent any more; None without a fault."""
+        """Why nothing can be sent any more. None if there is no fault."""
         return self._link.failure
 
     def ask(self) -> tuple[int, int]:
-        """Send a poll; return its sequence, and when it was sent [ns]. What came before is
-        dropped."""
+        """Send a poll, and return its sequence number and when it was sent [ns].
+
+        Whatever arrived before is dropped.
+        """
         self._splitter = cobs.Splitter()
         self._link.fetch()
         sent_ns = self.send(cobs.Flag.POLL)
@@ -129,17 +133,33 @@ class Broadcaster:
 
 
 def stop_all(module: XbeeSection, _setup: Setup, clock: Clock, alone: bool) -> str:
-    """Stop the robots, as `stop_in_range`: those of the setup or not."""
+    """Stop all robots in range, including robots that are not in the setup; see `stop_in_range`.
+
+    Args:
+        module: The section of the radio.
+        _setup: Not used.
+        clock: The clock for timeouts.
+        alone: False if a run uses the port at the same time.
+    """
     return stop_in_range(module, clock, alone)
 
 
 def stop_in_range(module: XbeeSection, clock: Clock, alone: bool = True) -> str:
-    """Latch the emergency stop of every robot in radio range by ten frames within 200 ms; return a
-    summary.
+    """Latch the emergency stop of every robot in radio range, with ten frames within 200 ms.
 
-    The module is not checked before, because sending through a wrong module is better than no stop;
-    AbortError if none answers after it. If not `alone`, another process may have the port open and
-    take the answer, so that none is expected.
+    The module is not checked first, because sending through a wrong module is better than no stop.
+
+    Args:
+        module: The section of the radio.
+        clock: The clock for timeouts.
+        alone: False if another process may have the port open. That process could receive the
+            answer, so no answer is expected.
+
+    Returns:
+        A summary.
+
+    Raises:
+        AbortError: If no module answers afterwards.
     """
     link = Link(module, clock)
     try:

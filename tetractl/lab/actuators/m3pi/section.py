@@ -34,7 +34,7 @@ class M3piRobot(RobotPart):
     """A robot's entry in the actuator's section: number in broadcasts and wheels."""
 
     index: int | None = Field(default=None, ge=0, le=31)
-    """Number of the robot in broadcasts, as built into its firmware; by default the number of its
+    """Number of the robot in broadcasts, as built into its firmware. Default: the index of its
     entry in `robots`, from 0.
     """
     radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
@@ -50,8 +50,9 @@ class M3piRobot(RobotPart):
 
 
 class M3piSection(XbeeSection, ActuatorSection):
-    """m3pi robots with two wheels and firmware with a watchdog, steered over an XBee radio by one
-    frame for all; without frames they stop by themselves after 250 ms.
+    """m3pi robots with two wheels, steered over an XBee radio with one frame for all.
+
+    Their firmware has a watchdog: without frames, they stop by themselves after 250 ms.
     """
 
     device: ClassVar[str] = "tetractl.lab.actuators.m3pi.actuator:M3piActuator"
@@ -64,7 +65,7 @@ class M3piSection(XbeeSection, ActuatorSection):
     robots: tuple[M3piRobot, ...] = Field(min_length=1, max_length=32)
     """One entry for each robot of the spec, with its number and wheels."""
     battery_warn: NonNegative = 4.4
-    """A warning is printed for a robot below this battery voltage [V]."""
+    """A warning is printed if a robot's battery voltage is below this [V]."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the place and text of each problem with robots, numbers or wheels."""
@@ -86,8 +87,9 @@ class M3piSection(XbeeSection, ActuatorSection):
         require_port(self.port, "the radio")
 
     def bounds(self) -> dict[str, str]:
-        """Return the radio's port and rate and the highest limit of wheel counts as {name: text},
-        for display.
+        """Return the radio's port and rate, and the highest limit of wheel counts, for display.
+
+        The result maps a name to a text.
         """
         return {
             "radio": f"{self.port}, {self.rate:g} commands per second",

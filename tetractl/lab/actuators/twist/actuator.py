@@ -15,8 +15,10 @@ from tetractl.spec.lab_section import entry
 
 
 class TwistActuator(WheeledActuator):
-    """Drives the setup's robots; see `tetractl.core.protocols.Actuator`. `ports` is for
-    `TwistLink`."""
+    """The actuator for robots that take lines of text; see `tetractl.core.protocols.Actuator`.
+
+    `ports` is passed to `TwistLink`.
+    """
 
     def __init__(
         self, section: TwistSection, setup: Setup, clock: Clock, ports: Ports | None = None
@@ -50,8 +52,10 @@ class TwistActuator(WheeledActuator):
         return sent_ns, wheels * self._gain
 
     def _twists(self, wheels: Floats) -> Floats:
-        """Return speeds [mm/s] and turning rates [mrad/s] (2, N), as whole numbers, for wheel
-        speeds (2, N) [mm/s] by (21)-(23)."""
+        """Convert wheel speeds (2, N) [mm/s] to whole speeds and turning rates by (21)-(23).
+
+        The result has shape (2, N): speeds [mm/s] and turning rates [mrad/s].
+        """
         v = wheels.sum(axis=0) / 2
         w = (wheels[1] - wheels[0]) / (2 * self.radii)
         limits = np.array([[SPEED_MAX], [TURN_MAX]])

@@ -28,9 +28,10 @@ PENDING_MAX = 1000  # most bytes kept of a line that has not ended
 
 
 class TwistLink(PortGroup):
-    """Connections to the robots of a section with these names, at one port or several. Times are ns
-    on `clock`. After a failure, which raises AbortError, nothing can be sent any more. `ports`
-    makes a port, `open_port` by default.
+    """Connections to the robots of a section, on one port or several.
+
+    Times are ns on `clock`. After a failure, which raises AbortError, nothing can be sent any more.
+    `ports` creates a port; the default is `open_port`.
     """
 
     def __init__(
@@ -62,8 +63,14 @@ class TwistLink(PortGroup):
         return self._send(Flag.RUN, entries)
 
     def stop(self, emergency: bool = False) -> int:
-        """Stop every robot on every port, whether or not another port fails; return the time of the
-        last sending [ns]. AbortError if a port has failed."""
+        """Stop every robot on every port, even if a port fails.
+
+        Returns:
+            The time of the last sending [ns].
+
+        Raises:
+            AbortError: If a port has failed.
+        """
         return self._send(Flag.EMERGENCY_STOP if emergency else Flag(0), [])
 
     def poll(self, timeout_s: float) -> list[Reply | None]:
@@ -71,8 +78,10 @@ class TwistLink(PortGroup):
         return polled(self, self._indices, self._clock, timeout_s, REPLY_SLOT_MS)
 
     def ask(self) -> tuple[int, int]:
-        """Send a poll; return its sequence, and when it was sent [ns]. What came before is
-        dropped."""
+        """Send a poll, and return its sequence number and when it was sent [ns].
+
+        Whatever arrived before is dropped.
+        """
         self._replies.clear()
         sent_ns = self._send(Flag.POLL, [])
         return self._sequence, sent_ns
@@ -93,7 +102,7 @@ class TwistLink(PortGroup):
         return self.send(lines)
 
     def _taker(self, port: str) -> Heard:
-        """Return what takes the replies at a port, of the robots that are there."""
+        """Return a function that takes the replies of the robots on a port."""
         indices_here = self._indices_at[port]
 
         def take(data: bytes, now: int) -> None:
@@ -109,8 +118,10 @@ class TwistLink(PortGroup):
 
 
 def stop_all(section: TwistSection, setup: Setup, clock: Clock, alone: bool) -> str:
-    """Latch the emergency stop of every robot that the ports reach by ten lines within 200 ms;
-    return a summary. AbortError and PortHeldError as of `stop_all_at`."""
+    """Latch the emergency stop of every robot on the ports; see `ActuatorSection.stop_all`.
+
+    It sends ten lines within 200 ms, and raises the same errors as `stop_all_at`.
+    """
     link = TwistLink(section, setup.names, clock)
     sent = stop_all_at(link.ports, partial(link.stop, emergency=True), clock, alone)
     return f"{sent}; switch the robots off and on to drive them again"

@@ -28,7 +28,10 @@ Entry = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class LineCommand:
-    """One line for all robots that hear it: those named in `entries` drive so, the others stop."""
+    """One line for all robots that receive it.
+
+    The robots named in `entries` drive as stated there. The others stop.
+    """
 
     kind: Kind
     sequence: int
@@ -37,7 +40,11 @@ class LineCommand:
 
 
 def encode_command(command: LineCommand) -> bytes:
-    """Return the line of a command, with its end; WireError for numbers out of range."""
+    """Return the line of a command, with its end.
+
+    Raises:
+        WireError: If a number is out of range.
+    """
     numbers = [
         command.sequence,
         int(command.flags),
@@ -51,7 +58,11 @@ def encode_command(command: LineCommand) -> bytes:
 
 
 def decode_command(line: bytes) -> LineCommand:
-    """Read a command, given without its end; WireError if it is none."""
+    """Read a command, given without its end.
+
+    Raises:
+        WireError: If the line is not a command.
+    """
     kind, *numbers = _numbers(line)
     if kind not in ("T", "W") or len(numbers) < 2 or len(numbers) % 3 != 2:
         raise WireError("not a command")
@@ -71,7 +82,11 @@ def decode_command(line: bytes) -> LineCommand:
 
 
 def decode_reply(line: bytes) -> Reply:
-    """Read a reply, given without its end; WireError if it is none."""
+    """Read a reply, given without its end.
+
+    Raises:
+        WireError: If the line is not a reply.
+    """
     kind, *numbers = _numbers(line)
     if kind != "S" or len(numbers) != 6 or min(numbers) < 0:
         raise WireError("not a reply")
@@ -80,7 +95,11 @@ def decode_reply(line: bytes) -> Reply:
 
 
 def _numbers(line: bytes) -> tuple[str, *tuple[int, ...]]:
-    """Return the letter and the numbers of a line; WireError if its CRC or form is wrong."""
+    """Return the letter and the numbers of a line.
+
+    Raises:
+        WireError: If its CRC or form is wrong.
+    """
     line = line.removesuffix(b"\r")
     head = line[:-5]
     seal = line[-5:]

@@ -23,14 +23,17 @@ class TwistRobot(RobotPart):
     """A robot's entry in the actuator's section."""
 
     index: int | None = Field(default=None, ge=0, le=31)
-    """Number of the robot in lines, as set in its program; by default the number of its entry in
-    `robots`, from 0.
+    """Number of the robot in lines, as set in its program.
+
+    Default: the index of its entry in `robots`, from 0.
     """
     port: str | None = Field(default=None, min_length=1, max_length=500)
-    """The robot's own port, if there is one for each; by default the actuator's."""
+    """The robot's own port, if each robot has one. Default: the actuator's port."""
     radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
-    """Distance r from a wheel to the robot's centre [mm], as in its program; `wheels.radius` by
-    default."""
+    """Distance r from a wheel to the robot's centre [mm], as in its program.
+
+    Default: `wheels.radius`.
+    """
     left_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
     """True speed of the left wheel over the speed that it was sent."""
     right_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
@@ -38,8 +41,9 @@ class TwistRobot(RobotPart):
 
 
 class TwistSection(ActuatorSection):
-    """Robots with two wheels that take lines of text, over a serial port or UDP, and stop by
-    themselves after 250 ms without a line.
+    """Robots with two wheels that take lines of text, over a serial port or UDP.
+
+    Without a line, they stop by themselves after 250 ms.
     """
 
     device: ClassVar[str] = "tetractl.lab.actuators.twist.actuator:TwistActuator"
@@ -48,14 +52,15 @@ class TwistSection(ActuatorSection):
     dead_zone_max: ClassVar[int] = 0
     type: Literal["twist"]
     port: str = Field(min_length=1, max_length=500)
-    """The serial port of a radio, such as /dev/ttyUSB0, or udp://HOST:PORT; a broadcast address
-    reaches all robots at once.
+    """The serial port of a radio, such as /dev/ttyUSB0, or udp://HOST:PORT.
+
+    A broadcast address reaches all robots at once.
     """
     baud: Literal[9600, 19200, 38400, 57600, 115200] = 57600
     """Bits per second on serial ports."""
     sends: Literal["twist", "wheels"] = "twist"
-    """What a line has of each robot: `twist`, its speed and turning rate, or the speeds of its
-    `wheels`.
+    """What a line contains for each robot: its speed and turning rate (`twist`), or the speeds of
+    its `wheels`.
     """
     rate: float = Field(default=40.0, ge=20, le=120, allow_inf_nan=False)
     """Lines per second [Hz]."""

@@ -1,8 +1,9 @@
-"""XBee API frames in escaped mode (AP=2), the one mode in which the PC's module is used.
+"""XBee API frames in escaped mode (AP=2), the only mode in which the PC's module is used.
 
-A frame is 7E, u16 length, content, and FF minus the sum of the content, all big-endian; behind the
-7E, each of the bytes 7E 7D 11 13 becomes 7D and the byte xor 20. A 7E is therefore always the start
-of a frame, so a lost byte costs one frame. The first byte of the content is the frame's type.
+A frame consists of 7E, the length as u16, the content, and FF minus the sum of the content, all
+big-endian. After the 7E, each of the bytes 7E 7D 11 13 is replaced by 7D and the byte xor 20. A 7E
+is therefore always the start of a frame, and a lost byte costs one frame. The first byte of the
+content is the frame's type.
 """
 
 import struct
@@ -26,12 +27,12 @@ RESPONSE = struct.Struct(">BB2sB")
 
 
 def received(content: bytes) -> bytes:
-    """Return the data of another module in a frame's content, b"" if the frame has none."""
+    """Return the data from another module in a frame's content. Empty if the frame has none."""
     return content[_BEFORE_DATA[content[0]] :] if content[0] in _BEFORE_DATA else b""
 
 
 def answered(content: bytes) -> tuple[int, bytes, bytes | None] | None:
-    """Return (frame id, command, value) of an answer to a request, None for another frame."""
+    """Return (frame id, command, value) of an answer to a request. None for other frames."""
     if content[0] != AT_RESPONSE or len(content) < RESPONSE.size:
         return None
     _, frame_id, command, status = RESPONSE.unpack_from(content)
@@ -39,7 +40,11 @@ def answered(content: bytes) -> tuple[int, bytes, bytes | None] | None:
 
 
 def encode(content: bytes) -> bytes:
-    """Return the frame of a content; WireError if it is empty or too long."""
+    """Return the frame for a content.
+
+    Raises:
+        WireError: If the content is empty or too long.
+    """
     if not 0 < len(content) <= CONTENT_MAX:
         raise WireError(f"{len(content)} bytes do not fit in an API frame")
     out = bytearray((START,))

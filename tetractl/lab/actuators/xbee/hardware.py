@@ -39,14 +39,15 @@ FAMILIES = (  # HV codes of a family, and its protocol by the first digit of VR;
 
 
 def protocols(hardware: bytes) -> dict[str, str]:
-    """Return the protocols of a module's family by the first digit of VR, with the key "" for all
-    other digits; nothing if its HV value is unknown.
+    """Return the protocols of a module's family, by the first digit of VR.
+
+    The key "" stands for all other digits. The result is empty if the HV value is unknown.
     """
     return next((named for codes, named in FAMILIES if hardware and hardware[0] in codes), {})
 
 
 def protocol(hardware: bytes, version: bytes) -> str | None:
-    """Return the name of a module's protocol by its HV and VR values, None if unknown.
+    """Return the name of a module's protocol from its HV and VR values. None if it is unknown.
 
     If VR is empty, the protocol is known only for families with a single protocol.
     """

@@ -22,11 +22,11 @@ MODULE_LOST_HINT = "the robots stop by their watchdog; plug the module in and st
 
 
 class Link:
-    """A connection to the module. Times are ns on `clock`. After a failure, which raises
-    AbortError, nothing can be sent any more.
+    """A connection to the XBee module.
 
-    `questions` are about the module, for the operator to answer. `ports` makes the serial port,
-    SerialPort by default.
+    Times are ns on `clock`. After a failure, which raises AbortError, nothing can be sent any more.
+    `questions` about the module are for the operator. `ports` creates the serial port; the default
+    is SerialPort.
     """
 
     def __init__(self, radio: XbeeSection, clock: Clock, ports: Ports | None = None) -> None:
@@ -35,7 +35,7 @@ class Link:
         self._decoder = frames.Decoder()
         self._fresh: deque[bytes] = deque(maxlen=WAITING_MAX)
         self._answers: dict[tuple[int, bytes], bytes | None] = {}
-        """The values since the last request, by its number and its two letters."""
+        """Values received since the last request, by the request's number and its two letters."""
         self._frame_id = 0
         self._clock = clock
         make = ports or SerialPort
@@ -43,7 +43,7 @@ class Link:
 
     @property
     def failure(self) -> str | None:
-        """The reason why nothing can be sent any more; None without a fault."""
+        """Why nothing can be sent any more. None if there is no fault."""
         return self._port.failure
 
     def open(self, checked: bool = True, alone: bool = True) -> None:
@@ -57,8 +57,9 @@ class Link:
         return self._port.write(frames.encode(frames.BROADCAST + data))
 
     def ask(self, command: bytes) -> bytes | None:
-        """Request a parameter of the module, named by two letters; return its value, None if it
-        gives none within 0.3 s.
+        """Request a parameter of the module, named by two letters, and return its value.
+
+        The result is None if the module does not return a value within 0.3 s.
         """
         self._frame_id = self._frame_id % 255 + 1
         self._answers.clear()
@@ -132,7 +133,11 @@ class Link:
         return questions
 
     def _hardware(self) -> bytes:
-        """Return HV; AbortError, with the rate at which the module answers, if it is silent."""
+        """Return HV.
+
+        Raises:
+            AbortError: If the module is silent. The error gives the rate at which it does answer.
+        """
         radio = self.radio
         # the first request may be lost behind an incomplete frame
         hardware = self.ask_twice(b"HV")

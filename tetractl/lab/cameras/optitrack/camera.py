@@ -1,8 +1,9 @@
-"""OptiTrack cameras as a `Camera`: asks the server for its models (MODELDEF), frames and clock
-when they are due, and checks the connection before a run.
+"""OptiTrack cameras as a `Camera`.
 
-The receiver's thread continues after any bad datagram or socket error: it counts bad datagrams, and
-stores the last socket error in `error`. It never waits for somebody to fetch its frames.
+It asks the server for its models (MODELDEF), frames and clock when they are due, and checks the
+connection before a run. The receiver's thread continues after any bad datagram or socket error: it
+counts bad datagrams, and stores the last socket error in `error`. It never waits for somebody to
+fetch its frames.
 """
 
 import select
@@ -34,10 +35,11 @@ WAIT_S = 0.02  # longest wait for a datagram, after which a request to close is 
 
 
 class OptitrackCamera:
-    """Tracks the setup's robots by their rigid bodies; see `tetractl.core.protocols.Camera`.
+    """Tracks the setup's robots with their rigid bodies; see `tetractl.core.protocols.Camera`.
 
     Times are ns on `clock`. `wake` is called, in the receiver's thread, after every new frame. If
-    `make_socket` makes UDP sockets in memory, it calls `turn`, its argument, in place of a thread.
+    `make_socket` creates UDP sockets in memory, these call `turn`, its argument, instead of using a
+    thread.
     """
 
     def __init__(
@@ -93,7 +95,11 @@ class OptitrackCamera:
         return self
 
     def open(self) -> None:
-        """Open the sockets, and start requests and reception; AbortError if that fails."""
+        """Open the sockets, and start requests and reception.
+
+        Raises:
+            AbortError: If that fails.
+        """
         try:
             self._open_sockets()
         except OSError as error:
@@ -154,9 +160,7 @@ class OptitrackCamera:
         self._sockets = []
 
     def check(self) -> Health:
-        """Return problems, such as bodies that are not streamed, warnings, and facts of the server
-        and its clock.
-        """
+        """Check the stream, for example whether all bodies are streamed; see `Device.check`."""
         stream = self.stream
         sync = self.stream.sync
         problems = diagnosis.not_streamed(stream, self.names)
@@ -250,11 +254,11 @@ class OptitrackCamera:
         self._next_ns = min((self._due[what] for what, _, _ in wanted), default=0)
 
     def _requests(self, now: int) -> Iterator[tuple[str, int, natnet.ClientMessage]]:
-        """Yield the requests for missing information, for the server's time and, in unicast, to
-        keep the stream going: each with its name and the least time to its next [ns].
+        """Yield the requests that are needed now, each with its name and the time to its next [ns].
 
-        Once names are known, the interval between requests for models doubles each time, up to 8 s,
-        since some servers report a change in every frame.
+        They ask for missing information, for the server's time and, in unicast, keep the stream
+        running. Once names are known, the interval between requests for models doubles each time,
+        up to 8 s, because some servers report a change in every frame.
         """
         stream = self.stream
         pinned = self._pinned

@@ -13,7 +13,13 @@ SHOWN = 12  # largest number of rigid bodies listed in a message
 
 
 def no_server(section: OptitrackSection, senders: SenderFilter, timeout_s: float) -> AbortError:
-    """Return the error for a server that did not answer CONNECT within `timeout_s`."""
+    """Return the error for a server that did not answer CONNECT.
+
+    Args:
+        section: The section of the camera.
+        senders: What was received from which sender.
+        timeout_s: How long the client waited [s].
+    """
     address = f"{section.server}:{section.command_port}"
     refused = senders.main_refused_sender(sends_frames=False)
     if refused is not None:
@@ -32,7 +38,14 @@ def no_server(section: OptitrackSection, senders: SenderFilter, timeout_s: float
 def no_frames(
     section: OptitrackSection, senders: SenderFilter, stream: Stream, timeout_s: float
 ) -> AbortError:
-    """Return the error for a server that answers but sends no usable frame."""
+    """Return the error for a server that answers but sends no usable frame.
+
+    Args:
+        section: The section of the camera.
+        senders: What was received from which sender.
+        stream: What was received from the server.
+        timeout_s: How long the client waited [s].
+    """
     server = f"the camera server at {section.server}:{section.command_port} answers"
     refused = senders.main_refused_sender(sends_frames=True)
     if refused is not None and not stream.counts.unread_frames:
@@ -84,8 +97,9 @@ def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: f
 
 
 def _reads_as(frame: bytes, stream: Stream) -> str:
-    """Return, as text, a protocol version that fits a frame's layout; the server's own is tried
-    first.
+    """Return a protocol version that fits a frame's layout, as text.
+
+    The server's own version is tried first.
     """
     reported = [] if stream.info is None else [stream.info.version]
     for version in (*reported, *reversed(LAYOUTS)):
@@ -140,10 +154,11 @@ def _body(number: int, name: str | None, streamed: bool) -> str:
 
 
 def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
-    """Return a line for each robot whose rigid body is not in the newest frame; [] before MODELDEF.
+    """Describe each robot whose rigid body is not in the newest frame, one line each.
 
-    `names` are the names of the stream's robots. A line states whether the server has the body (if
-    not, the most similar name or id) and which bodies the server has.
+    A line states whether the server has the body (if not, the most similar name or id), and which
+    bodies the server has. The result is empty before MODELDEF has arrived. `names` are the names of
+    the stream's robots.
     """
     if stream.model is None or not (missing := stream.missing()):
         return []

@@ -1,5 +1,7 @@
-"""The contents of NatNet datagrams as values, and the pose of a robot by its rigid body. Positions
-are in metres; quaternions have norm 1."""
+"""The contents of NatNet datagrams as values, and a robot's pose computed from its rigid body.
+
+Positions are in metres. Quaternions have norm 1.
+"""
 
 import math
 from dataclasses import dataclass
@@ -72,10 +74,10 @@ class RigidBody:
 
 @dataclass(frozen=True, slots=True)
 class NatNetFrame:
-    """One camera frame; `exposure` is the middle of its exposure, in ticks of the server's clock,
-    None before NatNet 3.0.
+    """One camera frame.
 
-    `ServerInfo.clock_hz` is the number of ticks per second.
+    `exposure` is the middle of its exposure, in ticks of the server's clock. It is None before
+    NatNet 3.0. `ServerInfo.clock_hz` is the number of ticks per second.
     """
 
     number: int
@@ -90,7 +92,7 @@ class NatNetFrame:
 
     @property
     def edit_mode(self) -> bool:
-        """Whether Motive is in edit mode, in which it streams a recording, not the robots."""
+        """Whether Motive is in edit mode. Then it streams a recording instead of the robots."""
         return bool(self.params & 4)
 
 
@@ -112,8 +114,9 @@ class ModelDef:
 
 @dataclass(frozen=True, slots=True)
 class Connect:
-    """The client's first message. In unicast, servers from NatNet 4.0 on stream in the client's
-    `version` if it is `pinned`.
+    """The client's first message.
+
+    In unicast, servers from NatNet 4.0 on stream in the client's `version` if it is `pinned`.
     """
 
     version: Version = NEWEST
@@ -122,9 +125,13 @@ class Connect:
 
 @dataclass(frozen=True, slots=True)
 class ServerInfo:
-    """The answer to CONNECT. `version` is the protocol version of the server's frames, unless
-    CONNECT pinned another; `data_port` is the port of its frames in unicast. Clock and port are 0
-    before NatNet 3.0: servers did not report them.
+    """The answer to CONNECT.
+
+    Attributes:
+        name: Name of the server.
+        version: Protocol version of the server's frames, unless CONNECT pinned another.
+        clock_hz: Rate of the server's clock. 0 before NatNet 3.0, which did not report it.
+        data_port: Port of its frames in unicast. 0 before NatNet 3.0.
     """
 
     name: str
@@ -149,8 +156,9 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class EchoRequest:
-    """A request for the server's time; `client` is the host's time [ns], which the answer
-    repeats.
+    """A request for the server's time.
+
+    `client` is the host's time [ns], which the answer repeats.
     """
 
     client: int
@@ -166,7 +174,7 @@ class EchoResponse:
 
 @dataclass(frozen=True, slots=True)
 class Bare:
-    """A message whose payload is not read, such as KEEPALIVE, REQUEST_MODELDEF or TEXT."""
+    """A message with a payload that is not read, such as KEEPALIVE, REQUEST_MODELDEF or TEXT."""
 
     kind: MessageKind
 
@@ -183,16 +191,22 @@ class UpAxis(IntEnum):
 
 
 def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:
-    """Return a body's pose on the floor in the server's axes; lengths in m, angles in rad.
+    """Compute a body's pose on the floor, in the server's axes.
 
-    The heading is the direction of the body's +x axis plus `heading_offset`, in [-pi, pi]; the tilt
+    The heading is the direction of the body's +x axis plus `heading_offset`, in [-pi, pi]. The tilt
     is the angle between the body's vertical axis and the server's. Position, direction and tilt are
 
-    with z up: (x, y), atan2(2 (qw qz + qx qy), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qy^2)),
-    with y up: (x, -z), atan2(2 (qw qy - qx qz), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qz^2)).
+        z up: (x, y), atan2(2 (qw qz + qx qy), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qy^2)),
+        y up: (x, -z), atan2(2 (qw qy - qx qz), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qz^2)).
 
-    Returns None if the body is not tracked: its valid bit is not set, a value is not finite, or its
-    quaternion's norm is not 1.
+    Args:
+        body: The rigid body.
+        up: The server's vertical axis.
+        heading_offset: Angle added to the heading [rad].
+
+    Returns:
+        The pose; lengths in m, angles in rad. None if the body is untracked: its valid bit is not
+        set, a value is not finite, or its quaternion's norm is not 1.
     """
     x, y, z = body.position
     qx, qy, qz, qw = body.quaternion
@@ -217,8 +231,13 @@ def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pos
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """The cameras' axes in the spec's coordinates: their origin `x`, `y` [length unit] and
-    `rotation` [rad]; `scale` is the number of length units per metre.
+    """The position of the cameras' axes in the spec's coordinates.
+
+    Attributes:
+        x: x of their origin [length unit].
+        y: y of their origin [length unit].
+        rotation: Their rotation [rad].
+        scale: Number of length units per metre.
     """
 
     x: float
@@ -227,7 +246,13 @@ class Placement:
     scale: float
 
     def pose(self, body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:
-        """Return a body's pose in the spec's coordinates, None if the body is not tracked."""
+        """Compute a body's pose in the spec's coordinates. None if the body is untracked.
+
+        Args:
+            body: The rigid body.
+            up: The server's vertical axis.
+            heading_offset: Angle added to the heading [rad].
+        """
         planar = planar_pose(body, up, heading_offset)
         if planar is None:
             return None

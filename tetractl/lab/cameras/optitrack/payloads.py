@@ -114,10 +114,12 @@ class Cursor:
         return self.take(I32)[0]
 
     def count(self, smallest: int) -> int:
-        """Read a number of elements, which have at least `smallest` bytes each; WireError if
-        the elements do not fit into the rest of the payload.
+        """Read a number of elements, which have at least `smallest` bytes each.
 
         This limits loops and memory by the datagram's size.
+
+        Raises:
+            WireError: If the elements do not fit into the rest of the payload.
         """
         count = self.i32()
         self._require(count, smallest, self.left)
@@ -141,8 +143,10 @@ class Cursor:
         self.skip(self.count(size) * size)
 
     def skip_sized(self, smallest: int) -> None:
-        """Skip a section that states how many elements it has, of at least `smallest` bytes each,
-        and then its size."""
+        """Skip a section that states its number of elements, and then its size.
+
+        Each element has at least `smallest` bytes.
+        """
         count = self.count(smallest)
         self.skip(self.size(count, smallest))
 
@@ -198,8 +202,10 @@ def _read_sized(cursor: Cursor, layout: Layout) -> tuple[natnet.RigidBody, ...]:
 
 
 def _read_measured(cursor: Cursor, layout: Layout) -> tuple[natnet.RigidBody, ...]:
-    """Read the sections of a frame before 4.1: the rigid bodies, and the others element by
-    element."""
+    """Read the sections of a frame before 4.1, and return the rigid bodies.
+
+    The other sections are skipped element by element.
+    """
     for _ in range(cursor.count(MARKER_SET_MIN)):
         cursor.name()
         cursor.skip_elements(MARKER)

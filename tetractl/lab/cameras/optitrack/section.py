@@ -49,8 +49,10 @@ class OptitrackSection(CameraSection):
     server: Ipv4
     """The server's address: IPv4, such as 192.168.1.10."""
     interface: Ipv4 = "0.0.0.0"
-    """Address of this computer's network card that reaches the cameras: IPv4; 0.0.0.0 lets the
-    system choose."""
+    """IPv4 address of this computer's network card that reaches the cameras.
+
+    With 0.0.0.0, the system chooses.
+    """
     transport: Literal["multicast", "unicast"] = "multicast"
     """Transmission mode of the stream, as set in Motive."""
     command_port: Port = 1510
@@ -60,8 +62,9 @@ class OptitrackSection(CameraSection):
     group: Ipv4 = "239.255.42.99"
     """Address of the multicast stream: IPv4."""
     version: VersionText | None = None
-    """Protocol version to request: major.minor, such as 4.1, or in quotes if it ends in 0, as
-    '2.10'; by default, and always in multicast, the server's own."""
+    """Protocol version to request: major.minor, such as 4.1, or in quotes if it ends in 0, such as
+    '2.10'. By default, and always in multicast, the server's own version.
+    """
     up_axis: Literal["auto", "y", "z"] = "auto"
     """The axis that points up; `auto` asks the server."""
     origin: Point = (0.0, 0.0)

@@ -26,8 +26,13 @@ DRIFT_MAX = 1e-3  # largest drift between the server's clock and ours [s/s]
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """One echo: the host's time halfway between request and answer [ns], the server's clock at
-    that time [ns], and the round trip [ns]."""
+    """One exchange of times with the server.
+
+    Attributes:
+        host_ns: The host's time halfway between request and answer [ns].
+        server_ns: The server's clock at that time [ns].
+        round_trip_ns: Time from request to answer [ns].
+    """
 
     host_ns: int
     server_ns: int
@@ -35,7 +40,7 @@ class Echo:
 
 
 class ClockSync:
-    """Maps the ticks of a server's clock to the host's clock; needs at least one echo."""
+    """Maps the ticks of a server's clock to the host's clock. It needs at least one echo."""
 
     def __init__(self, clock_hz: int) -> None:
         self.clock_hz = clock_hz
@@ -48,13 +53,20 @@ class ClockSync:
 
     @property
     def round_trip_ns(self) -> int:
-        """Round trip of the echo from which `to_host` converts times [ns]; half of it is the
-        largest error near that echo.
+        """Round trip of the echo that `to_host` uses to convert times [ns].
+
+        Half of it is the maximum error near that echo.
         """
         return self._at.round_trip_ns
 
     def add(self, sent_ns: int, returned_ns: int, ticks: int) -> None:
-        """Take an echo: the host's times of sending and return [ns], the server's time [ticks]."""
+        """Add an echo.
+
+        Args:
+            sent_ns: When the host sent the request [ns].
+            returned_ns: When the answer returned [ns].
+            ticks: The server's time [ticks].
+        """
         if not 0 <= returned_ns - sent_ns <= SECOND:
             return
         halfway = (sent_ns + returned_ns) // 2
@@ -81,8 +93,9 @@ class ClockSync:
         return self._at.round_trip_ns // 2 + round(drifted) + self._resolution_ns
 
     def _contradiction(self, new: Echo) -> str:
-        """Return, as text, by how much the server's clock gained or lost time on the host's between
-        an earlier echo and the echo `new`; "" if the clock is within the tolerance.
+        """Describe how much the server's clock gained or lost since an earlier echo.
+
+        The text is empty if the clock is within the tolerance.
         """
         for old in reversed(self._echoes):
             span = new.host_ns - old.host_ns
@@ -98,8 +111,9 @@ class ClockSync:
 
 
 def _slope(echoes: list[Echo]) -> float:
-    """Return the slope [s/s] of (server time - host time) over host time, fitted to echoes; 0 if
-    they span too short a time.
+    """Fit the slope [s/s] of (server time - host time) over host time to echoes.
+
+    It is 0 if they span too short a time.
     """
     first = echoes[0]
     t = [echo.host_ns - first.host_ns for echo in echoes]
@@ -118,7 +132,7 @@ EDIT_MODE = "Motive is in edit mode: it streams a recording"
 
 @dataclass(slots=True)
 class StreamCounts:
-    """Numbers so far: of frames received, and of datagrams dropped or not readable."""
+    """Counts of the frames received, and of datagrams that were dropped or could not be read."""
 
     frames: int = 0
     bad: int = 0  # datagrams that are not NatNet messages
@@ -128,7 +142,7 @@ class StreamCounts:
 
 
 class OpenRequests:
-    """The requests that a server has not answered yet; of those that are text, the last alone."""
+    """The requests that a server has not answered yet. Of text requests, only the last is kept."""
 
     def __init__(self) -> None:
         self._text: str | None = None
@@ -150,8 +164,11 @@ class OpenRequests:
                 pass
 
     def close(self, message: natnet.ServerMessage) -> bool:
-        """Close the request that a message answers; return False if it answers none, but is of a
-        kind that needs one."""
+        """Close the request that a message answers.
+
+        Returns:
+            False if the message answers no request, but is of a kind that needs one.
+        """
         match message:
             case natnet.ServerInfo() | natnet.ModelDef():
                 is_asked = self._counts[type(message)] > 0
@@ -165,7 +182,7 @@ class OpenRequests:
         return is_asked
 
     def take_text(self) -> str | None:
-        """Close the last request that is text, and return it; None if it has been answered."""
+        """Close the last text request, and return it. None if it has been answered."""
         text = self._text
         self._text = None
         return text
@@ -194,7 +211,7 @@ class Stream:
         self.counts = StreamCounts()
         self.info: natnet.ServerInfo | None = None
         self.version: natnet.Version | None = None
-        """The protocol version of frames, None before SERVERINFO."""
+        """The protocol version of frames. None before SERVERINFO."""
         self.up = up
         self.up_answer: int | None = None
         self.unit_mm: float | None = None
@@ -214,7 +231,7 @@ class Stream:
         self._twins = ""  # fault text if two bodies have one name, otherwise ""
 
     def number(self, body: str | int) -> int | None:
-        """Return a body's id in frames, None if its name is unknown."""
+        """Return a body's id in frames. None if its name is unknown."""
         if isinstance(body, int):
             return body
         return self._ids.get(body)
@@ -228,7 +245,7 @@ class Stream:
         self._requests.add(message)
 
     def feed(self, datagram: bytes, received_ns: int) -> natnet.ServerMessage | None:
-        """Take one datagram; return its message, None if the datagram was dropped and counted."""
+        """Take one datagram, and return its message. None if it was dropped and counted."""
         try:
             message = parse(datagram, self.version)
             if not self._requests.close(message):

@@ -20,8 +20,16 @@ from tetractl_microscope.cells.kernels.helix_steps import (
 
 @compiled(**INLINE_EXACT)
 def arrive(m, p, total, model, pieces, first, k):
-    """Move a cell's state m and covariance p to picture k; pieces `first[k]` to `first[k + 1]` of
-    the field (P, 3) are before it.
+    """Move a cell's state and covariance to the next image.
+
+    Args:
+        m: The state, changed in place.
+        p: The covariance, changed in place.
+        total: Derivatives with respect to the state before.
+        model: Numbers of the cell's model.
+        pieces: Pieces of constant field, shape (P, 3).
+        first: Pieces first[k] to first[k + 1] come before image k.
+        k: Index of the image.
     """
     i = first[k]
     end = first[k + 1]
@@ -31,8 +39,16 @@ def arrive(m, p, total, model, pieces, first, k):
 
 @compiled(**INLINE_EXACT)
 def loosen(p, start, odd, distance):
-    """Add the pose's variance of a new cell, of covariance `start`, to the covariance p after
-    ODD_RUN far measurements; return how many were in a row.
+    """Make a cell's pose uncertain again after ODD_RUN distant measurements.
+
+    Args:
+        p: The covariance, to which the pose's variance of a new cell is added.
+        start: Covariance of a new cell.
+        odd: Number of distant measurements in a row so far.
+        distance: Squared distance of the newest measurement.
+
+    Returns:
+        The number of distant measurements in a row.
     """
     odd = odd + 1 if distance > ODD_DISTANCE else 0
     if odd >= ODD_RUN:
@@ -45,9 +61,18 @@ def loosen(p, start, odd, distance):
 
 @compiled(**ENTRY)
 def likelihoods(mean, start, models, measured, deviation, pieces, first, totals):
-    """Write ln of the likelihood (V,) of K pictures' measurements (K, 3) for V variants, each with
-    a mean (V, n) at the first picture, where `start` (n, n) is the covariance, and a model (V, 12).
-    `mean` is that after the last picture at the end.
+    """Compute the log-likelihood of K images' measurements for V variants of a cell.
+
+    Args:
+        mean: State of each variant at the first image, shape (V, n). It is changed to that after
+            the last image.
+        start: Covariance at the first image, shape (n, n).
+        models: Numbers of each variant's model, shape (V, 12).
+        measured: The measurements, shape (K, 3).
+        deviation: Their standard deviations, shape (K, 3).
+        pieces: Pieces of constant field, shape (P, 3).
+        first: Index of the first piece before each image.
+        totals: Filled with the log-likelihoods, shape (V,).
     """
     h = np.empty((3, STATES))
     gain = np.empty((3, STATES))
@@ -70,13 +95,25 @@ def likelihoods(mean, start, models, measured, deviation, pieces, first, totals)
 
 @compiled(**ENTRY)
 def smooth(m, start, model, measured, deviation, pieces, first, means, bodies):
-    """Write the states (K, n) of K pictures given the measurements of all pictures, and the x, y
-    and axis (K, 3) of the body in these; return the covariance after the last picture, where m is
-    the state at the end.
+    """Estimate the states of a cell in K images, given the measurements in all images.
 
-    Backwards in time by Bierman's form of the smoother ("Fixed interval smoothing with discrete
-    measurements", Int. J. Control 18, 1973), which inverts no covariance: `pull` is how
+    It goes backwards in time with Bierman's form of the smoother ("Fixed interval smoothing with
+    discrete measurements", Int. J. Control 18, 1973), which inverts no covariance: `pull` is how
     strongly later measurements pull at each state.
+
+    Args:
+        m: State at the first image. It is changed to that after the last image.
+        start: Covariance at the first image, shape (n, n).
+        model: Numbers of the cell's model.
+        measured: The measurements, shape (K, 3).
+        deviation: Their standard deviations, shape (K, 3).
+        pieces: Pieces of constant field, shape (P, 3).
+        first: Index of the first piece before each image.
+        means: Filled with the states, shape (K, n).
+        bodies: Filled with x, y and axis of the body, shape (K, 3).
+
+    Returns:
+        The covariance after the last image.
     """
     count = len(measured)
     p = start.copy()

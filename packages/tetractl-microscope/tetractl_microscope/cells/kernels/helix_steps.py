@@ -1,6 +1,6 @@
-"""The compiled steps of the filter of `cells.helix`, for one cell: its state and
-covariance move over pieces of constant field, and are updated by a measurement.
+"""The compiled steps of the filter in `cells.helix`, for one cell.
 
+State and covariance move over pieces of constant field, and are updated with measurements.
 `tests/oracles/helix_steps.py` computes the same with whole matrices.
 """
 
@@ -43,10 +43,13 @@ torque = exact(swimming.torque)
 
 @compiled(**ENTRY)
 def apply(f, p, total):
-    """Replace the covariance p by f p f', and the derivatives `total` (n, n; may be empty) by
-    f total.
+    """Replace a covariance by f p f', and derivatives by f times these.
 
-    f (n, n) is the unit matrix but for few entries, so that zeros are skipped.
+    Args:
+        f: A matrix that differs from the unit matrix in few entries, shape (n, n). Zeros are
+            skipped.
+        p: The covariance, shape (n, n), changed in place.
+        total: The derivatives, shape (n, n), changed in place. May be empty.
     """
     size = len(f)
     part = np.zeros((size, size))
@@ -69,7 +72,16 @@ def apply(f, p, total):
 
 @compiled(**ENTRY)
 def switch(m, p, total, resting, before, after):
-    """Let the field change from `before` (3,) to `after` (3,) later by the state DELAY."""
+    """Change the field of a cell, later by the state DELAY.
+
+    Args:
+        m: The state, changed in place.
+        p: The covariance, changed in place.
+        total: Derivatives with respect to the state before, changed in place.
+        resting: Whether the cell rests.
+        before: The piece of field before, shape (3,).
+        after: The piece of field afterwards, shape (3,).
+    """
     a = 0.0 if resting else m[A]
     old, old_slope = torque(m[HEADING] + m[BIAS], before[1], before[2])
     new, new_slope = torque(m[HEADING] + m[BIAS], after[1], after[2])
@@ -85,7 +97,15 @@ def switch(m, p, total, resting, before, after):
 
 @compiled(**INLINE_EXACT)
 def grow(p, model, resting, walled, seconds):
-    """Add to the covariance p what the states may change by themselves in a time."""
+    """Add to a covariance what the states may change by themselves.
+
+    Args:
+        p: The covariance, changed in place.
+        model: Numbers of the cell's model.
+        resting: Whether the cell rests.
+        walled: Whether it is near a wall.
+        seconds: Duration [s].
+    """
     for state in range(BIAS + 1):
         p[state, state] += model[state] ** 2 * seconds
     p[WAY, WAY] += model[X] ** 2 * seconds
@@ -98,12 +118,19 @@ def grow(p, model, resting, walled, seconds):
 
 @compiled(**ENTRY)
 def move(m, p, total, model, walled, piece):
-    """Move a cell's state m and covariance p over a `piece` (3,) of constant field.
+    """Move a cell's state and covariance over a piece of constant field.
 
-    Near a wall (`walled`) turning is no sign of a. `total` collects the derivatives with respect to
-    the state before. To second order in the heading's error, a cell swims and turns by `along` and
-    `round` less than at the mean. Half of what changes by itself does so before the motion: a
-    heading that walks takes the cell with it, which is seen in its way as in its axis.
+    To second order in the heading's error, a cell swims and turns by `along` and `round` less than
+    at the mean. Half of what changes by itself does so before the motion: a heading that walks
+    takes the cell with it, which is visible in its path and in its axis.
+
+    Args:
+        m: The state, changed in place.
+        p: The covariance, changed in place.
+        total: Derivatives with respect to the state before, changed in place.
+        model: Numbers of the cell's model.
+        walled: Whether the cell is near a wall, where turning says nothing about a.
+        piece: Duration [s], x and y of the field, shape (3,).
     """
     seconds, ux, uy = piece
     half = seconds / 2
@@ -164,9 +191,19 @@ def move(m, p, total, model, walled, piece):
 
 @compiled(**ENTRY)
 def forward(m, p, total, model, walled, before, pieces):
-    """Move a cell's state m and covariance p over pieces (P, 3) of constant field, each the
-    duration [s] and the field's x and y, after the piece `before` (3,). A long piece is moved over
-    in steps of at most STEP_S: the middle of a turn of a radian is not where its ends suggest.
+    """Move a cell's state and covariance over pieces of constant field.
+
+    A long piece is passed in steps of at most STEP_S, because the middle of a turn of a radian is
+    not where its ends suggest.
+
+    Args:
+        m: The state, changed in place.
+        p: The covariance, changed in place.
+        total: Derivatives with respect to the state before, changed in place.
+        model: Numbers of the cell's model.
+        walled: Whether the cell is near a wall.
+        before: The piece before, shape (3,).
+        pieces: The pieces, shape (P, 3): duration [s], x and y of the field.
     """
     step = np.empty(3)
     for i in range(len(pieces)):
@@ -182,8 +219,13 @@ def forward(m, p, total, model, walled, before, pieces):
 
 @compiled(**ENTRY)
 def expect(m, slowest, expected, h):
-    """Write the predicted x, y and axis of the body (3,), and their derivatives h (3, n) with
-    respect to the states.
+    """Predict x, y and axis of a cell's body.
+
+    Args:
+        m: The state.
+        slowest: Minimum speed of the organism [um/s].
+        expected: Filled with x, y and axis, shape (3,).
+        h: Filled with their derivatives with respect to the states, shape (3, n).
     """
     cos = math.cos(m[HEADING])
     sin = math.sin(m[HEADING])
@@ -210,12 +252,21 @@ def expect(m, slowest, expected, h):
 
 @compiled(**ENTRY)
 def correct(m, p, model, measured, deviation, h, gain, weighed):
-    """Update a cell's state m and covariance p by x, y [um] and axis [rad] with their deviations
-    (3,), one after the other; write their derivatives h (3, n), gains (3, n) and innovations over
-    their variances (3,).
+    """Update a cell's state and covariance with a measurement, one number after another.
 
-    Returns ln of the likelihood by Student's distribution, the squared Mahalanobis distance
-    from the prediction, and whether the heading was reversed.
+    Args:
+        m: The state, changed in place.
+        p: The covariance, changed in place.
+        model: Numbers of the cell's model.
+        measured: x, y [um] and axis [rad], shape (3,).
+        deviation: Their standard deviations, shape (3,).
+        h: Filled with their derivatives, shape (3, n).
+        gain: Filled with the gains, shape (3, n).
+        weighed: Filled with the innovations over their variances, shape (3,).
+
+    Returns:
+        ln of the likelihood by Student's distribution, the squared Mahalanobis distance from the
+        prediction, and whether the heading was reversed.
     """
     off = np.empty(3)
     moved = np.zeros(STATES)
@@ -267,7 +318,17 @@ def reverse(states):
 
 @compiled(**ENTRY)
 def predict(mean, covariance, used, model, walled, before, pieces):
-    """Move every row in use over pieces of constant field (P, 3), after the piece `before`."""
+    """Move every row in use over pieces of constant field.
+
+    Args:
+        mean: States, shape (R, n), changed in place.
+        covariance: Covariances, shape (R, n, n), changed in place.
+        used: Whether each row is in use, shape (R,).
+        model: Numbers of the cells' model.
+        walled: Whether each cell is near a wall, shape (R,).
+        before: The piece before, shape (3,).
+        pieces: The pieces, shape (P, 3).
+    """
     total = np.empty((0, 0))
     for row in range(len(used)):
         if used[row]:
@@ -276,8 +337,17 @@ def predict(mean, covariance, used, model, walled, before, pieces):
 
 @compiled(**ENTRY)
 def update(mean, covariance, rows, model, measured, deviation, likelihood, distance):
-    """Update rows (M,) by measurements (M, 3), and write ln of their likelihoods and squared
-    distances (M,).
+    """Update rows with measurements.
+
+    Args:
+        mean: States, shape (R, n), changed in place.
+        covariance: Covariances, shape (R, n, n), changed in place.
+        rows: The rows to update, shape (M,).
+        model: Numbers of the cells' model.
+        measured: The measurements, shape (M, 3).
+        deviation: Their standard deviations, shape (M, 3).
+        likelihood: Filled with ln of the likelihoods, shape (M,).
+        distance: Filled with the squared distances, shape (M,).
     """
     h = np.empty((3, STATES))
     gain = np.empty((3, STATES))
@@ -290,6 +360,14 @@ def update(mean, covariance, rows, model, measured, deviation, likelihood, dista
 
 @compiled(**ENTRY)
 def expected(mean, rows, slowest, bodies, slopes):
-    """Write the predicted x, y and axis (M, 3) of rows (M,), and their derivatives (M, 3, n)."""
+    """Predict x, y and axis of cells' bodies.
+
+    Args:
+        mean: States, shape (R, n).
+        rows: The rows to predict, shape (M,).
+        slowest: Minimum speed of the organism [um/s].
+        bodies: Filled with x, y and axis, shape (M, 3).
+        slopes: Filled with their derivatives, shape (M, 3, n).
+    """
     for i, row in enumerate(rows):
         expect(mean[row], slowest, bodies[i], slopes[i])

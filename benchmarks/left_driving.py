@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 from tetractl_emulator.lab_rehearse import observed
-from tetractl_emulator.rehearsal.day import DayPlan, play
+from tetractl_emulator.rehearsal.day import play
+from tetractl_emulator.rehearsal.day_plan import DayPlan
 
 from tetractl.spec.load import load_spec
 from tetractl.spec.plants import on_plant

@@ -138,7 +138,8 @@ def rehearsed(
     from tetractl.spec.load import load_spec
     from tetractl.spec.plants import on_plant
     from tetractl.spec.yaml.core_yaml import dump
-    from tetractl_emulator.rehearsal.day import plan_of_day, play
+    from tetractl_emulator.rehearsal.day import play
+    from tetractl_emulator.rehearsal.day_plan import plan_of_day
     from tetractl_emulator.rehearsal.summary import row_of
 
     experiment = on_plant(load_spec(spec, sets), "emulated").experiment

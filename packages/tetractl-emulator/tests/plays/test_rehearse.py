@@ -9,7 +9,7 @@ from support.paths import EXAMPLES
 from support.virtual_lab import virtual_lab
 from tetractl_emulator.fault_rows import SEEN, SIGHT
 from tetractl_emulator.lab_rehearse import rehearsed
-from tetractl_emulator.rehearsal import day
+from tetractl_emulator.rehearsal import day_plan
 
 from tetractl.lab.guard import Guard
 
@@ -34,7 +34,9 @@ def rehearse(folder, *words):
 
 def plan_days(monkeypatch, *faults, seed=1):
     """Let each day have these faults."""
-    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(seed, {}, list(faults)))
+    monkeypatch.setattr(
+        day_plan, "plan_of_day", lambda *_: day_plan.DayPlan(seed, {}, list(faults))
+    )
 
 
 def rows(folder):

@@ -51,7 +51,7 @@ def log_is_whole(truth: Truth) -> Iterator[Violation]:
     On a day with a full disk or a kill it may be damaged or lack its result, but has to be there
     and to be readable. That of a day that hangs is not checked.
     """
-    if truth.day.exit == HUNG:
+    if truth.day.exit_code == HUNG:
         return
     log = truth.log
     may_be_damaged = truth.killed or truth.met("disk_full")
@@ -84,18 +84,18 @@ def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
         if PROGRAM_ERROR.search(text):
             yield _wrong_end(text[-500:])
             break
-    if day.exit == HUNG:
+    if day.exit_code == HUNG:
         yield _wrong_end("hangs")
         return
     if day.left_behind:
         yield _wrong_end(f"left behind: {day.left_behind}")
     expected = _expected_code(truth)
     waited = truth.began_s == np.inf and truth.met("signal")
-    if day.exit != expected and not (waited and day.exit == INTERRUPTED):
-        yield _wrong_end(f"{day.exit}, not {expected}")
+    if day.exit_code != expected and not (waited and day.exit_code == INTERRUPTED):
+        yield _wrong_end(f"{day.exit_code}, not {expected}")
     if truth.trial is not None and _late_in_a_row(truth) > truth.limits.late_steps:
         yield _wrong_end("a trial goes on though more than `late_steps` were late in a row")
-    if day.exit == 0:
+    if day.exit_code == 0:
         yield from _counts(truth)
 
 
@@ -111,7 +111,7 @@ def _expected_code(truth: Truth) -> int:
     once the emulation has made its last tick.
     """
     if truth.trial is None or truth.trial.result is None:
-        return KILLED if truth.killed and truth.day.exit < 0 else 1
+        return KILLED if truth.killed and truth.day.exit_code < 0 else 1
     outcome = truth.trial.result.outcome
     if outcome.complete:
         return 0

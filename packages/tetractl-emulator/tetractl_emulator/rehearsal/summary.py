@@ -20,8 +20,8 @@ def row_of(day: int, truth: Truth, violations: Sequence[Violation], observed_s: 
     processor time, of which the observer took a part [s].
     """
     result = truth.trial.result if truth.trial is not None else None
-    ended = "killed" if truth.day.exit < 0 else "refused"
-    if truth.first_s("run") < np.inf and truth.day.exit >= 0:
+    ended = "killed" if truth.day.exit_code < 0 else "refused"
+    if truth.first_s("run") < np.inf and truth.day.exit_code >= 0:
         ended = str(result.outcome) if result is not None else "aborted"
     return {
         "day": day,

@@ -350,7 +350,7 @@ class Truth:
     @cached_property
     def faults(self) -> list[VisibleFault]:
         """The faults that became visible, in the order in which they did."""
-        drawn = self.day.plan.sorted
+        drawn = self.day.plan.faults_in_order
         ended_s = {event["row"]: time_s(event) for event in self.events("fault", phase="end")}
         visible = list[VisibleFault]()
         for event in self.events("fault", phase="start"):

@@ -9,7 +9,7 @@ from support.cli import tetractl
 from support.silent_labs import flagged_trials
 from support.virtual_lab import virtual_lab
 from tetractl_emulator.fault_rows import SIGHT
-from tetractl_emulator.rehearsal import day
+from tetractl_emulator.rehearsal import day_plan
 from tetractl_toio.camera import ToioCamera
 from tetractl_toio.cubes import EmulatedCubePort
 from tetractl_toio.emulated.cube import CubeProgram
@@ -109,7 +109,7 @@ def test_a_fault_stops_the_cubes(folder, tmp_path, row, why):
 
 def rehearse(folder, out, monkeypatch, fault):
     """Rehearse one day with a fault, which breaks nothing; return the day's record."""
-    monkeypatch.setattr(day, "plan_of_day", lambda *_: day.DayPlan(1, {}, [fault]))
+    monkeypatch.setattr(day_plan, "plan_of_day", lambda *_: day_plan.DayPlan(1, {}, [fault]))
     words = ("lab", "rehearse", "cubes.yaml", "--days", "1", "--out", out)
     done = tetractl(folder, *words).ok()
     assert done.stdout.endswith("1 day, 0 violations\n")

@@ -3,7 +3,8 @@
 import pytest
 from support.made_days import at
 from support.paths import EXAMPLES
-from tetractl_emulator.rehearsal.day import Day, DayPlan
+from tetractl_emulator.rehearsal.day import Day
+from tetractl_emulator.rehearsal.day_plan import DayPlan
 from tetractl_emulator.rehearsal.outcome_sentences import outcome_violations
 from tetractl_emulator.rehearsal.truth import Truth
 

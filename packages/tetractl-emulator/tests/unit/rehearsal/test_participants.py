@@ -6,7 +6,7 @@ from support.lab_specs import SPEC
 from support.paths import EXAMPLES
 from tetractl_emulator.fault_rows import FaultRow
 from tetractl_emulator.faults import fault_kind
-from tetractl_emulator.rehearsal.day import plan_of_day, rows_of
+from tetractl_emulator.rehearsal.day_plan import plan_of_day, rows_of
 from tetractl_emulator.script import Sides, parse_script
 from tetractl_emulator.twist.side import EmulatedTwist
 

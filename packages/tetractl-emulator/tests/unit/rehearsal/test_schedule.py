@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 from support.paths import ROOT
-from tetractl_emulator.rehearsal.day import (
+from tetractl_emulator.rehearsal.day_plan import (
     BLIND_S,
     BLIND_SHARE,
     FACING,

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from support.made_days import at, give_log
 from support.paths import ROOT
-from tetractl_emulator.rehearsal.day import Day, DayPlan
+from tetractl_emulator.rehearsal.day import Day
+from tetractl_emulator.rehearsal.day_plan import DayPlan
 from tetractl_emulator.rehearsal.sentences import SENTENCES, violations
 from tetractl_emulator.rehearsal.truth import Truth
 
@@ -350,7 +351,7 @@ def test_the_exit_code_is_right(more):
 def complete(fault=LOST, events=(), steps=()):
     """A day that ends with exit code 0, after such events."""
     truth = day([*RUN, *DRIVES, *events, at(2.31, "guard", state="ready", reason=""), END], fault)
-    truth = replace(truth, day=replace(truth.day, exit=0, said=""))
+    truth = replace(truth, day=replace(truth.day, exit_code=0, said=""))
     give_log(truth, result=SimpleNamespace(outcome=Outcome.ARRIVED, reason=""), steps=steps)
     return truth
 

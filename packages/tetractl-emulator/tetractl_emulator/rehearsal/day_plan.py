@@ -1,0 +1,216 @@
+"""Draws what is to happen on a day of a rehearsal: its faults, its emulated world, its settings."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from random import Random
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.poses import Poses
+from tetractl.core.setup import Setup
+from tetractl.spec.lab_section import LabSection
+from tetractl_emulator.fault_rows import STRONG, Draw, FaultRow, scale_of
+from tetractl_emulator.script import Sides
+
+START_SHARE = 0.16
+"""Share of `start_mm` within which robots are put."""
+SPAN_S = 11.0
+"""Latest begin of a fault after the first command that moves robots [s]."""
+CHOICE_S = 5.0
+"""By how much later it may be if trials choose their cells first [s]."""
+BLIND_SHARE = 0.1
+"""Share of the days on which robots on wheels are driven blindly, until a limit stops them."""
+BLIND_S = 15
+"""Time of a day's blind drive [s], in which each robot comes to a rim."""
+FACING_SHARE = 0.5
+"""Share of these days on which two robots start face to face."""
+FACING = (2.0, 3.0)
+"""Distance of these two, as a multiple of `separation_mm`: while one turns round, they meet."""
+SHORT_SHARE = 0.15
+"""Share of the days whose trial ends after SHORT_S, while robots drive."""
+SHORT_S = (2.0, 8.0)
+OWN = ("kind", "right")  # keys of a drawn fault that a script does not have
+
+
+@dataclass(frozen=True, slots=True)
+class DayPlan:
+    """What is to happen on a day.
+
+    Attributes:
+        seed: Seed of the day's trial.
+        emulation: The `emulation` of a script.
+        faults: The `faults` of a script, each with its `kind` and the reasons that are `right`.
+        settings: Settings of the spec on that day.
+    """
+
+    seed: int
+    emulation: Mapping[str, Any]
+    faults: Sequence[Mapping[str, Any]]
+    settings: Sequence[str] = ()
+
+    @property
+    def faults_in_order(self) -> list[Mapping[str, Any]]:
+        """The faults, sorted by their times."""
+        return sorted(self.faults, key=lambda fault: fault["at"])
+
+    def script(self) -> dict[str, Any]:
+        """Return the script of the day."""
+        drawn = self.faults_in_order
+        faults = [{key: value for key, value in fault.items() if key not in OWN} for fault in drawn]
+        about = ", ".join(dict.fromkeys(fault["kind"] for fault in drawn)) or "no fault"
+        runner = {"runner": {"set": [*self.settings]}} if self.settings else {}
+        return {"about": about, "emulation": dict(self.emulation), "faults": faults, **runner}
+
+
+def rows_of(lab: LabSection, setup: Setup) -> list[FaultRow]:
+    """Return the rows of all faults that a lab can have."""
+    sides = Sides.of(lab.camera.type, lab.actuator.type)
+    rows = [row for kind in sides.faults.values() for row in kind.rows]
+    return [row for row in rows if "other" not in row.fields or len(setup.names) > 1]
+
+
+def plan_of_day(
+    seed: int, day: int, lab: LabSection, setup: Setup, chosen: bool = False, bad: bool = True
+) -> DayPlan:
+    """Draw the plan of a day, which depends on nothing but the arguments.
+
+    Args:
+        seed: Seed of the rehearsal.
+        day: Number of the day.
+        lab: The emulated lab.
+        setup: The experiment's robots and arena.
+        chosen: Whether trials choose their cells.
+        bad: Whether the day has faults.
+    """
+    # the order of the draws is part of the result: another one would change all days
+    random = Random(f"{seed}-{day}")
+    sides = Sides.of(lab.camera.type, lab.actuator.type)
+    faults: list[dict[str, Any]] = []
+    if bad:
+        names = sides.actuator.choosable if chosen else setup.names
+        span_s = SPAN_S + CHOICE_S if chosen else SPAN_S
+        scale = scale_of(lab, setup)
+        faults = faults_of_day(random, names, rows_of(lab, setup), span_s, scale)
+    emulation: dict[str, Any] = {}
+    for name, side in (("camera", sides.camera), ("actuator", sides.actuator)):
+        if hasattr(side, "world_of_day"):
+            emulation[name] = side.world_of_day(random, lab, setup)
+    trial_seed = random.randrange(2**31)
+    starts = setup.starts
+    settings: list[str] = []
+    if bad and lab.actuator.type != "field":
+        settings, starts = _settings_of_day(random, lab, setup)
+    if not chosen:
+        near = START_SHARE * lab.limits.start_mm / 1000 / setup.metres
+        emulation["robots"] = _placed(random, setup.names, starts, near)
+    return DayPlan(trial_seed, emulation, faults, settings)
+
+
+def _settings_of_day(random: Random, lab: LabSection, setup: Setup) -> tuple[list[str], Poses]:
+    """Draw whether a day's trial is short, blind or as usual.
+
+    Returns:
+        The settings of the spec on that day, and where the robots start.
+    """
+    drawn = random.random()
+    if drawn < SHORT_SHARE:
+        return [f"controller.time_limit={random.uniform(*SHORT_S):.1f}"], setup.starts
+    if drawn <= 1 - BLIND_SHARE:
+        return [], setup.starts
+    starts = setup.starts
+    separation = lab.limits.separation_mm / 1000 / setup.metres
+    first_rad = random.uniform(-math.pi, math.pi)
+    if random.random() < FACING_SHARE:
+        starts, first_rad = _face_to_face(random, setup, separation)
+    settings = [_blind(random, setup.period_s, first_rad)]
+    for i, (x, y, heading) in enumerate(starts.array().tolist()):
+        settings += [f"robots.{i}.start={[x, y]}", f"robots.{i}.heading={heading}"]
+    return settings, starts
+
+
+def _blind(random: Random, period_s: float, first_rad: float) -> str:
+    """Draw a blind controller, of which each direction is held for about a second; the first one is
+    given.
+    """
+    held = round(1 / period_s)
+    drawn_rad = [first_rad, *(random.uniform(-math.pi, math.pi) for _ in range(BLIND_S - 1))]
+    directions = [round(direction, 2) for direction in drawn_rad for _ in range(held)]
+    return f"controller={{type: sequence, period: {period_s}, directions: {directions}}}"
+
+
+def _face_to_face(random: Random, setup: Setup, separation: float) -> tuple[Poses, float]:
+    """Return starts of which two are face to face, and the heading of the first of the two [rad]:
+    sent that direction, it drives ahead, and the other towards it until it has turned round.
+
+    The first stands on its own start, and faces the middle of the arena. Where the other would
+    stand in an obstacle, a further pair is drawn; if none is left, all stand as in the spec.
+    """
+    starts = setup.starts.array()
+    pairs = list(permutations(range(len(starts)), 2))
+    middle_x = setup.arena.left + setup.arena.width / 2
+    middle_y = setup.arena.bottom + setup.arena.height / 2
+    for first, second in random.sample(pairs, len(pairs)):
+        x, y, _ = starts[first]
+        ahead_rad = math.atan2(middle_y - y, middle_x - x)
+        apart = random.uniform(*FACING) * separation
+        other_x = x + apart * math.cos(ahead_rad)
+        other_y = y + apart * math.sin(ahead_rad)
+        if all(shape.distance(other_x, other_y) > setup.body_radius for shape in setup.obstacles):
+            starts[first, 2] = ahead_rad
+            starts[second] = (other_x, other_y, ahead_rad - math.pi)
+            return Poses.of(np.round(starts, 4)), ahead_rad
+    return setup.starts, 0.0
+
+
+def faults_of_day(
+    random: Random,
+    names: Sequence[str],
+    rows: Sequence[FaultRow],
+    span_s: float = SPAN_S,
+    scale: float = 1.0,
+) -> list[dict[str, Any]]:
+    """Draw a day's faults as of a script; a third of the days have one, others two to six. Each
+    also says its `kind`, the name of the row, and which reasons are `right`.
+    """
+    count = 1 if random.random() < 1 / 3 else random.randint(2, 6)
+    chosen = random.choices(rows, [row.weight for row in rows], k=count)
+    return [_fault(row, random, names, span_s, scale) for row in chosen]
+
+
+def _fault(
+    row: FaultRow, random: Random, names: Sequence[str], span_s: float, scale: float
+) -> dict[str, Any]:
+    draw = Draw(random, random.sample(names, len(names)), random.random(), scale)
+    fault: dict[str, Any] = {"kind": row.name, "right": row.right, "fault": row.fault}
+    for key, value in row.fields.items():
+        fault[key] = value(draw) if callable(value) else value
+    when = random.random()
+    if when < row.start:
+        fault |= {"since": "start", "at": round(random.uniform(0, 1), 3)}
+    elif when > 1 - row.stop:
+        fault |= {"since": "stop", "at": round(random.uniform(0, 0.5), 3)}
+    else:
+        fault["at"] = round(random.uniform(0, span_s), 3)
+    if not row.at_once and "for" not in fault and draw.strength < STRONG:
+        fault["for"] = round(0.02 * 800 ** random.random(), 3)  # from 20 ms to 16 s
+    return fault
+
+
+def _placed(
+    random: Random, names: Sequence[str], starts: Poses, near: float
+) -> list[dict[str, Any]]:
+    """Return robots at places off their starts by up to `near` [length unit]."""
+    placed = []
+    for name, (x, y, heading) in zip(names, starts.array().tolist(), strict=True):
+        off = random.uniform(0, near)
+        angle = random.uniform(-math.pi, math.pi)
+        placed_x = x + off * math.cos(angle)
+        placed_y = y + off * math.sin(angle)
+        turned = round(heading + random.uniform(-0.05, 0.05), 4)
+        placed.append(
+            {"name": name, "start": [round(placed_x, 2), round(placed_y, 2)], "heading": turned}
+        )
+    return placed

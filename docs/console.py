@@ -144,18 +144,45 @@ def mended(page: str) -> str:
 
 
 def _with_dots(shown: list[str], printed: str) -> str:
-    """Return what is printed with `...` in place of what the page leaves out."""
+    """Return what is printed with `...` where the page leaves lines or parts of lines out.
+
+    The lines that the page shows between two `...` are found again in the printed ones by what
+    they look like, apart from numbers. If one cannot be found, every printed line is returned.
+    """
     lines = [line.rstrip() for line in printed.strip("\n").splitlines()]
-    if shown.count("...") == 1:
-        first = shown.index("...")
-        if first + 1 == len(shown):
-            lines = [*lines[:first], "..."]
-        else:  # up to the last line that looks like the one below the dots
-            after = _pattern(shown[first + 1])
-            ends = [i for i, line in enumerate(lines) if i >= first and after.fullmatch(line)]
-            lines = [*lines[:first], "...", *lines[ends[-1] :]] if ends else lines
+    kept = _where_shown(shown, lines) if "..." in shown else None
     inside = [line for line in shown if "..." in line and line.strip() != "..."]
-    return "\n".join(_dotted(line, inside) for line in lines) + "\n"
+    parts = lines if kept is None else ["..." if row is None else lines[row] for row in kept]
+    return "\n".join(_dotted(line, inside) for line in parts) + "\n"
+
+
+def _where_shown(shown: list[str], lines: list[str]) -> list[int | None] | None:
+    """Find the rows of `lines` that look like those of a page.
+
+    Args:
+        shown: The lines of the page, among them `...` for any number of lines.
+        lines: The lines that a command printed.
+
+    Returns:
+        A row for each line of the page, and None for each `...`; or None if a line of the page
+        looks like none that is left.
+    """
+    rows: list[int | None] = []
+    row = 0
+    for at, text in enumerate(shown):
+        if text == "...":
+            rows.append(None)
+            continue
+        after_dots = at > 0 and shown[at - 1] == "..."
+        ends_the_page = after_dots and at + 1 == len(shown)
+        pattern = _pattern(text)
+        found = [i for i in range(row, len(lines)) if pattern.fullmatch(lines[i])]
+        if not found or (not after_dots and found[0] != row):
+            return None
+        row = found[-1] if ends_the_page else found[0]
+        rows.append(row)
+        row += 1
+    return rows
 
 
 def _dotted(line: str, shown: list[str]) -> str:

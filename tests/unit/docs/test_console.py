@@ -76,3 +76,17 @@ def test_a_page_with_another_output_is_mended_and_says_where():
     assert mended == PAGE.format("one") + NOTE.format(console.here())
     assert console.printed_on(mended) == console.here()
     assert console.mended(mended) == mended
+
+
+@pytest.mark.parametrize(
+    ("on_page", "printed", "mended"),
+    [
+        ("...\n total 1.5\n...\n", "start\n total  2.5\nlogs in x\n", "...\n total  2.5\n...\n"),
+        ("first\n...\nlast 1\n", "first\nlast 2\nx\nlast 3\n", "first\n...\nlast 3\n"),
+        ("first\n...\n", "first\nx\n", "first\n...\n"),
+        ("...\nmiddle\n...\n", "other words\n", "other words\n"),
+        ("it took ... s, 3 of 4\n", "it took 17.4 s, 4 of 4\n", "it took ... s, 4 of 4\n"),
+    ],
+)
+def test_a_mended_output_leaves_out_what_the_page_left_out(on_page, printed, mended):
+    assert console._with_dots(on_page.splitlines(), printed) == mended

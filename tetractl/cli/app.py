@@ -38,8 +38,10 @@ PANELS = {
     "Robots and cells": ("identify", "track", "lab"),
     "This program": ("schema", "kinds"),
 }
-"""The groups of commands in the help, in its order; a command that is in none is another
-package's."""
+"""The groups of commands in the help, in order.
+
+A command that is in no group belongs to another package.
+"""
 OTHERS = "Of other packages"
 PANEL_OF = {name: panel for panel, names in PANELS.items() for name in names}
 
@@ -77,8 +79,11 @@ class _Group(TyperGroup):
         return _without_types_of_switches(super().get_params(ctx))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return the command with this name, None if there is none; UsageError if its package is
-        not installed."""
+        """Return the command with this name. None if there is none.
+
+        Raises:
+            UsageError: If its package is not installed.
+        """
         if cmd_name not in self.commands:
             missing = not_installed(self.registry.group, cmd_name)
             if missing:
@@ -91,8 +96,10 @@ class _Group(TyperGroup):
 
 
 def _command(registry: Registry, name: str) -> Any:
-    """Return the command of a registry's function, or, if the function of another package cannot
-    be used, a command that says why."""
+    """Return the command for a registry's function.
+
+    If the function of another package cannot be used, the command says why.
+    """
     panel = None if registry is LAB_COMMANDS else PANEL_OF.get(name, OTHERS)
     try:
         function = registry.load(name)
@@ -181,10 +188,10 @@ def run_app() -> int:
 
 
 def _complain_of(error: BaseException) -> Exit | None:
-    """Print what is wrong, and what helps; return the exit code, or None for an error that no user
-    can cause.
+    """Print what is wrong and what helps, and return the exit code.
 
-    The first case that fits is taken: OSError comes after its kinds.
+    None for an error that no user can cause. The first case that fits is used: OSError comes after
+    its subclasses.
     """
     match error:
         case PluginTrialError() if sys.flags.dev_mode:
@@ -241,7 +248,13 @@ def _without_equals_sign() -> str | None:
 
 
 def complain(code: Exit, message: str, hint: str | None = None) -> Exit:
-    """Print `error: MESSAGE` to stderr, then `hint: HINT` if there is one; return `code`."""
+    """Print `error: MESSAGE` and `hint: HINT` to stderr, and return the exit code.
+
+    Args:
+        code: The exit code.
+        message: The message.
+        hint: The hint. None if there is none.
+    """
     ui.tell(*f"error: {message}".split("\n"))
     if hint:
         ui.tell(*f"hint: {hint}".split("\n"))

@@ -24,10 +24,11 @@ def export(
         option("NAME", "Write only this table: trials, steps, poses, estimates or events. [all]"),
     ] = None,
 ) -> int:
-    """Write trials as tidy CSV tables: one row per trial, control step, pose, estimate or event.
+    """Write trials as tidy CSV tables.
 
-    The names of columns end in their units. Each table has the columns `log` and `trial`, by which
-    tables can be joined. Existing files of these names are overwritten.
+    Tables have one row for each trial, control step, pose, estimate or event. The names of columns
+    end in their units. Each table has the columns `log` and `trial`, so that tables can be joined.
+    Existing files with these names are overwritten.
 
     Example: tetractl export logs/three-m3pi -o tables
     """

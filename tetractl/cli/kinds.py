@@ -40,17 +40,16 @@ def kinds(
     ] = None,
     as_json: AsJson = False,
 ) -> int:
-    """List every available kind: optimisers, shapes, cameras, sweeps, statistics, figures and so
-    on.
+    """List all kinds: optimisers, shapes, cameras, sweeps, statistics, figures and so on.
 
     Each line names the interface, the `type`, and the package and the code that provide it, and
     what a kind needs that is not installed. Exits with 2 if an installed package is broken.
 
-    With --check it tests a kind of your own: that its NumPy functions, compiled functions and
-    derivatives agree, that its bounds hold, and that equal seeds give equal results. Exits with 1
-    if something is wrong. Controllers and disturbances are tested in simulations. A camera is
-    opened if possible. An actuator with a field `port` is opened on a fake port, and steered there;
-    no robot moves.
+    With --check, it tests a kind of your own: whether its NumPy functions, compiled functions and
+    derivatives agree, whether its bounds hold, and whether equal seeds give equal results. Exits
+    with 1 if something is wrong. Controllers and disturbances are tested in simulations. A camera
+    is opened if possible. An actuator with a field `port` is opened on a fake port, and steered
+    there; no robot moves.
 
     Example: tetractl kinds --check pivot:PIVOT
     """

@@ -39,13 +39,14 @@ def check(
     as_json: AsJson = False,
     yes: Annotated[bool, switch("Answer yes to every question.", "--yes")] = False,
 ) -> int:
-    """Check camera, actuator, robots, batteries and starts of a lab, without moving a robot.
+    """Check a lab without moving a robot.
 
-    In a real lab it also practises control steps with simulated robots for 3 s: it measures whether
-    this computer plans in time, and reads the camera meanwhile.
+    It checks camera, actuator, robots, batteries and starts. In a real lab, it also practises
+    control steps with simulated robots for 3 s: it measures whether this computer plans in time,
+    and reads the camera meanwhile.
 
     Exit code 0 means that a run could start now. Questions that only a person can answer, such as
-    the firmware of an unknown radio, are asked; without a terminal, give --yes.
+    the firmware of an unknown radio, are asked. Without a terminal, give --yes.
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
@@ -91,7 +92,7 @@ def stop(
     ] = None,
     sets: Sets = None,
     port: Annotated[
-        str | None, option("PORT", "Serial port of an m3pi radio, in place of a spec.")
+        str | None, option("PORT", "Serial port of an m3pi radio, instead of a spec.")
     ] = None,
     baud: Annotated[int, option("N", "With --port: baud rate.")] = 57600,
 ) -> int:
@@ -124,8 +125,10 @@ def stop(
 def _stops(
     spec: Path | None, sets: list[str] | None, port: str | None, baud: int
 ) -> Callable[..., str]:
-    """Return what stops every robot and returns a line about it: the actuator of a spec's lab, or
-    an m3pi radio at a port."""
+    """Return a function that stops every robot and describes the result in a line.
+
+    It uses the actuator of a spec's lab, or an m3pi radio on a port.
+    """
     if spec is not None and port is None:
         return _stops_of_spec(spec, sets or [])
     if port is not None and spec is None:
@@ -136,8 +139,11 @@ def _stops(
 
 
 def _stops_of_spec(spec: Path, sets: list[str]) -> Callable[..., str]:
-    """Return what stops every robot of a spec's real lab, without its calibration. If the spec is
-    wrong elsewhere, its actuator alone stops them, and the errors are warnings."""
+    """Return a function that stops every robot of a spec's real lab, without its calibration.
+
+    If another part of the spec is wrong, its actuator alone stops them, and the errors are
+    warnings.
+    """
     from tetractl.spec.actuator_alone import actuator_alone
     from tetractl.spec.load import load_document
     from tetractl.spec.plants import lab_of, on_plant, settings_on
@@ -175,18 +181,18 @@ def calibrate(
         int,
         option(
             "N",
-            "Largest output that the calibration sends, in 127ths of full speed; for m3pi robots a "
-            "wheel count.",
+            "Maximum output that the calibration sends, in 127ths of full speed. For m3pi robots, "
+            "a wheel count.",
             min=10,
             max=80,
         ),
     ] = 45,
     yes: Yes = False,
 ) -> int:
-    """Calibrate each robot's actuator by small motions.
+    """Calibrate each robot's actuator with small motions.
 
     It measures wheel speeds, wheel distance and heading offset of robots on two wheels. Robots move
-    one after another, each within about 0.3 m; space or Esc stops all robots. Enter the file's name
+    one after another, each within about 0.3 m. Space or Esc stops all robots. Enter the file's name
     in the spec as `lab.calibration`.
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
@@ -204,8 +210,10 @@ def calibrate(
 
 
 def _calibrated(experiment: "Experiment", names: Sequence[str], limit: int) -> "Measured":
-    """Move the named robots, and return what was measured; a signal, or the terminal's space bar
-    or Esc, stops them."""
+    """Move the named robots, and return what was measured.
+
+    A signal, or the terminal's space bar or Esc, stops them.
+    """
     from numpy.random import SeedSequence
 
     from tetractl.core.protocols import LabSupervision
@@ -225,8 +233,10 @@ def _calibrated(experiment: "Experiment", names: Sequence[str], limit: int) -> "
 
 @contextmanager
 def watched_by_operator(supervision: "LabSupervision", real_robots: bool) -> Iterator[None]:
-    """Let the terminal's space bar or Esc be the emergency stop, and a signal end what is done;
-    say so or, if real robots move without a terminal, that there is no such key."""
+    """Make the terminal's space bar or Esc the emergency stop, and let a signal end the work.
+
+    This is printed; or, if real robots move without a terminal, that there is no such key.
+    """
     stop_key = StopKey(supervision.emergency.set, lambda: None)
     with hung_up_unread(), interrupted_once(robots=True), stop_key as key:
         if key.listening:

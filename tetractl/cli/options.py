@@ -1,5 +1,7 @@
-"""Options of commands, as typer's `Annotated` types: those that several commands have, and short
-ways to declare others. Commands of other packages use them too.
+"""Options of commands, as typer's `Annotated` types.
+
+They are options that several commands have, and short ways to declare others. Commands of other
+packages also use them.
 """
 
 from pathlib import Path
@@ -18,9 +20,14 @@ def argument(metavar: str, text: str) -> Any:
 def option(
     metavar: str, text: str, *names: str, min: float | None = None, max: float | None = None
 ) -> Any:
-    """Return typer's declaration of an option whose value is shown as `metavar`.
+    """Declare an option for typer.
 
-    `names` are needed if it is not named after its parameter.
+    Args:
+        metavar: How its value is shown in the help.
+        text: Its help.
+        *names: Its names. Not needed if it is named after its parameter.
+        min: Minimum value. None for no limit.
+        max: Maximum value. None for no limit.
     """
     return typer.Option(*names, metavar=metavar, help=_plain(text), min=min, max=max)
 

@@ -152,13 +152,12 @@ def _write_page(spec: "LoadedSpec", file: Path) -> int:
 
 
 class Game:
-    """The trials of one `play`: the person's, of which each begins like the first, and one of the
-    controller.
+    """The trials of one `play`: those of the person, and one of the controller.
 
-    `yours` are the results of the person's trials in which a direction was given, and `theirs` is
-    the controller's. A trial that an emulated lab's guard stops is a lost try, and the game goes
-    on. The game is `over` once a trial was interrupted or had no direction, or once real robots or
-    an emergency stop ended it; then `error` is the reason.
+    The person's trials all begin in the same way. `yours` are the results of those in which a
+    direction was given, and `theirs` is the controller's. A trial that an emulated lab's guard
+    stops is a lost try, and the game goes on. The game is `over` once a trial was interrupted or
+    had no direction, or once real robots or an emergency stop ended it. Then `error` is the reason.
     """
 
     def __init__(
@@ -181,7 +180,14 @@ class Game:
         supervision: "LabSupervision | None" = None,
         pause: "Pause | None" = None,
     ) -> None:
-        """Run a trial of the person, who is asked for each direction and may pause."""
+        """Run a trial that the person steers.
+
+        Args:
+            ask: Asks the person for directions.
+            observers: Observers that watch the trial.
+            supervision: How people supervise the run. None if the robots are simulated.
+            pause: Lets the person pause the trial. None if nobody can.
+        """
         from tetractl.run.hand import HandController, go_on, run_by_hand
 
         folder = self._folder(len(self.yours) + 1)
@@ -337,8 +343,10 @@ def _controller_steers(game: Game, console: "Console", speed: float) -> str:
 
 @contextmanager
 def _keyed_screen(keys: "HandKeys", view: "LiveView", stop: Callable[[], None]) -> "Iterator[None]":
-    """Show a view on the terminal, whose keys are read until the end of a `with` block; Esc and a
-    closed terminal call `stop`."""
+    """Show a view on the terminal during the `with` block, and read the keys.
+
+    Esc and a closed terminal call `stop`.
+    """
     from tetractl.view.terminal.keys import StopKey
 
     with StopKey(stop, partial(keys.press, "enter"), steer=keys.press), keys, view:
@@ -418,8 +426,10 @@ def _best(results: "Sequence[Result]") -> "Result":
 
 
 def _how_well(result: "Result", experiment: "Experiment") -> str:
-    """Return the total error and the time of a trial, and where robots must not have been; of an
-    aborted trial, when and why the robots were stopped."""
+    """Describe the total error and the time of a trial, and where robots must not have been.
+
+    For an aborted trial, describe when and why the robots were stopped.
+    """
     if _was_stopped(result):
         return f"stopped after {result.duration_s:.1f} s ({result.reason})"
     where = [" through an obstacle"] if result.entered_obstacle else []

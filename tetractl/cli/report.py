@@ -17,11 +17,12 @@ def report(
     ] = Path("report.html"),
     title: Annotated[str | None, option("TEXT", "Title of the page. [experiment's name]")] = None,
 ) -> int:
-    """Write one HTML page that shows trials and their statistics, and needs no network.
+    """Write one HTML page that shows trials and their statistics.
 
-    The page holds a player of every trial, or of some 60 out of more than 100, the tables of
-    `tetractl stats`, the distribution of the errors, figures of each batch and of the first trial,
-    and where the numbers come from. Each folder is a batch; several batches are shown side by side.
+    The page needs no network. It contains a player of every trial (of about 60 if there are more
+    than 100), the tables of `tetractl stats`, the distribution of the errors, figures of each batch
+    and of the first trial, and where the numbers come from. Each folder is a batch. Several batches
+    are shown side by side.
 
     Example: tetractl report logs/three-m3pi -o report.html
     """

@@ -1,5 +1,6 @@
-"""`tetractl rerun`: runs a recorded trial again, with the spec and seed in its log, or with values
-of that spec replaced.
+"""`tetractl rerun`: runs a recorded trial again, optionally with values replaced.
+
+It uses the spec and the seed in the log.
 """
 
 from dataclasses import replace
@@ -38,12 +39,12 @@ def rerun(
     port: options.ServePort = None,
     json: options.StatsJson = False,
 ) -> int:
-    """Run the trial of a log again, with the spec and seed in the log, and compare the two logs.
+    """Run the trial of a log again, and compare the two logs.
 
-    A trial in virtual time repeats exactly on its plant: the exit code is 1 if the two logs differ
-    in content. With --set the trial is another one, of another controller for instance, and the
-    total errors of both are printed. The trial of a log from a lab is simulated too; robots move
-    only with --plant lab.
+    It uses the spec and the seed in the log. A trial in virtual time repeats exactly on its plant:
+    the exit code is 1 if the two logs differ in content. With --set, the trial is a different one,
+    for instance with another controller, and the total errors of both are printed. The trial of a
+    log from a lab is simulated. Robots move only with --plant lab.
 
     Example: tetractl rerun logs/demo/trial-003.mcap
     """

@@ -157,8 +157,15 @@ def _write(path: Path, text: str, hint: str) -> None:
 def template(
     name: str, file: str, lab: bool = False, camera: str | None = None, robots: str | None = None
 ) -> str:
-    """Return a commented spec of an experiment called `name`, to be kept in `file`; with a `lab` of
-    these kinds of camera and robots if wanted."""
+    """Return a commented spec of an experiment.
+
+    Args:
+        name: Name of the experiment.
+        file: File that the spec will be in.
+        lab: Whether it has a lab.
+        camera: Kind of the lab's camera. None for the default.
+        robots: Kind of the lab's robots. None for the default.
+    """
     from tetractl.spec.lab_template import OURS, lab_template
     from tetractl.spec.yaml.core_yaml import dump
 
@@ -172,7 +179,10 @@ def template(
 
 def validate(
     specs: Annotated[
-        list[Path], argument("SPEC|STUDY", "Files to check; of a study the spec of each arm, too.")
+        list[Path],
+        argument(
+            "SPEC|STUDY", "Files to check. For a study, the spec of each arm is also checked."
+        ),
     ],
     sets: Annotated[
         list[str] | None,
@@ -288,8 +298,7 @@ def warm(
     ] = None,
     sets: Sets = None,
 ) -> int:
-    """Compile the code that specs and studies need, with progress, so that their runs start at
-    once.
+    """Compile the code that specs and studies need, so that runs start at once.
 
     Compiled code is kept on this machine, for each kind of processor and each combination of
     controller, optimiser and motion. Run this command again after a change of one of these.
@@ -314,8 +323,10 @@ def warm(
 
 
 def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
-    """Yield the experiments to compile for: the specs, one arm per controller of each study, or,
-    without files, the spec that `tetractl init` writes.
+    """Yield the experiments to compile for.
+
+    They are the specs, one arm for each controller of each study or, without files, the spec that
+    `tetractl init` writes.
     """
     from tetractl.spec.load import is_study, load_document, parse_spec
     from tetractl.spec.yaml.document import read_document

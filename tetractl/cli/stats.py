@@ -87,7 +87,13 @@ def stats(
 
 
 def show(comparison: "BatchComparison", form: str, full: bool = False) -> None:
-    """Print batches and their comparisons to stdout, as a table in short or in `full`."""
+    """Print batches and their comparisons to stdout.
+
+    Args:
+        comparison: The batches.
+        form: The format.
+        full: Whether a table is complete, not short.
+    """
     from tetractl.statistics.as_json import comparison_items, data_table
     from tetractl.statistics.tables import summary, tables
 

@@ -141,8 +141,10 @@ def _run_tasks(
 
 
 def _conclude(loaded: "LoadedStudy", store: "Store", interrupted: bool) -> int:
-    """Write the table and, unless the study was interrupted, figures, which take seconds; print the
-    errors and the number of missing trials; return the exit code.
+    """Write the table and the figures of a study, and print its errors.
+
+    Figures take seconds, and are left out if the study was interrupted. The number of missing
+    trials is also printed. The result is the exit code.
     """
     from tetractl.study.arm_table import arms_table, finished_trials, write_table
 

@@ -53,9 +53,20 @@ def load_to_run(
     values: "Sequence[FieldValue]" = (),
     strict: bool = False,
 ) -> "LoadedSpec":
-    """Return a spec with what options replace in it, on the plant that will be run, and print its
-    warnings; with `strict`, raise UsageError if there are any. `values` are those of options for
-    one field each, None of an option that is not given.
+    """Load a spec with the values of options, on the plant that will be run.
+
+    Its warnings are printed.
+
+    Args:
+        spec: The spec.
+        sets: Settings such as "trials.count=5".
+        plant: The kind of plant. None for the spec's own plant.
+        values: Values of options that each set one field. The value is None if an option is not
+            given.
+        strict: Whether a warning is an error.
+
+    Raises:
+        UsageError: If there are warnings, and `strict` is True.
     """
     from tetractl.spec.load import load_document
     from tetractl.spec.plants import on_plant, settings_on
@@ -102,10 +113,18 @@ def wanted_port(serve: bool, port: int | None) -> int | None:
 def run_command(
     loaded: "LoadedSpec", options: RunOptions, only: int | None = None
 ) -> tuple[int, Path]:
-    """Run the trials of a spec, or only trial `only`, and print the statistics; with `dry_run`,
-    only print the spec. Return the exit code and the logs' folder.
+    """Run the trials of a spec, and print the statistics.
 
-    Trials that have a log already are not run again (with `resume`; else such a folder is refused).
+    With `dry_run`, only the spec is printed. With `resume`, trials that already have a log are not
+    run again. Otherwise, a folder with logs is refused.
+
+    Args:
+        loaded: The spec.
+        options: Options of the command.
+        only: Index of the only trial to run. None to run all.
+
+    Returns:
+        The exit code and the logs' folder.
     """
     from tetractl.run.store import Store
 
@@ -143,8 +162,9 @@ def _planned(store: "Store", only: int | None) -> list[int]:
 
 
 def _print_plan(loaded: "LoadedSpec", folder: Path, planned: list[int]) -> None:
-    """Print what a run would do: the resolved spec, then the rest in YAML comments, so that the
-    whole text is a valid spec.
+    """Print what a run would do: the resolved spec, then the rest in YAML comments.
+
+    The whole text is therefore a valid spec.
     """
     from tetractl.run.spec_trial import log_path
     from tetractl.spec.loaded_spec import resolved_yaml
@@ -183,8 +203,10 @@ def _limits(experiment: "Experiment") -> dict[str, str]:
 
 @contextmanager
 def _served(name: str, port: int | None) -> "Iterator[Sequence[Observer]]":
-    """Yield the observers that send the trials of a `with` block to viewers; none if `port` is
-    None."""
+    """Yield the observers that send the trials of a `with` block to viewers.
+
+    There are none if `port` is None.
+    """
     if port is None:
         yield ()
         return
@@ -201,10 +223,15 @@ def _served(name: str, port: int | None) -> "Iterator[Sequence[Observer]]":
 def stoppable(
     loaded: "LoadedSpec", options: RunOptions, by_keys: bool = False
 ) -> "Iterator[Interrupt]":
-    """Compile the controller, then yield an `Interrupt` that counts each signal during the `with`
-    block as a request to stop; in the lab, and with a terminal that is read `by_keys`, Ctrl-Z, too.
+    """Compile the controller, and let signals stop the run during the `with` block.
 
-    In the lab, unless `unattended`, SIGHUP is sent once no process reads the output.
+    Each signal counts as a request to stop. In the lab, unless `unattended`, SIGHUP is sent once no
+    process reads the output.
+
+    Args:
+        loaded: The spec.
+        options: Options of the command.
+        by_keys: Whether keys are read from the terminal. Then Ctrl-Z in the lab also counts.
     """
     from tetractl.control.methods.build import warm_up
 
@@ -306,9 +333,18 @@ def in_lines(
     interrupt: Interrupt,
     viewers: "Sequence[Observer]",
 ) -> "Iterator[tuple[Executor, RunObserver]]":
-    """Run `count` trials: yield what runs them, in `jobs` processes, and a line for each.
+    """Prepare trials that print a line each.
 
-    Those that are served run in this process.
+    Args:
+        console: The console.
+        unit: Length unit of the experiment.
+        count: Number of trials.
+        jobs: Number of processes. Trials with viewers run in this process.
+        interrupt: Requests to end.
+        viewers: Observers that send the trials to viewers.
+
+    Yields:
+        What runs the trials, and what prints the lines.
     """
     from tetractl.run.executors import Here, on_this_machine
     from tetractl.view.terminal.progress import BatchProgress

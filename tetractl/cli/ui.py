@@ -1,5 +1,6 @@
-"""What several commands do: load specs and logs, print messages and results, and ask before robots
-move.
+"""Functions for several commands.
+
+They load specs and logs, print messages and results, and ask before robots move.
 """
 
 import sys
@@ -37,8 +38,11 @@ def load(path: Path, sets: Sequence[str] | None) -> "LoadedSpec":
 
 
 def warn(loaded: "LoadedSpec", strict: bool = False) -> "tuple[PlacedWarning, ...]":
-    """Print the warnings of a spec, and return them; with `strict`, raise UsageError if there are
-    any."""
+    """Print the warnings of a spec, and return them.
+
+    Raises:
+        UsageError: If there are any, and `strict` is True.
+    """
     from tetractl.run.plausibility import find_warnings
 
     warnings = find_warnings(loaded)
@@ -77,7 +81,13 @@ def tell(*lines: str) -> None:
 
 
 def show(as_json: bool, items: object, tables: "Sequence[Table]") -> None:
-    """Print results to stdout: as one JSON object of `items`, or as tables."""
+    """Print results to stdout.
+
+    Args:
+        as_json: Whether to print one JSON object instead of tables.
+        items: The object.
+        tables: The tables.
+    """
     if as_json:
         print(json_text(items))
     else:
@@ -86,8 +96,9 @@ def show(as_json: bool, items: object, tables: "Sequence[Table]") -> None:
 
 @contextmanager
 def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
-    """Show a progress bar on a terminal; yields the function that updates it, called with the
-    number done and the total.
+    """Show a progress bar on a terminal.
+
+    It yields the function that updates the bar, called with the number done and the total.
     """
     from rich.progress import Progress
 
@@ -107,8 +118,11 @@ def announce_compiling(quiet: bool, text: str) -> None:
 
 
 def refuse_existing(out: Path | None) -> None:
-    """Raise UsageError if an output file exists already, or the folder that it is to be in does
-    not."""
+    """Check that an output file does not exist yet, but its folder does.
+
+    Raises:
+        UsageError: If not.
+    """
     if out is None:
         return
     if out.exists():
@@ -125,8 +139,11 @@ def refuse_filled(folder: Path | None) -> None:
 
 
 def require_folder_of(out: Path) -> None:
-    """Raise UsageError if the folder of an output file is missing, or if the name is that of a
-    folder: before the work, not after."""
+    """Check, before the work, that an output file can be written.
+
+    Raises:
+        UsageError: If the folder is missing, or if the name belongs to a folder.
+    """
     if not out.parent.is_dir():
         raise UsageError(f"{out}: there is no folder {out.parent}")
     if out.is_dir():
@@ -158,8 +175,11 @@ def rig_of(experiment: "Experiment", supervision: "LabSupervision | None" = None
 
 
 def require_yes_or_terminal(yes: bool) -> None:
-    """Raise UsageError if there is neither `yes` nor a terminal at which to confirm that robots may
-    move."""
+    """Check that somebody can confirm that robots may move.
+
+    Raises:
+        UsageError: If there is neither `yes` nor a terminal.
+    """
     if not yes and not has_keys():
         raise UsageError(
             "robots would move, and there is no terminal at which to ask",
@@ -168,8 +188,11 @@ def require_yes_or_terminal(yes: bool) -> None:
 
 
 def require_consent(yes: bool, what: str) -> None:
-    """Ask on stderr whether robots may move, unless `yes`, and say `what` will happen; raises if
-    they may not, or if there is no terminal at which to ask."""
+    """Ask on stderr whether robots may move, unless `yes`.
+
+    The question says `what` will happen. An error is raised if they may not, or if there is no
+    terminal to ask.
+    """
     require_yes_or_terminal(yes)
     if not yes:
         typer.confirm(f"{what} Continue?", abort=True, err=True)

@@ -53,10 +53,10 @@ class Messages(io.FileIO):
 
 
 def open_streams() -> None:
-    """Replace `sys.stderr` by a stream of `Messages`, and let both streams escape the characters
-    that their encoding lacks.
+    """Replace `sys.stderr` by a stream of `Messages`, and make both streams safe for any character.
 
-    A closed standard descriptor is opened on the null device, so that no log gets its number.
+    Characters that a stream's encoding lacks are escaped. A closed standard descriptor is opened on
+    the null device, so that no log gets its number.
     """
     while (descriptor := os.open(os.devnull, os.O_RDWR)) <= STDERR:
         os.set_inheritable(descriptor, True)
@@ -74,8 +74,10 @@ def open_streams() -> None:
 
 
 def close_stdout() -> None:
-    """Write the rest of the results; if that fails, lose them, so that the interpreter, which
-    writes them again as it ends, does not fail too."""
+    """Write the rest of the results. If that fails, they are lost.
+
+    Otherwise the interpreter, which writes them again when it ends, would also fail.
+    """
     try:
         sys.stdout.flush()
     except (OSError, ValueError):
@@ -90,8 +92,10 @@ def say_at_once(text: bytes) -> None:
 
 
 def notice_of_signals(text: bytes) -> Callable[[int], None]:
-    """Return the `notice` of an `Interrupt`: prints `text` at the first signal, and lets no
-    signal wait for a reader."""
+    """Return the `notice` of an `Interrupt`.
+
+    It prints `text` at the first signal, and lets no signal wait for a reader.
+    """
 
     def notice(count: int) -> None:
         give_up_unread()

@@ -1,3 +1,4 @@
-"""The MCAP log of a trial: its format, writing it, reading it (`read.reader.read_trial`), and its
-provenance.
+"""The MCAP log of a trial.
+
+This package contains its format, writing, reading (`read.reader.read_trial`) and provenance.
 """

@@ -39,8 +39,10 @@ DECISION_CODE = "code"
 """Key of a hash of DECIDING, the code that a decision follows from."""
 
 FILES_MAX = 200
-"""Largest number of changed files, and of untracked ones, that a log names: so that a checkout with
-large local changes makes no large logs."""
+"""Maximum number of changed files, and of untracked files, that a log names.
+
+A checkout with many local changes therefore makes no large logs.
+"""
 VERSION_KEYS = frozenset(
     {"python", "tetractl", DECISION_CODE, CODE, "git_commit", "git_dirty", *PACKAGES}
 )
@@ -185,8 +187,10 @@ def _local_changes() -> dict[str, object]:
 
 @cache
 def git_state() -> Mapping[str, str]:
-    """Return commit and dirtiness of tetractl's checkout; nothing if it does not run from one, or
-    git is not installed."""
+    """Return commit and dirtiness of tetractl's checkout.
+
+    The result is empty if tetractl does not run from a checkout, or git is not installed.
+    """
     facts: dict[str, str] = {}
     # else no checkout, or the checkout of another project around an installed package
     if _git("ls-files", "--error-unmatch", "__init__.py") is not None:

@@ -51,8 +51,13 @@ STEPS = (0.01, 0.02, 0.05, 0.1, 0.2)
 
 @dataclass(frozen=True, slots=True)
 class PartedRobot:
-    """A robot of turning rate `a` [rad/s] that would not move like the others of its group at
-    `a_advised`."""
+    """A robot that would move differently from its group with another turning rate.
+
+    Attributes:
+        robot: The robot.
+        a: Its turning rate [rad/s].
+        a_advised: The turning rate at which it would [rad/s].
+    """
 
     robot: str
     a: float
@@ -113,10 +118,10 @@ class Reach:
 
 
 def reach(experiment: Experiment) -> Reach | None:
-    """Return what the signal of a spec can reach, by the motion of its controller; None for more
-    than ROBOTS_MAX robots and for robots that a trial has still to find.
+    """Compute what the signal of a spec can reach, by the motion of its controller.
 
-    The motions that advance headings by (6) approximate the exact one, which takes their place.
+    None for more than ROBOTS_MAX robots, and for robots that a trial still has to find. Motions
+    that advance headings by (6) approximate the exact motion, which is used instead.
     """
     setup = experiment.setup
     control = experiment.controller
@@ -198,7 +203,10 @@ def _apart(ends: Floats, first: int, second: int) -> float:
 
 
 def _parted(setup: Setup, motion: str, group: list[int], most: float) -> Iterator[PartedRobot]:
-    """Yield the robots of a group but the first with the least other a that parts them from it."""
+    """Yield the robots of a group except the first, each with an a that separates it.
+
+    It is the nearest such turning rate.
+    """
     a = setup.a.copy()
     least = NEAR * TOLERANCE * most
     for step in STEPS:

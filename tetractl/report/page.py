@@ -39,8 +39,10 @@ from tetractl.tools.table.terminal_table import html
 MANY = 100
 """Trials at most that a page carries all, with plans and searches."""
 CARRIED = 61
-"""Trials, about, that it carries of more, without plans and searches, to stay below 5 MB; its
-tables have all."""
+"""Approximate number of trials on the page if there are more, without plans and searches.
+
+The page then stays below 5 MB. Its tables have all trials.
+"""
 CARRIED_MIN = 3
 """Least number of trials that it carries of a batch."""
 LEFT_OUT = (
@@ -55,8 +57,11 @@ COMPARED_MOST = 10
 TRIAL_FIGURES = ("trajectory", "convergence", "errors", "over-time")
 """The figures of the first trial, in their order."""
 PLAYER_PX = 740
-"""Height of the player in a notebook, whose style `framed` fits the arena and its controls into it
-at any width, and lets the numbers next to them scroll."""
+"""Height of the player in a notebook.
+
+The style `framed` fits the arena and its controls into it at any width, and lets the numbers next
+to them scroll.
+"""
 SCRIPTS = ("data.js", "clock.js", "legend.js", "scene.js", "chart.js", "player.js")
 """The scripts of a page with a player, in the order in which they need each other."""
 
@@ -73,12 +78,19 @@ class _CarriedTrial:
 def report(
     paths: Sequence[Path], title: str | None, progress: Callable[[int, int], None]
 ) -> tuple[str, list[str]]:
-    """Return the HTML page of logs, folders or patterns, and what is wrong with logs.
+    """Return the HTML page of trials, and what is wrong with logs.
 
-    Each folder and each arm of a study is a batch; logs given one by one are one batch together.
-    Trials of a study without a log are only in the tables. `progress` is called with the number of
-    results read and the number of all logs. Raises UsageError if there is no log, or if the trials
-    of a batch belong to several experiments, LogError if no log can be read.
+    Each folder and each arm of a study is a batch. Logs given one by one are one batch together.
+    Trials of a study without a log are only in the tables.
+
+    Args:
+        paths: Logs, folders or patterns.
+        title: Title of the page. None for the experiment's name.
+        progress: Called with the number of results read and the number of all logs.
+
+    Raises:
+        UsageError: If there is no log, or if the trials of a batch belong to several experiments.
+        LogError: If no log can be read.
     """
     groups, unread = _batches(paths, progress)
     count = sum(len(group.batch.logs) for group in groups)
@@ -126,9 +138,11 @@ def player(logs: Sequence[TrialLog]) -> FramedPage:
 
 
 class _Carried:
-    """What the page carries of the logs of its batches, all of them if `complete`: the `trials`,
-    the figures of their `errors` over time, and the `first` trial; `unread` is what is wrong with
-    logs."""
+    """The logs of its batches that the page contains, all of them if `complete`.
+
+    They are the `trials`, the figures of their `errors` over time, and the `first` trial. `unread`
+    is what is wrong with logs.
+    """
 
     def __init__(self, complete: bool) -> None:
         self._complete = complete
@@ -158,9 +172,10 @@ class _Carried:
 
 
 def logs_to_carry(group: BatchStatistics, groups: int) -> list[Path]:
-    """Return the logs of a batch, one of `groups`, that a page carries which cannot carry all:
-    trials at evenly spaced ranks of the total error, from the best to the worst, and some that do
-    not count, in the order of the trials.
+    """Select the logs of a batch for a page that cannot contain all.
+
+    They are trials at evenly spaced ranks of the total error, from the best to the worst, and some
+    that do not count, in the order of the trials. The batch is one of `groups`.
     """
     logs = set(group.batch.logs)
     logged = [trial for trial in group.batch.trials if Path(trial.log) in logs]
@@ -180,8 +195,13 @@ def logs_to_carry(group: BatchStatistics, groups: int) -> list[Path]:
 def _batches(
     paths: Sequence[Path], progress: Callable[[int, int], None]
 ) -> tuple[list[BatchStatistics], list[str]]:
-    """Read a batch per folder and one of all single logs; return their statistics and what is wrong
-    with logs. LogError if no log can be read.
+    """Read a batch for each folder, and one for all single logs.
+
+    Returns:
+        Their statistics, and what is wrong with logs.
+
+    Raises:
+        LogError: If no log can be read.
     """
     paths = without_others(paths)
     folders = [str(path) for path in paths if path.is_dir()]

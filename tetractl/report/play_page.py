@@ -23,8 +23,10 @@ SCRIPTS = ("data.js", "clock.js", "legend.js", "scene.js", "motion.js", "play.js
 MOTIONS = ("exact", "euler")
 """The motions that `assets/motion.js` knows."""
 TRIAL_MAX = 120_000
-"""Maximum size of the controller's trial on the page [characters]. A longer one loses its plans, so
-that the page stays below 300 kB."""
+"""Maximum size of the controller's trial on the page [characters].
+
+A longer trial loses its plans, so that the page stays below 300 kB.
+"""
 FRAME_PX = 1000
 """Height of the page in a notebook [pixels]."""
 

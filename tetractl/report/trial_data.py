@@ -23,8 +23,10 @@ from tetractl.view.plan_words import doing, search_end
 from tetractl.view.player import end_ns, first_seen
 
 COARSER = 3
-"""By how many decimals plans are coarser than what is shown in digits: a thousandth of the arena at
-most."""
+"""How many decimals fewer plans have than numbers shown in digits.
+
+The error is at most a thousandth of the arena.
+"""
 
 
 def packed(trial: dict[str, Any]) -> str:
@@ -49,16 +51,21 @@ def significant(values: ArrayLike) -> list[float | None]:
 
 
 def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
-    """Return a trial of N robots for the player; lengths in `unit`, times [s] from the first
-    direction sent.
+    """Return a trial of N robots for the player.
 
-    `frames.xy` (M, N, 2) and `frames.heading` (M, N) are measured poses, thinned to `SHOWN_HZ`.
-    For each of K control steps, `steps` contains time, direction u (None while robots stand or turn
-    on the spot, which `doing` states), solve time, and cost J and number of signals of the plan
-    unless the robots stand. `final` are the poses and errors of the result, at the time `end`. With
-    `plans`, `plan` contains the predicted positions (K, H, N, 2) and `history` the values of J over
-    the chosen search's iterations; H differs from step to step. `dish` contains a microscope's
-    pictures, for a trial with `plans`.
+    Lengths are in `unit`, times [s] count from the first direction sent. `frames.xy` (M, N, 2) and
+    `frames.heading` (M, N) are measured poses, thinned to `SHOWN_HZ`. For each of K control steps,
+    `steps` contains time, direction u (None while robots stand still or turn on the spot, which
+    `doing` states), solve time, and cost J and number of signals of the plan unless the robots
+    stand still. `final` are the poses and errors of the result, at the time `end`. With `plans`,
+    `plan` contains the predicted positions (K, H, N, 2) and `history` the values of J over the
+    chosen search's iterations; H differs from step to step. `dish` contains a microscope's images,
+    for a trial with `plans`.
+
+    Args:
+        log: The trial.
+        file: Name of its log.
+        plans: Whether to include plans.
     """
     setup = log.start.setup
     arena = setup.arena
@@ -153,8 +160,9 @@ def _events(log: TrialLog) -> list[dict[str, Any]]:
 
 
 def _thinned(log: TrialLog, until_ns: int) -> NDArray[np.intp]:
-    """Return the indices of the frames to show: at most `SHOWN_HZ` per second, none earlier than
-    one control period before the first direction, or later than `until_ns`.
+    """Return the indices of the frames to show, at most `SHOWN_HZ` per second.
+
+    None is more than one control period before the first direction, or later than `until_ns`.
     """
     before_end = log.mocap_ns <= until_ns
     times_ns = log.mocap_ns[before_end]

@@ -27,8 +27,9 @@ _SESSION_BYTES = 8
 
 
 def greeting(name: str) -> list[str]:
-    """Return the first messages to a client: the server's description, and the topics with their
-    schemas.
+    """Return the first messages to a client.
+
+    They are the server's description, and the topics with their schemas.
     """
     info = {
         "op": "serverInfo",
@@ -54,8 +55,10 @@ def _channel(number: int, topic: str) -> dict[str, object]:
 
 
 def subscription(number: int) -> bytes:
-    """Return the bytes of a client's subscription number for `message`; OverflowError if the number
-    is invalid.
+    """Return the bytes of a client's subscription number for `message`.
+
+    Raises:
+        OverflowError: If the number is invalid.
     """
     return number.to_bytes(4, "little")
 

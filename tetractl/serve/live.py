@@ -185,10 +185,9 @@ class _Client:
 
 
 class ServedRun(Encoder):
-    """Sends the messages that a log would contain, for one trial after another: an `Observer` of
-    each trial.
+    """An observer that sends the messages that a log would contain, for one trial after another.
 
-    A trial in virtual time is slowed to the wall clock `wall`, so that people can watch it.
+    A trial in virtual time is slowed down to the wall clock `wall`, so that people can watch it.
     """
 
     def __init__(self, viewers: Viewers, wall: Clock) -> None:

@@ -43,10 +43,12 @@ _QUIET.propagate = False
 
 
 class LoopbackServer:
-    """Streams `live` over WebSockets at the address `url`, from construction to `close`, in threads
-    of its own; a context manager.
+    """Streams `live` over WebSockets at the address `url`; a context manager.
 
-    Raises UsageError if the port cannot be used; port 0 takes any free port.
+    It runs in its own threads, from construction to `close`. Port 0 takes any free port.
+
+    Raises:
+        UsageError: If the port cannot be used.
     """
 
     def __init__(self, live: Viewers, port: int = 0) -> None:
@@ -95,8 +97,9 @@ class LoopbackServer:
         self.close()
 
     def _refusal(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Return the answer to a request without this server's `Host` and, compared in constant
-        time, its token.
+        """Return the refusal of a request that lacks this server's `Host` or token.
+
+        The token is compared in constant time.
         """
         hosts = request.headers.get_all("Host")
         our_name = hosts in ([f"{ADDRESS}:{self.port}"], [f"localhost:{self.port}"])

@@ -1,8 +1,8 @@
-"""What `stats` writes for other programs: the JSON of batches and of their comparisons, key by key,
-and the CSV table.
+"""The output of `stats` for other programs.
 
-Lengths are in the unit that is stated, times in the unit with which their key ends. Numbers are not
-rounded; unknown ones are NaN or None, which JSON writes as null.
+It is the JSON of batches and of their comparisons, key by key, and the CSV table. Lengths are in
+the stated unit, times in the unit with which their key ends. Numbers are not rounded. Unknown
+numbers are NaN or None, which JSON writes as null.
 """
 
 from typing import Any
@@ -17,8 +17,9 @@ from tetractl.tools.table.table_files import flat
 
 
 def comparison_items(comparison: BatchComparison) -> dict[str, Any]:
-    """Return the object that `stats --format json` prints: of one batch its items, of several
-    `groups` and `comparisons`.
+    """Return the object that `stats --format json` prints.
+
+    For one batch, it has the items of the batch. For several, it has `groups` and `comparisons`.
     """
     if len(comparison.groups) == 1:
         return batch_items(comparison.groups[0])
@@ -30,8 +31,10 @@ def comparison_items(comparison: BatchComparison) -> dict[str, Any]:
 
 
 def data_table(comparison: BatchComparison) -> Table:
-    """Return the table of `stats --format csv`: for one batch, a row per trial, earlier attempts
-    last; for several batches, a row per comparison, with the same numbers as the JSON.
+    """Return the table of `stats --format csv`.
+
+    For one batch, it has a row for each trial, earlier attempts last. For several batches, it has a
+    row for each comparison, with the same numbers as the JSON.
     """
     if len(comparison.groups) == 1:
         return trials_table(comparison.groups[0].batch)

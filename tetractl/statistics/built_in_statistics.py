@@ -1,18 +1,21 @@
-"""The built-in statistics of a batch: how its trials ended, how near robots came to obstacles, to
-the arena's edge and to one another, what must not happen, how tightly robots were held at their
-targets, and solve times.
+"""The built-in statistics of a batch.
 
-Distances are those of the robots' centres, on the true paths of a simulation and the measured ones
-in a lab; percentiles of solve times are over all steps of all trials.
+They describe how its trials ended, how near robots came to obstacles, to the arena's edge and to
+each other, events that should never happen, how tightly robots were held at their targets, and
+solve times.
 
-To add one, write it here, with a line in STATISTICS of `core/registries.py`, in its place in the
-tables, and one in docs/reference/statistics.md: tables, JSON, CSV and the report then have it. Most
-are a line, from a number in each trial's `Result` of `core/trial.py`:
+Distances are between the robots' centres, on the true paths of a simulation and the measured paths
+in a lab. Percentiles of solve times are over all steps of all trials.
+
+To add a statistic, write it here, with a line in STATISTICS of `core/registries.py`, in its place
+in the tables, and one in docs/reference/statistics.md. Tables, JSON, CSV and the report then have
+it. Most are a line, from a number in each trial's `Result` of `core/trial.py`:
 
     WORST = number("worst", "error of the worst robot", lambda result: max(result.robot_errors))
 
-`number`, `count` and `share` are in `statistic`; here are `total` of what there should be none of,
-`least` distance, and `mean_of_each` column. What results lack is read from the log, as `discs` is.
+`number`, `count` and `share` are in `statistic`. This module has `total` for a count of events that
+should never happen, `least` for a minimum distance, and `mean_of_each` for columns. What results
+lack is read from the log, as in `discs`.
 """
 
 from collections import Counter
@@ -73,8 +76,10 @@ def _outcomes(trials: Sequence[ResultSummary]) -> list[Figure]:
 
 
 def _abort_reasons(trials: Sequence[ResultSummary]) -> str:
-    """Return why trials were aborted, the most frequent reason first, with the number of trials for
-    each if there are several reasons."""
+    """Describe why trials were aborted, the most frequent reason first.
+
+    If there are several reasons, each has its number of trials.
+    """
     aborted = [trial for trial in trials if trial.outcome is Outcome.ABORTED]
     counts = Counter(trial.result.reason or MEANINGS[Outcome.ABORTED] for trial in aborted)
     if len(counts) == 1:
@@ -103,8 +108,16 @@ def total(
     number_in: Callable[[ResultSummary], int],
     matters: Callable[[ResultSummary], bool] = lambda trial: True,
 ) -> Statistic:
-    """Return a statistic: the sum of a number of what there should be none of. A reader must see it
-    where it `matters`, which the first trial tells of all."""
+    """Create a statistic: a count of events that should never happen.
+
+    A reader must see it where it matters.
+
+    Args:
+        key: Key of the statistic.
+        label: Its label in tables.
+        number_in: Returns the count in a trial.
+        matters: Whether it matters, judged by the first trial for all.
+    """
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
         number = sum(map(number_in, trials))
@@ -120,15 +133,21 @@ RECOVERED = total("recovered", "read from damaged logs", lambda trial: trial.rec
 # ---- How near robots came ----
 
 Distances = Callable[[Verdict], Sequence[float]]
-"""Function that returns the least distance of each robot in a trial [length unit]; empty if the log
-has no distances.
+"""A function that returns the minimum distance of each robot in a trial [length unit].
+
+The result is empty if the log has no distances.
 """
 
 
 def least(key: str, label: str, distances_in: Distances) -> Statistic:
-    """Return a statistic: the least distance over all robots and trials.
+    """Create a statistic: the minimum distance over all robots and trials.
 
-    A trial whose log lacks the distance is left out; its cell in the table of trials is empty.
+    A trial whose log lacks the distance is left out. Its cell in the table of trials is empty.
+
+    Args:
+        key: Key of the statistic.
+        label: Its label in tables.
+        distances_in: Returns the distances of a trial.
     """
 
     def of_trial(trial: ResultSummary) -> dict[str, Any]:
@@ -157,12 +176,16 @@ LENGTHS = ("clearance", "edge", "apart")
 def safety(
     label: str, body_key: str, centre_key: str | None = None, centre_column: str | None = None
 ) -> Statistic:
-    """Return a statistic: the number of trials in which a robot did what `label` in SAFETY says.
+    """Create a statistic: the number of trials in which a robot did what a label in SAFETY says.
 
-    JSON has the count of bodies under `body_key`, null without a radius, and of centres under
-    `centre_key`, which is called `centre_column` of a single trial. Tables show the count of bodies
-    or, without a radius, that of centres. Of obstacles a reader always sees it, of the others if it
-    happened.
+    Tables show the count of bodies or, without a radius, the count of centres. For obstacles, a
+    reader always sees it; for the others, only if it happened.
+
+    Args:
+        label: The label.
+        body_key: Key for the count of bodies in JSON, null without a radius.
+        centre_key: Key for the count of centres. None if there is no such count.
+        centre_column: Name of that count for a single trial.
     """
     did = SAFETY[label]
 
@@ -205,8 +228,9 @@ TOUCHED = safety(TOUCHED_EACH_OTHER, "bodies_touch")
 
 
 def _way_points(trial: ResultSummary) -> dict[str, Any]:
-    """Return, for each way-point, the sum of the robots' distances to it when it was passed, None
-    if it was not.
+    """Return the sum of the robots' distances to each way-point when it was passed.
+
+    None for a way-point that was not passed.
     """
     way_points = len(trial.experiment.setup.legs) - 1
     passed = trial.result.passed[:way_points]
@@ -215,8 +239,9 @@ def _way_points(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _time_inside(trial: ResultSummary) -> dict[str, Any]:
-    """Return the fraction of the hold's time that each robot was within `hold.radius` of its
-    target; None if the hold was not completed.
+    """Return the fraction of the hold's time that each robot was near its target.
+
+    Near means within `hold.radius`. None if the hold was not completed.
     """
     if trial.experiment.hold is None:
         return {}
@@ -234,7 +259,13 @@ def _lost(trial: ResultSummary) -> dict[str, Any]:
 def mean_of_each(
     of_trial: Callable[[ResultSummary], dict[str, Any]], label: str, show: Callable[[float], str]
 ) -> Statistic:
-    """Return a statistic with the mean over all trials of each column that `of_trial` returns."""
+    """Create a statistic: the mean over all trials of each of several columns.
+
+    Args:
+        of_trial: Returns the columns of a trial.
+        label: Label in tables.
+        show: Formats a mean.
+    """
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
         rows = [of_trial(trial) for trial in trials]
@@ -321,8 +352,10 @@ PERCENTILES = {"p50": 50, "p99": 99, "max": 100}
 
 
 def _solve_ms(trials: Sequence[ResultSummary]) -> list[Figure]:
-    """Return percentiles of the solve times while robots drove, and the longest of the others: the
-    first plan, and plans for robots that stand, may take as long as they need."""
+    """Return percentiles of the solve times while robots drove, and the longest other solve time.
+
+    The first plan, and plans for stationary robots, may take as long as they need.
+    """
     solve_ns = [ns for trial in trials for ns in trial.result.driving_ns]
     solve_ms = np.array(solve_ns, dtype=float) / MILLISECOND
     figures: list[Figure] = []

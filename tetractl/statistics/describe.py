@@ -282,8 +282,10 @@ def contrast(
 
 
 def _is_tested(first: BatchStatistics, second: BatchStatistics) -> bool:
-    """Return whether a difference is tested: between plants that are alike, and controllers that
-    decided."""
+    """Decide whether a difference is tested.
+
+    It is if the plants are of the same kind, and controllers decided.
+    """
     no_controller = first.experiment.directions_given or second.experiment.directions_given
     return first.origin is second.origin and not no_controller
 
@@ -322,11 +324,11 @@ def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Co
 
 
 def pair_up(first: BatchStatistics, second: BatchStatistics) -> tuple[Floats, str]:
-    """Return the differences (n,) between the total errors of paired trials, the first batch minus
-    the second, and "" or the reason why there are no pairs.
+    """Return the differences between the total errors of paired trials, (n,).
 
-    A pair is two simulated trials with the same seed, number and disturbances, which do not depend
-    on the controller.
+    The difference is the first batch minus the second. A pair is two simulated trials with the same
+    seed, number and disturbances, which do not depend on the controller. The second result is the
+    reason why there are no pairs, or "".
     """
     if not (first.origin.simulated and second.origin.simulated):
         return NO_PAIRS, "no two trials in a lab have the same disturbances"

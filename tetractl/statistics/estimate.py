@@ -104,10 +104,19 @@ class Tail:
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """Summary of n values: mean, standard deviation (n - 1), median, range, confidence interval of
-    the mean, and the number of values above a bound.
+    """Summary of n values.
 
-    With n = 0 mean, deviation, median and range are NaN; with n = 1 only the deviation is NaN.
+    With n = 0, mean, deviation, median and range are NaN. With n = 1, only the deviation is NaN.
+
+    Attributes:
+        n: Number of values.
+        mean: Mean.
+        std: Standard deviation, with n - 1.
+        median: Median.
+        min: Minimum.
+        max: Maximum.
+        ci95: 95 % confidence interval of the mean.
+        tail: Number of values above a bound.
     """
 
     n: int
@@ -134,8 +143,9 @@ class Distribution:
 
 
 def distributions(rows: Floats, bound: float | None = None) -> list[Distribution]:
-    """Describe each row of an array of shape (R, n), with tails above `bound` or, if that is None,
-    above 10 times the row's median.
+    """Describe each row of an array of shape (R, n).
+
+    Tails are above `bound` or, if it is None, above 10 times the row's median.
     """
     count, n = rows.shape
     if n == 0:
@@ -162,8 +172,9 @@ def distributions(rows: Floats, bound: float | None = None) -> list[Distribution
 
 
 def _deviations(rows: Floats) -> Floats:
-    """Return the standard deviation (R,) of sorted rows (R, n), with n - 1; NaN for one value, and
-    exactly 0 if all values are equal.
+    """Return the standard deviation (R,) of sorted rows (R, n), with n - 1.
+
+    It is NaN for one value, and exactly 0 if all values are equal.
     """
     count, n = rows.shape
     if n == 1:
@@ -172,7 +183,14 @@ def _deviations(rows: Floats) -> Floats:
 
 
 def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distribution:
-    """Describe n values by their mean, standard deviation and interval; all else is NaN."""
+    """Describe n values of which only some statistics are known. All others are NaN.
+
+    Args:
+        n: Number of values.
+        mean: Their mean.
+        std: Their standard deviation.
+        ci95: 95 % confidence interval of the mean.
+    """
     unknown = Tail(_NAN, 0, n, False, Interval.none(""))
     return Distribution(n, mean, std, _NAN, _NAN, _NAN, ci95, unknown)
 
@@ -189,8 +207,14 @@ def _tail(values: Floats, median: float, bound: float | None) -> Tail:
 
 
 def published_distribution(n: int, mean: float, std: float) -> Distribution:
-    """Describe a published result from its n, mean and standard deviation; the interval is
-    Student's t interval on a logarithmic scale.
+    """Describe a published result.
+
+    The interval is Student's t interval on a logarithmic scale.
+
+    Args:
+        n: Number of values.
+        mean: Their mean.
+        std: Their standard deviation.
     """
     if mean <= 0 or std <= 0:
         return known_distribution(n, mean, std, Interval.none("nothing varies"))
@@ -198,8 +222,9 @@ def published_distribution(n: int, mean: float, std: float) -> Distribution:
 
 
 def t_quantile(degrees: float, confidence: float = CONFIDENCE) -> float:
-    """Return the bound that |t|, with Student's distribution of `degrees` degrees of freedom, does
-    not exceed with probability `confidence`.
+    """Return the bound that |t| does not exceed with probability `confidence`.
+
+    t has Student's distribution with `degrees` degrees of freedom.
     """
     return float(special.stdtrit(degrees, (1 + confidence) / 2))
 
@@ -226,8 +251,9 @@ def _mean_interval(values: Floats, mean: float, std: float) -> Interval:
 
 
 def _log_t(n: int, mean: float, std: float) -> tuple[float, float]:
-    """Return m exp(-+ t(0.975, n - 1) s / (sqrt(n) m)) for n values of mean m and standard
-    deviation s: the standard error of log m is s / (sqrt(n) m).
+    """Return m exp(-+ t(0.975, n - 1) s / (sqrt(n) m)), with m = `mean` and s = `std`.
+
+    The standard error of log m is s / (sqrt(n) m) for n values.
     """
     half = t_quantile(n - 1) * std / (math.sqrt(n) * mean)
     low = mean * math.exp(-half)
@@ -260,8 +286,9 @@ def _skewed_end(values: Floats, mean: float, std: float) -> float:
 
 
 def proportion_interval(successes: int, n: int) -> Interval:
-    """Return Wilson's interval of a proportion p = `successes` / n: (p + z^2 / 2n -+ z sqrt(p (1 -
-    p) / n + z^2 / 4n^2)) / (1 + z^2 / n).
+    """Compute Wilson's interval of a proportion p = `successes` / n.
+
+    (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n)
     """
     if n == 0:
         return Interval.none("no trials")
@@ -287,8 +314,14 @@ def percent(share: Interval) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ArmErrors:
-    """The total errors of trials with the same `value`: a value of a swept field, or an arm's name;
-    `label` is the value as text, `arms` the number of arms that the trials belong to.
+    """The total errors of trials with the same value of a swept field, or of the same arm.
+
+    Attributes:
+        value: The value, or the arm's name.
+        label: The value as text.
+        arms: Number of arms that the trials belong to.
+        errors: Total error of each trial, shape (n,).
+        error: Their distribution.
     """
 
     value: Any
@@ -301,7 +334,15 @@ class ArmErrors:
     def of(
         cls, value: Any, label: str, arms: int, errors: Floats, bound: float | None = None
     ) -> Self:
-        """Describe errors (n,), with their tail above `bound` as in `distributions`."""
+        """Describe the errors of trials.
+
+        Args:
+            value: Value of the swept field, or the arm's name.
+            label: The value as text.
+            arms: Number of arms that the trials belong to.
+            errors: Total error of each trial, shape (n,).
+            bound: Bound of the tail, as in `distributions`.
+        """
         return cls(value, label, arms, errors, distributions(errors[None], bound)[0])
 
 

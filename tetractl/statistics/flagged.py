@@ -1,22 +1,24 @@
-"""Which logs of a batch should be examined, and why: trials that do not count, unsafe robots, lost
-robots, damage, and robots that turned otherwise than in the other trials.
+"""Finds the logs of a batch that should be examined, and why.
 
-A pose that turns, with its course, from the start of a trial on looks like wheels that differ, and
-no check of one trial can tell the two apart. But a robot has the same wheels in every trial. With
-its rate x_k and standard error e_k in trial k of n (`lab.drift_check`), the median m of the rates
-and e of the errors, trial k differs if
+These are trials that do not count, unsafe robots, lost robots, damage, and robots that turned
+differently from the other trials.
+
+If a pose turns with its course from the start of a trial, this looks like wheels that differ, and
+no check of one trial can tell the two apart. However, a robot has the same wheels in every trial.
+With its rate x_k and standard error e_k in trial k of n (`lab.drift_check`), the median m of the
+rates and e of the errors, trial k differs if
 
     |x_k - m| > z sqrt(e_k^2 + max(0, (1 + FEW / n)^2 s^2 - e^2)),   s = 1.4826 median |x_j - m|,
 
 where s is the standard deviation of the rates, whatever fewer than half of them show, and z a
 quantile of the normal distribution: of all N n rates of N robots, one is beyond it by chance in the
-fraction CHANCE of batches. The fewer trials, the less is known of s; with FEW, normal rates exceed
-the limit in 1 % of batches of ten trials or more, and in at most 3 % of smaller ones.
+fraction CHANCE of batches. With fewer trials, less is known of s. With FEW, normal rates exceed the
+limit in 1 % of batches of ten trials or more, and in at most 3 % of smaller ones.
 
-With fewer than LEAST trials there is nothing to compare. The heading of a robot then counts as
-confirmed if its rate is 0 within UNCONFIRMED standard errors. Otherwise either its wheels differ
-from the spec, which calibrating them settles, or its pose is false. A pose that turns with its
-course at the rate x, while the robot drives a distance L in a time T, is off its robot by at most
+With fewer than LEAST trials, there is nothing to compare. The heading of a robot then counts as
+confirmed if its rate is 0 within UNCONFIRMED standard errors. Otherwise, either its wheels differ
+from the spec, which a calibration corrects, or its pose is false. If a pose turns with its course
+at the rate x, while the robot drives a distance L in a time T, it is off its robot by at most
 
     integral of x t dL <= |x| T L / 2.
 """
@@ -134,8 +136,13 @@ def unsafe(trial: ResultSummary) -> dict[str, list[str]]:
 
 @dataclass(frozen=True, slots=True)
 class TrialTurn:
-    """How a robot turned by itself in a trial, whose log is `log` [rad/s]: `off` is by how much
-    more than in the median of its trials, and `limit` is above what no chance explains.
+    """How differently a robot turned in one trial.
+
+    Attributes:
+        log: The log of the trial.
+        robot: The robot.
+        off: How much faster it turned off course than in the median of its trials [rad/s].
+        limit: Maximum that chance explains [rad/s].
     """
 
     log: str
@@ -179,8 +186,9 @@ def _measured(
 
 
 def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
-    """Return a text for each robot whose heading its own motion does not confirm, by the path of
-    the trial. Robots with LEAST trials are compared instead, by `turned_otherwise`.
+    """Describe the robots whose heading is not confirmed by their own motion, by the trial's log.
+
+    Robots with LEAST trials are compared by `turned_otherwise` instead.
     """
     texts = defaultdict[str, list[str]](list)
     for i, robot, known in _measured(trials):
@@ -201,9 +209,7 @@ def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]
 
 
 def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
-    """Return a text for each robot that turned otherwise than in its other trials, by the path of
-    the trial.
-    """
+    """Describe the robots that turned differently from their other trials, by the trial's log."""
     texts = defaultdict[str, list[str]](list)
     for turn in turns_of(trials):
         if turn.odd:

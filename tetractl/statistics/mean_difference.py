@@ -17,8 +17,13 @@ _NAN = math.nan
 
 @dataclass(frozen=True, slots=True)
 class MeanDifference:
-    """A difference of two means, the first minus the second, tested by a t test with `degrees`
-    degrees of freedom.
+    """A difference of two means, the first minus the second, with its t test.
+
+    Attributes:
+        value: The difference.
+        ci95: Its 95 % confidence interval.
+        p_value: The p-value of the test.
+        degrees: Degrees of freedom of the test.
     """
 
     value: float
@@ -28,8 +33,13 @@ class MeanDifference:
 
     @classmethod
     def by_t(cls, value: float, error: float, degrees: float, method: str) -> "MeanDifference":
-        """Return a difference with the standard error `error`, with its interval and p-value by
-        Student's distribution.
+        """Test a difference with Student's distribution.
+
+        Args:
+            value: The difference.
+            error: Its standard error.
+            degrees: Degrees of freedom.
+            method: Name of the test.
         """
         half = t_quantile(degrees) * error
         p_value = 2 * float(special.stdtr(degrees, -abs(value) / error))
@@ -37,11 +47,23 @@ class MeanDifference:
 
     @classmethod
     def untested(cls, value: float, why: str, degrees: float = _NAN) -> "MeanDifference":
-        """Return a difference without interval and p-value, with the reason."""
+        """Return a difference without interval and p-value.
+
+        Args:
+            value: The difference.
+            why: Why it is not tested.
+            degrees: Degrees of freedom. NaN if there are none.
+        """
         return cls(value, Interval.none(why), _NAN, degrees)
 
     def text(self, unit: str, show: Callable[[float], str], p: float) -> str:
-        """Return the difference with its interval and a p-value, corrected or not, as text."""
+        """Format the difference with its interval and a p-value.
+
+        Args:
+            unit: Unit of the difference.
+            show: Formats a number.
+            p: The p-value, corrected or not. NaN if there is none.
+        """
         difference = f"{show(self.value)} {unit} (95 % interval {self.ci95.text(show)})"
         if not p >= 0:  # NaN
             return difference
@@ -59,10 +81,18 @@ class MeanDifference:
 
 
 def welch(n1: int, mean1: float, std1: float, n2: int, mean2: float, std2: float) -> MeanDifference:
-    """Compare two means from n, mean and standard deviation (n - 1) alone.
+    """Compare two means with Welch's t test, from summaries alone.
 
     With v_i = std_i^2 / n_i: t = (mean1 - mean2) / sqrt(v1 + v2), and the degrees of freedom of
     Welch and Satterthwaite are (v1 + v2)^2 / (v1^2 / (n1 - 1) + v2^2 / (n2 - 1)).
+
+    Args:
+        n1: Number of values in the first group.
+        mean1: Their mean.
+        std1: Their standard deviation, with n - 1.
+        n2: Number of values in the second group.
+        mean2: Their mean.
+        std2: Their standard deviation, with n - 1.
     """
     difference = mean1 - mean2
     if min(n1, n2) < 2:
@@ -120,12 +150,20 @@ POWER = 0.8
 
 
 def detectable(n: int, m: int | None = None, tests: int = 1) -> float:
-    """Return the difference that a t test finds with probability POWER, at the strictest level of
-    Holm's correction for `tests`.
+    """Compute the difference that a t test finds with probability POWER.
 
-    For n pairs it is in standard deviations of their differences; for n and m unpaired values in
-    those of the values; NaN below 2. With N = n, f = n - 1, or N = m n / (m + n), f = m + n - 2, it
-    is (t(1 - level / 2, f) + t(POWER, f)) / sqrt(N), which is within 1.5 % of the noncentral t.
+    The level is the strictest of Holm's correction. With N = n, f = n - 1, or N = m n / (m + n), f
+    = m + n - 2, the result is (t(1 - level / 2, f) + t(POWER, f)) / sqrt(N), which is within 1.5 %
+    of the noncentral t.
+
+    Args:
+        n: Number of pairs, or of values in the first group.
+        m: Number of values in the second group. None for pairs.
+        tests: Number of tests.
+
+    Returns:
+        The difference, in standard deviations of the pairs' differences, or of the values. NaN for
+        fewer than 2.
     """
     if n < 2 or (m is not None and m < 2):
         return _NAN

@@ -149,14 +149,20 @@ class Source:
 
 
 def open_batch(paths: Sequence[Path | str]) -> Batch:
-    """Read the results of the logs in files, folders and patterns; UsageError for a path without a
-    trial."""
+    """Read the results of the logs in files, folders and patterns.
+
+    Raises:
+        UsageError: If a path holds no trial.
+    """
     return Source.of(paths).read()
 
 
 def batches_in(path: Path | str) -> list[Source]:
-    """Return what a file, folder or pattern holds: one batch or, if all logs are in several folders
-    of a folder, such as a study's, one of each."""
+    """Return the batches in a file, folder or pattern.
+
+    It is one batch or, if all logs are in several folders of a folder, such as a study's, one for
+    each of these.
+    """
     source = Source.of([path])
     by_arm: dict[Path, list[Path]] = {}
     for log in source.logs:
@@ -177,8 +183,10 @@ def one_source(paths: Sequence[Path | str]) -> Source:
 
 
 def sources(paths: Sequence[str]) -> list[Source]:
-    """Return the batches that a user means: those in the only path; one per path, if all are
-    folders; else one of all paths together.
+    """Return the batches that a user means.
+
+    A single path gives the batches in it. If all paths are folders, each is a batch. Otherwise, all
+    paths together form one batch.
     """
     listed = without_others(paths)
     if len(listed) == 1:
@@ -249,12 +257,11 @@ def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
 
 
 def differences(ours: Experiment, theirs: Experiment) -> list[str]:
-    """Return a text such as `controller.horizon_max: 20 != 30` for each field in which two
-    experiments differ; only the field's path if its value is a section, or a list that differs in
-    length.
+    """Describe the fields in which two experiments differ, as `controller.horizon_max: 20 != 30`.
 
-    Fields that change no trial are left out; also the robots, if both trials chose them by the same
-    rule, and directions that are given: each trial has its own.
+    If the value is a section, or a list that differs in length, only the field's path is given.
+    Fields that change no trial are left out. So are the robots, if both trials chose them by the
+    same rule, and given directions, because each trial has its own.
     """
     left_out: dict[str, Any] = dict.fromkeys(CHANGES_NO_TRIAL, True)
     if ours.chosen is not None and ours.asked == theirs.asked:

@@ -45,7 +45,13 @@ def share_figure(
 ) -> Figure:
     """Return in how many of n trials a condition holds, with Wilson's interval of the fraction.
 
-    `counting` is what the condition looks at, such as "bodies", if that can differ.
+    Args:
+        key: Key of the statistic.
+        label: Its label in tables.
+        holding: Number of trials for which it holds.
+        n: Number of trials.
+        counting: What the condition refers to, such as "bodies", if that can differ.
+        unusual: Whether it is unusual that the condition holds.
     """
     ci95 = proportion_interval(holding, n)
     trials = f"{holding} of {n}"
@@ -57,7 +63,14 @@ def share_figure(
 
 
 def mean_figure(key: str, label: str, values: Distribution, states_n: bool = False) -> Figure:
-    """Return a mean with its interval; the text states the number of trials if `states_n`."""
+    """Return a mean with its interval.
+
+    Args:
+        key: Key of the statistic.
+        label: Its label in tables.
+        values: The distribution.
+        states_n: Whether the text states the number of trials.
+    """
     show = lengths(values.mean)
     n = f"n {values.n}, " if states_n else ""
     text = f"{show(values.mean)} ({n}95 % interval {values.ci95.text(show)})"
@@ -66,9 +79,11 @@ def mean_figure(key: str, label: str, values: Distribution, states_n: bool = Fal
 
 @dataclass(frozen=True, slots=True)
 class Statistic:
-    """How to compute a statistic: `of_batch` returns its figures for one or more trials of one
-    experiment; `of_trial` returns the columns of one trial in CSV, which are also its items in
-    JSON.
+    """How to compute a statistic.
+
+    Attributes:
+        of_batch: Returns its figures for one or more trials of one experiment.
+        of_trial: Returns the columns of one trial in CSV, which are also its items in JSON.
     """
 
     of_batch: Callable[[Sequence[ResultSummary]], Sequence[Figure]]
@@ -76,11 +91,16 @@ class Statistic:
 
 
 def number(key: str, label: str, number_in: Callable[[Result], float]) -> Statistic:
-    """Return a statistic: the mean and its 95 % interval, over complete trials, of a number per
-    trial.
+    """Create a statistic: the mean of a number in each complete trial, with its 95 % interval.
 
-    A trial without a finite number is left out of the mean; its cell in the table of trials is
-    empty. Its line is in the short table, too: `stats` reads results, not the steps of the trials.
+    A trial without a finite number is left out of the mean, and its cell in the table of trials is
+    empty. The statistic's line is also in the short table, because `stats` reads results, not the
+    steps of the trials.
+
+    Args:
+        key: Key of the statistic.
+        label: Its label in tables.
+        number_in: Returns the number of a trial.
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
@@ -101,7 +121,13 @@ def number(key: str, label: str, number_in: Callable[[Result], float]) -> Statis
 
 
 def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
-    """Return a statistic: the number of trials for which the condition `holds` is true."""
+    """Create a statistic: the number of trials for which a condition holds.
+
+    Args:
+        key: Key of the statistic.
+        label: Its label in tables.
+        holds: The condition.
+    """
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:
         holding = sum(map(holds, trials))
@@ -111,8 +137,14 @@ def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
 
 
 def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
-    """Return a statistic: the number of trials for which the condition `holds` is true, with
-    Wilson's 95 % interval of their fraction.
+    """Create a statistic: the fraction of trials for which a condition holds.
+
+    It has the number of these trials, and Wilson's 95 % interval of the fraction.
+
+    Args:
+        key: Key of the statistic.
+        label: Its label in tables.
+        holds: The condition.
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> list[Figure]:

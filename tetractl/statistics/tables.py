@@ -77,8 +77,10 @@ def _verdict(contrast: Contrast) -> str:
 
 
 def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[str]:
-    """Yield a line for each label of what is unusual, `LABEL: NAMES: TEXT; NAMES: TEXT`: each text
-    with those it is true of, without names if there is one batch."""
+    """Yield a line for each label of what is unusual, `LABEL: NAMES: TEXT; NAMES: TEXT`.
+
+    Each text has the names of the batches it is true for, unless there is only one batch.
+    """
     names: dict[tuple[str, str], list[str]] = {}  # by label and text
     for group in groups:
         for label, text, name in _remarks(group, len(groups) > 1):
@@ -93,8 +95,10 @@ def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[str]:
 
 
 def _remarks(group: BatchStatistics, several: bool) -> Iterator[tuple[str, str, str]]:
-    """Yield what is unusual about a batch, shortly if it is one of several: the label of a text,
-    the text, and the name of the batch or trial that it is about."""
+    """Yield what is unusual about a batch, in short form if it is one of several.
+
+    Each remark has a label, a text, and the name of the batch or trial that it is about.
+    """
     for figure in figures_of(group):
         brief = figure.text if figure.brief is None else figure.brief
         text = brief if several else figure.text
@@ -203,8 +207,10 @@ def _flagged(groups: Sequence[BatchStatistics]) -> Table:
 
 
 def error_format(least: float, decimals_most: int) -> Callable[[float], str]:
-    """Return a format with three digits for errors of about `least`, the least mean; values over
-    ten times that have three digits of their own, and none has more than `decimals_most` decimals.
+    """Return a format with three digits for errors of about `least`, the minimum mean.
+
+    Values over ten times that have three digits of their own, and none has more than
+    `decimals_most` decimals.
     """
     format_of_least = lengths(least, decimals_most)
 
@@ -218,8 +224,9 @@ def error_format(least: float, decimals_most: int) -> Callable[[float], str]:
 
 
 def decimals_shown(experiment: Experiment) -> int:
-    """Return the number of decimals that shows about a millionth of the arena; smaller errors have
-    no meaning.
+    """Return the number of decimals that shows about a millionth of the arena.
+
+    Smaller errors have no meaning.
     """
     extent = max(experiment.arena.width, experiment.arena.height)
     of_a_millionth = 6 - math.floor(math.log10(extent))
@@ -233,8 +240,14 @@ def error_table(
     least: float | None = None,
     decimals_most: int = DECIMALS_MAX,
 ) -> Table:
-    """Return one row per named distribution of errors, in the format for the least mean or, if
-    given, for `least`.
+    """Return a table with one row for each distribution of errors.
+
+    Args:
+        title: Title of the table.
+        named: The distributions with their names.
+        unit: Unit of the errors.
+        least: Mean that determines the format. None for the minimum mean.
+        decimals_most: Maximum number of decimals.
     """
     values = [distribution for _, distribution in named]
     if least is None:

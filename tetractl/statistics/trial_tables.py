@@ -1,8 +1,8 @@
-"""The tables of trials: one row per trial or, of one trial, per control step, pose, estimate or
-event.
+"""The tables of trials.
 
-The unit of a column is in its name: s, ms, rad, rad/s, or the length unit of the experiment, such
-as mm and mm/s. Times count from the first direction sent. `log` (its file) and `trial` are in
+They have one row for each trial or, within one trial, for each control step, pose, estimate or
+event. The unit of a column is in its name: s, ms, rad, rad/s, or the length unit of the experiment,
+such as mm and mm/s. Times count from the first direction sent. `log` (its file) and `trial` are in
 every table of `tetractl export`, so that tables can be joined.
 """
 
@@ -120,8 +120,10 @@ def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[s
 
 
 def _number_columns(steps: Sequence[ControllerStep]) -> dict[str, list[float | None]]:
-    """Return a column for each name of the controller's numbers, None where a step has none of this
-    name."""
+    """Return a column for each name of the controller's numbers.
+
+    None where a step has no number with this name.
+    """
     numbers = [{number.name: number.value for number in step.numbers} for step in steps]
     names = dict.fromkeys(name for of_step in numbers for name in of_step)
     if len(names) > NUMBERS_MAX:
@@ -157,8 +159,10 @@ def poses(log: TrialLog) -> Table:
 
 
 def estimates(log: TrialLog, contents: RawLog) -> Table:
-    """Return one row per control step and robot: the controller's estimates and their standard
-    deviations."""
+    """Return a table with one row for each control step and robot.
+
+    It holds the controller's estimates and their standard deviations.
+    """
     setup = log.start.setup
     robots = len(setup.names)
     steps = [step for step in contents.messages(STEP) if step.HasField("estimate")]
@@ -178,8 +182,10 @@ def estimates(log: TrialLog, contents: RawLog) -> Table:
 
 
 def _of_each_robot(estimate: Estimate, field: str, robots: int) -> Floats:
-    """Return a field of an estimate (N,): NaN if it is not logged, the same for all robots if it is
-    one number, and the largest misfit of each robot.
+    """Return a field of an estimate for each robot (N,).
+
+    It is NaN if it is not logged, the same for all robots if it is one number, and the largest
+    misfit of each robot.
     """
     if field not in {logged.name for logged, _ in estimate.ListFields()}:
         return np.full(robots, np.nan)
@@ -212,10 +218,13 @@ TABLES = ("trials", *OF_TRIAL)
 
 
 def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage | None]:
-    """Return the named tables of a log, each with the columns `log` and `trial` in front, and
-    its damage. Plans are not decoded, so values of theirs that no table shows are not checked.
+    """Return the named tables of a log, and its damage.
 
-    Raises LogError if the log cannot be read.
+    Each table has the columns `log` and `trial` in front. Plans are not decoded, so values in plans
+    that no table shows are not checked.
+
+    Raises:
+        LogError: If the log cannot be read.
     """
     contents = scan(path)
     tables: dict[str, Table] = {}

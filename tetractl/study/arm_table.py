@@ -68,10 +68,15 @@ def write_table(loaded: LoadedStudy, store: Store) -> Path:
 
 
 def group_of(store: Store, value: Any, arms: Sequence[Arm]) -> ArmErrors:
-    """Describe the total error over the trials that have a result in all `arms`.
+    """Describe the total error over the trials that have a result in all arms.
 
     Trials with the same number have the same seed in every arm, so their mean over the arms counts
     as one observation. If each trial counted separately, the interval would be too short.
+
+    Args:
+        store: The folder of the study.
+        value: Value of the swept field.
+        arms: The arms with that value.
     """
     errors: list[dict[int, float]] = []  # of each arm, by the number of the trial
     for arm in arms:
@@ -88,7 +93,13 @@ def group_of(store: Store, value: Any, arms: Sequence[Arm]) -> ArmErrors:
 
 
 def field_values(store: Store, path: str, arms: Iterable[Arm]) -> list[ArmErrors]:
-    """Return the arms that set field `path`, grouped by its value, numbers in rising order."""
+    """Group the arms that set a field by its value, with numbers in ascending order.
+
+    Args:
+        store: The folder of the study.
+        path: The field.
+        arms: The arms.
+    """
     arms_of: dict[str, list[Arm]] = {}  # by the value as text, as values may be lists
     for arm in arms:
         if path in arm.values:
@@ -110,8 +121,10 @@ def given_note(arms: Sequence[Arm]) -> str:
 def unsafe_columns(
     names: Iterable[str], trials: Iterable[tuple[Arm, ResultSummary]]
 ) -> list[Column]:
-    """Return a column for each thing in SAFETY that happened: in how many trials of each arm it
-    did, whether or not these trials count in the means."""
+    """Return a column for each thing in SAFETY that happened.
+
+    It contains in how many trials of each arm it happened.
+    """
     happened = {label: Counter[str]() for label in SAFETY}
     for arm, trial in trials:
         for label in unsafe(trial):

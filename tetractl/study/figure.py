@@ -1,5 +1,7 @@
-"""The figures of a study: total error by arm and, for each swept field, against its value, in the
-shades of the controllers.
+"""The figures of a study.
+
+They show the total error by arm and, for each swept field, against its value, in the shades of the
+controllers.
 """
 
 import re
@@ -17,8 +19,10 @@ from tetractl.view.figures.sweep import errors_by
 
 
 def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
-    """Write error-arms.png, and error-FIELD.png for every swept field, and return their paths; none
-    if no trial has an error. The same results give the same bytes.
+    """Write the figures of a study, and return their paths.
+
+    They are error-arms.png, and error-FIELD.png for every swept field. If no trial has an error,
+    there are none. The same results give the same bytes.
     """
     paths: list[Path] = []
     for field in ("", *loaded.paths):
@@ -32,10 +36,18 @@ def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
 
 
 def study_figure(loaded: LoadedStudy, store: Store, field: str = "") -> Figure | None:
-    """Draw the total error of each trial, and the mean with its 95 % interval, of at most LISTED
-    arms or, of all arms, against the values of a swept field; None if no trial has an error.
+    """Draw the total error of each trial, and the mean with its 95 % interval.
 
     If several arms share a value, each trial is represented by its mean over these arms.
+
+    Args:
+        loaded: The study.
+        store: Its folder.
+        field: A swept field, to draw all arms against its values. Empty to draw at most LISTED
+            arms.
+
+    Returns:
+        The figure. None if no trial has an error.
     """
     arms = loaded.arms if field else loaded.arms[:LISTED]
     drawn: dict[str, list[ArmErrors]] = {}

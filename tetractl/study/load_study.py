@@ -91,8 +91,11 @@ def as_yaml(value: Any) -> str:
 
 
 class Study(Model):
-    """One study, as read from a YAML file. Each point of the sweep is run with each controller; all
-    arms have the same seeds, so that trials with the same number are pairs."""
+    """One study, as read from a YAML file.
+
+    Each point of the sweep is run with each controller. All arms have the same seeds, so that
+    trials with the same number are pairs.
+    """
 
     name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
     """Name of the study and of its folder: letters without accents (a to z, A to Z), digits, dots,
@@ -104,15 +107,17 @@ class Study(Model):
         | Annotated[dict[str, Any], Tag("contents")],
         Discriminator(lambda base: "contents" if isinstance(base, dict) else "file"),
     ]
-    """Path of the spec that every arm changes, relative to the study's file. In Python also the
-    spec's contents."""
+    """Path of the spec that every arm changes, relative to the study's file. In Python, also the
+    spec's contents.
+    """
     sweep: Annotated[Sweep, KindSection(SWEEPS, Sweep)] | None = None
-    """The swept fields with their values; without a sweep, the base's values are used."""
+    """The swept fields with their values. Without a sweep, the base's values are used."""
     controllers: dict[Name, dict[FieldPath, Any]] = Field(default={}, max_length=1000)
-    """The controllers to compare, by name: each a mapping of paths to values, set before the
-    sweep's values."""
+    """The controllers to compare, by name. Each is a mapping of paths to values, which are set
+    before the sweep's values.
+    """
     trials: Trials = Trials()
-    """Number and seed of the trials of each arm; those of the base are ignored."""
+    """Number and seed of the trials of each arm. Those of the base are ignored."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,11 +148,17 @@ class LoadedStudy:
 def load_study(
     source: Path | Mapping[str, Any], settings: Sequence[SpecSetting] = ()
 ) -> LoadedStudy:
-    """Read and check a study, a file or its contents, and the spec of every arm, in which
-    `settings` replace values last.
+    """Read and check a study, and the spec of every arm.
 
-    Raises InvalidSpecError, with one line per problem. A problem is located in the study if a value
-    of the study causes it, and in the base spec if that is invalid by itself.
+    A problem is located in the study if a value of the study causes it, and in the base spec if
+    that is invalid by itself.
+
+    Args:
+        source: A file, or its contents.
+        settings: Values that replace others last in every arm.
+
+    Raises:
+        InvalidSpecError: With one line for each problem.
     """
     if isinstance(source, Path):
         return _loaded(read_document(source), source.parent, settings)
@@ -167,8 +178,11 @@ def _loaded(document: Document, folder: Path, settings: Sequence[SpecSetting]) -
 
 
 def _base(study: Study, document: Document, folder: Path) -> Document:
-    """Return the spec that every arm changes, a file or contents that stand in the study;
-    InvalidSpecError if it cannot be read."""
+    """Return the spec that every arm changes: a file, or contents in the study.
+
+    Raises:
+        InvalidSpecError: If it cannot be read.
+    """
     if isinstance(study.base, dict):
         return parse_document(as_text(study.base, "base"), "base")
     path = folder / study.base
@@ -190,8 +204,12 @@ def _named(study: Study) -> str | None:
 def _arms(
     study: Study, base: Document, document: Document, settings: Sequence[SpecSetting]
 ) -> list[Arm]:
-    """Return all arms. InvalidSpecError has the problems of all of them, each once; its hint names
-    the first arm with a problem that its settings bring out in the base."""
+    """Return all arms of a study.
+
+    Raises:
+        InvalidSpecError: With the problems of all arms, each once. Its hint names the first arm
+            with a problem that its settings cause in the base.
+    """
     arms: list[Arm] = []
     problems: dict[SpecProblem, None] = {}
     hint: str | None = None
@@ -231,8 +249,10 @@ def _combinations(study: Study, document: Document) -> Iterable[tuple[str, Mappi
 
 
 def _points(study: Study) -> list[Mapping[str, Setting]]:
-    """Return the points of the sweep, drawn by the study's seed; without a sweep, one that sets
-    nothing."""
+    """Return the points of the sweep, generated with the study's seed.
+
+    Without a sweep, there is one point that sets nothing.
+    """
     if study.sweep is None:
         return [{}]
     seeds = np.random.SeedSequence(study.trials.seed, spawn_key=SWEEP_KEY)
@@ -288,8 +308,10 @@ def _arm(
 
 
 def _placed(problem: SpecProblem, locations: Mapping[str, Loc], document: Document) -> SpecProblem:
-    """Return a problem of a spec, located in the study if a setting of the study causes it:
-    `locations` are those of the settings by the origin that a problem names."""
+    """Return a problem of a spec, located in the study if a setting of the study causes it.
+
+    `locations` are the locations of the settings, by the origin that a problem names.
+    """
     loc = locations.get(problem.origin)
     if loc is None:
         return problem

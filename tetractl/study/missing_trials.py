@@ -17,12 +17,18 @@ from tetractl.tools.table.table import Table
 def lacking(
     loaded: LoadedStudy, store: Store, rerun_outdated: bool
 ) -> tuple[list[Task], dict[str, int]]:
-    """Return the tasks of trials that are not finished and, by arm, the number of outdated trials
-    that are kept as they are.
+    """Return the tasks of trials that are not finished.
 
-    A trial is outdated if another version of the code has run it; with `rerun_outdated`, the tasks
-    of such trials are returned too. Tasks are ordered by trial number, so that all arms have about
-    equally many trials if the run ends early.
+    A trial is outdated if another version of the code has run it. Tasks are ordered by trial
+    number, so that all arms have about equally many trials if the run ends early.
+
+    Args:
+        loaded: The study.
+        store: Its folder.
+        rerun_outdated: Whether to run outdated trials again.
+
+    Returns:
+        The tasks, and the number of outdated trials that are kept in each arm.
     """
     count = loaded.study.trials.count
     tasks: list[Task] = []
@@ -47,7 +53,13 @@ def warm_up_arms(loaded: LoadedStudy, announce: Callable[[str], None]) -> None:
 
 
 def dry_run(loaded: LoadedStudy, folder: Path, tasks: Sequence[Task]) -> Table:
-    """Return a table of the arms: their differences from the base, and how many trials to run."""
+    """Return a table of the arms: their differences from the base, and how many trials to run.
+
+    Args:
+        loaded: The study.
+        folder: Its folder.
+        tasks: The trials to run.
+    """
     to_run = Counter(task.arm for task in tasks)
     rows = [(arm.name, ", ".join(arm.sets), str(to_run[arm.name])) for arm in loaded.arms]
     count = len(loaded.arms) * loaded.study.trials.count

@@ -35,8 +35,9 @@ class Sweep(Model):
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return the points, each a mapping of paths to settings. Random sweeps use `rng`, which is
-        seeded with the study's seed.
+        """Return the points, each a mapping of paths to settings.
+
+        Random sweeps use `rng`, which has the study's seed.
         """
 
 
@@ -152,8 +153,10 @@ class Random(SampledSweep):
 
 
 class Sobol(SampledSweep):
-    """Points of a scrambled Sobol sequence, which fill the ranges more evenly than random ones;
-    most evenly if their number is a power of 2."""
+    """Points of a scrambled Sobol sequence, which fill the ranges more evenly than random ones.
+
+    They do so best if their number is a power of 2.
+    """
 
     type: Literal["sobol"]
 

@@ -97,8 +97,11 @@ def exposed(folder: Path) -> str | None:
 
 
 def read_own(file: Path) -> bytes:
-    """Return the bytes of a file that is to be executed; PermissionError, with the reason, if it is
-    another user's, or others can write to it."""
+    """Return the bytes of a file that is to be executed.
+
+    Raises:
+        PermissionError: With the reason, if it belongs to another user, or others can write to it.
+    """
     with file.open("rb") as opened:
         state = os.fstat(opened.fileno())
         if hasattr(os, "getuid") and state.st_uid not in (os.getuid(), 0):
@@ -122,8 +125,10 @@ def _alone_in(group: int) -> bool:
 
 
 def compiler_settings() -> str:
-    """Return numba's environment variables except NUMBA_CACHE_DIR as text, "NAME=value NAME=value
-    ...", or "none" if none is set."""
+    """Return numba's environment variables except NUMBA_CACHE_DIR as text.
+
+    The form is "NAME=value NAME=value ...", or "none" if none is set.
+    """
     settings = (f"{key}={value}" for key, value in os.environ.items() if key.startswith("NUMBA_"))
     sorted_settings = sorted(item for item in settings if not item.startswith("NUMBA_CACHE_DIR="))
     return " ".join(sorted_settings) or "none"
@@ -144,8 +149,10 @@ def file_digest(source: Path) -> bytes:
 
 
 def digest(sources: Iterable[Path], options: str = "") -> str:
-    """Return 12 hex digits of a hash of the contents of files, wherever they are, and of compiler
-    options."""
+    """Return 12 hex digits of a hash of files and compiler options.
+
+    Only the contents of the files count, wherever they are.
+    """
     digests = sorted(map(file_digest, sources))
     total = hashlib.sha256(b"".join(digests))
     total.update(options.encode())

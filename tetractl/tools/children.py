@@ -116,8 +116,11 @@ class Child:
 def run_tool(
     command: Sequence[str], patience_s: float | None = None
 ) -> subprocess.CompletedProcess[bytes]:
-    """Run a tool, such as git or a compiler, to its end; OSError if it cannot be started, or does
-    not end within `patience_s`. What it says is for `shown_lines`."""
+    """Run a tool, such as git or a compiler, to its end.
+
+    Raises:
+        OSError: If it cannot be started, or does not end in time.
+    """
     try:
         return subprocess.run(
             command, stdin=subprocess.DEVNULL, capture_output=True, timeout=patience_s

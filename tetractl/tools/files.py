@@ -29,7 +29,12 @@ def save_whole(path: Path, data: bytes) -> None:
 
 
 def lock_file(descriptor: int) -> None:
-    """Lock an open file until its process ends; BlockingIOError if another process has. Does
-    nothing on Windows, where two runs must not be given one folder."""
+    """Lock an open file until its process ends.
+
+    On Windows, this does nothing, and two runs must not use the same folder.
+
+    Raises:
+        BlockingIOError: If another process has locked it.
+    """
     if fcntl is not None:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -30,10 +30,17 @@ class SampleInterval:
 def newton_step(
     likelihood: Callable[[Floats], Floats], parameters: Floats, prior_std: float
 ) -> tuple[Floats, Floats]:
-    """Return better parameters (N, P), and their standard deviations (N, P) by the curvature.
+    """Improve parameters with a Newton step, and estimate their standard deviations.
 
-    `likelihood` returns its logarithm (N, V) for V variants of the parameters (N, V, P); each
-    parameter has a normal prior around 0. Derivatives are differences.
+    Derivatives are differences. Each parameter has a normal prior around 0.
+
+    Args:
+        likelihood: Returns the log-likelihood (N, V) for V variants of the parameters (N, V, P).
+        parameters: The parameters, shape (N, P).
+        prior_std: Standard deviation of the prior.
+
+    Returns:
+        Better parameters (N, P), and their standard deviations (N, P) from the curvature.
     """
 
     def score(changes: Floats) -> Floats:
@@ -53,8 +60,11 @@ def newton_step(
 
 
 def derivatives(score: Callable[[Floats], Floats], size: int) -> tuple[Floats, Floats]:
-    """Return the slope (N, P) of a score of P parameters and its negative curvature (N, P, P), from
-    the score where they are, with each raised and lowered, and with each two raised."""
+    """Compute the slope (N, P) and the negative curvature (N, P, P) of a score of P parameters.
+
+    They follow from the score at the parameters, with each raised and lowered, and with each two
+    raised.
+    """
     raised = DIFFERENCE * np.eye(size)
     row, column = np.triu_indices(size, 1)
     changes = np.vstack([np.zeros(size), raised, -raised, raised[row] + raised[column]])

@@ -1,5 +1,7 @@
-"""A background thread that makes calls in order, and an observer whose calls may wait for it: the
-log's writer, or one that may be slow.
+"""A background thread that makes calls in order, and an observer that uses it.
+
+The observer's calls may wait for the thread: it is the log's writer, or another observer that may
+be slow.
 """
 
 import queue
@@ -18,8 +20,10 @@ from tetractl.core.trial import Note, Result, Step
 T = TypeVar("T")
 
 WAITING_MAX = 20_000
-"""Most items that wait between two threads, the oldest being dropped: 3 minutes of camera frames at
-120 Hz."""
+"""Maximum number of items that wait between two threads.
+
+Beyond it, the oldest are dropped. It corresponds to 3 minutes of camera frames at 120 Hz.
+"""
 LOOK_S = 0.05
 """Longest wait of a thread without events, so that a request to end is noticed [s]."""
 

@@ -32,8 +32,10 @@ _starting = threading.RLock()
 
 @contextmanager
 def isolated() -> Iterator[None]:
-    """Let Python processes that `multiprocessing` starts in the block import nothing of the present
-    folder: they take the variable from this process."""
+    """Let processes that `multiprocessing` starts in the block import nothing from this folder.
+
+    They inherit an environment variable from this process.
+    """
     with _starting:
         before = os.environ.get(SAFE_PATH)
         os.environ[SAFE_PATH] = "1"
@@ -47,8 +49,10 @@ def isolated() -> Iterator[None]:
 
 
 def fresh_context(preload: Sequence[str] = ()) -> BaseContext:
-    """Return what starts workers that are no copies of this process, which would have the locks
-    that its threads hold; modules in `preload` are imported once for all, where that is possible.
+    """Return a context that starts workers that are not copies of this process.
+
+    Copies would have the locks that this process's threads hold. Modules in `preload` are imported
+    only once for all workers, where that is possible.
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():  # Windows
         return multiprocessing.get_context("spawn")
@@ -96,8 +100,11 @@ class WorkerPool:
         self._listener.join(1.0)  # a worker's own child may keep the pipe open
 
     def submit(self, call: Callable[..., R], *arguments: object) -> "Future[R]":
-        """Let a worker make a call. If none can be started, as when the server that starts them was
-        killed, the future ends as it does when a worker was: with BrokenProcessPool."""
+        """Let a worker make a call.
+
+        If no worker can be started, for example because the server that starts them was killed, the
+        future ends with BrokenProcessPool, as if a worker was killed.
+        """
         try:
             with isolated():
                 return self._pool.submit(call, *arguments)
@@ -108,8 +115,10 @@ class WorkerPool:
             return _lost(BrokenProcessPool(str(error)))
 
     def _wait_for_server(self) -> None:
-        """Wait until a process can be started again, at most some time: `multiprocessing` replaces
-        a server that was killed once the system has removed it."""
+        """Wait until a process can be started again, for a limited time.
+
+        `multiprocessing` replaces a server that was killed once the system has removed it.
+        """
         for _ in range(STARTS_MAX):
             time.sleep(START_S)
             with suppress(OSError, EOFError), isolated():

@@ -11,8 +11,12 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A value that contradicts the log: its control step (None outside of steps), its field, and a
-    message that describes the contradiction.
+    """A value that contradicts the log.
+
+    Attributes:
+        step: The control step. None outside of steps.
+        field: The field.
+        message: Describes the contradiction.
     """
 
     step: int | None
@@ -65,10 +69,15 @@ SAME_BITS = Tolerance()
 def first_difference(
     ours: Any, logged: Any, tolerance: Tolerance = SAME_BITS, name: str = ""
 ) -> Difference | None:
-    """Return the first difference between two records, outside of steps; None if they agree.
+    """Return the first difference between two records. None if they agree.
 
-    A record is a dataclass, a protobuf message, a mapping, a sequence, an array, or a value. The
-    field is a path such as "searches.1.history.3", preceded by `name`.
+    A record is a dataclass, a protobuf message, a mapping, a sequence, an array, or a value.
+
+    Args:
+        ours: The record that was computed.
+        logged: The record from the log.
+        tolerance: How far numbers may differ.
+        name: Put in front of the field's path, such as "searches.1.history.3".
     """
     return next(_differences(ours, logged, tolerance, name), None)
 
@@ -106,8 +115,10 @@ def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Ite
 
 
 def _parts(record: Any) -> Mapping[Any, Any] | None:
-    """Return the parts of a record that count in a comparison, by their names or numbers; None of a
-    single value or an array."""
+    """Return the parts of a record that count in a comparison, by their names or numbers.
+
+    None for a single value or an array.
+    """
     if is_dataclass(record):
         compared = [field.name for field in fields(record) if field.compare]
         return {name: getattr(record, name) for name in compared}

@@ -49,8 +49,9 @@ class DishPictures:
             self._greys.append(grey)
 
     def at(self, when_ns: int) -> int | None:
-        """Return the index of the last picture taken up to a time [ns], 0 for an earlier time; None
-        if there are no pictures.
+        """Return the index of the last image taken up to a time [ns], or 0 for an earlier time.
+
+        None if there are no images.
         """
         return max(bisect_right(self.times, when_ns) - 1, 0) if self.times else None
 
@@ -66,8 +67,10 @@ class DishPictures:
 
 
 def _reduced(data: bytes) -> tuple[Image.Image, tuple[int, int]] | None:
-    """Return a JPEG in grey levels, reduced to at most SHOWN_SIDE pixels per side, and its original
-    width and height [px]; None if it cannot be read.
+    """Decode a JPEG in grey levels, reduced to at most SHOWN_SIDE pixels per side.
+
+    Returns:
+        The image, and its original width and height [px]. None if it cannot be read.
     """
     try:
         picture = Image.open(io.BytesIO(data), formats=["JPEG"])

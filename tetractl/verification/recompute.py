@@ -55,8 +55,10 @@ from tetractl.verification.comparison import (
 TOLERANCE = 1e-9
 """Relative tolerance of re-evaluation."""
 ROUNDING = 1e-12
-"""Additional tolerance relative to the largest coordinate: a cost near 0 is a small difference of
-much larger coordinates."""
+"""Additional tolerance relative to the largest coordinate.
+
+A cost near 0 is a small difference of much larger coordinates.
+"""
 AFTER_EVERY_DEADLINE_NS = 1 << 62
 """A time that no deadline of a controller is after."""
 
@@ -66,8 +68,12 @@ AFTER_EVERY_DEADLINE_NS = 1 << 62
 
 @dataclass(frozen=True, slots=True)
 class Recomputed:
-    """How far the decisions of a log agree: the number of steps before the first difference, and
-    this difference, None if all agree."""
+    """How far the decisions of a log agree.
+
+    Attributes:
+        agreeing: Number of steps before the first difference.
+        difference: The first difference. None if all agree.
+    """
 
     agreeing: int
     difference: Difference | None
@@ -78,10 +84,14 @@ def recompute(
 ) -> Recomputed:
     """Compute every decision of a log again, up to the first that differs.
 
-    `search_again` True runs the searches again and compares bits, False uses the logged searches.
-    Steps after a gap are not checked, since the controller's state is lost. If the processor time,
-    read from `cpu` [s], exceeds its limit, the difference is an `Unchecked`. Compiling does not
-    count.
+    Steps after a gap are not checked, because the controller's state is lost. If the processor time
+    exceeds its limit, the difference is an `Unchecked`. Compiling does not count.
+
+    Args:
+        log: The log.
+        search_again: Whether to run the searches again and compare bits. If False, the logged
+            searches are used.
+        cpu: Returns the processor time [s].
     """
     try:
         key, _ = trial_seeds(log.start.seed, log.start.trial)
@@ -115,8 +125,10 @@ def _step_difference(
     last: Step | None,
     step: Step,
 ) -> Difference | None:
-    """Decide the step that follows `last` again; return the first difference from the logged one,
-    None if there is none."""
+    """Decide a step again, and return the first difference from the logged one.
+
+    The step follows `last`. None if there is no difference.
+    """
     searches.begin(step.plan.searches)
     try:
         decision = plan_again(controller, log, last, step.observation)
@@ -142,9 +154,11 @@ def _step_difference(
 
 
 def _plan_difference(plan: Plan, step: Step, tolerance: Tolerance) -> Difference | None:
-    """Return the first difference of a plan from the logged one, whose path is rounded and has no
-    headings: if bits may differ, another number may be rounded the other way. An earlier version
-    may have said fewer numbers."""
+    """Return the first difference between a plan and the logged one.
+
+    The logged path is rounded and has no headings: if bits may differ, another number may be
+    rounded in the other direction. An earlier version may have logged fewer numbers.
+    """
     logged = step.plan
     numbers = {name: value for name, value in plan.numbers.items() if name in logged.numbers}
     same_path = replace(plan, path=logged.path, numbers=numbers)
@@ -160,8 +174,16 @@ def _plan_difference(plan: Plan, step: Step, tolerance: Tolerance) -> Difference
 def plan_again(
     controller: Controller, log: TrialLog, last: Step | None, observation: Observation
 ) -> Decision:
-    """Return a controller's decision on an observation that follows the control step `last` of a
-    log, or on the first observation if `last` is None. PluginTrialError if a plug-in fails.
+    """Return a controller's decision in the control step after a logged step.
+
+    Args:
+        controller: The controller.
+        log: The log.
+        last: The previous step. None for the first step.
+        observation: The observation of the step.
+
+    Raises:
+        PluginTrialError: If a plug-in fails.
     """
     command = None
     earlier: list[Observation] = []
@@ -175,8 +197,9 @@ def plan_again(
 
 
 def first_steps(log: TrialLog) -> list[Step]:
-    """Return the control steps before the first missing step or, in a damaged log, before the first
-    missing camera frame.
+    """Return the control steps before the first missing step.
+
+    In a damaged log, only the steps before the first missing camera frame are returned.
     """
     lost = len(log.damage.lost) if log.damage else 0
     lost_with_its_end = 0 if log.result else 1  # the result and what follows it
@@ -197,12 +220,12 @@ def first_steps(log: TrialLog) -> list[Step]:
 def _outcome_difference(
     log: TrialLog, controller: Controller, last: Step | None
 ) -> Difference | None:
-    """Check that the controller, on a camera frame of the last control period, ends the trial with
-    the logged outcome.
+    """Check that the controller ends the trial with the logged outcome.
 
-    The log does not name the frame on which the trial ended: it is one of `_last_frames`. An abort
-    or an interrupt is checked only where the controller may have decided it,
-    and then only if it ends the trial on the newest of these frames.
+    It must do so on a camera frame of the last control period. The log does not name the frame on
+    which the trial ended: it is one of `_last_frames`. An abort or an interrupt is checked only
+    where the controller may have decided it, and then only if it ends the trial on the newest of
+    these frames.
     """
     result = log.result
     if result is None or log.stop is None:
@@ -227,11 +250,11 @@ def _outcome_difference(
 
 
 def _last_frames(log: TrialLog, last: Step | None, stop_ns: int) -> list[int]:
-    """Return the rows of the camera frames on which a trial that was stopped at `stop_ns` may have
-    ended, the newest first.
+    """Return the rows of the camera frames on which a trial may have ended, the newest first.
 
-    In the lab it is any after the last step, as the stop may have been sent later; in a simulation
-    the newest one control period after the last command.
+    The trial was stopped at `stop_ns`. In the lab, it may be any frame after the last step, because
+    the stop may have been sent later. In a simulation, it is the newest one a control period after
+    the last command.
     """
     since_ns = last.observation.received_ns if last else -1
     after = (log.received_ns > since_ns) & (log.received_ns <= stop_ns)
@@ -303,13 +326,13 @@ class SearchRequest:
 
 
 class StepSearches:
-    """Answers the searches of a controller by those that were logged of the present step: runs them
-    again if `search_again`, or else evaluates their results.
+    """Answers the searches of a controller with the logged searches of the present step.
 
-    Call `begin` before each step. Then `requests` are what the controller wanted of the step's
-    searches, by their index in the log, and `contradiction` is how the first result contradicts its
-    problem or its optimiser. The processor time, read from `cpu` [s], is limited to
-    `seconds_limit`; of searches that are run again it counts from the first one, which compiles.
+    They are run again if `search_again` is True. Otherwise, their results are evaluated. Call
+    `begin` before each step. Then `requests` are the controller's requests for the step's searches,
+    by their index in the log, and `contradiction` is how the first result contradicts its problem
+    or its optimiser. The processor time, read from `cpu` [s], is limited to `seconds_limit`. For
+    searches that are run again, it counts from the first search, which compiles.
     """
 
     def __init__(self, search_again: bool, cpu: Callable[[], float] = computing_s) -> None:
@@ -337,8 +360,12 @@ class StepSearches:
         self.requests = {}
 
     def search(self, request: SearchRequest) -> Search:
-        """Answer a search of the controller; NoSearchError if the log has no other one,
-        TooLongError beyond the limits."""
+        """Answer a search of the controller.
+
+        Raises:
+            NoSearchError: If the log has no other search.
+            TooLongError: Beyond the limits.
+        """
         if not self._to_come:
             raise NoSearchError
         index, logged = self._to_come.pop(0)
@@ -353,8 +380,10 @@ class StepSearches:
         return logged
 
     def _run_again(self, request: SearchRequest, logged: Search) -> Search:
-        """Run a logged search again; one that the deadline ended is ended after its logged number
-        of evaluations."""
+        """Run a logged search again.
+
+        If the deadline ended it, it is ended after its logged number of evaluations.
+        """
         if not self._is_compiled:
             least = Limits(request.optimizer.evaluations_min)
             request.optimizer.search(request.problem, 1, np.zeros(1), request.key, least)
@@ -378,8 +407,10 @@ class StepSearches:
             raise TooLongError
 
     def _time_ns(self) -> int:
-        """Return the time for the controller's deadline: as the searches were logged before it or
-        cut short by it, no time passes until the last of them, and then every deadline has passed.
+        """Return the time for the controller's deadline.
+
+        The searches were logged before the deadline or cut short by it. Therefore no time passes
+        until the last of them, and then every deadline has passed.
         """
         return 0 if self._to_come else AFTER_EVERY_DEADLINE_NS
 
@@ -394,7 +425,10 @@ class _Repeated:
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Return the answer to a search; `warm` is copied, as the controller goes on using it."""
+        """Return the answer to a search; see `Optimizer.search`.
+
+        `warm` is copied, because the controller continues to use it.
+        """
         start = None if warm is None else warm.copy()
         return self.searches.search(
             SearchRequest(self.optimizer, problem, length, start, key, limits)
@@ -423,8 +457,10 @@ def _contradictions(request: SearchRequest, logged: Search, name: str) -> Iterat
 
 
 def _impossible_fields(request: SearchRequest, logged: Search) -> Iterator[str]:
-    """Yield the fields of a logged search that its optimiser cannot have produced: the history of a
-    swarm fixes the number of evaluations and the reason for its end."""
+    """Yield the fields of a logged search that its optimiser cannot have produced.
+
+    The history of a swarm fixes the number of evaluations and the reason for its end.
+    """
     swarm = request.optimizer
     if not isinstance(swarm, Pso):
         if logged.evaluations < 1:
@@ -438,8 +474,10 @@ def _impossible_fields(request: SearchRequest, logged: Search) -> Iterator[str]:
 
 
 def _possible_ends(swarm: Pso, history: Floats, limits: Limits) -> set[StopReason]:
-    """Return the reasons for which a search by a swarm with this history may have ended: more than
-    one only if a limit cut it short."""
+    """Return the possible reasons for the end of a swarm search with this history.
+
+    There is more than one only if a limit cut the search short.
+    """
     if len(history) > 1:
         with np.errstate(invalid="ignore"):  # logarithms fail if a logged history rises
             reason = reason_to_stop(history, swarm.stop)

@@ -117,8 +117,10 @@ def _turns(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the rates (N,) at which robots on wheels turn by themselves, and their standard errors
-    [rad/s], as a guard that sees the trial again finds them; both empty if it finds none."""
+    """Return how fast robots on wheels turn off course, and the standard errors [rad/s].
+
+    They are what a guard finds that sees the trial again. Both are empty if it finds none.
+    """
     lab = log.experiment.plant
     setup = log.start.setup
     radius = setup.wheel_radius

@@ -1,5 +1,6 @@
-"""Runs the simulation of a log again, on the host and with the code that wrote it, and compares the
-two logs record by record.
+"""Runs the simulation of a log again, and compares the two logs record by record.
+
+This needs the host and the code that wrote the log.
 """
 
 from collections.abc import Iterator
@@ -21,8 +22,11 @@ from tetractl.verification.log_comparison import log_differences
 
 
 class Recorder(RecordSink):
-    """A sink that keeps all records of a trial, and asks to stop it once `until_s` [s of processor
-    time, as `computing_s` returns it] has passed."""
+    """A sink that keeps all records of a trial.
+
+    It asks to stop the trial once `until_s` has passed [s of processor time, as `computing_s`
+    returns it].
+    """
 
     def __init__(self, until_s: float) -> None:
         self.records: list[Record] = []
@@ -39,8 +43,10 @@ class Recorder(RecordSink):
 
 
 def why_not_again(log: TrialLog, elsewhere: tuple[str, ...]) -> str:
-    """Return why the trial of an undamaged log does not repeat here; "" if it does. `elsewhere` are
-    the differences between its host and this one."""
+    """Explain why the trial of an undamaged log does not repeat here. Empty if it does.
+
+    `elsewhere` are the differences between its host and this one.
+    """
     plant = log.experiment.plant
     result = log.result
     searches = (search for step in log.steps for search in step.plan.searches)
@@ -56,8 +62,7 @@ def why_not_again(log: TrialLog, elsewhere: tuple[str, ...]) -> str:
 
 
 def differences(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
-    """Run the trial of a log again, and yield the differences between its records and those in the
-    log."""
+    """Run the trial of a log again, and yield the differences between the records."""
     sink = Recorder(computing_s() + 2 * limits.seconds_limit())
     try:
         with ready_trial([Encoder(sink)], log.spec, log.start.trial, (), sink.interrupt) as again:

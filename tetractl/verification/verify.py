@@ -192,8 +192,11 @@ def _differences_of_end(check: EndCheck, raw: RawLog, log: TrialLog) -> Iterator
 
 
 def _differences_of_records(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
-    """Yield whether run and spec dispute the plant, which frames and steps are missing, which
-    digests do not match, and the damage."""
+    """Yield contradictions between the records of a log.
+
+    Run and spec may dispute the plant, frames or steps may be missing, and digests may not match.
+    Damage is also yielded.
+    """
     if log.start.plant.simulated != log.experiment.plant.simulated:
         yield Difference(None, "run.mode", "differs from the plant of the spec")
     if not _may_lose_frames(log):
@@ -226,9 +229,7 @@ def _may_lose_frames(log: TrialLog) -> bool:
 
 
 def host_differences(log: TrialLog) -> tuple[str, ...]:
-    """Return the differences between the log's host and this one that may change bits, one per
-    line.
-    """
+    """List the differences between the log's host and this one that may change bits."""
     used = provenance.plugins(packages(log.experiment))
     these_facts = {**provenance.host(), **provenance.versions(), **used}
     return tuple(

@@ -18,15 +18,22 @@ from tetractl.log.read.trial_log import Event, TrialLog
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A trial of N robots at one instant, after M frames and K control steps; lengths in the
-    trial's unit.
+    """A trial of N robots at one instant, after M frames and K control steps.
 
-    `time_s` counts from the first direction sent. `poses` (N, 3) are the newest measured poses and
-    `trail` (M, N, 2) the measured positions, NaN if a robot was not tracked. `step` is the newest
-    control step and `totals` (K,) the total error at each step. `end_s` is the duration of the
-    trial and `steps_end` the number of its control steps; None and 0 for a running trial. `events`
-    are the messages so far, oldest first. With `result`, `poses` are those at which it was taken;
-    `known` is "measured", or "true" for a result of a simulation.
+    Lengths are in the trial's unit.
+
+    Attributes:
+        setup: The constants of the experiment.
+        time_s: Time since the first direction sent [s].
+        end_s: Duration of the trial [s]. None for a running trial.
+        poses: Newest measured poses, shape (N, 3). With `result`, the poses at which it was taken.
+        trail: Measured positions, shape (M, N, 2). NaN if a robot was untracked.
+        step: The newest control step.
+        totals: Total error at each step, shape (K,).
+        steps_end: Number of control steps of the trial. 0 for a running trial.
+        result: The result. None before the end.
+        events: The messages so far, oldest first.
+        known: "measured", or "true" for a result of a simulation.
     """
 
     setup: Setup
@@ -50,17 +57,22 @@ class Moment:
 
 
 def first_seen(trail: Floats, starts: Floats) -> Floats:
-    """Return the first measured position of each robot in a trail (M, N, 2), (N, 2); that of
-    `starts` (N, 2), the spec's, for a robot never seen. Cells start where they are found."""
+    """Return the first measured position of each robot in a trail (M, N, 2), shape (N, 2).
+
+    For a robot that was never seen, it is the spec's start in `starts` (N, 2). Cells start where
+    they are found.
+    """
     positions = np.concatenate([trail, starts[None]])
     first = np.isfinite(positions[..., 0]).argmax(axis=0)
     return positions[first, np.arange(len(starts))]
 
 
 def end_ns(log: TrialLog) -> int:
-    """Return when a recorded trial ends [ns]: with its stop, after which the simulated robots of
-    its last frames stand. In a lab it ends with the last frame that shows the poses of its result,
-    which cells that swim on leave before the last frame.
+    """Return when a recorded trial ends [ns].
+
+    A simulated trial ends with its stop, after which its robots stand still in its last frames. In
+    a lab, it ends with the last frame that shows the poses of its result; cells that swim on leave
+    these poses before the last frame.
     """
     last_step_ns = log.steps[-1].command.sent_ns if log.steps else 0
     after = log.mocap_ns >= last_step_ns
@@ -121,8 +133,10 @@ class Recording:
 
 
 def _held(mocap: Floats, valid: NDArray[np.bool_], first: Floats) -> Floats:
-    """Return poses (M + 1, N, 3): row m holds each robot's last tracked pose after m frames, or its
-    pose in `first` (N, 3) if it was not tracked yet.
+    """Return poses (M + 1, N, 3) that hold each robot's last tracked pose.
+
+    Row m holds the poses after m frames. A robot that was not tracked yet has its pose in `first`
+    (N, 3).
     """
     poses = np.concatenate([first[None], mocap])
     tracked_rows = np.vstack([np.ones(len(first), dtype=bool), valid])
@@ -148,14 +162,13 @@ class Playback(StrEnum):
 
 
 class Player:
-    """Plays a span [ns] of a recording, `rate` times as fast as the wall clock; keys change its
-    state.
+    """Plays a span [ns] of a recording, `rate` times as fast as the wall clock, controlled by keys.
 
     Call `update` before reading `now`, and `press` with the name of each key: "space" pauses and
-    resumes, and at the end plays again from the start; "left" and "right" seek 1 s back and
-    forward, "home" and "end" the ends of the span; "." and "," seek the next and the previous
-    control step, "e" and "E" the next and the previous event, and pause; "+" and "-" double and
-    halve the rate, "q" quits.
+    resumes, and at the end plays again from the start. "left" and "right" seek 1 s back and
+    forward, "home" and "end" go to the ends of the span. "." and "," go to the next and the
+    previous control step, "e" and "E" to the next and the previous event, and pause. "+" and "-"
+    double and halve the rate, "q" quits.
     """
 
     def __init__(
@@ -265,9 +278,15 @@ class Player:
 
 
 def span(recording: Recording, start_s: float, until_s: float | None) -> tuple[int, int]:
-    """Return the times [ns] of the first and last instant to play; UsageError for an empty span.
+    """Return the times [ns] of the first and last instant to play.
 
-    `start_s` and `until_s` count from the first direction; the log may begin before it.
+    Args:
+        recording: The recording.
+        start_s: When to start, counted from the first direction [s]. The log may begin before it.
+        until_s: When to end [s]. None for the end of the recording.
+
+    Raises:
+        UsageError: If the span is empty.
     """
     first_s = recording.log.elapsed_s(0)
     end_s = recording.log.elapsed_s(recording.end_ns)

@@ -106,9 +106,14 @@ def figure(width_in: float, height_in: float) -> Figure:
 
 
 def headline(drawing: Figure, text: str, alarm: str = "") -> None:
-    """Write `text` in a line at the top of a figure and, below it, the warning `alarm`.
+    """Write a line at the top of a figure and, below it, a warning.
 
-    The figure becomes higher by these lines; its axes keep their size.
+    The figure becomes taller by these lines, and its axes keep their size.
+
+    Args:
+        drawing: The figure.
+        text: The line.
+        alarm: The warning. Empty for none.
     """
     alarm_lines = textwrap.wrap(alarm, int(HEADLINE_LETTERS_PER_IN * drawing.get_figwidth()))
     old_in = drawing.get_figheight()
@@ -126,9 +131,12 @@ def headline(drawing: Figure, text: str, alarm: str = "") -> None:
 
 
 def _lower_legends(drawing: Figure, share: float) -> float:
-    """Move each legend that is above the axes down, into the lower fraction `share` of the figure;
-    return the legends' height [in]. The layout engine would place them next to the headline, not
-    below it.
+    """Move each legend above the axes down, into the lower fraction `share` of the figure.
+
+    The layout engine would place them next to the headline, not below it.
+
+    Returns:
+        The legends' height [in].
     """
     if not drawing.legends:
         return 0.0
@@ -157,7 +165,15 @@ def batch_look(number: int) -> dict[str, Any]:
 
 
 def panel(axes: Axes, letter: str, title: str, x: str = "", y: str = "") -> None:
-    """Set the title of a panel to "(LETTER) TITLE", and the labels of its axes."""
+    """Set the title of a panel to "(LETTER) TITLE", and the labels of its axes.
+
+    Args:
+        axes: The axes.
+        letter: The letter.
+        title: The title.
+        x: Label of the x axis.
+        y: Label of the y axis.
+    """
     axes.set_title(f"({letter}) {title}", loc="left")
     axes.set(xlabel=x, ylabel=y)
 
@@ -169,14 +185,28 @@ def sign(label: str, **look: Any) -> Line2D:
 
 
 def legend(drawing: Figure, signs: Sequence[Artist], columns: int = 3, **look: Any) -> None:
-    """Put the legend of a figure below its panels."""
+    """Put the legend of a figure below its panels.
+
+    Args:
+        drawing: The figure.
+        signs: What the legend shows.
+        columns: Number of columns.
+        **look: Further arguments of `Figure.legend`.
+    """
     drawing.legend(handles=signs, loc="outside lower center", ncols=columns, **look)
 
 
 def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "picture") -> str:
-    """Return the format of a file, the ending of its name, which must be among `formats`.
+    """Return the format of a file, which is the ending of its name.
 
-    Raises UsageError for another ending, if the file's folder does not exist, and for a folder.
+    Args:
+        path: The file.
+        formats: The possible formats.
+        what: What is written to it, for the message.
+
+    Raises:
+        UsageError: If the ending is another one, if the file's folder does not exist, or if the
+            path is a folder.
     """
     wanted = path.suffix.lower().removeprefix(".")
     if wanted not in formats:
@@ -193,12 +223,24 @@ def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "pictu
 
 
 def save(drawing: Figure, path: Path, dpi: float = PRINT_DPI) -> None:
-    """Write a figure; the same figure gives the same bytes."""
+    """Write a figure. The same figure gives the same bytes.
+
+    Args:
+        drawing: The figure.
+        path: The file.
+        dpi: Resolution [dots per inch].
+    """
     save_whole(path, picture(drawing, file_format(path), dpi))
 
 
 def picture(drawing: Figure, wanted: str, dpi: float = PRINT_DPI) -> bytes:
-    """Return a figure as a file of format `wanted`; the same figure gives the same bytes."""
+    """Return a figure as the contents of a file. The same figure gives the same bytes.
+
+    Args:
+        drawing: The figure.
+        wanted: Format of the file, such as "png".
+        dpi: Resolution [dots per inch].
+    """
     file = io.BytesIO()
     with styled():
         drawing.savefig(file, format=wanted, metadata=_METADATA[wanted], dpi=dpi)

@@ -1,6 +1,7 @@
-"""Videos of a trial: the arena with the robots, the error over time, and numbers. The static part
-is drawn once; each picture adds the moving parts. ffmpeg, if installed, writes MP4; Pillow writes
-GIF and animated WebP.
+"""Videos of a trial: the arena with the robots, the error over time, and numbers.
+
+The static part is drawn once, and each image adds the moving parts. ffmpeg, if installed, writes
+MP4. Pillow writes GIF and animated WebP.
 """
 
 import shutil
@@ -90,11 +91,22 @@ def write_video(
     width: int = 960,
     rate: int | None = None,
 ) -> int:
-    """Write a video of a trial and return how many times faster than the trial it plays.
+    """Write a video of a trial.
 
-    `rate` is the number of pictures per second, by default that of the format. A trial of more than
-    a minute plays faster, by a factor of 2, 5, 10 and so on. `progress` is called with the numbers
-    of pictures drawn and of all pictures. Raises LogError if the file cannot be written.
+    A trial of more than a minute plays faster, by a factor of 2, 5, 10 and so on.
+
+    Args:
+        log: The trial.
+        path: The file.
+        progress: Called with the number of images drawn and of all images.
+        width: Width of the video [px].
+        rate: Number of images per second. None for the default of the format.
+
+    Returns:
+        How many times faster than the trial the video plays.
+
+    Raises:
+        LogError: If the file cannot be written.
     """
     ending = check_file(path)
     rate = rate or FORMATS[ending]
@@ -191,8 +203,10 @@ def _mp4(path: Path, pictures: Iterator[Picture], rate: int, hold: int) -> None:
 
 
 def _empty_picture(arena: Bounds, width_px: int) -> tuple[Figure, Axes, Axes, Axes]:
-    """Return a picture for an arena, with axes for the scene on the left and, to its right, for the
-    curve of the error above the words; its width and height are even numbers [px], as MP4 demands.
+    """Return an empty image for an arena, with its axes.
+
+    The axes are for the scene on the left and, to its right, for the curve of the error above the
+    words. Width and height are even numbers [px], as MP4 requires.
     """
     scale = min(SCENE_WIDTH_IN / arena.width, SCENE_HEIGHT_IN / arena.height)
     scene_width = scale * arena.width
@@ -204,7 +218,14 @@ def _empty_picture(arena: Bounds, width_px: int) -> tuple[Figure, Axes, Axes, Ax
     figure = Figure((width, height), dpi)
 
     def axes_at(left: float, low: float, axes_width: float, axes_height: float) -> Axes:
-        """Add axes in a rectangle [in]."""
+        """Add axes in a rectangle.
+
+        Args:
+            left: Its left edge [in].
+            low: Its lower edge [in].
+            axes_width: Its width [in].
+            axes_height: Its height [in].
+        """
         place = (left / width, low / height, axes_width / width, axes_height / height)
         return figure.add_axes(place)
 
@@ -271,8 +292,10 @@ class _ErrorCurve:
 
 
 class _Words:
-    """The numbers of a moment in words: time, plan and error, then the error of each robot; and the
-    direction u as an arrow."""
+    """The numbers of a moment in words: time, plan and error, then the error of each robot.
+
+    The direction u is shown as an arrow.
+    """
 
     def __init__(self, axes: Axes, names: tuple[str, ...], colors: list[str]) -> None:
         self._names = robot_labels(names) if len(names) < NUMBERED else []
@@ -331,10 +354,12 @@ def _total_error(moment: Moment) -> float:
 
 
 class VideoFrames:
-    """Draws the pictures of a video of a trial: arrays (height, width, 3) with even height and
-    width.
+    """Draws the images of a video of a trial, arrays (height, width, 3).
 
-    Raises LogError for a log without control steps.
+    Height and width are even.
+
+    Raises:
+        LogError: If the log has no control steps.
     """
 
     @style.styled()

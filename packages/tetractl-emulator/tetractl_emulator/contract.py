@@ -1,5 +1,7 @@
-"""The checks of `tetractl_testing` for a camera and an actuator before their emulated sides, in
-virtual time."""
+"""Runs the checks of `tetractl_testing` on a camera and an actuator with emulated counterparts.
+
+Everything runs in virtual time.
+"""
 
 from functools import partial
 
@@ -17,8 +19,11 @@ from tetractl_emulator.virtual_lab import LabClock, started
 
 
 def check_lab(lab: LabSection, setup: Setup) -> None:
-    """Check a lab whose camera is emulated by a `PoseStream` and its actuator by a `PortedSide`,
-    such as `OwnLines`."""
+    """Check a lab with emulated devices.
+
+    The camera must be emulated by a `PoseStream`, and the actuator by a `PortedSide`, such as
+    `OwnLines`.
+    """
     clock = LabClock()
     emulation = started(lab, setup, clock, Options(address=None))
     camera = emulation.camera

@@ -34,10 +34,10 @@ _as_json = json.JSONEncoder(separators=(",", ":")).encode
 
 
 class EmulatedLab:
-    """An emulated lab at the ends of `wires`, by default real sockets and ports. `report(event,
-    facts)` is called with events for display.
+    """An emulated lab at the ends of `wires`, by default real sockets and ports.
 
-    A context manager: leaving it always releases ports and names.
+    It is a context manager: leaving it always releases ports and names. `report(event, facts)` is
+    called with events for display.
     """
 
     def __init__(
@@ -142,8 +142,10 @@ class EmulatedLab:
         return self.camera if type(fault) in self.camera.faults else self.actuator
 
     def note(self, event: str, **facts: Any) -> None:
-        """Record an event with its facts and its time of `time.monotonic_ns`, if a record is
-        kept."""
+        """Record an event with its facts and time, if a record is kept.
+
+        The time is that of `time.monotonic_ns`.
+        """
         if self._record is None:
             return
         now = self.timeline.now_ns

@@ -10,8 +10,10 @@ from tetractl_emulator.port import PseudoPort
 
 
 class UdpPlug(PseudoPort):
-    """Devices at `udp://HOST:PORT`, emulated at this port of this computer; at `udp://:PORT` those
-    that send to it unasked."""
+    """Emulated devices at `udp://HOST:PORT`, on this port of this computer.
+
+    At `udp://:PORT`, these are devices that send to that port without being asked.
+    """
 
     def __init__(self, name: str) -> None:
         super().__init__(name)

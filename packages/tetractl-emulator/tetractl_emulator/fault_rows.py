@@ -46,8 +46,13 @@ OUR_HZ = 40.0
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """The draw of one fault: `strength` is uniform in [0, 1), `names` are the robots in a random
-    order. A length in robots' `scale` is that of a robot of 200 mm/s times `scale`.
+    """The random choices for one fault.
+
+    Attributes:
+        random: The random generator.
+        names: The robots, in a random order.
+        strength: How strong the fault is, uniform in [0, 1).
+        scale: Factor for lengths that are given for a robot with 200 mm/s.
     """
 
     random: Random
@@ -77,19 +82,37 @@ def part(low: float, high: float) -> DrawValue:
 
 
 def less(low: float, high: float, least: float = 0.0) -> DrawValue:
-    """Return the draw of what is left of 1, at least `least`."""
+    """Sample what remains of 1 after a random loss.
+
+    Args:
+        low: Minimum loss.
+        high: Maximum loss.
+        least: Minimum of the result.
+    """
     lacking = between(low, high)
     return lambda d: max(least, round(1 - lacking(d), 4))
 
 
 def signed(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
-    """Return the draw of a value as `between`, of either sign; times `a_frame`."""
+    """Sample a value like `between`, with a random sign.
+
+    Args:
+        low: Minimum size.
+        high: Maximum size.
+        a_frame: Factor for the result.
+    """
     size = between(low, high)
     return lambda d: round(d.random.choice((-1, 1)) * size(d) * a_frame, 7)
 
 
 def factor(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
-    """Return the draw of a factor that is off from 1 as `signed`."""
+    """Sample a factor that differs from 1 by a value like `signed`.
+
+    Args:
+        low: Minimum size of the difference.
+        high: Maximum size of the difference.
+        a_frame: Factor for the difference.
+    """
     change = signed(low, high, a_frame)
     return lambda d: 1 + change(d)
 
@@ -101,13 +124,25 @@ def way(low: float, high: float) -> DrawValue:
 
 
 def off(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
-    """Return the draw of a vector as `way`, in robots' scale; times `a_frame`."""
+    """Sample a vector like `way`, in the robots' scale.
+
+    Args:
+        low: Minimum length.
+        high: Maximum length.
+        a_frame: Factor for the result.
+    """
     vector = way(low, high)
     return lambda d: [round(value * d.scale * a_frame, 6) for value in vector(d)]
 
 
 def along(low: float, high: float, angle: float) -> DrawValue:
-    """Return the draw of the way in a frame at a speed, to and fro along a direction."""
+    """Sample the displacement in a frame at a random speed along a direction, in either sense.
+
+    Args:
+        low: Minimum speed.
+        high: Maximum speed.
+        angle: The direction [rad].
+    """
     speed = signed(low, high)
     return lambda d: _vector(speed(d) * d.scale * FRAME_S, angle)
 
@@ -146,11 +181,17 @@ def _vector(length: float, angle: float) -> list[float]:
 
 @dataclass(frozen=True, slots=True)
 class FaultRow:
-    """A variant of a fault on rehearsed days: reasons that match `right` name it. `fields` are
-    those of a script: values, or the draws of values; `fault` is the name of the kind.
+    """A variant of a fault in randomised test runs.
 
-    One `at_once` has no duration. `weight` is relative. `start` and `stop` are the fractions of the
-    days on which it begins with the emulation, and as the robots stop.
+    Attributes:
+        name: Its name.
+        right: Pattern of the reasons that name the fault correctly.
+        fields: Fields of the script: values, or functions that sample them.
+        at_once: Whether the fault has no duration.
+        weight: Relative frequency.
+        start: Fraction of the runs in which it begins together with the emulation.
+        stop: Fraction of the runs in which it begins when the robots stop.
+        fault: Name of the kind of fault.
     """
 
     name: str
@@ -164,8 +205,9 @@ class FaultRow:
 
 
 def scale_of(lab: LabSection, setup: Setup) -> float:
-    """Return the scale in which lengths, drawn for robots of 200 mm/s, are drawn for a lab: that of
-    their speeds for cells, 1 for all robots on wheels.
+    """Return the factor for lengths that are given for robots with 200 mm/s.
+
+    For cells, it follows from their speeds. For all robots on wheels, it is 1.
     """
     fastest_mm_s = float(setup.speed.max()) * setup.metres * 1000
     return fastest_mm_s / 200 if lab.actuator.type == "field" else 1.0

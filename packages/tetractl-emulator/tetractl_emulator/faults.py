@@ -31,8 +31,10 @@ Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
 class Visible(Enum):
-    """The event at which a fault becomes visible: a frame exposed during the fault is sent, a frame
-    is sent during the fault, or the fault starts.
+    """The event at which a fault becomes visible.
+
+    Either a frame that was exposed during the fault is sent, or a frame is sent during the fault,
+    or the fault starts.
     """
 
     EXPOSED = auto()
@@ -54,7 +56,7 @@ class Fault(Model):
     since: Literal["start", "client", "run", "stop"] = "run"
     """Event from which `at` counts: the `start` of the emulation, the first `client` of the
     cameras, the first command of a `run` that moves a robot, or the first `stop` of all robots
-    after it, as in a pause or at the end.
+    after that, for example in a pause or at the end.
     """
     duration: Positive | None = Field(default=None, alias="for")
     """Duration of the fault [s]; by default the rest of the run."""
@@ -72,10 +74,11 @@ class Fault(Model):
 
 
 class ActingFaults:
-    """The faults that act in a lab now. Devices ask for those that they can have, whenever it
-    matters, by the names of kinds and, if a robot has them, of the robot.
+    """The faults that act in a lab now.
 
-    Robots may also be `carried`, which is no fault: no camera shows them then.
+    Devices ask for the faults that they can have, whenever these matter, by the names of the kinds
+    and, if a robot has them, of the robot. Robots may also be `carried`, which is no fault: then no
+    camera shows them.
     """
 
     carried = False
@@ -122,8 +125,10 @@ def adding(running: list[Any], entry: object) -> Undo:
 
 
 def switching(act: Callable[[Any, Any], Callable[[bool], None]], on: bool = True) -> Begin:
-    """Return a function that begins a fault: it gets a switch, `act(fault, device)`, and calls it
-    with `on`. The fault ends when the switch is called with `not on`.
+    """Return a function that begins a fault with a switch.
+
+    The function gets the switch from `act(fault, device)`, and calls it with `on`. The fault ends
+    when the switch is called with `not on`.
     """
 
     def begin(fault: Fault, device: Any) -> Undo | None:
@@ -142,11 +147,15 @@ def fault_kind(
     rows: Sequence[FaultRow] = (),
     begin: Begin = lambda fault, device: None,
 ) -> type[Fault]:
-    """Return a kind of fault for a device's table.
+    """Create a kind of fault for a device's table.
 
-    `fields` are those that the kind has in a script in addition to those of `Fault`: each a type,
-    or a pair of type and default. `rows` are its variants in rehearsals, which need not say how
-    robots are drawn that the fields have to name.
+    Args:
+        name: Its name in scripts.
+        about: What it does, for the documentation.
+        visible: When it becomes visible.
+        fields: Its fields in scripts.
+        rows: Its variants in randomised test runs.
+        begin: Begins the fault on a device, and returns how to end it.
     """
     columns: dict[str, Any] = {"fault": (Literal[name], ...)}
     named: dict[str, Any] = {}
@@ -163,7 +172,13 @@ def fault_kind(
 
 
 def port_faults(what: str, unplugged: str, stuck: str) -> tuple[type[Fault], type[Fault]]:
-    """Return the faults of the port of a device, `what`, and the reasons that name each rightly."""
+    """Return the faults of a device's port.
+
+    Args:
+        what: The device.
+        unplugged: Pattern of the reasons that name an unplugged port correctly.
+        stuck: Pattern of the reasons that name a stuck port correctly.
+    """
     return (
         fault_kind(
             "unplug",
@@ -188,9 +203,9 @@ MARK = fault_kind(
 
 
 class Injector:
-    """Schedules the faults of a script; `device_of` returns the device of a fault. `acting` are
-    those that act now.
+    """Schedules the faults of a script.
 
+    `device_of` returns the device of a fault. `acting` holds the faults that act now.
     `report(phase, fault)` is called with the phase "start" when a fault becomes visible, and with
     the phase "end" when it ends.
     """
@@ -212,8 +227,9 @@ class Injector:
         self._since = set[str]()
 
     def happened(self, what: str) -> None:
-        """Record an event (start, client, run or stop); when it first happens, schedule the faults
-        whose times count from it.
+        """Record an event (start, client, run or stop).
+
+        When it happens for the first time, the faults with times that count from it are scheduled.
         """
         if what in self._since:
             return
@@ -228,9 +244,7 @@ class Injector:
         self._newest = exposure
 
     def sent(self, exposure: int) -> None:
-        """Record that the frame of the exposure with this number was sent, or withheld by a
-        fault.
-        """
+        """Record that the frame of an exposure was sent, or withheld by a fault."""
         for fault, first in list(self._pending):
             if fault.visible is Visible.SENT or exposure >= first:
                 self._pending.remove((fault, first))

@@ -69,10 +69,12 @@ def source_folder() -> Path:
 
 @cache
 def load(name: str, folder: Path | None = None) -> Library:
-    """Load the functions of the core `name`, by their names; compile it first if `folder` (default:
-    the cache) does not contain it.
+    """Load the functions of a firmware core by their names, compiling it first if needed.
 
-    TetractlError if there is no compiler, no source, or the source does not compile.
+    It is compiled if `folder` does not contain it. By default, the folder is the cache.
+
+    Raises:
+        TetractlError: If there is no compiler or no source, or if the source does not compile.
     """
     sources = source_folder()
     codes = [sources / f"{name}_core.c", sources / "framing.c"]
@@ -135,8 +137,10 @@ class Core:
         self._both = ctypes.addressof(self._one), ctypes.addressof(self._two)
 
     def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
-        """Read bytes from the radio or the serial line; return an event for each completed
-        frame.
+        """Pass bytes from the radio or the serial line to the core.
+
+        Returns:
+            An event for each completed frame.
         """
         push = self._library["push"]
         events = [CoreEvent(push(self._core, byte, now_ms)) for byte in data]
@@ -164,8 +168,10 @@ class WheelsCore(Core):
     """The firmware core of a robot with two wheels."""
 
     def wheels(self, now_ms: int) -> Counts:
-        """Return the present counts, or speeds, of both wheels, which the watchdog may have set to
-        0."""
+        """Return the present counts, or speeds, of both wheels.
+
+        The watchdog may have set them to 0.
+        """
         return self._pair("wheels", now_ms)
 
     def status(self, now_ms: int) -> Status:
@@ -190,8 +196,10 @@ class RobotCore(WheelsCore):
 
 
 class TwistCore(WheelsCore):
-    """The core of robot `index` that takes lines, whose wheels have speeds [mm/s] and are
-    `radius_mm` from its centre."""
+    """The core of robot `index`, which takes lines of text.
+
+    Its wheels have speeds [mm/s], and are `radius_mm` from its centre.
+    """
 
     name = "twist"
     reply_size = 48

@@ -44,8 +44,10 @@ class Blind:
 
 
 class MovedCamera:
-    """A real camera whose robots stand, with their poses moved as emulated ones drive; see
-    `tetractl.core.protocols.Camera`. `look` is to be called each millisecond."""
+    """A real camera above stationary robots, with their poses moved as emulated robots drive.
+
+    See `tetractl.core.protocols.Camera`. `look` must be called every millisecond.
+    """
 
     def __init__(self, camera: Camera, emulation: EmulatedLab, clock: Clock, mm: float) -> None:
         self._camera = camera
@@ -115,8 +117,10 @@ class MovedCamera:
 
 
 class TwinActuator:
-    """A real actuator, and an emulated one that sends the same; see
-    `tetractl.core.protocols.Actuator`."""
+    """A real actuator together with an emulated one that sends the same.
+
+    See `tetractl.core.protocols.Actuator`.
+    """
 
     def __init__(self, real: Actuator, twin: Actuator) -> None:
         self._real = real
@@ -151,7 +155,7 @@ class TwinActuator:
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Send by both; return what the real one has sent."""
+        """Send with both actuators; see `Actuator.send`."""
         sent = self._real.send(action, poses, moving, exposed_ns)
         self._twin.send(action, poses, moving, exposed_ns)
         return sent

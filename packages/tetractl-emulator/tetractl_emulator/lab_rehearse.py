@@ -41,24 +41,31 @@ def rehearse(
     days: Annotated[int, option("N", "Number of days.", min=1, max=DAYS_MAX)] = 20,
     seed: Annotated[int, option("S", "Seed of the days.", min=0)] = 1,
     first: Annotated[
-        int, option("N", "Number of the first day; a day is drawn by it.", min=0, max=DAYS_MAX)
+        int,
+        option(
+            "N",
+            "Number of the first day. With the seed, a day's number determines its faults.",
+            min=0,
+            max=DAYS_MAX,
+        ),
     ] = 0,
-    faults: Annotated[bool, switch("Let faults happen; without, no trial may abort.")] = True,
-    jobs: Annotated[int, option("N", "Number of days played at a time.", min=1)] = 1,
+    faults: Annotated[bool, switch("Inject faults. With --no-faults, no trial may abort.")] = True,
+    jobs: Annotated[int, option("N", "Number of days run at the same time.", min=1)] = 1,
     out: Annotated[
         Path | None,
         out_option(
             "DIR",
-            "Folder for the days' results and the scripts of violations; days that it has"
-            " are not played again. [rehearsal-SEED]",
+            "Folder for the days' results and the scripts of violations. Days that it already"
+            " has are not run again. [rehearsal-SEED]",
         ),
     ] = None,
 ) -> int:
-    """Rehearse a lab against random faults, in virtual time: no hardware is involved.
+    """Test a lab against random faults in virtual time, without hardware.
 
-    Each day is a trial with faults drawn by the seed. An observer that knows the truth asserts what
-    must hold. The faults of a day that breaks it are written to a script for `plant.faults`. The 20
-    days take some minutes, of pictures up to five; without a terminal a line is printed for each.
+    Each day is a trial with faults that the seed determines. An observer that knows the truth
+    checks invariants. If a day violates one, its faults are written to a script for `plant.faults`.
+    Twenty days take a few minutes, or up to five if the lab has a picture camera. Without a
+    terminal, a line is printed for each day.
 
     Example: tetractl lab rehearse experiments/three_m3pi_lab.yaml --days 200 --jobs 2
     """
@@ -131,8 +138,15 @@ def rehearsed(
     bad: bool = True,
     folder: Path | None = None,
 ) -> "DayRow":
-    """Play a day, with faults if it is `bad`; return what is kept of it. The script of a day that
-    broke a sentence is written to a `folder`.
+    """Run one day, and return what is kept of it.
+
+    Args:
+        spec: The spec.
+        sets: Settings of the spec.
+        seed: Seed of all days.
+        day: Number of the day.
+        bad: Whether there are faults.
+        folder: Where to write the script of a day that violated an invariant. None if nowhere.
     """
     from tetractl.plant.lab_plant import RigSection
     from tetractl.spec.load import load_spec
@@ -165,7 +179,13 @@ def rehearsed(
 def observed(
     day: "Day", experiment: "Experiment", lab: "LabSection"
 ) -> "tuple[Truth, Sequence[Violation]]":
-    """Return the truth of a day in a lab, and the sentences that it has broken."""
+    """Return the true course of a day in a lab, and the invariants that it violates.
+
+    Args:
+        day: The day.
+        experiment: The experiment.
+        lab: The lab.
+    """
     from tetractl_emulator.rehearsal.outcome_sentences import outcome_violations
     from tetractl_emulator.rehearsal.sentences import violations
     from tetractl_emulator.rehearsal.truth import Truth

@@ -1,9 +1,8 @@
-"""A network and serial ports in memory, which connect an emulated lab with the program that drives
-it.
+"""A network and serial ports in memory, between an emulated lab and the program that drives it.
 
-Each wire has two ends in this process: the emulated device's, and *ours*, that of the program. What
-one end writes is at once what the other reads, byte for byte as on real wires; nothing is lost or
-late. Nothing here waits or has a thread: a `LabClock` lets the two ends read in turn.
+Each wire has two ends in this process: the end of the emulated device, and *our* end, that of the
+program. What one end writes, the other can read at once, byte for byte as on real wires. Nothing is
+lost or late. Nothing here waits or has a thread: a `LabClock` lets the two ends read in turn.
 
     network = MemoryNetwork()
     radio = network.port("/dev/ttyUSB0")                  the device's end of a serial port
@@ -29,8 +28,10 @@ FIRST_FREE = 40_000
 
 
 class MemoryNetwork:
-    """The ends of wires in memory: the bound `sockets` by their addresses, and the plugged `ports`
-    by the names that programs open.
+    """The ends of wires in memory.
+
+    They are the bound `sockets`, by their addresses, and the plugged `ports`, by the names that
+    programs open.
     """
 
     def __init__(self) -> None:
@@ -135,8 +136,10 @@ class MemoryPort(PseudoPort):
         self.stalled = stalled
 
     def baud(self) -> int | None:
-        """Return the speed that our end has set [bits per second]; 0 if it is closed, None for a
-        network."""
+        """Return the speed that our end has set [bits per second].
+
+        It is 0 if our end is closed, and None for a network.
+        """
         if self._is_udp:
             return None
         return self.ours.bits_a_second if self.ours else 0

@@ -50,8 +50,9 @@ class OneWay:
 
 
 class SerialLine:
-    """The line between a port and a device, at `baud` bits per second in each direction, with the
-    faults `baud` and `bad_bytes`.
+    """The line between a port and a device, with the faults `baud` and `bad_bytes`.
+
+    It carries `baud` bits per second in each direction.
     """
 
     def __init__(self, timeline: Timeline, baud: int, acting: ActingFaults) -> None:
@@ -108,8 +109,9 @@ class SerialDevice(ABC):
         self._note_commands(self._splitter.feed(data))
 
     def readable(self) -> None:
-        """Read the bytes that a program wrote to the port; the device receives them after the time
-        that they take on the line.
+        """Read the bytes that a program wrote to the port.
+
+        The device receives them after the time that they need on the line.
         """
         while data := self.port.read():
             self._came(data)
@@ -158,8 +160,9 @@ class SerialDevice(ABC):
 
 
 class PluggedDevices:
-    """Devices on ports that are plugged in and unplugged together; `what` is their description, and
-    `wired` are the parts that receive and answer, each at a port.
+    """Devices on ports that are plugged in and unplugged together.
+
+    `what` describes them. `wired` are the parts that receive and answer, each on one port.
     """
 
     what: ClassVar[str]
@@ -201,8 +204,10 @@ class PluggedDevices:
 
 
 def _left_over(link: Path) -> bool:
-    """Return whether a link was left by an emulation that was killed: its terminal is gone, or is
-    another one that was made later and has got the same number."""
+    """Check whether a link was left by an emulation that was killed.
+
+    Its terminal is then gone, or is another one that was created later with the same number.
+    """
     if not link.is_symlink() or TERMINALS not in link.readlink().parents:
         return False
     try:
@@ -212,10 +217,10 @@ def _left_over(link: Path) -> bool:
 
 
 class PseudoPort:
-    """A serial port that programs open by the name `link`, or `name` as text; `fd` is the file
-    descriptor of the emulation's end.
+    """A serial port that programs open by the name `link`, or `name` as text.
 
-    A program can open the port exclusively, like any port; a second program is then refused.
+    A program can open it exclusively, like any port. A second program is then refused. `fd` is the
+    file descriptor of the emulation's end.
     """
 
     def __init__(self, link: Path | str) -> None:
@@ -243,15 +248,15 @@ class PseudoPort:
         self._close()
 
     def stall(self, stalled: bool) -> None:
-        """If `stalled`, block writes to the port, as if no device took the bytes; otherwise allow
-        them again.
-        """
+        """Block writes to the port, as if no device took the bytes, or allow them again."""
         if self.fd >= 0:
             termios.tcflow(self._far, termios.TCOOFF if stalled else termios.TCOON)
 
     def baud(self) -> int | None:
-        """Return the speed that the program has set [bits per second], 0 for an unknown one; None
-        if the port has none."""
+        """Return the speed that the program has set [bits per second].
+
+        It is 0 if it is unknown, and None if the port has none.
+        """
         return _BAUDS.get(termios.tcgetattr(self._far)[5], 0) if self.fd >= 0 else 0
 
     def read(self) -> bytes:

@@ -51,8 +51,13 @@ class PoseSettings(Model):
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """A frame with its number and its time of exposure [ns]; positions are metres, z is up, the
-    origin that of the spec. The id of a body is its robot's place in the setup.
+    """A frame as the emulated camera sends it.
+
+    Attributes:
+        number: Its number.
+        exposed_ns: When it was exposed [ns].
+        bodies: The bodies. Positions are in metres, z is up, and the origin is the spec's. The id
+            of a body is its robot's index in the setup.
     """
 
     number: int
@@ -66,8 +71,10 @@ class Shot:
 
 
 class PoseStream(PoseCamera):
-    """Sends `packed` frames to the program that has opened the section's `address`: once it has
-    written something, or unasked if it listens."""
+    """Sends `packed` frames to the program that has opened the section's `address`.
+
+    It starts when the program has written something, or at once if the program only listens.
+    """
 
     Settings: ClassVar[type[Model]] = PoseSettings
     numbered = False
@@ -77,7 +84,10 @@ class PoseStream(PoseCamera):
 
     @classmethod
     def world_of_day(cls, chance: random.Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
-        """Draw the camera of a rehearsed day as `noise_of_day`, later by the section's latency."""
+        """Sample the camera of a randomised test run; see `tetractl_emulator.sides`.
+
+        It is sampled as in `noise_of_day`, and is later by the section's latency.
+        """
         section = lab.camera
         assert isinstance(section, Addressed), NEEDS
         drawn = noise_of_day(chance, scale_of(lab, setup))

@@ -37,8 +37,10 @@ SIGNALS = Literal["INT", "TERM", "HUP", "QUIT", "KILL"]
 
 
 class Process:
-    """The process that drives the robots of `lab`, an `EmulatedLab`: it has locked the port of the
-    actuator, which it opens with `ports`. Nothing is done to it if none has.
+    """The process that drives the robots of an emulated lab.
+
+    It has locked the port of the actuator, which it opens with `ports`. If no process has, nothing
+    is done.
     """
 
     def __init__(self, lab: Any, clock: Clock, ports: Ports = SerialPort) -> None:
@@ -55,8 +57,10 @@ class Process:
         self._act(lambda pid: os.kill(pid, signal.SIGSTOP if on else signal.SIGCONT))
 
     def fill_disk(self) -> None:
-        """Let every write of the process to a file fail, and none be cut short: Python 3.11 keeps
-        a module's bytecode of which a part was written, and the next process may fail on it.
+        """Make every write of the process to a file fail completely.
+
+        No write is cut short, because Python 3.11 keeps partly written bytecode of a module, and
+        the next process may fail on it.
         """
         self._act(lambda pid: resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, 0)))
 
@@ -83,8 +87,10 @@ class Process:
 
 
 class ThisProcess(Process):
-    """This process, in virtual time on `clock`; `supervision` is that of its trial, and `outlive`
-    lets the emulated lab go on alone, and closes it.
+    """This process, in virtual time on `clock`.
+
+    `supervision` belongs to its trial. `outlive` lets the emulated lab continue alone, and closes
+    it.
     """
 
     def __init__(

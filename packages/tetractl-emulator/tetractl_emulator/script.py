@@ -92,8 +92,11 @@ class Sides:
 
     @classmethod
     def of(cls, camera: str, actuator: str) -> Self:
-        """Return the classes for a lab's types; SpecError if one cannot be emulated, AbortError
-        without the software that it needs.
+        """Return the emulated devices for a lab's types.
+
+        Raises:
+            SpecError: If one cannot be emulated.
+            AbortError: If the software that it needs is missing.
         """
         for registry, name in ((EMULATED_CAMERAS, camera), (EMULATED_ACTUATORS, actuator)):
             if name not in registry:
@@ -119,15 +122,32 @@ class Sides:
 
 
 def load_script(path: Path, camera: str = "optitrack", actuator: str = "m3pi-xbee") -> Script:
-    """Read a script for a lab of these types; InvalidSpecError with a line for each problem."""
+    """Read a script of faults for a lab.
+
+    Args:
+        path: The script.
+        camera: Type of the lab's camera.
+        actuator: Type of the lab's actuator.
+
+    Raises:
+        InvalidSpecError: With a line for each problem.
+    """
     return parse_script(read_text(path), str(path), camera, actuator)
 
 
 def parse_script(
     text: str, origin: str, camera: str = "optitrack", actuator: str = "m3pi-xbee"
 ) -> Script:
-    """Read the text of a script for a lab of these types; InvalidSpecError with a line for each
-    problem. `origin` is the script's name in error messages.
+    """Parse the text of a script of faults for a lab.
+
+    Args:
+        text: The script.
+        origin: Its name in error messages.
+        camera: Type of the lab's camera.
+        actuator: Type of the lab's actuator.
+
+    Raises:
+        InvalidSpecError: With a line for each problem.
     """
     document = parse_document(text, origin)
     sides = Sides.of(camera, actuator)

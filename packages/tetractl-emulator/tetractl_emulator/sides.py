@@ -88,7 +88,13 @@ class Body(Protocol):
         ...
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the robot, at rest, at a pose [mm, rad]."""
+        """Put the robot at a pose, standing still.
+
+        Args:
+            x: x [mm].
+            y: y [mm].
+            heading: Heading [rad].
+        """
         ...
 
 
@@ -145,8 +151,9 @@ class EmulatedActuator(EmulatedSide, Protocol):
         ...
 
     def switch(self, on: bool) -> None:
-        """Switch the robots off, as while they are carried, or on, which restarts their
-        programs.
+        """Switch the robots off, for example to carry them, or on.
+
+        Switching them on restarts their programs.
         """
         ...
 

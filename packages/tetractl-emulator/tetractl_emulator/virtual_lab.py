@@ -57,7 +57,13 @@ class LabClock(VirtualClock):
         read_wires: Callable[[], None] | None = None,
         acting: ActingFaults | None = None,
     ) -> None:
-        """Let an emulation run on this clock from now on, in place of another."""
+        """Let an emulation run on this clock from now on, instead of another one.
+
+        Args:
+            timeline: The events of the emulation.
+            read_wires: Lets both ends of the wires read. None if there is nothing to read.
+            acting: The faults that act now. None if there are none.
+        """
         self._timeline = timeline
         self._read_wires = read_wires or _read_nothing
         self.acting = acting or ActingFaults()
@@ -104,8 +110,11 @@ def _read_nothing() -> None:
 
 
 class LiveClock(LabClock):
-    """A `LabClock` in this computer's time: a thread makes a step each millisecond, from `start`
-    until what it returns is called."""
+    """A `LabClock` in this computer's time.
+
+    A thread makes a step each millisecond, from `start` until the function that it returns is
+    called.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -160,9 +169,19 @@ def started(
     supervision: LabSupervision | None = None,
     blind: EmulatedCamera | None = None,
 ) -> EmulatedLab:
-    """Return an emulated lab that runs on a clock, with the faults of this process, of the trial
-    under `supervision`; only a record has to be released. `blind` is the camera of a lab whose own
-    is real.
+    """Create an emulated lab that runs on a clock.
+
+    It has the faults of this process and of the trial under `supervision`. Only a record has to be
+    released.
+
+    Args:
+        lab: The section of the lab.
+        setup: The constants of the experiment.
+        clock: The clock.
+        options: Options of the emulation.
+        script: The script of faults.
+        supervision: How people supervise the trial. None if nobody does.
+        blind: The camera of a lab whose own camera is real. None otherwise.
     """
     network = MemoryNetwork()
 
@@ -200,8 +219,10 @@ def _loop_of(emulation: EmulatedLab) -> VirtualLoop:
 
 
 def memory_wires(network: MemoryNetwork, clock: LabClock) -> Wires:
-    """Return the wires of a network in memory; sockets of our side are read in each step of a
-    clock."""
+    """Return the wires of a network in memory.
+
+    Sockets of our side are read in each step of a clock.
+    """
 
     def make_socket(read: Callable[[], None]) -> MemorySocket:
         if read not in clock.receivers:

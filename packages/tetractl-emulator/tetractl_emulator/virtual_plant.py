@@ -29,15 +29,18 @@ class EmulatedPlantSection(RigSection):
 
     type: Literal["emulated"] = "emulated"
     faults: str | dict[str, Any] | None = None
-    """A script of faults, as of `tetractl lab emulate --script`: a file, relative to the spec, or
-    the script itself."""
+    """A script of faults, as for `tetractl lab emulate --script`: a file, relative to the spec, or
+    the script itself.
+    """
     real: Literal["camera", "actuator"] | None = None
-    """The device that is real, in real time: a camera above robots that are switched off, in whose
-    place emulated ones drive, or an actuator whose robots drive on blocks, while an emulated camera
-    shows emulated ones."""
+    """The device that is real, in real time: a camera above robots that are switched off, while
+    emulated robots drive in their place, or an actuator with robots that drive on blocks, while an
+    emulated camera shows emulated robots.
+    """
     record: str | None = Field(default=None, min_length=1, exclude=True)
-    """A folder for what truly happens in each trial, as JSON lines in `truth-000.jsonl` ..., as of
-    `tetractl lab emulate --record`; it is not part of the spec in the log."""
+    """A folder for what truly happens in each trial, as JSON lines in `truth-000.jsonl` and so on,
+    as for `tetractl lab emulate --record`. It is not part of the spec in the log.
+    """
 
     @property
     def real_time(self) -> bool:
@@ -102,8 +105,10 @@ class EmulatedPlantSection(RigSection):
         supervision: LabSupervision | None = None,
         chosen: bool = False,
     ) -> Rig:
-        """Return the rig of a new emulated lab. Trials with the same root seed have the same cells
-        in the dish; the trial's `seed` gives everything else.
+        """Create the connected lab of a new emulation; see `RigSection.rig`.
+
+        Trials with the same root seed have the same cells in the dish. The trial's `seed`
+        determines everything else.
         """
         from tetractl.spec.yaml.core_yaml import dump
         from tetractl_emulator.half_real import Blind, MovedCamera, TwinActuator
@@ -173,9 +178,10 @@ class EmulatedPlantSection(RigSection):
 
 
 class BusyPlant(LabPlant):
-    """A `LabPlant` in virtual time: between a frame and the action that is planned from it, the
-    time of a computer that is busy passes. `halves` says what is real, for the
-    log.
+    """A `LabPlant` in virtual time, on a computer that is busy.
+
+    Between a frame and the action that is planned from it, some time passes. `halves` says what is
+    real, for the log.
     """
 
     def __init__(

@@ -42,8 +42,9 @@ from tetractl.spec.examples import examples
 from tetractl_learn.policy import features, features_of
 
 GAP_MAX = 2.0
-"""Greatest gap in an observation, in units of the arena's longer side: 1 within the arena, and
-noise."""
+"""Maximum gap in an observation, in units of the arena's longer side: 1 within the arena, plus
+noise.
+"""
 BENCHMARKS = "benchmark"
 """The folder of the shipped specs that are registered."""
 SEEDS = 2**31

@@ -15,8 +15,15 @@ DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
 
 
 def stream(connect: Callable[[str, dict[str, str]], Any], name: str, out: TextIO) -> None:
-    """Print each frame of a system to `out`, after its time on the system's monotonic clock [ns],
-    until no program reads it."""
+    """Print each frame of a motion-capture system until no program reads it.
+
+    Each frame follows its time on the system's monotonic clock [ns].
+
+    Args:
+        connect: Connects to a system, given its name and options.
+        name: The system, its hostname and its options, as JSON.
+        out: Where to print.
+    """
     system, hostname, options = json.loads(name)
     capture = connect(system, {"hostname": hostname, **options})
     with suppress(BrokenPipeError):

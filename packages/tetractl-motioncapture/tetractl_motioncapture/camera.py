@@ -22,8 +22,10 @@ NAMES_MAX = 20
 
 
 class MotionCapture(PortCamera):
-    """Tracks the setup's robots by their rigid bodies; see `tetractl.core.protocols.Camera`.
-    `ports` makes another port than that to the library's process."""
+    """Tracks the setup's robots with their rigid bodies; see `tetractl.core.protocols.Camera`.
+
+    `ports` creates another port than the one to the library's process.
+    """
 
     connect_s = 10.0
     hint = "does the system stream, and are system and hostname right?"

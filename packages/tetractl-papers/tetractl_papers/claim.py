@@ -55,9 +55,17 @@ class NumberKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class OurNumber:
-    """Our number over n trials, with the ends of its 95 % interval; of RUNS, the interval is the
-    middle 95 % of the runs. `means` are ours and the other controller's mean, where `value` is a
-    difference."""
+    """Our number over n trials.
+
+    Attributes:
+        kind: What kind of number it is.
+        value: The number.
+        n: Number of trials.
+        low: Lower end of its 95 % interval. For RUNS, the middle 95 % of the runs.
+        high: Upper end of that interval.
+        means: If `value` is a difference, our mean and that of the other controller. None
+            otherwise.
+    """
 
     kind: NumberKind
     value: float
@@ -138,8 +146,10 @@ def as_often(share: float) -> Asked:
 
 
 def one_run(published: float) -> Asked:
-    """A published run is to be among the middle 95 % of ours; our number is the share of runs that
-    are at least it."""
+    """Ask whether a published run is among the middle 95 % of ours.
+
+    Our number is the fraction of runs that are at least as large.
+    """
 
     def number(values: Floats) -> OurNumber:
         low, high = np.quantile(values, _ENDS).tolist()
@@ -150,7 +160,13 @@ def one_run(published: float) -> Asked:
 
 
 def same_mean(mean: float, std: float, n: int) -> Asked:
-    """The mean is to be that of n published values: Welch's t finds no difference (p > 0.05)."""
+    """Ask whether our mean equals a published one: Welch's t test finds no difference (p > 0.05).
+
+    Args:
+        mean: The published mean.
+        std: The published standard deviation.
+        n: Number of published values.
+    """
 
     def decide(values: Floats, ours: OurNumber) -> Fate:
         from scipy import stats
@@ -165,8 +181,10 @@ def same_mean(mean: float, std: float, n: int) -> Asked:
 
 
 def same_deviation(std: float, n: int) -> Asked:
-    """The standard deviation is to be that of n published values: the F test finds no difference
-    (p > 0.05)."""
+    """Ask whether our standard deviation equals that of n published values.
+
+    The F test must find no difference (p > 0.05).
+    """
 
     def decide(values: Floats, ours: OurNumber) -> Fate:
         from scipy import stats

@@ -23,11 +23,11 @@ def reproduce(
     out: Annotated[Path, out_option("DIR", "Folder for the logs.")] = Path("logs/reproduce"),
     as_json: AsJson = False,
 ) -> int:
-    """Run what published papers did, and print each figure next to ours, with a verdict.
+    """Run what published papers did, and compare the figures with ours.
 
-    Without a PAPER it lists them. Trials with a log in DIR are kept: an interrupted command goes on
-    where it was. The exit code is 1 if a verdict differs from that of
-    packages/tetractl-papers/README.md.
+    Each figure is printed next to ours, with a verdict. Without a PAPER, the papers are listed.
+    Trials with a log in DIR are kept: an interrupted command continues where it was. The exit code
+    is 1 if a verdict differs from packages/tetractl-papers/README.md.
 
     Example: tetractl reproduce khalil-2013 --jobs 2
     """

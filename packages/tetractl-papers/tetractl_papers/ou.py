@@ -41,9 +41,11 @@ FIRST_SEARCH = (
 )
 """Only the searches of step 0, with all 100 iterations."""
 SQUARE_SIDES_DEG = (90, 180, -90, 0)
-"""The directions of section IV-B.1, a quarter turn apart, for robots that start at 0. A robot
-follows the same curve on each side, turned by a quarter: it ends where it began, but for some
-exp(-a side) of a side."""
+"""The directions of section IV-B.1, a quarter turn apart, for robots that start at 0.
+
+A robot follows the same curve on each side, turned by a quarter: it ends where it began, except for
+about exp(-a side) of a side.
+"""
 SQUARE_SIDE_STEPS = 10
 """Each side takes 2 s, in periods of 0.2 s: several times 1/a."""
 SQUARE = (

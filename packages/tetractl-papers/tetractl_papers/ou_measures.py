@@ -45,9 +45,12 @@ def first_cost(log: TrialLog) -> float:
 
 
 def warm_gain(log: TrialLog) -> float:
-    """Return J of the plan of the middle step, found from a warm start by three searches, minus J
-    of the plan that a controller finds there that searches all lengths from nothing, as in step 0
-    [length unit]."""
+    """Compare the cost of a warm-started plan with that of a plan from nothing [length unit].
+
+    The result is J of the plan of the middle step, found from a warm start by three searches, minus
+    J of the plan that a controller finds there if it searches all lengths from nothing, as in step
+    0.
+    """
     middle = len(log.steps) // 2
     step = log.steps[middle]
     from_nothing = log.experiment.controller.build(log.start.setup, key=middle)
@@ -106,8 +109,10 @@ def _box(points: Floats) -> float:
 
 
 def spinning(log: TrialLog) -> float:
-    """Return for how long the field turns in one sense through a whole turn or more, apart from
-    reversals up to REVERSAL [s]."""
+    """Return how long the field turns in one sense through at least a whole turn [s].
+
+    Reversals up to REVERSAL [s] are ignored.
+    """
     directions = [step.plan.direction for step in log.steps]
     angle = np.array([np.nan if u is None else u for u in directions], dtype=float)
     time_s = log.steps_s
@@ -120,8 +125,10 @@ def spinning(log: TrialLog) -> float:
 
 
 def _runs(holds: Bools) -> Integers:
-    """Return the begin and the end (K, 2) of each run of entries that hold, the end after its last
-    one."""
+    """Return the beginning and the end (K, 2) of each run of entries that hold.
+
+    The end is after the last entry.
+    """
     bordered = np.concatenate([[False], holds, [False]])
     bounds = np.flatnonzero(np.diff(bordered.astype(int)))
     return bounds.reshape(-1, 2)

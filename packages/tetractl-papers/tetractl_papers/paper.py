@@ -30,8 +30,10 @@ class Runs:
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """What is computed n times and is no trial of a spec: `once` is called with the root seed and a
-    number from 0 on, and returns what JSON can hold."""
+    """Something that is computed n times and is not a trial of a spec.
+
+    `once` is called with the root seed and a number from 0, and returns what JSON can hold.
+    """
 
     once: Callable[[int, int], dict[str, Any]]
     trials: int = 20
@@ -47,7 +49,13 @@ class Paper:
 
 
 def table(name: str, source: str, rows: Sequence[Row]) -> Table:
-    """Return the table of a paper's claims."""
+    """Return the table of a paper's claims.
+
+    Args:
+        name: Name of the paper.
+        source: Its reference.
+        rows: The claims.
+    """
     header = ("figure", "published", "asked", "ours", "n", "95 % interval", "verdict", "why")
     texts = []
     for row in rows:

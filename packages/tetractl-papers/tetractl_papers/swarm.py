@@ -18,8 +18,11 @@ from tetractl.view.figures.trials import need_steps, one_trial
 from tetractl_papers.swarm_history import SwarmHistory, first_swarm
 
 SHADES = 10
-"""Number of greys of J: each covers the same share of the square. Spread evenly over J, they would
-nearly all fall to the few signals that lead into an obstacle."""
+"""Number of grey levels for J. Each covers the same fraction of the square.
+
+If they were spread evenly over J, nearly all would fall to the few signals that lead into an
+obstacle.
+"""
 
 
 HEIGHT_IN = 3.1

@@ -1,8 +1,8 @@
-"""Repeats a logged search to obtain its particle swarm, which logs do not contain, and says whether
-the cost is the logged one, as the figure `swarm` states.
+"""Repeats a logged search to obtain its particle swarm, which logs do not contain.
 
-The controller, rebuilt from the log, repeats a control step and receives the logged searches; the
-problem, the warm start and the key that it passes to `search` determine the swarm.
+It also checks whether the cost is the logged one, which the figure `swarm` states. The controller,
+rebuilt from the log, repeats a control step and receives the logged searches. The problem, the warm
+start and the key that it passes to `search` determine the swarm.
 """
 
 from collections.abc import Sequence
@@ -28,8 +28,13 @@ SEEN = [0, 1]
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """The swarm after iteration z: two signals [rad] of each of np particles (np, 2) and of the
-    best sequence found so far, u_gb (2,), and its `cost` J.
+    """The swarm after one iteration.
+
+    Attributes:
+        z: Index of the iteration.
+        particles: Two signals of each particle [rad], shape (number of particles, 2).
+        best: The same signals of the best sequence found so far, u_gb [rad], shape (2,).
+        cost: Its cost J.
     """
 
     z: int
@@ -101,8 +106,12 @@ def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
 
 
 def _first_request(log: TrialLog, searches: StepSearches) -> SearchRequest:
-    """Return what the log's controller, which decides control step 0 again, wants of the chosen
-    search; LogError if it does not come to this search.
+    """Return what the log's controller requests of the chosen search.
+
+    The controller decides control step 0 again.
+
+    Raises:
+        LogError: If it does not come to this search.
     """
     step = log.steps[0]
     searches.begin(step.plan.searches)
@@ -119,8 +128,9 @@ def _first_request(log: TrialLog, searches: StepSearches) -> SearchRequest:
 
 
 def _landscape(problem: Problem, u_gb: Floats) -> Floats:
-    """Return J on a grid over the two signals of the figure; the other signals are those of
-    `u_gb`.
+    """Compute J on a grid over the two signals of the figure.
+
+    The other signals are those of `u_gb`.
     """
     axis = np.linspace(LOWER, UPPER, GRID)
     costs = np.empty((GRID, GRID))

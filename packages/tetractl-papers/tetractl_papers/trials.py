@@ -27,10 +27,18 @@ def run_arms(
     run_batch: RunBatch,
     tell: Callable[[str], None],
 ) -> dict[str, Sequence[Any]]:
-    """Return the results of all arms by name: logs of trials, and what a `Work` computes.
+    """Run all arms of a paper, and return their results by name.
 
-    `specs` are the shipped specs by name, `trials` replaces the number of trials of each arm. An
-    arm that was run before is only completed; what a `Work` computes is computed again.
+    The results are logs of trials, and what a `Work` computes. An arm that was run before is only
+    completed. What a `Work` computes is computed again.
+
+    Args:
+        paper: The paper.
+        folder: Folder for the logs.
+        specs: The shipped specs, by name.
+        trials: Number of trials of each arm. None for the paper's number.
+        run_batch: Runs a batch.
+        tell: Called with lines for the user.
     """
     results = dict[str, Sequence[Any]]()
     for name, arm in paper.arms.items():

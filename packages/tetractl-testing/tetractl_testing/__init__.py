@@ -55,11 +55,15 @@ CHECKS: Mapping[type, Callable[[Any, Setup], None]] = {
 
 
 def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> list[Finding]:
-    """Check "module:attribute", a Motion or the section of another kind with a check; return all
-    findings.
+    """Check a motion, or the section of another kind, and return all findings.
 
-    `fields` are the section's fields, and `setup` describes the robots of the experiment. Raises
-    UsageError if the object cannot be imported or is something else.
+    Args:
+        code: The object, as "module:attribute".
+        fields: The section's fields.
+        setup: The robots of the experiment.
+
+    Raises:
+        UsageError: If the object cannot be imported, or is something else.
     """
     module, _, name = code.partition(":")
     if not module or not name:

@@ -1,5 +1,7 @@
-"""Checks of an optimiser: its searches are consistent, bounded and repeatable; and of a controller:
-its decisions in short undisturbed simulations.
+"""Checks of an optimiser and of a controller.
+
+An optimiser's searches must be consistent, bounded and repeatable. A controller's decisions are
+checked in short undisturbed simulations.
 """
 
 import math
@@ -105,8 +107,14 @@ def _check_search(
 
 @dataclass(slots=True)
 class Play:
-    """The decisions of a controller in one simulation: those before the first that is refused, and
-    what is `wrong` with that one."""
+    """The decisions of a controller in one simulation.
+
+    Attributes:
+        first: The poses first observed, shape (N, 3).
+        decisions: The decisions before the first that is refused.
+        wrong: What is wrong with that one. Empty if none is refused.
+        wraps: Whether the controller wraps its optimiser.
+    """
 
     first: Floats  # the poses first observed (N, 3)
     decisions: list[Any] = field(default_factory=list)

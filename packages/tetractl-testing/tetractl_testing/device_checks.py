@@ -1,11 +1,13 @@
-"""Checks of a camera and an actuator: of a real device those with which no robot moves, of an
-emulated one all that the lab relies on.
+"""Checks of a camera and an actuator.
+
+Real devices get only the checks that move no robot. Emulated devices get checks of everything that
+the lab relies on.
 
     check_camera      building, opening, ten frames, health, leaving
-                      before a scene also: frames show it; a robot that is hidden has no pose
-    check_actuator    building; then, of emulated robots, `_SteeringChecks`: steering, a stop, a
+                      with a scene also: frames show it; a hidden robot has no pose
+    check_actuator    building; then, for emulated robots, `_SteeringChecks`: steering, a stop, a
                       turn, one robot held, an emergency stop, and a device that is gone
-                      without them only what is sent, to ports behind which there is nothing
+                      without robots only sending, to ports without a device
 """
 
 import math
@@ -61,8 +63,13 @@ DIRECTION = 0.5
 
 @dataclass(frozen=True)
 class SeenRobots:
-    """What an emulated camera sees. `poses()` (N, 3) are true, in the spec's coordinates, and
-    `hide(name)` puts a robot out of its sight. `ports` makes the camera's port, by default its own.
+    """What an emulated camera sees.
+
+    Attributes:
+        clock: The clock.
+        poses: Returns the true poses in the spec's coordinates, shape (N, 3).
+        hide: Puts a robot out of the camera's sight.
+        ports: Creates the camera's port. None for its own.
     """
 
     clock: Clock
@@ -73,9 +80,14 @@ class SeenRobots:
 
 @dataclass(frozen=True)
 class MovedRobots:
-    """What an emulated actuator moves. `moves()` (N,) tells which robots truly move, and `unplug()`
-    takes the device away, None if nothing can tell that it is gone, as in a network. `ports` makes
-    the actuator's ports, by default its own."""
+    """What an emulated actuator moves.
+
+    Attributes:
+        clock: The clock.
+        moves: Returns which robots truly move, N entries.
+        unplug: Takes the device away. None if nothing can tell that it is gone, as in a network.
+        ports: Creates the actuator's ports. None for its own.
+    """
 
     clock: Clock
     moves: Callable[[], Sequence[bool]]
@@ -84,8 +96,12 @@ class MovedRobots:
 
 
 def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None = None) -> None:
-    """Check that a camera can be built and, if it can be opened, that its frames are valid; before
-    a `scene` also that they show it.
+    """Check that a camera can be built and, if it can be opened, that its frames are valid.
+
+    Args:
+        section: The camera's section.
+        setup: The constants of the experiment.
+        scene: An emulated scene that the frames must show. None for a real camera.
     """
     calls: list[None] = []
     clock = scene.clock if scene else MonotonicClock()
@@ -198,9 +214,15 @@ def _check_poses(poses: Sequence[Pose], true_poses: Floats, metres: float) -> No
 def check_actuator(
     section: ActuatorSection, setup: Setup, robots: MovedRobots | None = None
 ) -> None:
-    """Check that an actuator can be built; emulated `robots` are steered and stopped in every way.
-    Without them, an actuator with a field `port`, or of an `OwnSection`, sends to ports behind
-    which there is nothing.
+    """Check that an actuator can be built and sends commands.
+
+    Without emulated robots, an actuator with a field `port`, or of an `OwnSection`, sends to ports
+    without a device.
+
+    Args:
+        section: The actuator's section.
+        setup: The constants of the experiment.
+        robots: Emulated robots, which are steered and stopped in every way. None if there are none.
     """
     wrong = "; ".join(_contradictions(section, setup))
     expect("section: fits the spec's robots", wrong)
@@ -245,8 +267,10 @@ def _contradictions(section: ActuatorSection, setup: Setup) -> list[str]:
 
 
 def _check_sending(section: ActuatorSection, setup: Setup) -> None:
-    """Steer and stop by an actuator whose port is a pseudo-terminal, which takes what it sends, or
-    robots at ports of their own that take everything."""
+    """Steer and stop with an actuator that nobody listens to.
+
+    Its port is a pseudo-terminal, or its robots have their own ports that take everything.
+    """
     nobody = MovedRobots(MonotonicClock(), list, None)
     if isinstance(section, OwnSection):
         with resolve_name(section.device)(section, setup, nobody.clock, _Nowhere) as actuator:

@@ -38,8 +38,11 @@ FITS = {
 
 
 Call = tuple[bool, bool, Floats]
-"""A call of a method: whether the result is what `FITS` says, whether the arguments are unchanged,
-and the numbers in the result."""
+"""A call of a method.
+
+It holds whether the result is what `FITS` says, whether the arguments are unchanged, and the
+numbers in the result.
+"""
 
 
 def check_disturbance(section: DisturbanceSection, setup: Setup) -> None:
@@ -58,8 +61,11 @@ def check_disturbance(section: DisturbanceSection, setup: Setup) -> None:
 
 
 def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:
-    """Call the methods that a disturbance overrides as the plant does, for `FRAMES` frames; return
-    the calls of each method."""
+    """Call the methods that a disturbance overrides as the plant does, for `FRAMES` frames.
+
+    Returns:
+        The calls of each method.
+    """
     disturbance = section.build(setup, np.random.default_rng(SEED))
     calls: dict[str, list[Call]] = {}
 

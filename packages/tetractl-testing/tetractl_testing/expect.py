@@ -66,8 +66,15 @@ def findings_of(check: Callable[[], object]) -> list[Finding]:
 
 
 def near(what: str, ours: Any, theirs: Any, scale: Any, share: float = NEAR) -> None:
-    """Expect that two results differ by at most `share` times `scale`; the problem names the case
-    that differs most."""
+    """Expect that two results are nearly equal. The problem names the case that differs most.
+
+    Args:
+        what: What is compared.
+        ours: The result of the code under test.
+        theirs: The expected result.
+        scale: Scale of the difference.
+        share: Maximum difference, as a fraction of `scale`.
+    """
     arrays = [np.asarray(value, float) for value in (ours, theirs, scale)]
     ours, theirs, scale = np.broadcast_arrays(*arrays)
     off = np.abs(ours - theirs) / np.maximum(scale, TINY)
@@ -81,14 +88,26 @@ def near(what: str, ours: Any, theirs: Any, scale: Any, share: float = NEAR) -> 
 
 
 def true(what: str, good: Any, problem: str = "not so") -> None:
-    """Expect that all cases are good; the problem names the first that is not."""
+    """Expect that all cases are good. The problem names the first that is not.
+
+    Args:
+        what: What is checked.
+        good: Whether each case is good.
+        problem: The problem of a case that is not.
+    """
     cases = np.asarray(good, bool).ravel()
     bad = np.flatnonzero(~cases)
     expect(what, f"{problem} in case {bad[0]} of {cases.size}" if bad.size else "")
 
 
 def same(what: str, ours: Any, theirs: Any) -> None:
-    """Expect that two sequences of arrays or numbers have the same bits."""
+    """Expect that two sequences of arrays or numbers have the same bits.
+
+    Args:
+        what: What is compared.
+        ours: The result of the code under test.
+        theirs: The expected result.
+    """
     pairs = zip(ours, theirs, strict=True)
     alike = all(np.array_equal(our, their, equal_nan=True) for our, their in pairs)
     expect(what, "" if alike else "differs bit for bit")

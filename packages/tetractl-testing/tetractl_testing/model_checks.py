@@ -1,5 +1,7 @@
-"""Checks of a motion: its step, hold, compiled step and derivatives agree; and of a shape: its
-corners can be drawn, and do not cross.
+"""Checks of a motion and of a shape.
+
+A motion's step, hold, compiled step and derivatives must agree. A shape's corners must be drawable,
+and its edges must not cross.
 """
 
 import math
@@ -28,9 +30,16 @@ TURNED = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Cases:
-    """COUNT random robots, each with its signal: positions [length unit], headings and signals u
-    [rad], turning rates a [rad/s] and speeds v [length unit/s]. `reach` is how far each may move in
-    a step [length unit]."""
+    """COUNT random robots, each with its signal.
+
+    Attributes:
+        x: x [length unit].
+        y: y [length unit].
+        heading: Headings [rad].
+        u: Signals [rad].
+        a: Turning rates [rad/s].
+        v: Speeds [length unit/s].
+    """
 
     x: Floats
     y: Floats
@@ -50,7 +59,13 @@ class Cases:
         return np.column_stack([self.a, self.v])
 
     def moved(self, motion: Motion, turned: float = 0.0, seconds: float = STEP_S) -> XYHeading:
-        """Return the poses after a step, of headings and signals turned by an angle [rad]."""
+        """Return the poses after a step.
+
+        Args:
+            motion: The motion.
+            turned: Angle by which headings and signals are turned [rad].
+            seconds: Duration of the step [s].
+        """
         heading = self.heading + turned
         return motion.step(self.x, self.y, heading, self.u + turned, self.a, self.v, seconds)
 
@@ -151,8 +166,10 @@ def _check_derivatives(motion: Motion, cases: Cases, moved: XYHeading) -> None:
 
 
 def _differentiated(compiled: Any, cases: Cases) -> Floats:
-    """Return (4, 3, COUNT): dx, dy, dheading of the compiled step, and their derivatives by the
-    heading, by u and by each of PARAMETERS."""
+    """Return dx, dy, dheading of the compiled step with their derivatives, (4, 3, COUNT).
+
+    The derivatives are with respect to the heading, u and each of PARAMETERS.
+    """
     parameters = cases.parameters
     rows: list[Any] = []
     for i in range(COUNT):
@@ -168,8 +185,10 @@ def _differentiated(compiled: Any, cases: Cases) -> Floats:
 
 
 def _shifted(motion: Motion, cases: Cases, shift: Floats) -> XYHeading:
-    """Return the step of cases whose heading, u and each of PARAMETERS are shifted, the latter
-    by their logarithms."""
+    """Return the step of cases with a shifted heading, u and each of PARAMETERS.
+
+    The parameters are shifted in their logarithms.
+    """
     heading = cases.heading + shift[0]
     u = cases.u + shift[1]
     a = cases.a * math.exp(shift[2])
@@ -204,8 +223,10 @@ def check_shape(section: ShapeSection, setup: Setup) -> None:
 
 
 def _crossed(corners: Floats) -> Bools:
-    """Return for each two edges between corners (K, 2) whether they cross; those that share a
-    corner do not."""
+    """Check for each two edges between corners (K, 2) whether they cross.
+
+    Edges that share a corner do not cross.
+    """
     count = len(corners)
     ends = np.roll(corners, -1, axis=0)
     i, j = np.triu_indices(count, 2)

@@ -30,8 +30,10 @@ EMPTY = 10  # charge below which a cube would soon stop [%]
 
 
 class ToioActuator(WheeledActuator):
-    """Drives the setup's robots; see `tetractl.core.protocols.Actuator`. `ports` is for
-    `CubesLink`."""
+    """The actuator for toio cubes; see `tetractl.core.protocols.Actuator`.
+
+    `ports` is passed to `CubesLink`.
+    """
 
     def __init__(
         self, section: ToioSection, setup: Setup, clock: Clock, ports: Ports | None = None
@@ -123,10 +125,10 @@ class ToioActuator(WheeledActuator):
 
 
 def stop_all(section: ToioSection, setup: Setup, clock: Clock, alone: bool) -> str:
-    """Connect to each cube that can be reached, send it ten stops within 200 ms, and disconnect;
-    return a summary. AbortError and PortHeldError as of `stop_all_at`.
+    """Connect to each cube that can be reached, and stop it; see `ActuatorSection.stop_all`.
 
-    A cube keeps no stop: a program that has it connected drives it on.
+    It sends ten stops within 200 ms, then disconnects. It raises the same errors as `stop_all_at`.
+    A cube does not keep a stop: a program that is connected to it can drive it again.
     """
     links = PortGroup(
         make_port(robot.cube, SPEED, robot.name, clock, lambda *_: None, HINT)

@@ -16,8 +16,13 @@ NOTIFYING = (Characteristic.ID, Characteristic.BATTERY, Characteristic.CONFIGURA
 
 
 def is_cube(wanted: str, name: str | None, address: str) -> bool:
-    """Return whether an advertisement is that of the cube `wanted`: an address, or a name, such as
-    `toio-M0p` or only its last three letters."""
+    """Check whether an advertisement belongs to the wanted cube.
+
+    Args:
+        wanted: An address, or a name such as `toio-M0p`, or only its last three letters.
+        name: Name in the advertisement. None if it has none.
+        address: Address of the advertiser.
+    """
     letters = wanted.rpartition("-")[2]
     return (
         wanted.casefold() == address.casefold()
@@ -47,8 +52,11 @@ class BluetoothPort(SerialPort):
             raise AbortError(self.failure or f"{self._device} does not answer", self._hint)
 
     def write(self, data: bytes) -> int:
-        """Pass on messages as writes without response, or as reads; return the time when the system
-        was asked to [ns]."""
+        """Pass on messages as writes without response, or as reads.
+
+        Returns:
+            When the system was asked to [ns].
+        """
         if self.failure or self._client is None:
             raise AbortError(self.failure or f"{self._device} is not connected", self._hint)
         for number, payload in self._unpacker.feed(data):
@@ -115,8 +123,10 @@ class BluetoothPort(SerialPort):
             self._lost(str(error) or type(error).__name__)
 
     def _take(self, kind: Characteristic, data: bytearray | bytes) -> None:
-        """Take a message, and pass on what comes together as one: a reading that is passed on
-        before the next would seem as new as that."""
+        """Take a message, and pass on messages that arrive together as one.
+
+        If a reading was passed on before the next, it would seem as new as that one.
+        """
         if not self._together:
             self._loop.call_later(TOGETHER_S, self._pass_on, self._clock.now())
         self._together += pack(kind, bytes(data))

@@ -33,8 +33,11 @@ ASK_NS = SECOND // 10  # time of silence after which a cube is asked, and again
 
 @dataclass(frozen=True, slots=True)
 class CubeReport:
-    """What a cube has reported last: its pose, None if it sees no mat, at the time `read_ns` [ns],
-    less than 0 before the first report.
+    """What a cube has reported last.
+
+    Attributes:
+        pose: Its pose. None if it sees no mat.
+        read_ns: When it was read [ns]. Negative before the first report.
     """
 
     pose: Pose | None = None
@@ -50,7 +53,13 @@ class CubeReports:
         self._lock = threading.Lock()
 
     def note_pose(self, i: int, pose: Pose | None, at_ns: int) -> None:
-        """Take the pose that cube i reported at a time."""
+        """Record the pose that a cube reported.
+
+        Args:
+            i: Index of the cube.
+            pose: Its pose. None if it sees no mat.
+            at_ns: When it was read [ns].
+        """
         with self._lock:
             self._newest[i] = CubeReport(pose, at_ns)
             self._number += 1
@@ -62,11 +71,11 @@ class CubeReports:
 
 
 class ToioCamera:
-    """Tracks the setup's robots by their own readings; see `tetractl.core.protocols.Camera`.
-    `ports` is for `CubesLink`.
+    """Tracks the setup's robots with their own readings; see `tetractl.core.protocols.Camera`.
 
-    A frame has all readings since the one before; of a cube without a new reading the last one,
-    with its old time. Its number is that of the events of the connections that brought readings.
+    A frame has all readings since the previous frame. A cube without a new reading keeps the last
+    one, with its old time. The frame's number counts the events of the connections that brought
+    readings. `ports` is passed to `CubesLink`.
     """
 
     def __init__(
@@ -159,8 +168,10 @@ class ToioCamera:
         return [frame]
 
     def _ask_silent(self) -> None:
-        """Ask each cube that has been silent for ASK_NS: one that is lifted says only once that it
-        sees no mat."""
+        """Ask each cube that has been silent for ASK_NS.
+
+        A cube that is lifted reports only once that it sees no mat.
+        """
         silent_since_ns = self._clock.now() - ASK_NS
         if self._asked_ns > silent_since_ns:
             return
@@ -196,7 +207,13 @@ class ToioCamera:
 
 
 def placed(pose: Sequence[float], origin: tuple[int, int], unit_mm: float) -> CubeReading:
-    """Return what a cube reads at a pose x, y [mm], heading [rad] in the spec's coordinates."""
+    """Return what a cube reads at a pose in the spec's coordinates.
+
+    Args:
+        pose: x, y [mm] and heading [rad].
+        origin: The spec's origin in the mat's coordinates.
+        unit_mm: Unit of the mat's coordinates [mm].
+    """
     x, y, heading = pose
     angle = round(math.degrees(-heading)) % 360
     return CubeReading(origin[0] + round(x / unit_mm), origin[1] - round(y / unit_mm), angle)

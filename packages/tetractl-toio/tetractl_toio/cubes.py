@@ -1,5 +1,6 @@
-"""The connections of one run to its cubes, which its camera and its actuator share: a cube takes
-one connection only.
+"""The connections of one run to its cubes, which its camera and its actuator share.
+
+A cube accepts only one connection.
 """
 
 import select
@@ -40,8 +41,13 @@ class Cubes:
         return next((link.failure for link in self._links.values() if link.failure), None)
 
     def open(self, listeners: Mapping[str, Listener]) -> None:
-        """Call the listener of each cube for its notifications, and connect to the cubes that are
-        not connected yet; AbortError if that fails."""
+        """Connect to the cubes that are not connected yet, and register their listeners.
+
+        A listener is called for its cube's notifications.
+
+        Raises:
+            AbortError: If that fails.
+        """
         self._users += 1
         for cube, listener in listeners.items():
             self._listeners.setdefault(cube, []).append(listener)
@@ -51,8 +57,19 @@ class Cubes:
                 link.open()
 
     def send(self, cube: str, characteristic: Characteristic, data: bytes = b"") -> int:
-        """Write to a cube, or ask for a value without data; return the time [ns]; AbortError if it
-        cannot be reached."""
+        """Write to a cube, or ask it for a value.
+
+        Args:
+            cube: The cube.
+            characteristic: The characteristic to write or read.
+            data: The data. Empty to ask for the value.
+
+        Returns:
+            When it was sent [ns].
+
+        Raises:
+            AbortError: If the cube cannot be reached.
+        """
         return self._links[cube].write(pack(characteristic, data))
 
     def close(self) -> bool:
@@ -86,8 +103,11 @@ _RUNS: dict[Clock, Cubes] = {}
 
 
 class CubesLink:
-    """What one device has of the connections of the run with this clock: those to `cubes`, of whose
-    notifications `heard` takes each cube's place, characteristic, data and time."""
+    """A device's share of the connections to cubes, which belong to the run with this clock.
+
+    `heard` is called for the notifications of `cubes`, with each cube's index, characteristic, data
+    and time.
+    """
 
     def __init__(
         self,
@@ -125,15 +145,17 @@ class CubesLink:
             del _RUNS[self._clock]
 
     def send(self, cube: str, characteristic: Characteristic, data: bytes = b"") -> int:
-        """Write to a cube, as `Cubes.send`."""
+        """Write to a cube, or ask it for a value; see `Cubes.send`."""
         if self._run is None:
             raise AbortError(f"cube {cube} is not connected", HINT)
         return self._run.send(cube, characteristic, data)
 
 
 class EmulatedCubePort(UdpPort):
-    """The port to an emulated cube, which passes on what comes within TOGETHER_S as one: of events
-    that waited, on a busy computer, the earlier are not as new as they seem."""
+    """The port to an emulated cube, which passes on messages that arrive within TOGETHER_S as one.
+
+    On a busy computer, events wait, and the earlier ones are not as new as they seem.
+    """
 
     def _read(self) -> None:
         assert self._socket is not None
@@ -150,7 +172,10 @@ class EmulatedCubePort(UdpPort):
 def make_port(
     name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
 ) -> SerialPort:
-    """Return the port to a cube, not yet opened: UDP to an emulated one, else Bluetooth."""
+    """Create the port to a cube, without opening it; see `open_port`.
+
+    It is UDP for an emulated cube, and Bluetooth otherwise.
+    """
     if name.startswith(SCHEME):
         return EmulatedCubePort(name, baud, device, clock, heard, hint)
     from tetractl_toio.ble import BluetoothPort

@@ -56,8 +56,13 @@ class Characteristic(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class CubeReading:
-    """What a cube reads from the mat: coordinates of its centre, and its angle [degrees], 0 along x
-    and clockwise, where y points down."""
+    """What a cube reads from the mat.
+
+    Attributes:
+        x: x of its centre, in the mat's units.
+        y: y of its centre, pointing down, in the mat's units.
+        angle: Its angle [degrees], 0 along x and clockwise.
+    """
 
     x: int
     y: int
@@ -65,8 +70,13 @@ class CubeReading:
 
 
 class MotorCommand(NamedTuple):
-    """Speeds of both motors, less than 0 for backward, and the time after which a cube stops them
-    [ms], 0 for never."""
+    """A command to both motors.
+
+    Attributes:
+        left: Speed of the left motor. Negative for backward.
+        right: Speed of the right motor. Negative for backward.
+        duration_ms: Time after which the cube stops its motors [ms]. 0 for never.
+    """
 
     left: int
     right: int
@@ -96,8 +106,13 @@ def encode_reading(reading: CubeReading | None) -> bytes:
 
 
 def encode_motor(left_speed: int, right_speed: int, duration_ms: int) -> bytes:
-    """Return the command that drives both motors at speeds, negative for backward, and stops them
-    after a duration [ms]."""
+    """Return the command that drives both motors, and stops them after a time.
+
+    Args:
+        left_speed: Speed of the left motor. Negative for backward.
+        right_speed: Speed of the right motor. Negative for backward.
+        duration_ms: Time after which the cube stops its motors [ms].
+    """
     is_too_fast = max(abs(left_speed), abs(right_speed)) > SPEED_MAX
     if is_too_fast or not 10 <= duration_ms <= 2550:
         raise ValueError(f"motor speeds {left_speed}, {right_speed} for {duration_ms} ms")

@@ -47,8 +47,10 @@ class ToioCameraSection(CameraSection):
     device: ClassVar[str] = "tetractl_toio.camera:ToioCamera"
     type: Literal["toio"]
     origin: MatPoint = (45, 455)
-    """The spec's origin in the mat's coordinates, whose y axis points down; by default the lower
-    left corner of the side with the ring of toio Collection's mat."""
+    """The spec's origin in the mat's coordinates, with a y axis that points down.
+
+    Default: the lower left corner of the side with the ring of toio Collection's mat.
+    """
     unit_mm: Positive = MAT_MM
     """Length of a unit of the mat's coordinates [mm]."""
     latency: NonNegative = Field(default=0.005, le=0.2)

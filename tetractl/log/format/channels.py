@@ -24,8 +24,9 @@ METADATA = ("tetractl", {"format": str(FORMAT_VERSION)})
 """Name and contents of a log's only record of metadata."""
 
 TEXT = 2000
-"""Largest number of characters of an operator message, after which a reader cuts it; control
-characters are escaped.
+"""Maximum number of characters of an operator message, after which a reader cuts it.
+
+Control characters are escaped.
 """
 
 RUN = "/run"
@@ -39,8 +40,8 @@ SCENE_PLAN = "/scene/plan"
 LOG = "/log"
 HOST_TIMING = "/host/timing"
 CAMERA = "/camera/"
-"""With what the channels begin on which a camera adds messages to its frames, in this version or an
-earlier one: they are logged as they are, and nothing follows from them.
+"""Beginning of the channels on which a camera adds messages to its frames, in this version or an
+earlier one. Such messages are logged unchanged, and nothing depends on them.
 """
 PICTURE = f"{CAMERA}picture"
 BACKGROUND = f"{CAMERA}background"
@@ -69,9 +70,10 @@ TABLE: tuple[tuple[int, str, type[Message]], ...] = (
     (17, DIGESTS, pb.Digests),
     (18, RECOVERED, pb.Recovered),
 )
-"""Number, topic and message of each channel. The number identifies its messages if the record of
-the channel is lost. It is part of the format version: earlier logs have other channels under 11 and
-12.
+"""Number, topic and message of each channel.
+
+The number identifies its messages if the record of the channel is lost. It is part of the format
+version: earlier logs have other channels under 11 and 12.
 """
 CHANNELS = {topic: message for _, topic, message in TABLE}
 NUMBERS = {topic: number for number, topic, _ in TABLE}
@@ -86,8 +88,13 @@ HOST_RECORDS = frozenset({HOST_TIMING, HOST, HOST_END, ENVIRONMENT})
 
 
 class Entry(NamedTuple):
-    """One message: its topic, when the host received or sent it (`log_ns`), when its content was
-    sampled (`publish_ns`) [Unix ns], and its bytes.
+    """One message.
+
+    Attributes:
+        topic: Its topic.
+        log_ns: When the host received or sent it [Unix ns].
+        publish_ns: When its content was sampled [Unix ns].
+        data: Its bytes.
     """
 
     topic: str

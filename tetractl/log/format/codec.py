@@ -58,8 +58,11 @@ class Frames(NamedTuple):
 
     @classmethod
     def of(cls, samples: Sequence[Sample], robots: int) -> "Frames":
-        """Return samples as arrays; `truth` is None unless every sample has true poses. Of no
-        sample it is empty, so that `joined` takes it for known."""
+        """Convert samples to arrays.
+
+        `truth` is None unless every sample has true poses. Without samples it is empty, so that
+        `joined` treats it as known.
+        """
         observations = [sample.observation for sample in samples]
         truths = [sample.truth for sample in samples if sample.truth is not None]
         all_known = len(truths) == len(samples)
@@ -268,10 +271,17 @@ def encode_step(step: Step, command: pb.WheelCommand) -> pb.ControllerStep:
 
 
 def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots: int) -> Step:
-    """Decode one control step; without its timing, solve_ns is 0. The headings of its path, which
-    are not logged, are NaN.
+    """Decode one control step.
 
-    Raises ValueError for arrays of unequal lengths and for another number of robots than `robots`.
+    The headings of its path are not logged, and are NaN.
+
+    Args:
+        message: The message.
+        timing: Its timing. Without it, solve_ns is 0.
+        robots: Number of robots.
+
+    Raises:
+        ValueError: If arrays have unequal lengths, or the number of robots differs.
     """
     observation = decode_observation(message.observation, robots)
     if not message.signals:

@@ -1,5 +1,7 @@
-"""The digests of a log: hashes of all its records, one of those that repeat when a trial is run
-again (the content digest) and one of the host records.
+"""The digests of a log: hashes of all its records.
+
+The content digest covers the records that repeat when a trial is run again. Another digest covers
+the host records.
 """
 
 import hashlib

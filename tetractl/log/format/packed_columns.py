@@ -36,8 +36,16 @@ def pack_columns(columns: NDArray[Any]) -> bytes:
 
 
 def unpack_columns(data: bytes, width: int, kind: str) -> NDArray[Any]:
-    """Return the columns (M, `width`) of numbers of type `kind` in packed bytes; ValueError for
-    another number of bytes."""
+    """Return the columns of numbers in packed bytes, shape (M, `width`).
+
+    Args:
+        data: The bytes.
+        width: Number of columns.
+        kind: Type of the numbers.
+
+    Raises:
+        ValueError: If the number of bytes is wrong.
+    """
     if not data:
         return np.zeros((0, width), kind)
     size = np.dtype(kind).itemsize

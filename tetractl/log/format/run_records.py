@@ -1,5 +1,6 @@
-"""Converts the records of a run to their messages and back: what identifies the trial, and its
-result.
+"""Converts the records of a run to their messages and back.
+
+The records are what identifies the trial, and its result.
 """
 
 import json
@@ -62,9 +63,12 @@ def run_items(run: pb.Run) -> dict[str, str]:
 
 
 def encode_result(result: Result, unit: str, warnings: int = 0) -> pb.Result:
-    """Return the message of a result without its solve times.
+    """Convert a result to its message, without its solve times.
 
-    `warnings` is the number of operator messages that are warnings or errors.
+    Args:
+        result: The result.
+        unit: Length unit of its errors.
+        warnings: Number of operator messages that are warnings or errors.
     """
     verdict = result.verdict
     return pb.Result(
@@ -92,9 +96,15 @@ def encode_result(result: Result, unit: str, warnings: int = 0) -> pb.Result:
 
 
 def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Result:
-    """Decode a result for `robots` robots; without `end` it has no solve times.
+    """Decode a result.
 
-    Raises ValueError for another number of robots or an outcome that does not exist.
+    Args:
+        message: The message.
+        end: The solve times. Without it, the result has none.
+        robots: Number of robots.
+
+    Raises:
+        ValueError: If the number of robots differs, or the outcome does not exist.
     """
     _require_robots(message, robots)
     return Result(
@@ -127,9 +137,14 @@ def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Re
 
 
 def _require_robots(message: pb.Result, robots: int) -> None:
-    """Raise ValueError unless each column of a result has an entry per robot. Columns that a log
-    may lack are there or empty, together if they belong together; `passed` has an entry per
-    way-point."""
+    """Check that each column of a result has an entry for each robot.
+
+    Columns that a log may lack are complete or empty, together if they belong together. `passed`
+    has an entry for each way-point.
+
+    Raises:
+        ValueError: If a column does not fit.
+    """
     columns = [message.final_x, message.final_y, message.final_heading]
     columns += [message.robot_errors, message.entered, message.clearance]
     may_lack = [[message.edge], [message.apart], [message.inside], [message.lost]]

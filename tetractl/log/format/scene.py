@@ -89,10 +89,10 @@ class Scene:
         self._body = body * self._metres
 
     def transforms(self, parts: Sequence[Frames], start_ns: int) -> list[FrameTransforms]:
-        """Return the transforms of the poses in each part of camera frames; the trial began at
-        `start_ns` [Unix ns].
+        """Return the transforms of the poses in each part of camera frames.
 
-        Transforms are ordered by robot; a robot has none for a frame in which it is not tracked.
+        They are ordered by robot. A robot has none for a frame in which it is untracked. The trial
+        began at `start_ns` [Unix ns].
         """
         frames = Frames.joined(parts)
         has_pose = frames.valid & np.isfinite(frames.poses).all(axis=2)
@@ -119,8 +119,9 @@ class Scene:
         return transforms
 
     def plan(self, path: Floats, unix_ns: int) -> SceneUpdate:
-        """Return a line along each robot's predicted path (length + 1, N, 3), shown until the next
-        plan.
+        """Return a line along each robot's predicted path (length + 1, N, 3).
+
+        It is shown until the next plan.
         """
         entities: list[SceneEntity] = []
         places_m = self._rounded(path[..., :2] * self._metres).swapaxes(0, 1)
@@ -159,8 +160,10 @@ class Scene:
     def _target(
         self, name: str, color: Color, way_points: Floats, target: Floats, unix_ns: int
     ) -> SceneEntity:
-        """Return squares, as wide as a robot around the target and half as wide around each
-        way-point, and a ring of the hold's radius around the target.
+        """Return squares at the target and way-points of a robot, and a ring for a hold.
+
+        The square around the target is as wide as a robot, those around way-points half as wide.
+        The ring has the hold's radius.
         """
         half = self._body / 2 / self._metres
         outlines = [half * _SQUARE + target]

@@ -133,8 +133,10 @@ def _logs(paths: Iterable[Path], attempts: bool) -> list[Path]:
 
 
 def _natural(path: Path) -> list[list[tuple[int, int, str]]]:
-    """Return a sorting key by which trial-2 precedes trial-10, and x=0/t precedes x=0.1/t: numbers
-    in the parts of the path count by their value."""
+    """Return a sorting key by which trial-2 comes before trial-10, and x=0/t before x=0.1/t.
+
+    Numbers in the parts of the path count by their value.
+    """
     key: list[list[tuple[int, int, str]]] = []
     for part in path.parts:
         pieces = re.split(r"(\d+)", part)

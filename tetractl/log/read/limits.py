@@ -1,8 +1,8 @@
-"""The three limits on reading a file, which anybody may have written: the bytes of the file, the
-bytes of a chunk, and the seconds.
+"""The three limits on reading a file, which anybody may have written.
 
-A log may contain more than an hour of a trial at 120 Hz. The environment variable that FACTOR names
-raises the limits on a whole file, for a longer trial.
+They limit the bytes of the file, the bytes of a chunk, and the seconds. A log may contain more than
+an hour of a trial at 120 Hz. For a longer trial, the environment variable that FACTOR names raises
+the limits on a whole file.
 """
 
 import math
@@ -16,8 +16,10 @@ FACTOR = "TETRACTL_LOG_FACTOR"
 """Environment variable whose value multiplies the limits for a whole file."""
 
 CHUNK_MAX = 1 << 24
-"""Largest unpacked size of a chunk, and largest length of a row [bytes]; tetractl's chunks have
-about a million."""
+"""Maximum unpacked size of a chunk, and maximum length of a row [bytes].
+
+tetractl's chunks have about a million.
+"""
 
 
 def file_limit() -> int:
@@ -26,8 +28,10 @@ def file_limit() -> int:
 
 
 def seconds_limit() -> float:
-    """Return the largest processor time for finding the records of a log, and for computing its
-    decisions again [s]."""
+    """Return the maximum processor time for reading or recomputing a log [s].
+
+    It applies to finding the records of a log, and to computing its decisions again.
+    """
     return 15 * _factor()
 
 

@@ -1,5 +1,6 @@
-"""What is in a log file, record by record, and what it says of the run: which trial, how it ended,
-whether its content is as it was written.
+"""The contents of a log file, record by record, and what they say of the run.
+
+This includes which trial it is, how it ended, and whether its content is unchanged.
 """
 
 from collections import defaultdict
@@ -158,8 +159,10 @@ class RawLog:
 
     @cached_property
     def _in_tetractls_order(self) -> list[Record]:
-        """The records with attachments, which other programs move, where tetractl puts them: after
-        the messages of run and host."""
+        """The records with attachments where tetractl puts them, after the run and the host.
+
+        Other programs move attachments.
+        """
         attachments = [record for record in self.records if isinstance(record, Attachment)]
         before = 0
         while before < len(self.entries) and self.entries[before].topic in BEFORE_ATTACHMENTS:
@@ -184,25 +187,30 @@ class RawLog:
 
     @property
     def rewritten_by(self) -> str:
-        """The program that wrote the file again, such as MCAP's own, from a log of tetractl; "" if
-        tetractl wrote it. One that copies tetractl's name with the header is known by attachments
-        in another place."""
+        """The program that rewrote a log of tetractl, such as MCAP's own. Empty if none did.
+
+        A program that copies tetractl's name with the header is recognised by attachments in
+        another place.
+        """
         if not self.library.startswith(channels.WRITER):
             return self.library or UNKNOWN
         return "" if self.records == self._in_tetractls_order else UNKNOWN
 
     @property
     def reordered(self) -> bool:
-        """Whether another program wrote the messages in the order of their times, to which the
-        digests do not apply."""
+        """Whether another program wrote the messages in the order of their times.
+
+        The digests do not apply to that order.
+        """
         if not self.rewritten_by:
             return False
         return all(entry.log_ns <= later.log_ns for entry, later in pairwise(self.entries))
 
     @cached_property
     def recovered(self) -> Damage | None:
-        """The damage of the log from which this one was recovered; None if it was not recovered or
-        lost nothing.
+        """The damage of the log from which this one was recovered.
+
+        None if it was not recovered, or lost nothing.
         """
         if not self.by_topic[channels.RECOVERED]:
             return None

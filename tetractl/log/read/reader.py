@@ -39,12 +39,15 @@ from tetractl.spec.yaml.files import MAX_BYTES
 
 
 def read_trial(path: Path) -> TrialLog:
-    """Read a whole trial; values have the same bits as when they were written, except true poses,
-    of single precision, and predicted paths, of 14 significant bits and without headings.
+    """Read a whole trial.
 
-    Of a damaged or unfinished log, including a .part file, the intact records are read, and
-    `damage` states what is missing. Raises LogError if the file is not a log of tetractl, has a
-    newer format, or has lost its spec.
+    Values have the same bits as when they were written, except true poses, which have single
+    precision, and predicted paths, which have 14 significant bits and no headings. From a damaged
+    or unfinished log, including a .part file, the intact records are read, and `damage` states what
+    is missing.
+
+    Raises:
+        LogError: If the file is not a log of tetractl, has a newer format, or has lost its spec.
     """
     return trial_of(scan(Path(path)))
 
@@ -91,8 +94,10 @@ def trial_of(contents: RawLog, steps: int | None = None) -> TrialLog:
 
 @contextmanager
 def decode_errors(contents: RawLog) -> Iterator[None]:
-    """Raise a LogError for a value that cannot be decoded within the `with` block: the record is
-    intact, but tetractl does not write such values."""
+    """Raise a LogError for a value that cannot be decoded within the `with` block.
+
+    The record is intact, but tetractl does not write such values.
+    """
     try:
         yield
     except (DecodeError, LookupError, OverflowError, RecursionError, ValueError) as error:
@@ -116,14 +121,19 @@ def _damage(contents: RawLog, trial: TrialLog) -> Damage:
 
 
 def _all_after(trial: TrialLog, what: str, last_ns: int | None) -> str:
-    """Return a text on what a log without a result has lost: what came after the last one, whose
-    time is in seconds since the first direction, or everything if there is none."""
+    """Describe what a log without a result has lost: everything after the last record that is left.
+
+    `last_ns` is the time of that record. None if there is none.
+    """
     return f"all {what}" if last_ns is None else f"{what} after {trial.elapsed_s(last_ns):.3f} s"
 
 
 def read_result(path: Path) -> ResultSummary:
-    """Read only the result of a trial, found by the file's index if file and result are whole;
-    raises the errors of `result_of`."""
+    """Read only the result of a trial.
+
+    It is found by the file's index if file and result are intact. The errors are those of
+    `result_of`.
+    """
     contents = peek(Path(path))
     if contents is None or contents.damaged:
         contents = scan(Path(path))

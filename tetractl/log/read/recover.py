@@ -24,8 +24,15 @@ PART_SUFFIX = ".recovering"
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """The damage of a log, and the numbers of intact records in it; the records were copied to
-    `path`, which is None if nothing was copied.
+    """The result of recovering a log.
+
+    Attributes:
+        source: The log.
+        path: The copy of its intact records. None if nothing was copied.
+        chunks: Number of intact chunks.
+        messages: Number of intact messages.
+        attachments: Number of intact attachments.
+        damage: The damage.
     """
 
     source: str
@@ -87,8 +94,10 @@ def _examine(contents: RawLog) -> Damage:
 
 
 def losses(raw: RawLog, trial: TrialLog) -> tuple[str, ...]:
-    """Return what a log has lost: nothing if its records match both digests that it states, unless
-    its source had lost something.
+    """Describe what a log has lost.
+
+    Nothing is lost if its records match both digests that it states, unless its source had lost
+    something.
     """
     lost = trial.damage.lost if trial.damage else ()
     if trial.digest and not raw.altered and not raw.host_altered:

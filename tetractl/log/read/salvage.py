@@ -42,8 +42,10 @@ _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK_TIMES_AND_SIZE = struct.Struct("<QQQI")
 """A chunk's first fields: first and last time, size and checksum of its records unpacked."""
 _CHUNK = struct.Struct(_CHUNK_TIMES_AND_SIZE.format + "I4sQ")
-"""All fields before the packed records of a zstd chunk: the compression and its length, and the
-length of what follows."""
+"""All fields before the packed records of a zstd chunk.
+
+They are the compression and its length, and the length of what follows.
+"""
 _TIMES = struct.Struct("<QQ")
 """An attachment's first fields: log time and time of creation."""
 _LENGTH = struct.Struct("<I")
@@ -64,8 +66,10 @@ RawMessage = tuple[int, int, int, bytes]  # channel, log time, publish time, dat
 
 
 def records(data: bytes, offset: int = 0) -> Iterator[tuple[int, int, int]]:
-    """Yield the opcode of each record, and where its contents begin and end, up to one that is cut
-    off; a power cut leaves zeros."""
+    """Yield the opcode of each record, and where its contents begin and end.
+
+    It ends at a record that is cut off. A power cut leaves zeros.
+    """
     while offset + _RECORD.size <= len(data):
         opcode, length = _RECORD.unpack_from(data, offset)
         begin = offset + _RECORD.size
@@ -76,11 +80,13 @@ def records(data: bytes, offset: int = 0) -> Iterator[tuple[int, int, int]]:
 
 
 def peek(path: Path) -> RawLog | None:
-    """Return only attachments and the chunks with the messages of the run and its result, in a
-    third of the time of `scan`; None for a damaged file. Raises as `scan` does.
+    """Read only attachments and the chunks with the messages of the run and its result.
 
-    Two checksums are tested, which together cover the whole file: of the data section and of the
-    index.
+    This takes a third of the time of `scan`. Two checksums are tested, which together cover the
+    whole file: that of the data section and that of the index.
+
+    Returns:
+        The contents. None for a damaged file. The errors are those of `scan`.
     """
     return _Scan(path).summary()
 
@@ -157,8 +163,7 @@ class _Scan:
         return self._collected()
 
     def _walk(self) -> Iterator[tuple[int, int, int]]:
-        """Yield the opcode of each record of the data section, and where its contents begin and
-        end."""
+        """Yield the opcode of each record of the data section, and where it begins and ends."""
         cut = len(MAGIC)
         for opcode, begin, end in records(self._data, cut):
             self._require_time()
@@ -176,9 +181,10 @@ class _Scan:
         self._problems.append(f"the file breaks off in the record at byte {cut}")
 
     def _read_index(self) -> int | None:
-        """Return the number of messages that the index at the file's end states, None if the index
-        is damaged, or left out; of a damaged file, read the channels in it, as the chunk with the
-        record of a channel may be lost.
+        """Return the number of messages that the index at the file's end states.
+
+        None if the index is damaged or missing. For a damaged file, the channels in the index are
+        read, because the chunk with the record of a channel may be lost.
         """
         footer = len(self._data) - len(MAGIC) - _FOOTER.size
         head = self._data[max(0, footer - _RECORD.size) : max(0, footer)]
@@ -203,8 +209,10 @@ class _Scan:
         return expected
 
     def _search(self) -> None:
-        """Find further chunks and attachments anywhere in the file; most bytes that look like one
-        are none."""
+        """Find more chunks and attachments anywhere in the file.
+
+        Most bytes that look like one are not.
+        """
         kinds = (
             (Opcode.CHUNK, _ZSTD, -_CHUNK_TIMES_AND_SIZE.size),
             (Opcode.ATTACHMENT, _SMALL_ATTACHMENT, _RECORD.size),
@@ -217,8 +225,10 @@ class _Scan:
                     self._verify(opcode, begin)
 
     def _verify(self, opcode: int, begin: int, end: int | None = None) -> str:
-        """Decode and keep a record; return the reason if that fails, else "". Without `end`, where
-        a chunk or an attachment ends follows from the lengths of its parts."""
+        """Decode and keep a record, and return the reason if that fails, otherwise "".
+
+        Without `end`, the end of a chunk or attachment follows from the lengths of its parts.
+        """
         try:
             if end is None:
                 end = self._end(opcode, begin)
@@ -289,9 +299,10 @@ class _Scan:
             self._schemas[schema.id] = schema
 
     def _collected(self) -> RawLog:
-        """Return the records found, in file order. The topic of each channel is that which its
-        record states and, for records that are lost, that of the format for its number, unless a
-        record that is left contradicts it.
+        """Return the records found, in file order.
+
+        The topic of each channel is the one that its record states. If that record is lost, it is
+        the format's topic for its number, unless a remaining record contradicts it.
         """
         topics = {number: channel.topic for number, channel in self._channels.items()}
         if all(_TOPICS.get(number, topic) == topic for number, topic in topics.items()):
@@ -339,8 +350,10 @@ class _Scan:
 
 
 def unpack(chunk: Chunk, unsealed: bool = False) -> bytes:
-    """Return the contents of a chunk; an error of ValueError, zstd or lz4 for one that is damaged,
-    too large or, unless it may be `unsealed`, without a checksum.
+    """Return the contents of a chunk.
+
+    If it is damaged or too large or, unless it may be `unsealed`, has no checksum, ValueError or an
+    error of zstd or lz4 is raised.
     """
     data = chunk.data
     size = chunk.uncompressed_size

@@ -50,15 +50,13 @@ class Origin(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """The problems and losses of a log that is not whole, one sentence each. Such a log is
+    """The problems and losses of a log that is not intact, one sentence each.
+
+    Such a log is
 
         torn        records of the file cannot be read
-        recovered   it was copied from a torn log, of which it has lost records
+        recovered   it was copied from a torn log, and has lost records of it
         unfinished  it has no result, or one that tetractl does not write
-
-    Numbers of camera frames or control steps that are missing are no damage by themselves: a camera
-    of a lab may lose frames. Nor is it damage if records do not match the digests that the log
-    states (`RawLog.altered`), which is known only once all of them have been hashed.
     """
 
     problems: tuple[str, ...]
@@ -67,10 +65,12 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A message for the operator; `time_s` [s] counts from the first direction sent, negative
-    before it.
+    """A message for the operator.
 
-    `level` is that of a `Note`.
+    Attributes:
+        time_s: Time since the first direction sent [s]. Negative before it.
+        level: The level, as in a `Note`.
+        text: The message.
     """
 
     time_s: float
@@ -201,8 +201,14 @@ class ResultSummary(Shown):
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Numbers `first` to `last` of `what`, such as camera frames, that are missing between two
-    times since the first direction [s].
+    """A gap in the records of a log.
+
+    Attributes:
+        what: What is missing, such as camera frames.
+        first: Number of the first missing record.
+        last: Number of the last missing record.
+        since_s: Beginning of the gap, since the first direction [s].
+        until_s: End of the gap [s].
     """
 
     what: str
@@ -229,8 +235,9 @@ def frame_gaps(log: TrialLog) -> list[Gap]:
 
 
 def step_gaps(log: TrialLog) -> list[Gap]:
-    """Return the gaps in the numbers of a log's control steps, including those at its start and
-    end.
+    """Return the gaps in the numbers of a log's control steps.
+
+    This includes gaps at its start and end.
     """
     ks = [-1, *(step.k for step in log.steps)]
     sent = [0.0, *log.steps_s.tolist()]

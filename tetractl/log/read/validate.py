@@ -107,8 +107,10 @@ def check_plan(plan: Plan, robots: int) -> None:
 
 
 def _numbers_of_estimate(estimate: Estimate, robots: int) -> dict[str, Floats]:
-    """Return all numbers of an estimate of N robots, by what they are; ValueError for arrays that
-    are not of N robots.
+    """Return all numbers in an estimate of N robots, by what they are.
+
+    Raises:
+        ValueError: If an array is not of N robots.
     """
     values: dict[str, Floats] = {}
     for name in ESTIMATE_FIELDS:
@@ -124,10 +126,17 @@ def _numbers_of_estimate(estimate: Estimate, robots: int) -> dict[str, Floats]:
 
 
 def stated_result(message: pb.Result, end: pb.HostEnd | None, robots: int, unit: str) -> Result:
-    """Return the result stated in a log, for `robots` robots and in `unit`.
+    """Return the result that a log states. Its reason is made printable.
 
-    Its reason is made printable. Raises OverflowError or ValueError for values that tetractl does
-    not write.
+    Args:
+        message: The message.
+        end: The solve times. None if they are missing.
+        robots: Number of robots.
+        unit: Length unit.
+
+    Raises:
+        OverflowError: If a value is one that tetractl does not write.
+        ValueError: If a value is one that tetractl does not write.
     """
     result = decode_result(message, end, robots)
     check_result(result)

@@ -36,8 +36,10 @@ from tetractl.log.format.scene import Scene, encode_note
 from tetractl.log.format.tetractl_pb2 import Host, HostEnd, StepTiming
 
 CHUNK_NS = 2 * SECOND
-"""Length of a simulation's chunks [ns of trial time], so that a repeated simulation has the same
-chunks. If a simulation is slower than real time, `sink.CHUNK_S` also ends chunks.
+"""Length of a simulation's chunks [ns of trial time].
+
+A repeated simulation therefore has the same chunks. If a simulation is slower than real time,
+`sink.CHUNK_S` also ends chunks.
 """
 LAB_CHUNK_NS = SECOND // 4
 """Length of a lab's chunks [ns of trial time], which a crash may lose."""
@@ -61,12 +63,12 @@ class RecordSink(Protocol):
 
 
 class Encoder:
-    """An observer that adds the records of one trial to a sink; without the host records, which
-    differ from run to run, if not `hosted`.
+    """An observer that adds the records of one trial to a sink.
 
-    A message has two times [Unix ns]: log_time, when the host received or sent it, and
-    publish_time, when its content was sampled. `warnings` counts the operator messages that are
-    warnings or errors, except the message on the end of the trial, which repeats the outcome.
+    If not `hosted`, the host records, which differ from run to run, are left out. A message has two
+    times [Unix ns]: log_time, when the host received or sent it, and publish_time, when its content
+    was sampled. `warnings` counts the operator messages that are warnings or errors, except the
+    message about the end of the trial, which repeats the outcome.
     """
 
     def __init__(self, sink: RecordSink, real_time: bool = False, hosted: bool = False) -> None:
@@ -123,9 +125,11 @@ class Encoder:
         self._end_chunk(samples[-1].observation.received_ns)
 
     def flush_frames(self) -> None:
-        """Add the collected camera frames to the sink: few messages for a simulation, two per frame
-        for a lab. A message has the times of its last frame; transforms have those of their first,
-        so that a viewer that jumps to a time has the transforms before and after it.
+        """Add the collected camera frames to the sink.
+
+        They become few messages for a simulation, and two for each frame of a lab. A message has
+        the times of its last frame. Transforms have the times of their first frame, so that a
+        viewer that jumps to a time has the transforms before and after it.
 
         A lab's frames cannot be simulated again. Each is therefore stored twice, as poses and as
         transforms with the same times, so that a change of one copy can be detected.
@@ -179,8 +183,10 @@ class Encoder:
         self._end_chunk(sent_ns)
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Add the stop and the end; then, in a chunk of its own, the run again, without which a log
-        whose first chunk is lost could not be read, and the result.
+        """Add the stop and the end.
+
+        Then, in a separate chunk, the run is added again, without which a log that lost its first
+        chunk could not be read, and the result.
         """
         self.flush_frames()
         t_ns = stop.sent_ns
@@ -242,8 +248,13 @@ class Encoder:
 def tracking_texts(
     names: Sequence[str], before: Sequence[int], now: Sequence[int]
 ) -> Iterator[tuple[str, str]]:
-    """Yield level and text on each robot that was tracked in one of two frames only; `before` and
-    `now` (N,) say whether each was tracked in them."""
+    """Yield level and text for each robot that was tracked in only one of two frames.
+
+    Args:
+        names: Names of the robots.
+        before: Whether each was tracked in the first frame.
+        now: Whether each was tracked in the second frame.
+    """
     for name, was_tracked, is_tracked in zip(names, before, now, strict=True):
         if is_tracked and not was_tracked:
             yield "info", f"{name} is tracked again"

@@ -100,8 +100,11 @@ class FileWriter:
         self._metadata = MetadataIndex(offset=begin, length=self._size - begin, name=name)
 
     def add(self, record: Record) -> None:
-        """Add a message, after the record of its channel if it is the first, or an attachment,
-        after the chunk of the messages so far."""
+        """Add a message or an attachment.
+
+        The first message of a channel follows the channel's record. An attachment follows the chunk
+        of the messages so far.
+        """
         self.digests.add(record)
         if isinstance(record, Attachment):
             self.flush()

@@ -19,8 +19,10 @@ from tetractl.log.write.mcap_records import NO_OTHERS, FileWriter, OtherChannels
 from tetractl.tools.files import lock_file
 
 CHUNK_S = 0.7
-"""Longest time for which a message stays in memory [s of wall time]. With camera frames collected
-over a control period of 0.2 s, a killed process loses less than 1.2 s of its trial.
+"""Maximum time for which a message stays in memory [s of wall time].
+
+With camera frames collected over a control period of 0.2 s, a killed process loses less than 1.2 s
+of its trial.
 """
 SYNC_S = 1.0
 """Longest time for which a power cut can lose written bytes [s of wall time]."""
@@ -33,8 +35,9 @@ _sync_data = os.fsync if sys.platform in ("darwin", "win32") else os.fdatasync
 
 
 def _while_open(method: Method[P]) -> Method[P]:
-    """Decorate a method: on a closed sink it does nothing; after an OSError it closes the sink and
-    raises LogError.
+    """Decorate a method of a sink.
+
+    On a closed sink, it does nothing. After an OSError, it closes the sink and raises LogError.
     """
 
     @wraps(method)
@@ -108,8 +111,10 @@ class Sink:
         self._sync_written()
 
     def flush_if_due(self) -> float | None:
-        """Flush messages older than CHUNK_S, sync writes older than SYNC_S; return the time until
-        either is due again [s], None if nothing waits.
+        """Flush messages older than CHUNK_S, and sync writes older than SYNC_S.
+
+        Returns:
+            The time until either is due again [s]. None if nothing waits.
         """
         due = []
         if self._chunk_since is not None:

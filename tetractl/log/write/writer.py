@@ -92,8 +92,10 @@ class LogWriter(Relay):
             self._log.worker.put(call, self._log.encoder)
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Store the stop and the result, wait until the disk has them, and rename the log, unless
-        it keeps its suffix."""
+        """Store the stop and the result, wait until the disk has them, and rename the log.
+
+        The log is not renamed if it keeps its suffix.
+        """
         log = self._log
         if log is None:
             return

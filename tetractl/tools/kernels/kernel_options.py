@@ -21,16 +21,19 @@ _PART: Any = {
 }
 _ENTRY: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 INLINE_FAST: Any = _PART | {"fastmath": FAST}
-"""For functions that a kernel calls, which are inlined. A call would cost as much as the loop, and
-a freshly compiled kernel would call other machine code than one from the cache, so that results
-would differ in the last bits from run to run.
+"""For functions that a kernel calls, which are inlined.
+
+A call would cost as much as the loop, and a freshly compiled kernel would call other machine code
+than one from the cache, so that results would differ in the last bits from run to run.
 """
 ENTRY_FAST: Any = _ENTRY | {"fastmath": FAST}
 """For kernels, which Python calls."""
 INLINE_EXACT: Any = _PART | {"fastmath": False}
 ENTRY: Any = _ENTRY | {"fastmath": False}
-"""The same for kernels that compute the bits of their readable twins. An option that is not set is
-inherited from the function that happens to be compiled first with a call of this one.
+"""The same for kernels that compute the same bits as their reference implementations.
+
+An option that is not set is inherited from the function that happens to be compiled first with a
+call of this one.
 """
 INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
 """For functions of scalars, inlined at each call."""
@@ -64,8 +67,10 @@ def exact(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @cache
 def one_of(size: int) -> Callable[..., Any]:
-    """Return a compiled function of a condition and two tuples that returns one of these, as vector
-    code needs it."""
+    """Return a compiled function that selects one of two tuples by a condition.
+
+    Vector code needs it in this form.
+    """
     items = "".join(f"one[{k}] if first else other[{k}], " for k in range(size))
     return njit(**INLINE)(eval(f"lambda first, one, other: ({items})"))
 

@@ -156,8 +156,10 @@ def _rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
 def _below_titles(
     top: tuple[int, str], lines: Iterator[tuple[int, str]]
 ) -> tuple[tuple[int, str], list[tuple[int, str]]]:
-    """Return the line of the header and those taken from `lines` below it: lines of one entry, as
-    Imaris writes above a header, are titles if several names follow."""
+    """Return the line of the header, and the lines taken from `lines` below it.
+
+    Lines with one entry, as Imaris writes above a header, are titles if several names follow.
+    """
     if len(_most_entries(top[1])) > 1:
         return top, list(islice(lines, 1))
     below: list[tuple[int, str]] = []
@@ -178,8 +180,11 @@ def _most_entries(line: str) -> list[str]:
 
 
 def _separator(header: str, row: str) -> str:
-    """Return the separator that makes the most entries of a header; blanks, if none makes two of
-    it and blanks make as many of the row below."""
+    """Return the separator that splits a header into the most entries.
+
+    It is blanks if no separator makes two entries of the header, and blanks make as many of the row
+    below.
+    """
     best = max(SEPARATORS, key=lambda separator: len(csv_entries(header, separator)))
     words = len(header.split())
     entries = len(csv_entries(header, best))

@@ -1,5 +1,7 @@
-"""Columns of a table by what they measure: names end in units, as in `time_ms`, `direction (deg)`
-or `x [um]`, and numbers are returned in the unit that is asked for.
+"""Columns of a table by what they measure.
+
+Names end in units, as in `time_ms`, `direction (deg)` or `x [um]`. Numbers are returned in the unit
+that is asked for.
 """
 
 import math
@@ -78,8 +80,12 @@ TIME_MAX = 1e19
 
 @dataclass(frozen=True, slots=True)
 class NumberColumn:
-    """A column of numbers: its name in the table, the factor from the table's unit to the one asked
-    for, and the largest number.
+    """A column of numbers.
+
+    Attributes:
+        key: Its name in the table.
+        factor: Factor from the table's unit to the one asked for.
+        largest: Maximum number that is accepted.
     """
 
     key: str
@@ -134,8 +140,19 @@ def factor(unit: str, units: Mapping[str, float]) -> float | None:
 def find_column(
     path: Path, headers: Collection[str], names: Collection[str], units: Mapping[str, float]
 ) -> NumberColumn | None:
-    """Return the column with one of some names in one of some units, None if no column has such a
-    name; UsageError if all that do are in other units, or state none.
+    """Find the column with one of some names in one of some units.
+
+    Args:
+        path: The table.
+        headers: The names of its columns.
+        names: The possible names, without units.
+        units: The possible units, with the factor to the wanted unit.
+
+    Returns:
+        The column. None if no column has such a name.
+
+    Raises:
+        UsageError: If all columns with such a name are in other units, or state none.
     """
     quantities = {header: name_and_unit(header) for header in headers}
     matching = {header: unit for header, (name, unit) in quantities.items() if name in names}
@@ -156,11 +173,20 @@ def find_time(path: Path, headers: Collection[str]) -> NumberColumn | None:
 
 
 def refuse_degrees(path: Path, column: NumberColumn, lines: Sequence[int], angles: Floats) -> None:
-    """Raise UsageError for directions (R,) [rad] on some lines that are probably in degrees.
+    """Refuse directions that are probably in degrees.
 
-    Directions beyond a whole turn are checked by their steps: a field that turns on counts its
-    turns: degrees step by more than 2 pi, or, where they are those of a field that rotates, by a
-    turn less a step. Of a single direction its size is all that is known.
+    Directions beyond a whole turn are checked by their steps, because a field that keeps turning
+    may count its turns. Degrees step by more than 2 pi or, for a rotating field, by a turn minus a
+    step. A single direction only reveals its size.
+
+    Args:
+        path: The table.
+        column: The column of the directions.
+        lines: Line of each direction.
+        angles: The directions [rad], shape (R,).
+
+    Raises:
+        UsageError: If they are probably in degrees.
     """
     beyond = np.flatnonzero(np.abs(angles) > 2 * math.pi)
     if column.factor != 1 or not len(beyond):
@@ -181,8 +207,13 @@ def refuse_degrees(path: Path, column: NumberColumn, lines: Sequence[int], angle
 
 
 def earlier(path: Path, row: CsvRow, other: str = "") -> UsageError:
-    """Return the error that the time of a row is earlier than those before it, with what else than
-    to sort the rows may be to do."""
+    """Return the error for a row with an earlier time than the rows before.
+
+    Args:
+        path: The table.
+        row: The row.
+        other: What else may help, besides sorting the rows. Empty if nothing.
+    """
     return UsageError(
         f"{path}, line {row.line}: the time is earlier than before",
         f"sort the rows by time{other}",
@@ -190,7 +221,13 @@ def earlier(path: Path, row: CsvRow, other: str = "") -> UsageError:
 
 
 def truth(path: Path, row: CsvRow, key: str) -> bool:
-    """Return the truth value in a column, True without one."""
+    """Return the truth value in a column. True if the table has no such column.
+
+    Args:
+        path: The table.
+        row: The row.
+        key: The column.
+    """
     text = row.cells.get(key, "")
     try:
         return _TRUTH[text.lower()]

@@ -119,10 +119,15 @@ class Table:
 
     @classmethod
     def of_texts(cls, title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> Self:
-        """Return a table of words; a column that is empty in all rows is left out, unless it is
-        the first.
+        """Return a table of words.
 
-        An entry is empty if it is "" or "-".
+        A column that is empty in all rows is left out, unless it is the first. An entry is empty if
+        it is "" or "-".
+
+        Args:
+            title: Title of the table.
+            header: Names of the columns.
+            rows: The entries.
         """
         values = list(zip(*rows, strict=True)) or [()] * len(header)
         columns = [

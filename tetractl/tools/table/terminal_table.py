@@ -80,8 +80,9 @@ def _print(table: Table, console: "Console") -> None:
 
 
 def _fitting(table: Table, console: "Console") -> Table:
-    """Return a table with as many columns as a terminal has room for without breaking a number or a
-    word: the first ones, and the last.
+    """Return a table with as many columns as fit a terminal without breaking a number or a word.
+
+    These are the first columns, and the last.
     """
     columns = table.columns
     while len(columns) > 2 and _least_width(_drawn(table, True), console) > console.width:
@@ -98,8 +99,10 @@ def _least_width(drawn: "RichTable", console: "Console") -> int:
 
 
 def _drawn(table: Table, terminal: bool) -> "RichTable":
-    """Return a table for rich. Numbers and units are not broken; without a terminal, nor are names
-    and paths in the first column. Words are wrapped.
+    """Convert a table for rich.
+
+    Words are wrapped. Numbers and units are not broken. Without a terminal, names and paths in the
+    first column are not broken either.
     """
     from rich import box
     from rich.table import Table as RichTable
@@ -181,8 +184,10 @@ def _latex_cell(text: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Return text with LaTeX's special characters escaped, and a first "[", which would belong to
-    the end of the row above; a path may break after each part.
+    """Escape LaTeX's special characters in a text.
+
+    A first "[" is also escaped, because it would belong to the end of the row above. A path may
+    break after each part.
     """
     text = printable(text).strip().translate(_SPECIAL)
     text = re.sub(r"^\[", "{[}", text)
@@ -191,8 +196,9 @@ def _escaped(text: str) -> str:
 
 
 def html(tables: Sequence[Table], links: Mapping[str, str] | None = None) -> str:
-    """Return tables as HTML, each in an element that scrolls. `links` maps the text of an entry in
-    the first column to the address to which it links.
+    """Return tables as HTML, each in an element that scrolls.
+
+    `links` maps the text of an entry in the first column to the address that it links to.
     """
     return "".join(_html(table, links or {}) for table in tables)
 

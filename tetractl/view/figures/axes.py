@@ -49,10 +49,15 @@ def positive(values: Floats) -> Floats:
 def log_axis(axes: Axes, values: Floats, below: float, above: float) -> None:
     """Make the y axis logarithmic, to show positive values (others may be NaN).
 
-    It goes beyond them by the fractions `below` and `above` of their range. The ticks are even if
-    the limits have a ratio below 5, at 1, 2 and 5 of each decade below 1000, otherwise at each
-    decade. All have the same format: decimal if the limits lie between 0.001 and 100,000 or have a
-    ratio below 5, else powers of ten.
+    The ticks are even if the limits have a ratio below 5, at 1, 2 and 5 of each decade below 1000,
+    otherwise at each decade. All have the same format: decimal if the limits lie between 0.001 and
+    100,000 or have a ratio below 5, else powers of ten.
+
+    Args:
+        axes: The axes.
+        values: The values.
+        below: How far the axis extends below the values, as a fraction of their range.
+        above: How far it extends above them, as a fraction of their range.
     """
     low, high = _log_limits(values, below, above)
     ratio = high / low
@@ -86,17 +91,23 @@ def _log_limits(values: Floats, below: float, above: float) -> tuple[float, floa
 
 
 def spans_orders(errors: Floats) -> bool:
-    """Return whether errors (n,) ask for a logarithmic axis: from 0 on, the smallest could not be
-    distinguished next to the greatest."""
+    """Decide whether errors (n,) need a logarithmic axis.
+
+    On an axis from 0, the smallest of them could not be distinguished next to the largest.
+    """
     return bool(0 < LOG_FROM * errors.min() <= errors.max())
 
 
 def name_categories(axes: Axes, names: Sequence[str], width_in: float) -> None:
-    """Label the x axis, `width_in` wide, with the names of categories, and make the figure higher
-    by the labels.
+    """Label the x axis with the names of categories, and make the figure taller by the labels.
 
-    The names are level, with a line for each field of an arm, or upright if these lines are too
-    long.
+    The names are horizontal, with a line for each field of an arm, or vertical if these lines are
+    too long.
+
+    Args:
+        axes: The axes.
+        names: The names.
+        width_in: Width of the axes [in].
     """
     level = [re.sub(r"-(?=[\w.]+=)", "\n", name) for name in names]
     longest = max(len(line) for label in level for line in label.split("\n"))

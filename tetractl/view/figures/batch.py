@@ -58,8 +58,14 @@ NARROW_IN = 4.2
 
 @dataclass(frozen=True, slots=True)
 class BatchErrors:
-    """The total errors (n,) of a batch's counted trials, with the path of each trial; and whether
-    no controller decided in them."""
+    """The total errors of a batch's counted trials.
+
+    Attributes:
+        name: Name of the batch.
+        totals: The errors, shape (n,).
+        paths: The log of each trial.
+        given_directions: Whether no controller decided in them.
+    """
 
     name: str
     totals: Floats
@@ -92,10 +98,13 @@ def batch_figure(
     links: Mapping[str, str] | None = None,
     narrow: bool = False,
 ) -> Figure:
-    """Draw the total errors of the counted trials of every batch; a headline names the plants.
+    """Draw the total errors of the counted trials of every batch, with a headline for the plants.
 
-    `links` maps the path of a trial to the address that its dot links to in an SVG. If `narrow`,
-    one panel is above the other.
+    Args:
+        groups: The batches.
+        links: For the path of a trial, the address that its dot links to in an SVG. None for no
+            links.
+        narrow: Whether one panel is above the other.
     """
     batches: list[BatchErrors] = []
     for group in groups:
@@ -177,8 +186,9 @@ def _legend(figure: Figure, curves: Sequence[Artist], columns: int) -> None:
 
 
 def _categories(axes: Axes, batches: Sequence[BatchErrors], links: Mapping[str, str]) -> list[str]:
-    """Draw a category of the x axis for each batch, and return their labels: values to the left
-    of the category's centre, their mean to the right.
+    """Draw a category of the x axis for each batch, and return their labels.
+
+    Values are drawn to the left of the category's centre, their mean to the right.
     """
     labels: list[str] = []
     for place, batch in enumerate(batches):
@@ -216,8 +226,9 @@ def _dots(
 
 
 def _mean(axes: Axes, place: float, errors: Distribution, color: str) -> None:
-    """Draw a mean, a thin line over +- one standard deviation, and a thick line over the mean's 95
-    % interval.
+    """Draw a mean with two lines around it.
+
+    The thin line is +- one standard deviation, the thick line the mean's 95 % interval.
     """
     mean = errors.mean
     interval = errors.ci95

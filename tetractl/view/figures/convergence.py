@@ -27,8 +27,10 @@ OVER_PANEL = {"loc": "lower right", "bbox_to_anchor": (1.02, 0.985), "borderaxes
 
 @style.styled()
 def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the best cost J(u_gb) over the iterations of each search at the first control step (the
-    paper's Figure 3)."""
+    """Draw the best cost over the iterations of each search at the first control step.
+
+    This is J(u_gb) in the paper's Figure 3.
+    """
     log = one_trial(logs)
     need_steps(log)
     step = log.steps[0]
@@ -59,8 +61,10 @@ def _draw_searches(axes: Axes, step: Step) -> None:
 
 
 def _mark_stop(axes: Axes, search: Search, longest: int) -> None:
-    """Mark the end of a search, with a note on the side where there is room; `longest` is the
-    number of iterations of the longest one."""
+    """Mark the end of a search, with a note on the side where there is space.
+
+    `longest` is the number of iterations of the longest search.
+    """
     iteration = len(search.history) - 1
     end = (iteration, positive(search.history)[-1])
     axes.plot(*end, "o", ms=8, mfc="none", mec=style.INK, mew=1.2, zorder=4)

@@ -40,7 +40,13 @@ class Curve:
 
 
 def draw_curves(axes: Axes, time_s: Floats, curves: Iterable[Curve]) -> None:
-    """Draw curves at times (M,)."""
+    """Draw curves over time.
+
+    Args:
+        axes: The axes.
+        time_s: The times [s], shape (M,).
+        curves: The curves.
+    """
     for curve in curves:
         if curve.band is not None:
             axes.fill_between(time_s, *curve.band, color=curve.color, alpha=0.2, lw=0)
@@ -70,9 +76,16 @@ def robot_curves(
     band: Floats | None = None,
     show: Callable[[float], str] | None = None,
 ) -> list[Curve]:
-    """Return a curve for each of N robots from values (M, N), with a `band` (2, M, N); NUMBERED or
-    more robots have no bands. A curve is named after its robot, followed by the last value if
-    `show` formats it.
+    """Return a curve for each of N robots.
+
+    A curve is named after its robot, followed by the last value if `show` formats it.
+
+    Args:
+        setup: The constants of the experiment.
+        values: The values, shape (M, N).
+        band: Lower and upper edge of a band, shape (2, M, N). None for no band. NUMBERED or more
+            robots have no bands.
+        show: Formats the last value. None to leave it out.
     """
     colors = robot_colors(setup.names, setup.colors)
     labels = robot_labels(setup.names)

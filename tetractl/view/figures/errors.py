@@ -42,11 +42,10 @@ PANELS_MAX = 12
 
 
 def errors_at(log: TrialLog, time_s: Floats) -> Floats:
-    """Return the robots' distances to their targets (M, N) at times (M,) since the first command
-    [s].
+    """Return the robots' distances to their targets (M, N) at given times (M,) [s].
 
-    Each distance is the last measured up to its time or, from the end of the trial on, the error in
-    the result, if the log has a result.
+    Times count from the first command. Each distance is the last one measured up to its time. From
+    the end of the trial on, it is the error in the result, if the log has one.
     """
     need_frames(log)
     gaps = log.start.setup.distances(log.positions)
@@ -63,11 +62,12 @@ def errors_at(log: TrialLog, time_s: Floats) -> Floats:
 
 @style.styled()
 def errors_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the total error of every trial over time, and the median of each robot's error, in two
-    panels for each folder; of one trial, the error of each robot.
+    """Draw the error over time, of one trial or of several.
 
-    Bands contain the middle half of the trials. After its end, a trial keeps its final error.
-    Incomplete trials are drawn, but not counted in medians and bands.
+    For one trial, the figure shows the error of each robot. For several, it has two panels for each
+    folder: the total error of every trial, and the median of each robot's error. Bands contain the
+    middle half of the trials. After its end, a trial keeps its final error. Incomplete trials are
+    drawn, but do not count in medians and bands.
     """
     if len(logs) == 1:
         return _of_trial(logs[0])
@@ -123,8 +123,10 @@ def _of_trial(log: TrialLog) -> Figure:
 
 
 def _draw_from_zero(axes: Axes, time_s: Floats, curves: Sequence[Curve], values: Floats) -> None:
-    """Draw curves, with room for the values since the first command; the last row of `values` is
-    not drawn."""
+    """Draw curves, with space for the values since the first command.
+
+    The last row of `values` is not drawn.
+    """
     draw_curves(axes, time_s, curves)
     after_start = time_s >= 0
     greatest = float(np.nanmax(values[:-1][after_start], initial=LEAST))
@@ -195,8 +197,10 @@ def _quartiles(values: Floats) -> tuple[Floats, Floats]:
 def _panels(
     setups: Sequence[Setup], total_in: float, least_in: float, end_s: float
 ) -> tuple[Figure, np.ndarray]:
-    """Return a figure and its axes (batches, 2), for the total error and, below, for the robots'
-    errors, all from 0 to `end_s` [s] and of the same scale.
+    """Return a figure and its axes (batches, 2).
+
+    The axes show the total error and, below, the robots' errors. All go from 0 to `end_s` [s] and
+    have the same scale.
     """
     robots_in = max(least_in, *(NAME_IN * len(setup.names) for setup in setups))
     figure = style.figure(style.PAGE_IN, (total_in + robots_in) * len(setups))
@@ -210,8 +214,9 @@ def _panels(
 
 
 def _mark_steps(axes: Axes, log: TrialLog) -> None:
-    """Mark the times of the control steps at the axes' lower edge, and which of them missed the
-    deadline.
+    """Mark the times of the control steps on the axes' lower edge.
+
+    Steps that missed the deadline look different.
     """
     sent_s = log.steps_s
     late = np.array([step.deadline_missed for step in log.steps], dtype=bool)

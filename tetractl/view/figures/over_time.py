@@ -1,5 +1,7 @@
-"""The figure of a trial over time: the signal, the solve times, and the controller's estimates of
-each robot's values and of the dead time.
+"""The figure of a trial over time.
+
+It shows the signal, the solve times, and the controller's estimates of each robot's values and of
+the dead time.
 """
 
 import json
@@ -47,11 +49,19 @@ OUTLIERS = (1, 99)
 
 @dataclass(frozen=True, slots=True)
 class _Quantity:
-    """An estimated quantity: title and label of its axis, the estimates and their standard
-    deviations, of all robots (K,) or of each (K, N), and the factor from them to what is drawn.
+    """An estimated quantity.
 
-    For a quantity that the spec states too, `spec` (N,), the difference from it is drawn, and a
-    dotted line at the `true` value (N,) of a simulation.
+    If the spec also states the quantity, the difference from the spec's value is drawn, with a
+    dotted line at the true value of a simulation.
+
+    Attributes:
+        title: Title of its axes.
+        label: Label of its axis.
+        means: The estimates, for all robots (K,) or for each robot (K, N).
+        stds: Their standard deviations.
+        factor: Factor from these to what is drawn.
+        spec: The spec's values, shape (N,). None if it states none.
+        true: The true values, shape (N,). None if they are unknown.
     """
 
     title: str
@@ -65,12 +75,12 @@ class _Quantity:
 
 @style.styled()
 def over_time_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw a trial over time: the direction sent, the solve times next to the control period, and
-    the estimates, if there are any.
+    """Draw a trial over time: the direction sent, the solve times, and the estimates.
 
-    Each estimated quantity has a panel, with a band of +- one standard deviation: turning rate a
-    and speed as differences from the spec's values [%], with a dotted line at a simulation's true
-    value; the heading bias [rad]; the dead time [ms]. NUMBERED or more robots have no bands.
+    Solve times are shown next to the control period. Each estimated quantity has a panel, with a
+    band of +- one standard deviation: turning rate a and speed as differences from the spec's
+    values [%], with a dotted line at a simulation's true value; the heading bias [rad]; the dead
+    time [ms]. NUMBERED or more robots have no bands.
     """
     log = one_trial(logs)
     need_steps(log)
@@ -105,8 +115,10 @@ def over_time_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _draw_signal(axes: Axes, log: TrialLog, time_s: Floats) -> None:
-    """Draw the direction, held until the next step, at the times (K,) of the control steps; steps
-    without a direction, in which robots stand, leave a gap.
+    """Draw the direction at the control steps, held until the next step.
+
+    `time_s` (K,) are the times of the steps. Steps without a direction, in which robots stand
+    still, leave a gap.
     """
     style.panel(axes, "a", "direction sent", SINCE, "direction $u$ [rad]")
     sent = np.array([step.command.direction for step in log.steps], dtype=float)
@@ -118,8 +130,9 @@ def _draw_signal(axes: Axes, log: TrialLog, time_s: Floats) -> None:
 
 
 def _held(time_s: Floats, values: Floats, breaks: np.ndarray) -> tuple[Floats, Floats]:
-    """Return x and y of a line that holds each value until the next time; after a value where
-    `breaks` is true the line is interrupted.
+    """Return x and y of a line that holds each value until the next time.
+
+    The line is interrupted after a value where `breaks` is True.
     """
     until = np.append(time_s[1:], time_s[-1])
     x = np.column_stack([time_s, until, until])
@@ -128,8 +141,11 @@ def _held(time_s: Floats, values: Floats, breaks: np.ndarray) -> tuple[Floats, F
 
 
 def _draw_solve_times(axes: Axes, log: TrialLog, time_s: Floats) -> None:
-    """Draw the solve times next to the control period; the title states the percentiles of those
-    that have to be in time: of plans while robots drove."""
+    """Draw the solve times next to the control period.
+
+    The title states the percentiles of those that must be in time: of plans made while robots
+    drove.
+    """
     period_ms = 1e3 * log.start.setup.period_s
     solve_ms = np.array([step.solve_ns for step in log.steps]) / MILLISECOND
     late = np.array([step.deadline_missed for step in log.steps], dtype=bool)
@@ -247,8 +263,10 @@ def _named(curves: Sequence[Curve], texts: Sequence[str]) -> list[Curve]:
 
 
 def _stack(values: Sequence[Floats | float | None]) -> Floats:
-    """Return the values of all estimates, NaN where an estimate lacks them, but the last does
-    not."""
+    """Return the values of all estimates as an array, with NaN where an estimate lacks them.
+
+    The last estimate has them.
+    """
     unknown = np.full_like(values[-1], np.nan, dtype=np.float64)
     return np.array([unknown if value is None else value for value in values], dtype=np.float64)
 

@@ -33,11 +33,16 @@ TICKS_MAX = 8
 def errors_by(
     curves: Mapping[str, Sequence[ArmErrors]], field: str, unit: str, only: bool = True
 ) -> Figure:
-    """Draw errors against the values of a field, in the colours of the curves; for the field "",
-    against arms, whose labels are their names.
+    """Draw errors against the values of a field, in the colours of the curves.
 
     A line connects numbers if arms at neighbouring values differ only in the field: if it is the
-    `only` one that is swept, or each value stands for several arms, always the same number.
+    only one that is swept, or if each value stands for several arms, always the same number.
+
+    Args:
+        curves: The errors of each curve, by its name.
+        field: The field. Empty to draw errors against arms, labelled with their names.
+        unit: Unit of the errors.
+        only: Whether it is the only field that is swept.
     """
     all_arms = [arm for arms in curves.values() for arm in arms]
     figure = style.figure(style.PAGE_IN, HEIGHT_IN)

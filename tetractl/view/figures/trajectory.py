@@ -1,5 +1,6 @@
-"""Draws the paths of the robots in one trial or several (the paper's Figure 5); for a dish, over
-the microscope's picture.
+"""Draws the paths of the robots in one or more trials (the paper's Figure 5).
+
+For a dish, they are drawn over the microscope's image.
 
 `trajectory_figure` draws the scene (`draw_scene`), the paths (`_draw_one` or `_draw_several`),
 their ends, and a legend of robots above and of signs below.
@@ -67,8 +68,10 @@ PICTURE_PIXELS_PER_INCH = 100
 MARGIN = 0.02
 """Between a path that leaves the arena and the frame, over the arena's longer side."""
 FAR = 2.0
-"""How far from the arena a path is shown, over its longer side: an outlier does not hide the
-rest."""
+"""How far outside the arena a path is shown, relative to the arena's longer side.
+
+An outlier therefore does not hide the rest.
+"""
 TRUTH_SEEN = 0.005
 """From which distance to the measured one a true path is drawn, over the longer side."""
 
@@ -80,8 +83,10 @@ TICK = 0.028
 LABEL_ASIDE_PT = 9.0
 """How far to the left of a robot, as it heads, its time is written."""
 ERROR_SEEN = 0.04
-"""From which error on the signs of end and target leave a line between them free, over the arena's
-longer side."""
+"""Minimum error that leaves a line between the signs of end and target free.
+
+It is relative to the arena's longer side.
+"""
 
 DASHED: dict[str, Any] = {"lw": 0.6, "ls": (0, (3, 2))}
 """A true path, and the arena's edge in the legend."""
@@ -95,11 +100,13 @@ PICTURE: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 255, "alpha": 0.55
 
 @style.styled()
 def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw one trial with times, headings and errors, or several trials together in lighter
-    colours.
+    """Draw the paths of one trial, or of several trials together in lighter colours.
 
-    Trails are measured positions; true paths are dashed if they differ visibly. Raises UsageError
-    for logs of different robots, arenas or obstacles.
+    One trial is drawn with times, headings and errors. Trails are measured positions. True paths
+    are dashed if they differ visibly.
+
+    Raises:
+        UsageError: If the logs have different robots, arenas or obstacles.
     """
     check_alike(logs)
     setups = [log.start.setup for log in logs]
@@ -132,9 +139,16 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
 def draw_scene(
     axes: Axes, setups: Sequence[Setup], colors: list[str], trails: Sequence[Floats]
 ) -> None:
-    """Draw the arena with obstacles, the measured starts of one or several trails (M, N, 2), and
-    targets, in grey if trials assigned them differently; NUMBERED or more robots have numbered
+    """Draw the arena with obstacles, starts and targets.
+
+    Targets are grey if trials assigned them differently. NUMBERED or more robots have numbered
     starts and targets.
+
+    Args:
+        axes: The axes.
+        setups: The constants of each trial.
+        colors: The robots' colours.
+        trails: The measured trails, shape (M, N, 2) each, where the starts are taken from.
     """
     setup = setups[0]
     unit = unit_of(setup.unit)
@@ -198,8 +212,10 @@ class DishGround:
         axes.axis(limits)
 
     def show(self, when_ns: int) -> bool:
-        """Show the last picture taken up to a time of the trial's clock [ns]; return whether the
-        picture shown changed.
+        """Show the last image taken up to a time of the trial's clock [ns].
+
+        Returns:
+            Whether the image that is shown has changed.
         """
         picture = self._pictures.at(when_ns)
         if picture is None or picture == self._shown:
@@ -211,8 +227,9 @@ class DishGround:
 
 
 def _set_limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
-    """Show the whole arena and all paths, as far as FAR; dash the arena's edge if a path leaves it,
-    and return whether one does.
+    """Show the whole arena and all paths, as far as FAR.
+
+    If a path leaves the arena, its edge is dashed, and the result is True.
     """
     corners = np.array([[arena.left, arena.bottom], [arena.right, arena.top]])
     points = np.concatenate([path.reshape(-1, 2) for path in paths])
@@ -243,8 +260,10 @@ def _draw_several(axes: Axes, trails: Sequence[Floats], colors: list[str]) -> No
 
 
 def _draw_one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None) -> None:
-    """Draw the trails of a trial over its last picture, with times and headings, the `truth`
-    (M, N, 2) if it is given, and the errors at the end.
+    """Draw the trails of a trial over its last image.
+
+    They have times and headings, and the errors at the end. The `truth` (M, N, 2) is drawn if it is
+    given.
     """
     setup = log.start.setup
     trail = log.positions
@@ -269,8 +288,11 @@ def _shows_error(log: TrialLog) -> Bools:
 
 
 def _mark_time(axes: Axes, log: TrialLog, robot: int, color: str, time_s: float) -> None:
-    """Draw a tick along a robot's heading at a time since the first direction and, of fewer than
-    NUMBERED robots, write the time to the left of it; nothing where the robot was not seen."""
+    """Draw a tick along a robot's heading at a time since the first direction.
+
+    If there are fewer than NUMBERED robots, the time is written to the left of it. Nothing is drawn
+    where the robot was not seen.
+    """
     frame = int(np.searchsorted(log.mocap_ns, log.began_ns + time_s * SECOND - 1))
     frame = min(frame, len(log.mocap) - 1)
     if not log.valid[frame, robot]:
@@ -291,8 +313,9 @@ def _mark_time(axes: Axes, log: TrialLog, robot: int, color: str, time_s: float)
 
 
 def _visible_truth(log: TrialLog) -> Floats | None:
-    """Return the true positions (M, N, 2); None if they are unknown, or if none is further from the
-    measured position than TRUTH_SEEN.
+    """Return the true positions (M, N, 2) if they differ visibly from the measured ones.
+
+    None if they are unknown, or if none is further from the measured position than TRUTH_SEEN.
     """
     if log.truth is None or not len(log.truth):
         return None
@@ -303,8 +326,9 @@ def _visible_truth(log: TrialLog) -> Floats | None:
 
 
 def _marked_times(log: TrialLog) -> list[float]:
-    """Return at most TIMES_MOST times to mark [s since the first direction]: multiples of 1, 2 or 5
-    times 10^n.
+    """Return at most TIMES_MOST times to mark [s since the first direction].
+
+    They are multiples of 1, 2 or 5 times 10^n.
     """
     end_s = log.elapsed_s(int(log.mocap_ns[-1])) if len(log.mocap_ns) else 0.0
     if end_s <= 0:
@@ -317,8 +341,11 @@ def _marked_times(log: TrialLog) -> list[float]:
 
 
 def _titled_figure(arena: Bounds, title: str, entries: list[str], colors: list[str]) -> Figure:
-    """Return an empty figure for axes of the shape of the arena, with a title above them and, in as
-    many columns as fit, an entry for each robot; there may be no entries."""
+    """Return an empty figure for axes with the shape of the arena.
+
+    Above the axes are a title and, in as many columns as fit, an entry for each robot. There may be
+    no entries.
+    """
     longest = max((len(entry) for entry in entries), default=0)
     fit = int((72 * WIDTH_IN + 1) // (LETTER_PT * longest + SIGN_PT))
     columns = max(min(len(entries), fit, LEGEND_COLUMNS_MOST), 1)
@@ -336,11 +363,10 @@ def _titled_figure(arena: Bounds, title: str, entries: list[str], colors: list[s
 
 
 def _heading(logs: Sequence[TrialLog], ends: Floats) -> tuple[str, list[str]]:
-    """Return the title of trials that end at `ends` (T, N, 2), and an entry for each robot: its
-    name, with its error.
+    """Return the title of trials, and an entry for each robot: its name, with its error.
 
-    Means over several trials leave out incomplete ones; trials of several folders have no means,
-    and more than NAMED_MOST robots no entries.
+    The trials end at `ends` (T, N, 2). Means over several trials leave out incomplete ones. Trials
+    of several folders have no means, and more than NAMED_MOST robots no entries.
     """
     setup = logs[0].start.setup
     unit = unit_of(setup.unit)
@@ -385,8 +411,11 @@ def _mean_and_std(errors: Floats) -> str:
 def _name_signs(
     figure: Figure, logs: Sequence[TrialLog], leaves: bool, truth: bool, far: bool
 ) -> None:
-    """Draw the legend of the markers below the axes; `leaves` is whether a path leaves the arena,
-    `truth` whether true paths are drawn, `far` whether an error is."""
+    """Draw the legend of the markers below the axes.
+
+    `leaves` tells whether a path leaves the arena, `truth` whether true paths are drawn, `far`
+    whether an error is.
+    """
     alone = len(logs) == 1
     setup = logs[0].start.setup
     signs: list[Artist] = [
@@ -413,8 +442,10 @@ def _name_signs(
 
 
 def arena_picture(setup: Setup, ways: Floats) -> NDArray[np.uint8]:
-    """Return a picture (H, W, 3) of a trial that still runs: the scene, and the robots' places so
-    far, `ways` (M, N, 2)."""
+    """Draw an image (H, W, 3) of a trial that is still running.
+
+    It shows the scene, and the robots' positions so far, `ways` (M, N, 2).
+    """
     arena = setup.arena
     scale = PICTURE_SIDE_IN / arena.longer_side
     size_in = scale * arena.width, scale * arena.height
@@ -434,8 +465,9 @@ def arena_picture(setup: Setup, ways: Floats) -> NDArray[np.uint8]:
 
 
 def _nice_step(length: float, most: int) -> float:
-    """Return the least number 1, 2 or 5 times 10^n that divides a length into at most `most`
-    parts.
+    """Return the smallest number 1, 2 or 5 times 10^n that divides a length into few parts.
+
+    There are at most `most` parts.
     """
     power = 10.0 ** np.floor(np.log10(length / most))
     for multiple in (1, 2, 5):

@@ -26,10 +26,13 @@ def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
 
 
 def by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list[TrialLog]]:
-    """Return the trials of each folder, only the `complete` ones or all; the key is the folder's
-    name, or its path if two folders have the same name.
+    """Group trials by folder, only the complete ones or all.
 
-    Raises UsageError if the trials' errors are in different units, LogError if there is no trial.
+    The key is the folder's name, or its path if two folders have the same name.
+
+    Raises:
+        UsageError: If the trials' errors are in different units.
+        LogError: If there is no trial.
     """
     units = {log.start.setup.unit for log in logs}
     if len(units) > 1:
@@ -48,8 +51,12 @@ def by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list
 
 
 def check_alike(logs: Sequence[TrialLog]) -> None:
-    """Raise UsageError for logs of different arenas, obstacles, units or robots; robots that each
-    trial chose by the same rule are not different.
+    """Check that logs have the same arena, obstacles, units and robots.
+
+    Robots that each trial chose by the same rule count as the same.
+
+    Raises:
+        UsageError: If they differ.
     """
 
     def scene(log: TrialLog) -> tuple[object, ...]:
@@ -98,8 +105,9 @@ def final_poses(log: TrialLog) -> Floats:
 
 
 def robot_labels(names: Sequence[str]) -> list[str]:
-    """Return the robots' names for a figure: shortened, and numbered if there are NUMBERED or
-    more.
+    """Return the robots' names for a figure.
+
+    They are shortened, and numbered if there are NUMBERED or more.
     """
     short = [name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - 1]}…" for name in names]
     if len(names) < NUMBERED:

@@ -44,7 +44,13 @@ class Projection:
 
     @classmethod
     def fit(cls, arena: Bounds, width: int, height: int) -> "Projection":
-        """Return the projection that shows the arena as large as `width` x `height` cells allow."""
+        """Return the projection that shows the arena as large as the terminal allows.
+
+        Args:
+            arena: The arena.
+            width: Number of columns.
+            height: Number of rows.
+        """
         columns_most = ACROSS * max(width, 1)
         rows_most = DOWN * max(height, 1)
         scale = max(arena.width / (columns_most - 1), arena.height / (rows_most - 1))
@@ -53,10 +59,10 @@ class Projection:
         return cls(arena, math.ceil(columns / ACROSS), math.ceil(rows / DOWN), scale)
 
     def dots(self, xy: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the columns and rows of the dots at positions (..., 2), from (0, 0) at the top
-        left; positions with NaN are left out.
+        """Return the columns and rows of the dots at positions (..., 2).
 
-        A position outside the arena may give a dot outside the canvas.
+        They count from (0, 0) at the top left. Positions with NaN are left out. A position outside
+        the arena may give a dot outside the canvas.
         """
         xy = xy[np.isfinite(xy).all(axis=-1)]
         column = np.rint((xy[:, 0] - self.arena.left) / self.scale)
@@ -67,8 +73,9 @@ class Projection:
         )
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
-        """Return the column and row of the cell at a position or, if that is outside, of the
-        nearest cell; of an unknown position (NaN), those of the lower left cell.
+        """Return the column and row of the cell at a position, or of the nearest cell.
+
+        For an unknown position (NaN), it is the lower left cell.
         """
         position = np.array([[x, y]])
         if not np.isfinite(position).all():
@@ -93,7 +100,13 @@ class Canvas:
         self._chars = np.full((height, width), " ")
 
     def dots(self, columns: NDArray[np.int64], rows: NDArray[np.int64], style: Style) -> None:
-        """Draw dots; those outside the canvas are left out."""
+        """Draw dots. Those outside the canvas are left out.
+
+        Args:
+            columns: Their columns.
+            rows: Their rows.
+            style: Their style.
+        """
         inside = (columns >= 0) & (columns < ACROSS * self.width)
         inside &= (rows >= 0) & (rows < DOWN * self.height)
         columns = columns[inside]
@@ -103,7 +116,14 @@ class Canvas:
         self._style[cells] = self._index(style)
 
     def put(self, column: int, row: int, char: str, style: Style) -> None:
-        """Replace a cell's dots by a character; nothing is drawn outside the canvas."""
+        """Replace a cell's dots by a character. Outside the canvas, nothing is drawn.
+
+        Args:
+            column: Column of the cell.
+            row: Row of the cell.
+            char: The character.
+            style: Its style.
+        """
         if 0 <= column < self.width and 0 <= row < self.height:
             self._bits[row, column] = 0
             self._chars[row, column] = char
@@ -130,10 +150,16 @@ class Canvas:
 
 
 def draw(frame: Moment, colors: list[str], width: int, height: int) -> Canvas:
-    """Draw one instant of a trial on a canvas of at most `width` x `height` cells.
+    """Draw one instant of a trial on a canvas.
 
-    Drawn are obstacles, the plan (dotted), trails, starts (circles), targets (squares) and robots
+    It shows obstacles, the plan (dotted), trails, starts (circles), targets (squares) and robots
     (arrows).
+
+    Args:
+        frame: The instant.
+        colors: The robots' colours.
+        width: Maximum number of columns.
+        height: Maximum number of rows.
     """
     setup = frame.setup
     view = Projection.fit(setup.arena, width, height)
@@ -172,10 +198,10 @@ def framed(canvas: Canvas, label: str) -> Iterable[list[Segment]]:
 
 
 def _filling(shape: Shape, view: Projection) -> Floats:
-    """Return the points (M, 2) that draw a filled shape: one per dot inside it, and those of its
-    outline.
+    """Return the points (M, 2) that draw a filled shape.
 
-    A shape smaller than a dot has only outline points.
+    There is one for each dot inside it, and the points of its outline. A shape smaller than a dot
+    has only outline points.
     """
     arena = view.arena
     outline = shape.outline()

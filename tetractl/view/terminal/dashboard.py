@@ -158,8 +158,10 @@ class Dashboard:
         return rows[:height]
 
     def _numbers(self, width: int, height: int) -> list[Text]:
-        """Return the numbers in at most `height` lines: the blocks that fit, with an empty line
-        between them as far as lines are left.
+        """Return the numbers in at most `height` lines.
+
+        The blocks that fit are shown, with an empty line between them as long as there are lines
+        left.
         """
         by_rank = {  # from top to bottom; where space is short, the greatest rank goes first
             0: self._head(),
@@ -212,8 +214,9 @@ class Dashboard:
         return lines
 
     def _robots(self, width: int, height: int) -> list[Text]:
-        """Return a title, then each robot's distance to its target as a number and a bar; as many
-        as fit, and a line on the others.
+        """Return a title, then each robot's distance to its target as a number and a bar.
+
+        If not all robots fit, a line describes the others.
         """
         setup = self._moment.setup
         distances = self._moment.distances
@@ -230,9 +233,10 @@ class Dashboard:
         return lines
 
     def _robot_lines(self, width: int, count: int) -> Iterator[Text]:
-        """Yield the lines of the first robots, `MARK NAME VALUE BAR`: names are cut before values
-        are, bars have what is left. A whole bar is the greatest distance at the start, which has
-        four digits: 854.0 mm.
+        """Yield the lines of the first robots, `MARK NAME VALUE BAR`.
+
+        Names are cut before values are, and bars get what is left. A full bar is the maximum
+        distance at the start, which has four digits: 854.0 mm.
         """
         setup = self._moment.setup
         distances = self._moment.distances[:count]
@@ -321,8 +325,9 @@ class Dashboard:
         return lines
 
     def _events(self, height: int) -> list[Text]:
-        """Return the newest events that a terminal of `height` lines shows, above them empty lines
-        for those to come; nothing before the first event.
+        """Return the newest events that a terminal of `height` lines shows.
+
+        Above them are empty lines for future events. Before the first event, the result is empty.
         """
         events = [e for e in self._moment.events if e.level != "info" or not self._plain]
         if not events:
@@ -340,8 +345,15 @@ class Dashboard:
 
 
 def fitted(console: Console, text: Text, width: int) -> list[Segment]:
-    """Return a line of text as segments. If it is cut at the width, its last sign is an ellipsis:
-    no number is taken for a shorter one."""
+    """Return a line of text as segments that fit a width.
+
+    If the text is cut, its last sign is an ellipsis, so that no number looks like a shorter one.
+
+    Args:
+        console: The console.
+        text: The line.
+        width: Maximum width.
+    """
     text.no_wrap = True
     text.truncate(width, overflow="ellipsis")
     return list(text.render(console))
@@ -371,8 +383,9 @@ def _row(label: str, value: str) -> Text:
 
 
 def _number(value: float) -> str:
-    """Return a length as text: without decimals from 100 on, with one decimal from 1 on, below 1
-    with three significant digits.
+    """Format a length.
+
+    It has no decimals from 100 on, one decimal from 1 on, and three significant digits below 1.
     """
     if not math.isfinite(value):
         return str(value)

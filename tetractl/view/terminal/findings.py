@@ -15,10 +15,11 @@ def _or(unknown: str, form: str) -> Callable[[Any], str]:
 
 
 def print_findings(preflight: Preflight, latency_stated: bool) -> None:
-    """Print a table of the robots (how far they are off their starts, if they are tracked, their
-    batteries, and whether they answer), the camera's rates and delays, warnings and problems.
+    """Print the findings of a preflight.
 
-    With `latency_stated`, the age of frames follows from the spec's lab.camera.latency, and is not
+    They are a table of the robots (how far they are from their starts, whether they are tracked,
+    their batteries, and whether they answer), the camera's rates and delays, warnings and problems.
+    With `latency_stated`, the age of frames comes from the spec's lab.camera.latency, and is not
     measured.
     """
     console = open_console()

@@ -29,7 +29,13 @@ def arrow(angle: float) -> str:
 
 
 def bar(width: int, fraction: float, style: str) -> Text:
-    """Return a bar of `width` characters, `fraction` of it filled; all for an unknown one."""
+    """Return a bar of characters.
+
+    Args:
+        width: Number of characters.
+        fraction: Fraction of the bar that is filled. The whole bar is filled if it is unknown.
+        style: Style of the filled part.
+    """
     filled = width
     if math.isfinite(fraction):
         filled = round(width * min(max(fraction, 0.0), 1.0))
@@ -43,11 +49,13 @@ def sparkline(
     total: int = 0,
     log: bool = False,
 ) -> Text:
-    """Return at most `width` bars that show values, from 0 or, with `log`, on a logarithmic scale
-    from the least value.
+    """Return a line of small bars that show values, with dots for values still to come.
 
-    The line has room for `total` values, or for the given ones if these are more; dots stand for
-    values still to come.
+    Args:
+        values: The values.
+        width: Maximum number of bars.
+        total: Number of values that the line has space for, at least as many as are given.
+        log: Whether the scale is logarithmic, from the minimum value. If not, it begins at 0.
     """
     y = np.asarray(values, dtype=float)
     y = np.where(np.isfinite(y), y, np.nan)

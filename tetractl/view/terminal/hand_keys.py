@@ -36,8 +36,10 @@ LAB_HINTS = ("ESC: EMERGENCY STOP", "arrows steer", "SPACE ends", "mouse: drag")
 GO_ON = "enter"
 AGAIN = "r"
 LEAVE = "q"
-"""Answers to the question at the end of a trial, what comes next. No arrow is one, so that a hand
-that still steers answers nothing."""
+"""Answers to the question what to do after a trial.
+
+No arrow is one of them, so that a hand that still steers answers nothing.
+"""
 WHY = (
     "All heard the same, but each turns at its own rate, so every turn changes the gaps between "
     "them: the right turns in the right order bring each home. Hard: no robot moves alone; what "
@@ -63,8 +65,15 @@ MOUSE_OFF = "\x1b[?1006l\x1b[?1002l"
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What the person wants: a direction [rad], None before the first key; whether to stop;
-    whether to pause; and where a drag of the mouse began, as column and row of the screen."""
+    """What the person who steers wants.
+
+    Attributes:
+        direction: The direction [rad]. None before the first key.
+        stops: Whether to stop.
+        pauses: Whether to pause.
+        drag_from: Where a drag of the mouse began: column and row of the screen. None if there is
+            none.
+    """
 
     direction: float | None = None
     stops: bool = False
@@ -77,8 +86,10 @@ class Wish:
         return None if self.stops else self.direction
 
     def after(self, key: str) -> "Wish":
-        """Return what is wanted once a key was pressed or the mouse moved; other keys change
-        nothing."""
+        """Return what the person wants after a key or a movement of the mouse.
+
+        Other keys change nothing.
+        """
         if key in ARROWS:
             return replace(self, direction=ARROWS[key])
         if key in STOPS:
@@ -102,11 +113,11 @@ class Wish:
 
 
 class HandKeys:
-    """What the keys of a terminal ask for; a context manager, in which the terminal tells of its
-    mouse. Only a simulation `can_pause`.
+    """Reads what a person wants from the keys and the mouse of a terminal; a context manager.
 
-    Threads: that of the keys calls `press`, and replaces the wish as a whole; that of the trial
-    calls `ask`, which reads it. So it is with the answer and `await_answer`.
+    Only a simulation `can_pause`. Threads: the thread of the keys calls `press`, and replaces the
+    wish as a whole. The thread of the trial calls `ask`, which reads it. The same holds for the
+    answer and `await_answer`.
     """
 
     def __init__(self, ended: Callable[[], bool], can_pause: bool = False) -> None:
@@ -133,15 +144,20 @@ class HandKeys:
         self._answer = ""
 
     def await_answer(self) -> str:
-        """Wait for GO_ON, AGAIN or LEAVE, and return it; LEAVE if the trial is `ended` for another
-        reason."""
+        """Wait for GO_ON, AGAIN or LEAVE, and return it.
+
+        It is LEAVE if the trial has `ended` for another reason.
+        """
         while not self._answer and not self._ended():
             time.sleep(WAIT_S)
         return self._answer or LEAVE
 
     def ask(self, time_s: float) -> float | None:
-        """Return the direction that is wanted [rad], None to stop. Before the first key, wait for
-        it, but not longer than until the trial is `ended` for another reason."""
+        """Return the direction that the person wants [rad]. None to stop.
+
+        Before the first key, this waits for it, but only until the trial has `ended` for another
+        reason.
+        """
         while self._wish.direction is None and not (self._wish.stops or self._ended()):
             time.sleep(WAIT_S)
         return self._wish.answer

@@ -1,5 +1,6 @@
-"""Reads keys of a terminal, for the player, for the operator's emergency stop and for who steers by
-hand, and restores the terminal's settings at the end.
+"""Reads keys of a terminal, and restores the terminal's settings at the end.
+
+The player, the operator's emergency stop, and a person who steers by hand use it.
 """
 
 import os
@@ -40,13 +41,12 @@ _MOUSE = "\x1b[<"
 
 
 def decode(data: bytes) -> tuple[list[str], bytes]:
-    """Split bytes read from a terminal into names of keys and the rest, an unfinished escape
-    sequence.
+    """Split bytes read from a terminal into names of keys and an unfinished escape sequence.
 
-    The name of a printable character is the character, except "space"; that of an event of the
-    mouse is what follows the escape character and `[`; unknown sequences are dropped. "escape" is
-    Esc with another character behind it, as when it is held: Esc alone looks like the beginning of
-    a sequence, until ESCAPE_S have passed.
+    The name of a printable character is the character, except "space". The name of a mouse event is
+    what follows the escape character and `[`. Unknown sequences are dropped. "escape" is Esc
+    followed by another character, as when it is held: Esc alone looks like the beginning of a
+    sequence, until ESCAPE_S have passed.
     """
     keys: list[str] = []
     for sequence in _KEY.finditer(data.decode("latin-1")):
@@ -87,8 +87,9 @@ class _Unbuffered:
             termios.tcsetattr(self.fd, termios.TCSANOW, self._before)
 
     def wait(self, timeout_s: float, count: int) -> bytes | None:
-        """Return the bytes that come within `timeout_s`, at most `count`: None if there are none,
-        b"" if the terminal was closed.
+        """Return the bytes that arrive within `timeout_s`, at most `count`.
+
+        None if there are none, and b"" if the terminal was closed.
         """
         try:
             ready, _, _ = select.select([self.fd], [], [], timeout_s)
@@ -124,8 +125,9 @@ class Keyboard:
             signal.signal(number, handler)
 
     def read(self, timeout_s: float) -> list[str]:
-        """Wait for keys, at most `timeout_s`, and return their names; ["q"] after an interrupt, or
-        if the terminal was closed.
+        """Wait for keys, at most `timeout_s`, and return their names.
+
+        After an interrupt, or if the terminal was closed, the result is ["q"].
         """
         if self._stop_wanted:
             self._suspend()

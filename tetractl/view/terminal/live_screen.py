@@ -93,8 +93,11 @@ class TrialSoFar:
         self._result = result
 
     def warnings(self) -> tuple[str, ...]:
-        """Return by which robots the trial is lost, as they were in an obstacle or outside the
-        arena, and where those are that are outside now."""
+        """Describe which robots have failed the trial.
+
+        They were in an obstacle or outside the arena. For those that are outside now, the text says
+        where.
+        """
         setup = self.start.setup
         verdict = self._path.verdict(Poses.of(self._poses))
         names = np.array(setup.names)
@@ -145,13 +148,13 @@ class TrialSoFar:
 
 
 class LiveView(Observer):
-    """Shows one trial after another on the terminal: an `Observer` of each trial and a
-    `RunObserver`; a context manager.
+    """Shows one trial after another on the terminal; a context manager.
 
-    It draws at most 12 pictures per second; `wall` returns the wall time [s]. While its screen is
-    closed, it draws nothing. `hints` say what keys do, if they do more than to stop the robots, and
-    `aside` what is shown, in place of the results so far. A `plain` one is for who steers by hand:
-    it also warns of obstacles and edges, and has no number of the trial.
+    It is an `Observer` of each trial and a `RunObserver`. It draws at most 12 images per second;
+    `wall` returns the wall time [s]. While its screen is closed, it draws nothing. `hints` say what
+    keys do, if they do more than stop the robots, and `aside` is shown instead of the results so
+    far. A `plain` view is for a person who steers by hand: it also warns of obstacles and edges,
+    and does not show the number of the trial.
     """
 
     def __init__(

@@ -78,10 +78,9 @@ class _TrialsBar(RunObserver):
 
 
 class BatchProgress(_TrialsBar):
-    """A `RunObserver` of a batch: shows a bar with the errors so far or, without a terminal, a line
-    for each trial.
+    """A `RunObserver` of a batch that shows a bar with the errors so far.
 
-    `unit` is the experiment's length unit.
+    Without a terminal, it prints a line for each trial. `unit` is the experiment's length unit.
     """
 
     def __init__(self, console: Console, total: int, unit: str = "mm") -> None:
@@ -99,8 +98,11 @@ class BatchProgress(_TrialsBar):
 
 
 class StudyProgress(_TrialsBar):
-    """A `RunObserver` of a study: prints failures, the expected duration and, without a terminal, a
-    line after each tenth of the trials; with `quiet` only failures."""
+    """A `RunObserver` of a study that prints failures and the expected duration.
+
+    Without a terminal, it also prints a line after each tenth of the trials. With `quiet`, it
+    prints only failures.
+    """
 
     def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
         super().__init__(console, total, quiet)
@@ -141,10 +143,10 @@ def progress_of_script(total: int) -> RunObserver:
 
 
 class ScriptProgress(RunObserver):
-    """A `RunObserver` for scripts: prints to stderr, every PAUSE_S at most, how many
-    of `total` trials have ended and how long the others will take.
+    """A `RunObserver` for scripts that prints the progress to stderr.
 
-    `now_s` returns the time [s].
+    At most every PAUSE_S, it prints how many of `total` trials have ended and how long the others
+    will take. `now_s` returns the time [s].
     """
 
     def __init__(self, total: int, now_s: Callable[[], float] = time.monotonic) -> None:
@@ -208,7 +210,13 @@ def _left(ending: Ending) -> str:
 
 
 def trial_line(task: Task, result: Result, unit: str) -> str:
-    """Return a line about a finished trial."""
+    """Return a line about a finished trial.
+
+    Args:
+        task: The trial.
+        result: Its result.
+        unit: The experiment's length unit.
+    """
     entered = ", entered an obstacle" if result.entered_obstacle else ""
     why = f" ({result.reason})" if result.outcome == "aborted" else ""
     return (

@@ -1,5 +1,6 @@
-"""Plays recorded trials on the terminal's alternate screen, controlled by keys. Without a terminal
-it prints a line for each control step and event.
+"""Plays recorded trials on the terminal's alternate screen, controlled by keys.
+
+Without a terminal, it prints a line for each control step and event.
 """
 
 import math
@@ -44,11 +45,19 @@ def play(
     count: int = 1,
     turn_to: Callable[[int, Player], Player] | None = None,
 ) -> bool:
-    """Play the first of `count` trials until q is pressed; the keys n and p go to the next and the
-    previous trial.
+    """Play recorded trials until q is pressed, beginning with the first.
 
-    `turn_to(i, player)` returns the player of trial i, which goes on like `player`; without it,
-    only the first is played. Returns whether a signal ended the play.
+    The keys n and p go to the next and the previous trial.
+
+    Args:
+        console: The console.
+        player: The player of the first trial.
+        count: Number of trials.
+        turn_to: Returns the player of trial i, which continues like the present player. None to
+            play only the first.
+
+    Returns:
+        Whether a signal ended the play.
     """
     index = 0
     shows_help = False
@@ -74,7 +83,13 @@ def play(
 
 
 def dashboard(player: Player, index: int = 0, count: int = 1) -> Dashboard:
-    """Return the dashboard at the player's time, of trial `index` of `count` that are played."""
+    """Return the dashboard at the player's time.
+
+    Args:
+        player: The player.
+        index: Index of the trial.
+        count: Number of trials that are played.
+    """
     recording = player.recording
     log = recording.log
     which = f" ({index + 1} of {count})" if count > 1 else ""
@@ -130,10 +145,15 @@ def print_lines(
     rate: float | None = None,
     loop: bool = False,
 ) -> None:
-    """Print the control steps and events of a span [ns], in the order of their times.
+    """Print the control steps and events of a recording, in the order of their times.
 
-    Lines appear at `rate` times the trial's speed. Without a rate they appear at once or, with
-    `loop`, at the trial's speed.
+    Args:
+        recording: The recording.
+        wall: The wall clock.
+        span: The first and last time to print [ns].
+        rate: Speed of the lines, relative to the trial. None to print them at once or, with `loop`,
+            at the trial's speed.
+        loop: Whether to start again at the end.
     """
     start_ns, until_ns = span
     speed = rate or 1.0
@@ -151,8 +171,9 @@ def print_lines(
 
 
 def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[tuple[int, str]]:
-    """Return the lines to print, each after the time [ns] of what it tells, in order of time; at
-    the same time a step comes before events, and the result comes last.
+    """Return the lines to print, each after its time [ns], in the order of time.
+
+    At the same time, a step comes before events, and the result comes last.
     """
     lines = [
         (step_ns, step_line(recording, index))

@@ -12,11 +12,10 @@ def shows_pictures(console: Console) -> bool:
 
 
 class Screen:
-    """Shows one picture at a time, and gives the terminal back when it is closed; a context
-    manager, and open within it.
+    """Shows one image at a time, and restores the terminal when it is closed; a context manager.
 
-    What is printed to the console's own stream meanwhile appears above the picture; what goes to
-    the other stream goes there.
+    Text printed to the console's own stream in the meantime appears above the image. Text for the
+    other stream goes to that stream.
     """
 
     def __init__(self, console: Console) -> None:

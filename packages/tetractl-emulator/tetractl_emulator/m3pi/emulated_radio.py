@@ -41,7 +41,13 @@ INVALID_COMMAND = 2  # status of an answer: the module has no such parameter
 
 
 def at_response(frame_id: int, command: bytes, value: bytes | None) -> bytes:
-    """Return the content that answers a request; `value` is None for an unknown parameter."""
+    """Return the content that answers a request.
+
+    Args:
+        frame_id: Number of the request.
+        command: Its two letters.
+        value: The value. None for an unknown parameter.
+    """
     status = INVALID_COMMAND if value is None else STATUS_OK
     return RESPONSE.pack(AT_RESPONSE, frame_id, command, status) + (value or b"")
 
@@ -116,9 +122,7 @@ class EmulatedRadio(RobotRadio):
                 self._timeline.at(ready, lambda answer=answer: self._reply(answer))
 
     def _take_air(self, size: int) -> int:
-        """Reserve the radio channel for a transmission of `size` bytes; return the time of its end
-        [ns].
-        """
+        """Reserve the radio channel to send `size` bytes, and return when that ends [ns]."""
         start = max(self._timeline.now_ns, self._air_ns)
         wait = round(self._random.uniform(0, BACKOFF_NS))
         self._air_ns = start + wait + (size + AIR_OVERHEAD) * AIR_NS_A_BYTE

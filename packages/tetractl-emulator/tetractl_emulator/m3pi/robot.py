@@ -180,17 +180,24 @@ class EmulatedRobot:
         return self.robots.now_ms - self._switched_on_ms
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the robot, at rest, at a pose [mm, rad]."""
+        """Put the robot at a pose, standing still.
+
+        Args:
+            x: x [mm].
+            y: y [mm].
+            heading: Heading [rad].
+        """
         self.robots.place(self.row, x, y, heading)
 
 
 class EmulatedRobots:
-    """The true state of N robots, in the spec's axes, at rest at `start_ns`: their `pose` (3, N) is
-    x, y [mm] and heading [rad], their `wheels` (2, N) the speeds of left and right ones [mm/s].
+    """The true state of N robots, in the spec's axes.
 
-    The motors' counts are read once a millisecond, as by the firmware. `drivetrains` gives the true
-    wheel speeds for counts, `radius` (N,) [mm] the distance from a wheel to the centre, `lag_s`
-    (N,) [s] the wheels' time constants.
+    They stand still at `start_ns`. Their `pose` (3, N) is x, y [mm] and heading [rad], their
+    `wheels` (2, N) the speeds of the left and right wheels [mm/s]. The motors' counts are read once
+    a millisecond, as the firmware does. `drivetrains` gives the true wheel speeds for counts,
+    `radius` (N,) [mm] the distance from a wheel to the centre, `lag_s` (N,) [s] the wheels' time
+    constants.
     """
 
     def __init__(
@@ -242,10 +249,24 @@ class EmulatedRobots:
                 wheeled.drive(since_ns, np.array([self._now_ns]))
 
     def place(self, row: int, x: float, y: float, heading: float) -> None:
-        """Put a robot, at rest, at a pose [mm, rad]."""
+        """Put a robot at a pose, standing still.
+
+        Args:
+            row: Index of the robot.
+            x: x [mm].
+            y: y [mm].
+            heading: Heading [rad].
+        """
         self.pose[:, row] = x, y, heading
         self.wheels[:, row] = 0.0
 
     def shift(self, row: int, x: float, y: float, turn: float) -> None:
-        """Move a robot [mm, rad] without stopping its wheels."""
+        """Move a robot without stopping its wheels.
+
+        Args:
+            row: Index of the robot.
+            x: Displacement in x [mm].
+            y: Displacement in y [mm].
+            turn: Angle by which it is turned [rad].
+        """
         self.pose[:, row] += x, y, turn

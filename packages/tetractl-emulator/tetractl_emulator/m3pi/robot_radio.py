@@ -19,8 +19,10 @@ from tetractl_emulator.port import PseudoPort, SerialDevice
 
 
 class RobotRadio(SerialDevice):
-    """A radio to `robots`, which loses at least the share `loss` of its transmissions; `seed` draws
-    what is lost and late."""
+    """A radio to robots that loses at least the fraction `loss` of its transmissions.
+
+    `seed` determines what is lost and late.
+    """
 
     def __init__(
         self,
@@ -69,8 +71,10 @@ class RobotRadio(SerialDevice):
                     self._timeline.at(arrives_ns + robot.late_ns, hear)
 
     def stop_elsewhere(self, sequence: int) -> None:
-        """Let the robots hear an emergency stop of another sender, with its own sequence number;
-        none if it cannot reach them."""
+        """Let the robots receive an emergency stop from another sender, with its own numbering.
+
+        Nothing happens if such a stop cannot reach them.
+        """
 
     def drive_elsewhere(self, sequence: int, counts: Counts) -> None:
         """Let the robots hear a command of another program; none if they have no such program."""

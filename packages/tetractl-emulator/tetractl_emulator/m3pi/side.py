@@ -97,7 +97,7 @@ class EmulatedM3pi(WheeledSide):
 
     @classmethod
     def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
-        """Draw radio and robots of a rehearsed day."""
+        """Sample the radio and robots of a randomised test run; see `tetractl_emulator.sides`."""
 
         def gain(share: float) -> dict[str, float]:
             return {"gain_mm": round(1000 / 127 * share, 4)}

@@ -52,8 +52,9 @@ Count = Annotated[int, Field(ge=-127, le=127)]
 
 
 class WheeledSide(PluggedDevices):
-    """Base class of emulated actuators whose bodies are `robots`, moved by `wheels`, and which hear
-    what `radios` pass on.
+    """Base class of emulated actuators for robots on wheels.
+
+    `robots` are the bodies, which `wheels` moves. They receive what `radios` pass on.
     """
 
     what = "robots"
@@ -79,8 +80,10 @@ class WheeledSide(PluggedDevices):
 
     @property
     def truth(self) -> dict[str, Any]:
-        """The speeds of all wheels [mm/s], as {"wheels": [[left, right], ...]}, and the `status` of
-        each robot's firmware."""
+        """The speeds of all wheels [mm/s], and the status of each robot's firmware.
+
+        The keys are "wheels", with [[left, right], ...], and "status".
+        """
         speeds = (robot.wheels for robot in self.robots)
         wheels = [[round(left, 2), round(right, 2)] for left, right in speeds]
         status = [int(robot.status) for robot in self.robots]
@@ -114,8 +117,10 @@ class WheeledSide(PluggedDevices):
             self.timeline.at(at_ns, lambda: self.wheels.shift(row, x, y, turn))
 
     def drive_elsewhere(self, fault: Any) -> Undo:
-        """Let robots hear another program that drives them, until the fault ends. It numbers its
-        commands from 0 on or, if it `follows`, as if each came next after ours.
+        """Let robots receive commands from another program until the fault ends.
+
+        That program numbers its commands from 0 or, if it `follows`, as if each were the next after
+        ours.
         """
         period_ns = round(SECOND / fault.rate)
         ends_ns = NEVER
@@ -170,8 +175,13 @@ class WheelsSettings(Model):
 def robots_of_day(
     random: Random, names: Sequence[str], wheel: str, gain: Callable[[float], Any]
 ) -> dict[str, Any]:
-    """Draw the section of a day's radio and robots, whose fields LEFT and RIGHT are `gain` of a
-    wheel's share of its speed, within WHEEL_OFF of 1.
+    """Sample the section of the radio and the robots for a randomised test run.
+
+    Args:
+        random: The random generator.
+        names: The robots.
+        wheel: Name of a wheel's field, with a placeholder for the side.
+        gain: Returns the value of that field for a wheel's relative speed, within WHEEL_OFF of 1.
     """
     robots: list[dict[str, Any]] = []
     for name in names:
@@ -184,18 +194,25 @@ def robots_of_day(
 
 
 class PortedSide(WheeledSide):
-    """A `WheeledSide` whose section has an entry for each robot, with `radius_mm`, `left_gain` and
-    `right_gain` of its wheels: they are true where the settings do not say otherwise.
+    """A `WheeledSide` whose section has an entry for each robot.
 
-    `stated` are these entries, and `radii` (N,) the distances from the wheels to the centres [mm],
-    in the order of the setup. `limit` is the largest count, and the speed of a count [mm/s].
+    The entry's `radius_mm`, `left_gain` and `right_gain` of the wheels are true unless the settings
+    differ. `stated` are these entries, and `radii` (N,) the distances from the wheels to the
+    centres [mm], in the order of the setup. `limit` is the maximum count, and the speed of a count
+    [mm/s].
     """
 
     Settings: ClassVar[type[Model]] = WheelsSettings
 
     @classmethod
     def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
-        """Draw radio and robots of a rehearsed day: gains near those of the section."""
+        """Sample radio and robots for a randomised test run, with gains near those of the section.
+
+        Args:
+            random: The random generator.
+            lab: The section of the lab.
+            setup: The constants of the experiment.
+        """
         section: Any = lab.actuator
         drawn = robots_of_day(random, setup.names, "{}_gain", lambda share: round(share, 4))
         for robot in drawn["robots"]:
@@ -228,7 +245,14 @@ class PortedSide(WheeledSide):
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults
     ) -> EmulatedRobot:
-        """Return the robot in a row of the setup, with its program."""
+        """Create the robot in a row of the setup, with its program.
+
+        Args:
+            row: Index of the robot.
+            name: Its name.
+            battery_mv: Voltage of its battery [mV].
+            acting: The faults that act now.
+        """
 
 
 def _swap_numbers(fault: Any, device: Any) -> Undo:

@@ -31,8 +31,10 @@ def parse_request(received: bytes) -> natnet.ClientMessage:
 
 
 def pack_answer(message: natnet.ServerMessage, version: natnet.Version = natnet.NEWEST) -> bytes:
-    """Pack one datagram of the server; versions before 2.6 are packed as 2.6, versions after 4.3 as
-    4.3, with descriptions of bodies that have grown.
+    """Pack one datagram of the server.
+
+    Versions before 2.6 are packed as 2.6. Versions after 4.3 are packed as 4.3, with longer
+    descriptions of bodies.
     """
     version = max(version, natnet.OLDEST)
     match message:
@@ -78,7 +80,13 @@ def section(parts: Sequence[bytes], version: natnet.Version) -> bytes:
 
 
 def packed_body(body: natnet.RigidBody, version: natnet.Version, markers: int = 0) -> bytes:
-    """Pack a rigid body, in versions before 3.0 with `markers` markers."""
+    """Pack a rigid body.
+
+    Args:
+        body: The body.
+        version: The protocol version.
+        markers: Number of its markers, which are packed in versions before 3.0.
+    """
     error = 0.0002 if body.tracking_valid else 0.0  # mean error of its markers [m]
     listed = (
         b"" if layout_of(version).timed else wire.pack_fields("i", markers) + bytes(20 * markers)
@@ -103,10 +111,14 @@ def pack_modeldef(
     markers: int = 0,
     grown: bytes = b"",
 ) -> bytes:
-    """Pack a MODELDEF payload: first the data sets in `others`, each a type and bytes, then every
-    rigid body with `markers` markers.
+    """Pack a MODELDEF payload: first other data sets, then every rigid body.
 
-    `grown` is appended to each body's description, as a newer protocol would do.
+    Args:
+        model: The rigid bodies.
+        version: The protocol version.
+        others: Other data sets, each a type and bytes.
+        markers: Number of markers of each body.
+        grown: Bytes appended to each body's description, as a newer protocol would do.
     """
     described = (_packed_body(*body, version, markers) + grown for body in model.bodies)
     sets = [*others, *((RIGID_BODY, data) for data in described)]

@@ -106,8 +106,10 @@ class PoseCamera(ABC):
         return delay_s
 
     def _leave(self, exposure_number: int, exposure: Exposure) -> None:
-        """Send an exposure, or the last one again, unless a fault forbids it; remember when each
-        robot was last shown as tracked."""
+        """Send an exposure, or the last one again, unless a fault forbids it.
+
+        It also remembers when each robot was last shown as tracked.
+        """
         acting = self.acting
         periods_ns = (SECOND / fault.rate for fault in acting.of("slow_frames"))
         next_ns = self._left_ns + max(periods_ns, default=0)

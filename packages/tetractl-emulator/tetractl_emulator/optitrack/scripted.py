@@ -61,8 +61,11 @@ class OptitrackSettings(Model):
     """Properties of the cameras that differ from the spec."""
 
     version: VersionText = "4.1"
-    """The camera server's protocol version, 2.5 or later; frames of 2.5 have the layout of 2.6.
-    Versions above 4.3 have the layout of 4.3 with longer descriptions of rigid bodies."""
+    """The camera server's protocol version, 2.5 or later.
+
+    Frames of 2.5 have the layout of 2.6. Versions above 4.3 have the layout of 4.3 with longer
+    descriptions of rigid bodies.
+    """
     keeps_version: bool = False
     """Whether the server streams in its own version to clients that request another version."""
     frames_from: Ipv4 | None = None
@@ -75,8 +78,10 @@ class OptitrackSettings(Model):
     rate: float = Field(default=120.0, ge=1, le=500)
     """Camera frames per second [Hz]."""
     latency: float = Field(default=0.0054, ge=0, le=1)
-    """Mean time from exposure to transmission [s]; on average, one frame in 250 is delayed further,
-    by up to nearly half a frame period."""
+    """Mean time from exposure to transmission [s].
+
+    On average, one frame in 250 is delayed further, by up to nearly half a frame period.
+    """
     unit_mm: Positive = 1000.0
     """Unit of length that the server reports [mm]; positions are always in metres."""
     noise_mm: NonNegative = 0.0
@@ -87,7 +92,8 @@ class OptitrackSettings(Model):
     """Whether the server answers `UpAxis`."""
     robots: tuple[TrueBody, ...] = ()
     """Robots whose rigid bodies have another name or heading offset than in the spec, or are not
-    streamed."""
+    streamed.
+    """
 
 
 SENT = Visible.SENT

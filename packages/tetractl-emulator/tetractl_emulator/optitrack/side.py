@@ -1,5 +1,6 @@
-"""The emulated cameras of type `optitrack`: a Motive server, which sends frames of rigid bodies by
-NatNet over UDP, unicast or multicast.
+"""The emulated cameras of type `optitrack`.
+
+They are a Motive server that sends frames of rigid bodies by NatNet over UDP, unicast or multicast.
 """
 
 import random
@@ -42,8 +43,11 @@ RECORDED = ("frames", "refused", "timed_out")
 
 @dataclass(slots=True)
 class Client:
-    """A unicast client: the protocol version in which it is served, and when it was last heard
-    [ns].
+    """A unicast client of the server.
+
+    Attributes:
+        version: The protocol version in which it is served.
+        heard_ns: When something was last received from it [ns].
     """
 
     version: natnet.Version
@@ -51,9 +55,10 @@ class Client:
 
 
 class ServerPorts:
-    """The UDP ports of the server: `command_port`, that of messages, and `data_port`, from which
-    frames are sent or, in multicast, to which they are sent. `command` and `data` are the ends of
-    the connections, once they are open.
+    """The UDP ports of the server.
+
+    `command_port` is the port for messages. Frames are sent from `data_port` or, in multicast, to
+    it. `command` and `data` are the ends of the connections, once they are open.
     """
 
     def __init__(self, section: OptitrackSection, options: Options) -> None:
@@ -68,7 +73,13 @@ class ServerPorts:
         self.data: Any = None
 
     def open(self, bound: Callable[[str, int], Any], sender: str, multicast: bool) -> None:
-        """Open both by `bound(address, port)`; frames are sent from the address `sender`."""
+        """Open both ports.
+
+        Args:
+            bound: Binds a socket to an address and port.
+            sender: Address from which frames are sent.
+            multicast: Whether frames are sent by multicast.
+        """
         self.command = bound(self.address, self.command_port)
         self.command_port = _port(self.command)
         self.data = bound(sender, 0 if multicast else self.data_port)
@@ -87,10 +98,12 @@ class ServerPorts:
 
 
 class EmulatedOptitrack(PoseCamera):
-    """An emulated Motive server, and the rigid bodies on the robots; `names` are the names and
-    numbers of bodies that it reports. It serves `clients` by unicast, and has `greeted` addresses.
-    It `counts` what is RECORDED, and how often it was asked for its models. `clock_errors`, of
-    clocks that drift, say what its clock has gained [ns] by a time on the host's clock [ns].
+    """An emulated Motive server, with rigid bodies on the robots.
+
+    `names` are the names and numbers of bodies that it reports. It serves `clients` by unicast, and
+    has `greeted` addresses. It counts RECORDED events in `counts`, and how often it was asked for
+    its models. For clocks that drift, `clock_errors` gives what its clock has gained [ns] by a time
+    on the host's clock [ns].
     """
 
     Settings: ClassVar[type[Model]] = OptitrackSettings
@@ -98,7 +111,7 @@ class EmulatedOptitrack(PoseCamera):
 
     @classmethod
     def world_of_day(cls, chance: random.Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
-        """Draw the cameras of a rehearsed day."""
+        """Sample the cameras of a randomised test run; see `tetractl_emulator.sides`."""
         return noise_of_day(chance, scale_of(lab, setup))
 
     def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
@@ -216,8 +229,9 @@ class EmulatedOptitrack(PoseCamera):
         self.clients[sender] = Client(version if chosen else own_version, now_ns)
 
     def _receivers(self, now_ns: int) -> Iterator[tuple[Address, natnet.Version]]:
-        """Yield the addresses to which frames are sent, each with its protocol version; in
-        unicast, first drop the clients that have been silent for too long.
+        """Yield the addresses to which frames are sent, each with its protocol version.
+
+        In unicast, the clients that have been silent for too long are dropped first.
         """
         if self.multicast:
             yield (self.section.group, self.ports.data_port), self.own_version

@@ -23,11 +23,17 @@ HEIGHT_MM = 60.0
 
 @dataclass(slots=True)
 class View:
-    """The cameras' axes in the spec's coordinates, as the spec's section of the camera has them:
-    vertical axis `up`, `origin` [mm] and `rotation` [rad].
+    """The cameras' axes in the spec's coordinates, as the camera's section states them.
 
-    Faults change the picture: it is turned about the origin by `turned` [rad], `grown` by a factor
-    and then displaced by `shift` [mm], which is neither turned nor grown.
+    Faults change the image: it is turned about the origin, grown, and then displaced.
+
+    Attributes:
+        up: Vertical axis.
+        origin: Origin [mm].
+        rotation: Rotation [rad].
+        shift: Displacement of the image [mm], which is neither turned nor grown.
+        grown: Factor by which the image is grown.
+        turned: Angle by which the image is turned about the origin [rad].
     """
 
     up: UpAxis = UpAxis.Y
@@ -38,9 +44,10 @@ class View:
     turned: float = 0.0
 
     def exposed(self, faults: Sequence[Any]) -> "View":
-        """Return the picture of an exposure, as faults change it. Those that creep change it from
-        one exposure to the next, and it stays where that has brought it, as a camera does whose
-        tripod has slipped.
+        """Return the image of an exposure, as faults change it.
+
+        Faults that creep change it from one exposure to the next. It then stays where they have
+        brought it, like a camera with a tripod that has slipped.
         """
         for fault in faults:
             if fault.creeps:
@@ -59,7 +66,15 @@ class View:
     def rigid_body_at(
         self, number: int, x: float, y: float, heading: float, height: float
     ) -> RigidBody:
-        """Return a tracked body at x, y, height [mm] in the spec's axes, with a heading [rad]."""
+        """Return a tracked body at a pose in the spec's axes.
+
+        Args:
+            number: Number of the body.
+            x: x [mm].
+            y: y [mm].
+            heading: Heading [rad].
+            height: Height [mm].
+        """
         from_origin = complex(x, y) - complex(*self.origin)
         in_picture = from_origin * cmath.rect(self.grown, self.turned) + self.shift
         # the system's axes are the spec's turned by `rotation`, so coordinates turn by -rotation;
@@ -78,8 +93,13 @@ class View:
 
 @dataclass(slots=True)
 class Asset:
-    """A body as the motion-capture system lists it: its number and name, the robot's heading less
-    the body's (`offset` [rad]), and whether its poses are in the stream.
+    """A body as the motion-capture system lists it.
+
+    Attributes:
+        number: Its number.
+        name: Its name.
+        offset: The robot's heading minus the body's [rad].
+        streamed: Whether its poses are in the stream.
     """
 
     number: int
@@ -90,9 +110,15 @@ class Asset:
 
 @dataclass(frozen=True, slots=True)
 class PoseNoise:
-    """The standard deviations of a pose. Its errors are drawn from `random`, and so are the frames
-    that miss the body. The bodies of a camera share it: what is drawn for one changes the errors of
-    all.
+    """The noise of measured poses.
+
+    Errors, and the frames that miss the body, come from `random`. The bodies of a camera share it:
+    what is sampled for one body changes the errors of all.
+
+    Attributes:
+        position_mm: Standard deviation of a position [mm].
+        heading_rad: Standard deviation of a heading [rad].
+        random: The random generator.
     """
 
     position_mm: float
@@ -102,9 +128,19 @@ class PoseNoise:
 
 @dataclass(slots=True)
 class TrackedBody:
-    """The rigid body on one robot. `shift` [mm] and
-    `turned` [rad] are by how much it is seen off; ghosts have led it away by `strayed` and
-    `strayed_turn` until now. It had so many `exposures`; `last_pose` is its newest pose.
+    """The rigid body on one robot.
+
+    Attributes:
+        robot: The robot.
+        asset: The body as the system lists it.
+        noise: Noise of its poses.
+        acting: The faults that act now.
+        shift: How far its position appears shifted [mm].
+        turned: How far its heading appears turned [rad].
+        strayed: How far false poses have led it away so far [mm].
+        strayed_turn: How far false poses have turned it so far [rad].
+        exposures: Number of its exposures.
+        last_pose: Its newest pose. None before the first.
     """
 
     robot: Body
@@ -145,8 +181,10 @@ class TrackedBody:
         return body
 
     def _is_seen_now(self) -> bool:
-        """Return whether this frame shows the body; drawn at random if it is tracked and some
-        frames miss it."""
+        """Decide whether this frame shows the body.
+
+        If it is tracked, but some frames miss it, this is random.
+        """
         name = self.robot.name
         if self.acting.carried or self.acting.of("untracked", name):
             return False
@@ -188,8 +226,10 @@ class TrackedBody:
 
 
 def has_a_pose(body: RigidBody) -> bool:
-    """Return whether a client can take a pose from a body: its position is finite, and its
-    quaternion's norm is 1."""
+    """Check whether a client can take a pose from a body.
+
+    Its position must be finite, and its quaternion's norm must be 1.
+    """
     is_finite = all(math.isfinite(value) for value in body.position)
     return is_finite and abs(math.hypot(*body.quaternion) - 1.0) <= NORM_TOLERANCE
 

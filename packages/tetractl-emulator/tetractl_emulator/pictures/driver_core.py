@@ -11,8 +11,13 @@ from tetractl_emulator.firmware import Core, Library
 
 @dataclass(frozen=True, slots=True)
 class DriverLimits:
-    """The limits built into a driver: greatest current [mA] and slew rate [mA/s] of a coil pair,
-    watchdog [ms], and the temperature that stops the driver [0.1 degrees Celsius].
+    """The limits built into a driver.
+
+    Attributes:
+        current_max_ma: Maximum current of a coil pair [mA].
+        slew_ma_s: Maximum slew rate of a coil pair [mA/s].
+        watchdog_ms: Time without a command after which the driver stops [ms].
+        temperature_max_dc: Temperature that stops the driver [0.1 degrees Celsius].
     """
 
     current_max_ma: int
@@ -41,8 +46,15 @@ class DriverCore(Core):
     def measured(
         self, x_ma: int, y_ma: int, supply_mv: int = 0, temperature_dc: int = UNKNOWN_TEMPERATURE
     ) -> None:
-        """Set the driver's measured values; a temperature at the limit stops the driver until it is
-        switched on again.
+        """Set the driver's measured values.
+
+        A temperature at the limit stops the driver until it is power-cycled.
+
+        Args:
+            x_ma: Current of the x coils [mA].
+            y_ma: Current of the y coils [mA].
+            supply_mv: Supply voltage [mV].
+            temperature_dc: Temperature [0.1 degrees Celsius].
         """
         self._call("measured", x_ma, y_ma, supply_mv, temperature_dc)
 

@@ -88,9 +88,7 @@ class CurrentDriver(SerialDevice):
         return DriverStatus.RUNNING in self.status
 
     def hear(self, data: bytes) -> None:
-        """Take bytes received over the line, one by one, and reply to polls, as a real driver
-        does.
-        """
+        """Take bytes from the line one by one, and reply to polls, as a real driver does."""
         late_ns = round(self.acting.total_by("late_driver") * SECOND)
         if not late_ns and self._due_ns <= self._timeline.now_ns:
             self._receive(data)
@@ -296,7 +294,7 @@ class EmulatedField(PluggedDevices):
 
     @classmethod
     def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
-        """Draw the cells of a rehearsed day."""
+        """Sample the cells of a randomised test run; see `tetractl_emulator.sides`."""
         walk = round(random.uniform(0.02, 0.1), 4)
         return {
             "heading_noise": walk,
@@ -321,8 +319,10 @@ class EmulatedField(PluggedDevices):
 
     @property
     def truth(self) -> dict[str, Any]:
-        """The true field at the cells [mT], the currents [A] and x, y, heading of cells that were
-        born since the beginning [mm, rad], to be recorded.
+        """The true field at the cells, and the currents, for the record.
+
+        The field is in mT, the currents in A. For cells that were born since the beginning, x, y
+        [mm] and heading [rad] are added.
         """
         parts = {"field_mt": self.dish.field_mt, "currents_a": self.driver.currents}
         truth = {name: _rounded(values) for name, values in parts.items()}

@@ -21,12 +21,12 @@ from tetractl_emulator.virtual_lab import LabClock
 
 
 class MemoryCamera:
-    """A camera of a `stream` on a LabClock, at the spec's `port`, which is not opened; a context
-    manager. It is also the `Feed` of the program that watches it, which `join` returns.
+    """A camera on a LabClock that shows a `stream` in memory; a context manager.
 
-    `shown(exposed_ns)` is called when the picture of an exposure arrives undamaged. Nothing is
-    drawn while no program watches: before `join` and after `interrupt`. Of more than `WAITING_MAX`
-    pictures on the wire the oldest are lost.
+    It is at the spec's `port`, which is not opened. It is also the `Feed` of the program that
+    watches it, which `join` returns. `shown(exposed_ns)` is called when the image of an exposure
+    arrives undamaged. While no program watches, before `join` and after `interrupt`, nothing is
+    drawn. If more than `WAITING_MAX` images are on the wire, the oldest are lost.
     """
 
     live = emulated = True

@@ -88,8 +88,10 @@ class PictureStream:
         return DuePart(exposed_ns + self.latency_ns, exposed_ns, drawn)
 
     def send(self, drawn: bytes) -> bytes:
-        """Take a part that is due; return what is sent in its place: the one before if pictures
-        repeat, and perhaps spoilt."""
+        """Take a part that is due, and return what is sent for it.
+
+        If images repeat, this is the previous part. It may also be damaged.
+        """
         if not self._acting.of("repeat") or not self._newest:
             self._newest = drawn
         sent = self._newest
@@ -100,14 +102,13 @@ class PictureStream:
 
 
 class EmulatedNetworkCamera:
-    """Serves a stream of pictures at http://127.0.0.1:`port`/, by default any free port; a context
-    manager. TetractlError if the port is in use.
+    """Serves a stream of images at http://127.0.0.1:`port`/, by default any free port.
 
-    One thread exposes pictures, while anybody watches, and puts each into the queue of every
-    client; a busy host skips some exposures. A thread for each client sends what is in its queue,
-    when it is due; a client that reads slowly misses pictures. `_lock` guards what they share: the
-    queues of the clients, and the stream. A camera that `drips` sends an endless header byte by
-    byte.
+    It is a context manager, and raises TetractlError if the port is in use. While anybody watches,
+    one thread exposes images and puts each into the queue of every client. A busy host skips some
+    exposures. A thread for each client sends what is in its queue when it is due. A client that
+    reads slowly misses images. `_lock` protects what they share: the queues of the clients, and the
+    stream. A camera that `drips` sends an endless header byte by byte.
     """
 
     def __init__(

@@ -136,12 +136,11 @@ class SceneHistory:
 
 
 class ShownBodies:
-    """Which bodies the pictures show, by the times of exposure [ns] on the camera's clock, and
-    `newest_ns`, when each of `count` bodies was exposed in the newest picture that has shown it to
-    our side, 0 if none has.
+    """Records which bodies the images show, by the times of exposure [ns] on the camera's clock.
 
-    Each picture that comes ends the memory of those before: where it is not known what has come,
-    there must be no such object.
+    For each of `count` bodies, `newest_ns` is when it was exposed in the newest image that has
+    shown it to our side, 0 if none has. Each image that arrives ends the memory of those before. If
+    it is not known which images have arrived, there must be no such object.
     """
 
     def __init__(self, count: int) -> None:
@@ -209,8 +208,9 @@ class StreamedCamera(ABC):
 
     @property
     def shown_ns(self) -> Sequence[int]:
-        """When each body was exposed in the newest picture that has shown it to our side [ns];
-        empty over HTTP, where that is not known.
+        """When each body was exposed in the newest image that has shown it to our side [ns].
+
+        The result is empty over HTTP, where this is not known.
         """
         return () if self._shown is None else self._shown.newest_ns
 

@@ -29,8 +29,10 @@ from tetractl_emulator.rehearsal.day_plan import DayPlan
 HANGS_S = 600.0
 """Processor time after which a day counts as one that hangs [s]."""
 STILL_S = 60.0
-"""Wall time in which a day that is not over has to use processor time [s]: a busy machine makes
-days long, and must not make them hang."""
+"""Wall time within which an unfinished day must use some processor time [s].
+
+On a busy machine, days take long but must not count as hanging.
+"""
 HUNG = -100
 """Stands for the exit code of a day that hangs; no signal has this number."""
 KEPT = 20_000
@@ -90,7 +92,14 @@ def _text(file: Path) -> str:
 
 
 def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
-    """Play a plan on a spec with settings, with its files in an empty folder."""
+    """Run the plan of a day.
+
+    Args:
+        spec: The spec.
+        sets: Settings of the spec.
+        plan: The plan.
+        folder: An empty folder for its files.
+    """
     files = DayFolder(folder)
     files.script.write_text(dump(plan.script()))
     words = ["run", str(spec), "--plant", "emulated", "--trials", "1", "--quiet"]
@@ -211,9 +220,17 @@ def wait_for_child(
     used_s: Callable[[int], float] = processor_time_s,
     still_s: float = STILL_S,
 ) -> tuple[int, float]:
-    """Wait for a process, which closes the other end of the pipe `ended`; return its exit code, or
-    the number of the signal that killed it less than 0, HUNG if it hangs; and its processor time
-    [s]. `used_s` returns that of a process, which is read every `still_s`.
+    """Wait for a process that closes the other end of a pipe when it ends.
+
+    Args:
+        pid: The process.
+        ended: Our end of the pipe.
+        used_s: Returns the processor time of a process [s].
+        still_s: How often that time is read [s]. A process that has used none since hangs.
+
+    Returns:
+        The exit code, the negative number of the signal that killed it, or HUNG; and its processor
+        time [s].
     """
     hangs = False
     now_s = -1.0

@@ -37,12 +37,12 @@ OWN = ("kind", "right")  # keys of a drawn fault that a script does not have
 
 @dataclass(frozen=True, slots=True)
 class DayPlan:
-    """What is to happen on a day.
+    """What is to happen on a day, that is, in one randomised test run.
 
     Attributes:
-        seed: Seed of the day's trial.
-        emulation: The `emulation` of a script.
-        faults: The `faults` of a script, each with its `kind` and the reasons that are `right`.
+        seed: Number of the trial for which the script was generated.
+        emulation: True properties of the devices.
+        faults: The faults of the script.
         settings: Settings of the spec on that day.
     """
 
@@ -75,15 +75,15 @@ def rows_of(lab: LabSection, setup: Setup) -> list[FaultRow]:
 def plan_of_day(
     seed: int, day: int, lab: LabSection, setup: Setup, chosen: bool = False, bad: bool = True
 ) -> DayPlan:
-    """Draw the plan of a day, which depends on nothing but the arguments.
+    """Generate the plan of a day. It depends only on the lab, the seed and the day's number.
 
     Args:
-        seed: Seed of the rehearsal.
+        seed: Seed of all days.
         day: Number of the day.
-        lab: The emulated lab.
-        setup: The experiment's robots and arena.
+        lab: The section of the lab.
+        setup: The constants of the experiment.
         chosen: Whether trials choose their cells.
-        bad: Whether the day has faults.
+        bad: Whether there are faults.
     """
     # the order of the draws is part of the result: another one would change all days
     random = Random(f"{seed}-{day}")
@@ -132,8 +132,9 @@ def _settings_of_day(random: Random, lab: LabSection, setup: Setup) -> tuple[lis
 
 
 def _blind(random: Random, period_s: float, first_rad: float) -> str:
-    """Draw a blind controller, of which each direction is held for about a second; the first one is
-    given.
+    """Generate a blind controller that holds each direction for about a second.
+
+    The first direction is given.
     """
     held = round(1 / period_s)
     drawn_rad = [first_rad, *(random.uniform(-math.pi, math.pi) for _ in range(BLIND_S - 1))]
@@ -142,11 +143,12 @@ def _blind(random: Random, period_s: float, first_rad: float) -> str:
 
 
 def _face_to_face(random: Random, setup: Setup, separation: float) -> tuple[Poses, float]:
-    """Return starts of which two are face to face, and the heading of the first of the two [rad]:
-    sent that direction, it drives ahead, and the other towards it until it has turned round.
+    """Return starts with two robots face to face, and the heading of the first of them [rad].
 
-    The first stands on its own start, and faces the middle of the arena. Where the other would
-    stand in an obstacle, a further pair is drawn; if none is left, all stand as in the spec.
+    If that direction is sent, the first robot drives ahead, and the other towards it until it has
+    turned around. The first is on its own start, and faces the middle of the arena. If the other
+    would be in an obstacle, another pair is tried. If none remains, all robots are where the spec
+    says.
     """
     starts = setup.starts.array()
     pairs = list(permutations(range(len(starts)), 2))
@@ -172,8 +174,17 @@ def faults_of_day(
     span_s: float = SPAN_S,
     scale: float = 1.0,
 ) -> list[dict[str, Any]]:
-    """Draw a day's faults as of a script; a third of the days have one, others two to six. Each
-    also says its `kind`, the name of the row, and which reasons are `right`.
+    """Generate a day's faults, in the form of a script.
+
+    A third of the days have one fault, the others two to six. Each fault also states its `kind`,
+    the name of the row, and which reasons are `right`.
+
+    Args:
+        random: The random generator.
+        names: The robots.
+        rows: The variants of faults.
+        span_s: Time in which faults begin [s].
+        scale: Factor for lengths.
     """
     count = 1 if random.random() < 1 / 3 else random.randint(2, 6)
     chosen = random.choices(rows, [row.weight for row in rows], k=count)

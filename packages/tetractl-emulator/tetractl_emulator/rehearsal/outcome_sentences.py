@@ -1,5 +1,6 @@
-"""The three sentences about what a trial leaves behind, of robots and of cells alike: its log, its
-exit code, and the reason of its abort.
+"""The three invariants about what a trial leaves behind: its log, exit code, and abort reason.
+
+They hold for robots and for cells.
 """
 
 import re
@@ -45,11 +46,11 @@ def log_is_readable(truth: Truth) -> Iterator[Violation]:
 
 
 def log_is_whole(truth: Truth) -> Iterator[Violation]:
-    """There is a log once a run has begun; it can be read, has a result and no damage, and does not
-    contradict itself, of which the first difference is found.
+    """Check that there is a complete log once a run has begun.
 
-    On a day with a full disk or a kill it may be damaged or lack its result, but has to be there
-    and to be readable. That of a day that hangs is not checked.
+    It must be readable, have a result and no damage, and not contradict itself; the first
+    contradiction is reported. On a day with a full disk or a kill, it may be damaged or lack its
+    result, but must exist and be readable. On a day that hangs, it is not checked.
     """
     if truth.day.exit_code == HUNG:
         return
@@ -72,12 +73,13 @@ def log_is_whole(truth: Truth) -> Iterator[Violation]:
 
 
 def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
-    """A run does not hang, prints no error of our program, leaves nothing behind, ends with the
-    code of `_expected_code`, and at the latest after `late_steps` that were late in a row; and a
-    trial that ends with 0 deserves it, as of `_counts`.
+    """Check that a run ends properly and with the right exit code.
 
-    A process that got a signal and never began a run, since it waited for robots, may also end with
-    130. If it hangs, its end is not checked further.
+    A run must not hang, print an error of our program, or leave anything behind. It must end with
+    the code of `_expected_code`, at the latest after `late_steps` late steps in a row. A trial that
+    ends with 0 must deserve it, according to `_counts`. A process that got a signal and never began
+    a run, because it waited for robots, may also end with 130. If it hangs, its end is not checked
+    further.
     """
     day = truth.day
     for text in (truth.reason, day.said):
@@ -104,11 +106,11 @@ def _wrong_end(finding: str, at_s: float = 0.0) -> Violation:
 
 
 def _expected_code(truth: Truth) -> int:
-    """Return the exit code that a day has to have: that of the result in the log or, without one,
-    -9 of a process that a kill has ended, and else 1.
+    """Return the exit code that a day must have.
 
-    No kill comes after the result: it acts in a tick of the emulation, and the log gets its result
-    once the emulation has made its last tick.
+    It follows from the result in the log. Without a result, it is -9 if the process was killed, and
+    otherwise 1. No kill comes after the result: a kill acts in a tick of the emulation, and the log
+    gets its result after the emulation's last tick.
     """
     if truth.trial is None or truth.trial.result is None:
         return KILLED if truth.killed and truth.day.exit_code < 0 else 1
@@ -119,12 +121,12 @@ def _expected_code(truth: Truth) -> int:
 
 
 def _counts(truth: Truth) -> Iterator[Violation]:
-    """A trial counts only if no emergency stop was pressed since its run began, but in the last
-    `TRANSIT_S`; no robot was unseen for `stream_lost` at its end, unless poses froze as those of
-    robots that stand; and no fault showed motion from the
-    end of driving to that of the process.
+    """Check that a trial counts only if nothing forbids it.
 
-    Other limits of the spec are not checked here.
+    No emergency stop may have been pressed since its run began, except in the last `TRANSIT_S`. No
+    robot may be unseen for `stream_lost` at its end, unless poses froze like those of robots that
+    stand still. No fault may show motion from the end of driving to the end of the process. Other
+    limits of the spec are not checked here.
     """
     end_s = truth.alive_s
     pressed_s = truth.pressed_s
@@ -170,13 +172,15 @@ def _late_in_a_row(truth: Truth) -> int:
 
 
 def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
-    """The reason of an abort or a refusal matches, in capitals or not, a pattern
+    """Check that the reason of an abort or a refusal names a fault of the day.
 
-    - that the table of faults has for a fault which became visible,
-    - `PLACE`, of robots near the rim, an obstacle or each other, or
-    - `MOTION`, on a day on which poses froze as those of robots that stand.
+    In capitals or not, it must match
 
-    On a day planned without a fault each reason is wrong: the lab is as the spec allows.
+    - a pattern that the table of faults has for a fault that became visible,
+    - `PLACE`, for robots near the rim, an obstacle or each other, or
+    - `MOTION`, on a day on which poses froze like those of stationary robots.
+
+    On a day planned without a fault, each reason is wrong: the lab is as the spec allows.
     """
     reason = truth.reason
     if not reason:

@@ -108,10 +108,11 @@ def violations(truth: Truth) -> list[Violation]:
 
 
 def driven_blind(truth: Truth) -> Iterator[Violation]:
-    """No robot is driven that the camera has not shown for long, none without a direction of the
-    controller, and none that is shown too seldom. Only the first finding is yielded.
+    """Check that no robot is driven blindly.
 
-    Not checked on a day on which poses froze as those of robots that stand.
+    A robot must not be driven if the camera has not shown it for long or shows it too seldom, or
+    without a direction from the controller. Only the first finding is reported. Days on which poses
+    froze like those of stationary robots are not checked.
     """
     if truth.froze_as_rest:
         return
@@ -123,11 +124,14 @@ def driven_blind(truth: Truth) -> Iterator[Violation]:
 
 
 def _first_blind_command(truth: Truth) -> Violation | None:
-    """Return the first command that drives a robot although
+    """Return the first command that drives a robot blindly.
 
-    - a robot that it drives has not been shown for `stale` + `reaction` when it ends to act, or
-    - any robot, also one that stands, has not been for `untracked_abort` + `reaction` then, or
-    - the controller has given no direction for `reaction` and the longer of `stream_lost` and
+    A command does so if
+
+    - a robot that it drives has not been shown for `stale` + `reaction` when it stops acting, or
+    - any robot, even a stationary one, has not been shown for `untracked_abort` + `reaction` then,
+      or
+    - the controller has given no direction for `reaction` plus the longer of `stream_lost` and
       `late_steps` + 1 periods when it is sent.
 
     Frames that are late without showing it add `late_s` to the first two. On a day on which nothing
@@ -160,8 +164,9 @@ def _first_blind_command(truth: Truth) -> Violation | None:
 def _unseen_s(
     truth: Truth, command: Event, acts_s: float, off_floor: Sequence[VisibleFault]
 ) -> Floats:
-    """Return for how long each robot has not been shown (N,) when a command has acted for `acts_s`;
-    a robot that is `off_floor` when it is sent, since it was taken off.
+    """Return how long each robot has not been shown when a command has acted for `acts_s`, (N,).
+
+    A robot that is `off_floor` when the command is sent was taken off.
     """
     unseen_s = np.array(command["unseen_ms"]) / 1000 + acts_s
     at_s = time_s(command)
@@ -207,11 +212,12 @@ def _may_be_driven(truth: Truth) -> Bools:
 
 
 def rests_after_a_stop(truth: Truth) -> Iterator[Violation]:
-    """After the end no wheel turns and no command drives, an emergency stop stays, robots that
-    stand are not driven again, and enough stops are sent, as long as a robot is not seen to rest;
-    and a run begins at rest.
+    """Check that robots stay stopped after a stop.
 
-    Stops are not counted on a day on which nothing could be sent, or our process was killed.
+    After the end, no wheel turns and no command drives, an emergency stop stays, stationary robots
+    are not driven again, and enough stops are sent as long as a robot is not seen standing still. A
+    run also begins at standstill. Stops are not counted on a day on which nothing could be sent, or
+    our process was killed.
     """
     yield from _wheels_stand(truth)
     yield from _none_is_left_driving(truth)
@@ -235,10 +241,10 @@ def _radio_late_s(truth: Truth) -> float:
 
 
 def _wheels_stand(truth: Truth) -> Iterator[Violation]:
-    """No wheel turns once a command has come, a watchdog has passed and wheels have rolled since
-    the end or a kill, whichever was first.
+    """Check that no wheel turns after the end or a kill, whichever was first.
 
-    Not checked on a day on which another program drove them, which may begin at any time.
+    A command may still arrive, a watchdog pass and wheels coast before. Days on which another
+    program drove the robots are not checked, because it may begin at any time.
     """
     if truth.met(*ELSEWHERE):
         return
@@ -251,16 +257,15 @@ def _wheels_stand(truth: Truth) -> Iterator[Violation]:
 
 
 def _none_is_left_driving(truth: Truth) -> Iterator[Violation]:
-    """No robot drives on after our process has ended, whatever drives it; and what was printed
-    names each that does.
+    """Check that no robot drives on after our process has ended, and that those that do are named.
 
-    A robot drives on if its wheels turn `AFTER_NS` later, when what was sent has come to its end,
-    and turned in the last `LEFT_SEEN_S` of our process, so that it could be seen. One that the
-    camera did not show then, that did not hear, or that was hurried by a signal, may be driven on,
-    but has to be named.
+    A robot drives on if its wheels turn `AFTER_NS` later, when everything that was sent has ended,
+    and turned in the last `LEFT_SEEN_S` of our process, so that it could be seen. A robot may be
+    left driving if the camera did not show it then, if it did not receive commands, or if a signal
+    hurried the end; but it must be named.
 
-    Not checked after a kill or if nothing could be sent; if poses were false or repeated, so that
-    robots seemed to stand; and of robots that no camera showed before a run began.
+    It is not checked after a kill, or if nothing could be sent; if poses were false or repeated, so
+    that robots seemed to stand still; and for robots that no camera showed before a run began.
     """
     hidden = truth.creeping or truth.met("repeat", "freeze", "swap", *MUTE)
     if truth.killed or hidden or not len(truth.times_s):
@@ -287,11 +292,12 @@ def _no_command_drives(truth: Truth) -> Iterator[Violation]:
 
 
 def _emergency_stop_is_sent(truth: Truth) -> Iterator[Violation]:
-    """If the day's first press is after the begin of a run, a command with the flag of an emergency
-    stop is sent within `TRANSIT_S`, before or after, and each command that is later by more than
-    that has the flag.
+    """Check that an emergency stop is sent soon after the operator presses it.
 
-    Not checked on a day on which nothing could be sent, or if our process ended within that time.
+    If the day's first press is after the beginning of a run, a command with the flag of an
+    emergency stop must be sent within `TRANSIT_S`, before or after. Each command that is later by
+    more than that must have the flag. Days on which nothing could be sent, or on which our process
+    ended within that time, are not checked.
     """
     pressed_s = truth.pressed_s
     is_in_run = truth.first_s("run") < pressed_s < truth.alive_s - TRANSIT_S
@@ -306,8 +312,9 @@ def _emergency_stop_is_sent(truth: Truth) -> Iterator[Violation]:
 
 
 def _latched_robots_stay(truth: Truth) -> Iterator[Violation]:
-    """A robot that has latched an emergency stop stays latched. Not checked on a day on which any
-    robot started again, at whatever time: it is free then.
+    """Check that a robot that has latched an emergency stop stays latched.
+
+    Days on which any robot restarted are not checked, because it is free then.
     """
     latched = truth.has_status(LATCHED)
     freed = (latched[:-1] & ~latched[1:]).any(axis=1)
@@ -317,16 +324,16 @@ def _latched_robots_stay(truth: Truth) -> Iterator[Violation]:
 
 
 def _none_runs_again(truth: Truth) -> Iterator[Violation]:
-    """A robot that stands since it has heard the end does not run again. Only a command that a
-    later one has overtaken could drive it; what does is not checked. Robots whose commands have no
-    number cannot know that one was overtaken: it may drive them as long as any is on its way.
+    """Check that a stationary robot that has received the end does not run again.
 
-    A robot that does not run counts as one that has heard the end, unless its watchdog stops it. A
-    radio that delays all alike delays the end, too.
+    Only a command that a later command has overtaken could drive it. What does drive it is not
+    checked. Robots with commands that have no number cannot know that a command was overtaken: it
+    may drive them as long as any is on its way. Robots with numbered commands forget a number after
+    `FORGET_S`: a later command may drive them.
 
-    Those that number them forget a number after `FORGET_S`: a command that is later may drive them.
-
-    Not checked on a day on which another program drove the robots.
+    A robot that does not run counts as having received the end, unless its watchdog stops it. A
+    radio that delays all commands equally also delays the end. Days on which another program drove
+    the robots are not checked.
     """
     heard_s = truth.ended_s + TRANSIT_S + truth.delay_s("late_radio", "reboots")
     overtaken_s = truth.delay_s("overtaken_packets")
@@ -343,10 +350,11 @@ def _none_runs_again(truth: Truth) -> Iterator[Violation]:
 
 
 def _stops_are_sent(truth: Truth) -> Iterator[Violation]:
-    """From `TRANSIT_S` before the end of each time of driving until a watchdog after it,
-    `STOPS_MIN` commands that drive no robot are sent; of the first time that lacks some only.
+    """Check that enough stops are sent after each time of driving.
 
-    Nothing is checked if our process ended within that time.
+    From `TRANSIT_S` before its end until a watchdog after it, at least `STOPS_MIN` commands that
+    drive no robot must be sent. Only the first time that lacks some is reported. Nothing is checked
+    if our process ended within that time.
     """
     for span in truth.driven_spans:
         until_s = span.ended_s + truth.watchdog_s
@@ -357,11 +365,12 @@ def _stops_are_sent(truth: Truth) -> Iterator[Violation]:
 
 
 def _stops_go_on(truth: Truth) -> Iterator[Violation]:
-    """In the first `WATCHED_S` after the end the last stop is never older than `MOTION_SEEN_S` and
-    `TRANSIT_S` once a robot was not seen to rest for `ROLL_S` and `MOTION_SEEN_S`.
+    """Check that stops continue after the end while a robot is not seen standing still.
 
-    It is not while it moves and is shown, while a fault shows motion, and while it was shown later
-    than another by more than a watchdog.
+    In the first `WATCHED_S` after the end, the last stop must never be older than `MOTION_SEEN_S`
+    plus `TRANSIT_S` once a robot was not seen standing still for `ROLL_S` plus `MOTION_SEEN_S`. A
+    robot is not seen standing still while it moves and is shown, while a fault shows motion, and
+    while it was shown later than another robot by more than a watchdog.
     """
     stops_s = np.array([-np.inf, *truth.halts_s])
     times_s = truth.times_s
@@ -383,8 +392,10 @@ def _stops_go_on(truth: Truth) -> Iterator[Violation]:
 
 
 def _run_begins_at_rest(truth: Truth) -> Iterator[Violation]:
-    """The first run does not begin while a fault shows motion, and has shown it for as long as it
-    takes to see."""
+    """Check that the first run does not begin while a fault shows motion.
+
+    The fault must have shown it for as long as it takes to be seen.
+    """
     begins_s = truth.first_s("run")
     shown_s = MOTION_SEEN_S + truth.limits.latency + TRANSIT_S
     for fault in truth.shown_moving:
@@ -396,12 +407,13 @@ def _run_begins_at_rest(truth: Truth) -> Iterator[Violation]:
 
 
 def stays_inside(truth: Truth) -> Iterator[Violation]:
-    """No robot is beyond the rim or in an obstacle, or nearer to another than `separation_mm`, by
-    more than is allowed: for each robot the greatest error of its pose so far, the way of its
-    fastest wheel so far in `_rolls_on_s`, and half the noise; and all pushes of the day.
+    """Check that no robot leaves the arena, enters an obstacle or comes too close to another.
 
-    Yields the worst place of one robot, and of one pair. Not checked if another program drove
-    them, or on a day on which false poses look like true ones.
+    Each robot may exceed the limits by the maximum error of its pose so far, the path of its
+    fastest wheel so far within `_rolls_on_s`, half the noise, and all pushes of the day. The
+    distance between robots is `separation_mm`. The worst place of one robot, and of one pair, is
+    reported. Days on which another program drove the robots, or on which false poses look like true
+    ones, are not checked.
     """
     if not len(truth.times_s) or truth.met(*ELSEWHERE) or truth.false_as_true:
         return
@@ -425,8 +437,9 @@ def stays_inside(truth: Truth) -> Iterator[Violation]:
 
 
 def _pushed_mm(truth: Truth) -> float:
-    """Return how far people pushed robots on the day, summed over all robots and times: no frame
-    shows a push at once.
+    """Return how far people pushed robots on the day, added over all robots and times.
+
+    No frame shows a push at once.
     """
     return sum(math.hypot(*fault.fields["by"]) for fault in truth.faults_of("pushed"))
 
@@ -458,10 +471,11 @@ def _worst_place(truth: Truth, beyond_mm: Floats, names: Sequence[str]) -> Itera
 
 
 def poses_are_true(truth: Truth) -> Iterator[Violation]:
-    """Poses accepted of robots that are driven are true, what was refused as false stays refused,
-    the log has no pose of a robot that is hidden, and the errors of a complete trial are true.
+    """Check that the log and the result have true poses.
 
-    The first and the last are not checked on a day on which false poses look like true ones.
+    Accepted poses of driven robots are true, refused false poses stay refused, the log has no pose
+    of a hidden robot, and the errors of a complete trial are true. The first and the last are not
+    checked on a day on which false poses look like true ones.
     """
     yield from _false_poses_stay_refused(truth)
     yield from _hidden_robots_have_no_pose(truth)
@@ -471,12 +485,12 @@ def poses_are_true(truth: Truth) -> Iterator[Violation]:
 
 
 def _accepted_poses_are_true(truth: Truth) -> Iterator[Violation]:
-    """No pose that the log has of a driven robot before the end is off by more than `POSE_MM` and
-    all pushes of the day, or `POSE_RAD` and all turns by people; yields the first, of a place if
-    there is one.
+    """Check that no logged pose of a driven robot before the end is wrong.
 
-    A pose is compared in the frame that has it, with where its robot was when it may have been
-    exposed: what a robot does until the next frame is its own motion.
+    A position may be off by `POSE_MM` plus all pushes of the day, a heading by `POSE_RAD` plus all
+    turns by people. The first wrong pose is reported, preferably one with a wrong position. A pose
+    is compared in its own frame with where its robot was when it may have been exposed: what a
+    robot does until the next frame is its own motion.
     """
     is_driven = truth.wheel_speed_mm_s > DRIVEN_MM_S
     is_before_end = (truth.times_s < truth.ended_s)[:, None]
@@ -497,13 +511,16 @@ def _accepted_poses_are_true(truth: Truth) -> Iterator[Violation]:
 
 
 def _least_pose_errors(truth: Truth) -> tuple[Floats, Floats]:
-    """Return how far each pose accepted is from the true ones of its robot in the time in which it
-    may have been exposed: from the nearest in place [mm] (T, N), and from the nearest in heading
-    [rad] (T, N), which may be of another exposure. Infinite where no pose was accepted.
+    """Return how far each accepted pose is from the true poses of its robot.
 
-    This time ends at the row's exposure and lasts for `late_s`. A pose that repeats the one before
-    to the last bit may be longer ago, since a frozen pose looks like that of a robot that stands:
-    by `stale`, `TRANSIT_S` and the watchdog, after which no command acts any more.
+    Only the time in which the pose may have been exposed counts. It ends at the row's exposure and
+    lasts for `late_s`. A pose that repeats the previous one to the last bit may be older, because a
+    frozen pose looks like that of a stationary robot: by `stale`, `TRANSIT_S` and the watchdog,
+    after which no command acts any more.
+
+    Returns:
+        The distance to the nearest position [mm] (T, N), and to the nearest heading [rad] (T, N),
+        which may be from another exposure. Infinite where no pose was accepted.
     """
     frozen_s = truth.limits.stale + TRANSIT_S + truth.watchdog_s
     may_be_old_s = truth.late_s + np.where(truth.repeated, frozen_s, 0.0)
@@ -524,12 +541,12 @@ def _least_pose_errors(truth: Truth) -> tuple[Floats, Floats]:
 
 
 def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:
-    """While a ghost or a frozen pose lasts, no pose of its robot is accepted any more once those of
-    `REFUSED_S` were refused, also after an abort; unless the guard was `ready` meanwhile. Yields
-    the first of one fault.
+    """Check that false and frozen poses stay refused.
 
-    Not checked while another fault acts, by which they may have been refused, nor of readings of a
-    mat, which repeat while a robot stands.
+    While they last, no pose of their robot may be accepted once those of `REFUSED_S` were refused,
+    even after an abort, unless the guard was `ready` in between. The first pose of one fault is
+    reported. This is not checked while another fault acts that may have been the cause, nor for
+    readings of a mat, which repeat while a robot stands still.
     """
     if truth.setup.sight.coarse or truth.trial is None:
         return
@@ -558,11 +575,11 @@ def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:
 
 
 def _hidden_robots_have_no_pose(truth: Truth) -> Iterator[Violation]:
-    """The log has no pose of a robot that is hidden, but for two frames at the begin and the end;
-    yields the first of one robot.
+    """Check that the log has no pose of a hidden robot.
 
-    Readings of a mat have the times of their arrival: until `READING_WAITS_S` after its begin, one
-    may be from before.
+    Two frames at the beginning and the end of the fault are exempt. The first pose of one robot is
+    reported. Readings of a mat have the times of their arrival: until `READING_WAITS_S` after the
+    beginning, one may be from before.
     """
     arrives_s = READING_WAITS_S if truth.setup.sight.coarse else 2 * FRAME_S
     for fault in hiding(truth):
@@ -589,9 +606,10 @@ def _result_is_true(truth: Truth) -> Iterator[Violation]:
 
 
 def _result_off_mm(truth: Truth, robot_errors: Sequence[float]) -> Floats:
-    """Return how far the error of each robot in a result is (N,) from the nearest true one of the
-    last `stale` before the last frame: a robot that is put elsewhere at the end is known by its
-    pose before.
+    """Return how far the error of each robot in a result is from the nearest true error (N,).
+
+    True errors of the last `stale` before the last frame count: a robot that is moved by hand at
+    the end is known by its earlier pose.
     """
     final_s = truth.times_s[truth.final_exposure]
     is_recent = (truth.times_s > final_s - truth.limits.stale) & (truth.times_s <= final_s)
@@ -604,9 +622,10 @@ def _result_off_mm(truth: Truth, robot_errors: Sequence[float]) -> Floats:
 
 
 def hiding(truth: Truth) -> Iterator[VisibleFault]:
-    """Yield the faults by which a robot is not tracked, or is lifted or tipped by more than the
-    spec allows and a camera's noise; nothing if robots were swapped on the day: each is then shown
-    as another.
+    """Yield the faults that hide a robot.
+
+    It is not tracked, or lifted or tipped by more than the spec and a camera's noise allow. Nothing
+    is yielded if robots were swapped on the day, because each is then shown as another.
     """
     if truth.met("swap"):
         return
@@ -622,8 +641,10 @@ def hiding(truth: Truth) -> Iterator[VisibleFault]:
 
 
 def _highest_mm(truth: Truth, fault: VisibleFault) -> float:
-    """Return how high a body may be seen: in a run that a fault finds driving, LIFTED_MM above its
-    place on a robot."""
+    """Return how high a body may be seen [mm].
+
+    In a run in which a fault finds the robot driving, it is LIFTED_MM above its place on the robot.
+    """
     limit_mm = truth.limits.height_mm[1]
     if fault.span.began_s <= truth.first_s("run"):
         return limit_mm

@@ -16,8 +16,13 @@ FIELDS = frozenset({"day", "digest", "seconds", "ended", "reason", "met", "viola
 
 
 def row_of(day: int, truth: Truth, violations: Sequence[Violation], observed_s: float) -> DayRow:
-    """Return what is kept of a day: what was met, how it ended, and the broken invariants; and the
-    processor time, of which the observer took a part [s].
+    """Return what is kept of a day.
+
+    Args:
+        day: Number of the day.
+        truth: What truly happened.
+        violations: The broken invariants.
+        observed_s: Processor time that the observer used [s].
     """
     result = truth.trial.result if truth.trial is not None else None
     ended = "killed" if truth.day.exit_code < 0 else "refused"
@@ -44,8 +49,9 @@ def _noticed_s(truth: Truth, began_s: float) -> float | None:
 
 
 def table(rows: Sequence[DayRow]) -> str:
-    """Return on how many days each fault was met, on how many alone, and after what times the guard
-    noticed these, as a table in Markdown.
+    """Return a Markdown table of the faults and how quickly the guard noticed them.
+
+    It shows on how many days each fault occurred, and on how many of these alone.
     """
     days = Counter(name for row in rows for name, _ in row["met"])
     alone = [row["met"][0] for row in rows if len(row["met"]) == 1]

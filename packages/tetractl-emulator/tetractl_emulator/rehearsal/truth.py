@@ -64,15 +64,19 @@ MOVES_MM_S = 10.0
 MOVES_RAD_S = 0.1
 """Least rate of turning that pictures of a second show plainly [rad/s]."""
 TRANSIT_S = 0.05
-"""Longest time from an event to its command at the robots [s]: a tick of our side of 10 ms, a frame
-of the camera, the UART and the air."""
+"""Maximum time from an event to its command at the robots [s].
+
+It includes a tick of our side of 10 ms, a frame of the camera, the UART and the radio.
+"""
 FROM_ORIGIN_MM = 1000.0
 """Distance from the origin at which the speed of a growing picture counts [mm]; a choice."""
 NOISE_MM_S = 5.0
 """Speed that poses seem to have by their noise; a choice."""
 WHEEL_RADIUS = 0.04
-"""Distance from a wheel to the centre of robots whose spec has no wheels [length unit], in metres
-that of an m3pi."""
+"""Distance from a wheel to the centre for robots whose spec has no wheels [length unit].
+
+It is that of an m3pi, in metres.
+"""
 UNKNOWN = -1
 """Stands for the exposure of a frame that has none."""
 NEAR_S = 0.02
@@ -138,10 +142,18 @@ def time_s(event: Event) -> float:
 def nearest_exposures(
     stamps_s: Floats, exposures_s: Floats, suspended: Sequence[TimeSpan]
 ) -> Integers:
-    """Return the exposure next to the time of each picture (F,) [s]; UNKNOWN if none is near.
+    """Find the exposure nearest to the time of each image, (F,).
 
-    A picture that comes while our program is suspended waits, and gets its time from when it was
-    taken at last: which exposure it shows is not known.
+    An image that arrives while our program is suspended waits, and gets its time when it is finally
+    read: it is not known which exposure it shows.
+
+    Args:
+        stamps_s: Times of the images [s], shape (F,).
+        exposures_s: Times of the exposures [s].
+        suspended: When our program was suspended.
+
+    Returns:
+        The index of the exposure. UNKNOWN if none is near.
     """
     apart_s = np.abs(exposures_s[:, None] - stamps_s)
     is_certain = apart_s.min(axis=0) < NEAR_S
@@ -215,8 +227,10 @@ class Truth:
 
     @cached_property
     def unseen_s(self) -> Floats:
-        """Time since each robot was last shown (T, N); 0 if it is not known, as in a dish that has
-        other cells than those that are steered.
+        """Time since each robot was last shown (T, N).
+
+        It is 0 if it is unknown, for example in a dish with other cells than those that are
+        steered.
         """
         count = len(self.setup.names)
         unknown = [0.0] * count
@@ -225,8 +239,9 @@ class Truth:
         return np.array(rows_of_robots).reshape(-1, count) / 1000
 
     def has_status(self, bit: int) -> Bools:
-        """Return whether the firmware of robots has a status at the exposures (T, N): `RUNNING`,
-        `LATCHED` or `SILENT`; False if it is not known.
+        """Return whether the firmware of robots has a status at the exposures (T, N).
+
+        The status is `RUNNING`, `LATCHED` or `SILENT`. The result is False if it is unknown.
         """
         count = len(self.setup.names)
         unknown = [0] * count
@@ -266,17 +281,19 @@ class Truth:
 
     @cached_property
     def acting_s(self) -> Floats:
-        """How long each command acts (C,): until the next, or until a watchdog stops robots that
-        hear none.
+        """How long each command acts (C,).
+
+        It acts until the next command, or until a watchdog stops robots that receive none.
         """
         next_s = np.append(self.commanded_s[1:], self.alive_s)
         return np.clip(next_s - self.commanded_s, 0.0, self.watchdog_s)
 
     @cached_property
     def undirected_s(self) -> Floats:
-        """How long before each command (C,) the log has the controller's last direction or, if
-        robots were to turn on the spot, the end of their turn; 0 before the first, without a log,
-        and after the last in a log that was broken off.
+        """How long before each command (C,) the controller last gave a direction, by the log.
+
+        If robots were to turn on the spot, the end of their turn counts. It is 0 before the first
+        direction, without a log, and after the last in an incomplete log.
         """
         if self.trial is None or not self.trial.steps:
             return np.zeros(len(self.commanded_s))
@@ -321,8 +338,9 @@ class Truth:
 
     @cached_property
     def ended_s(self) -> float:
-        """Time from which our side drives no more: the abort, or when the guard left its run for
-        good.
+        """Time from which our side no longer drives.
+
+        It is the abort, or when the guard finally left its run.
         """
         left_run_s = np.inf
         is_driving = False
@@ -396,9 +414,10 @@ class Truth:
 
     @cached_property
     def false_as_true(self) -> bool:
-        """Whether false poses look like true ones on this day, so that no camera can tell: they
-        move no faster than wheels within `wheel_error` could move robots, or crept before the run,
-        all poses of which are measured in the picture that had.
+        """Whether false poses look like true ones on this day, so that no camera can tell.
+
+        They move no faster than wheels within `wheel_error` could move robots, or they crept before
+        the run, and all poses are measured in the image that did.
         """
         setup = self.setup
         off_mm_s = self.limits.wheel_error * float(setup.speed.max()) * self.unit_mm
@@ -412,8 +431,9 @@ class Truth:
 
     @cached_property
     def froze_as_rest(self) -> bool:
-        """Whether a camera that measures on a grid repeated poses or frames on this day, which look
-        like those of robots that stand.
+        """Whether a camera that measures on a grid repeated poses or frames on this day.
+
+        These look like those of stationary robots.
         """
         return self.setup.sight.coarse and self.met("repeat", "freeze")
 
@@ -429,8 +449,9 @@ class Truth:
 
     @cached_property
     def late_s(self) -> float:
-        """By how much frames without a time of their own, which count as new, were older than they
-        seemed.
+        """How much older frames without their own time were than they seemed.
+
+        Such frames count as new.
         """
         return 0.0 if self.dated else self.longest_delay_s
 
@@ -486,8 +507,9 @@ class Truth:
 
     @cached_property
     def exposure_of_frame(self) -> Integers:
-        """The exposure of each frame in the log (F,): by its number or, as pictures have none, by
-        its time on the host's clock; UNKNOWN if there is no such exposure.
+        """The exposure of each frame in the log (F,). UNKNOWN if there is none.
+
+        It is found by its number or, because images have none, by its time on the host's clock.
         """
         assert self.trial is not None, "a log was read"
         if self.numbered:
@@ -521,15 +543,17 @@ class Truth:
 
     @property
     def final_exposure(self) -> int:
-        """The exposure of the last frame in the log, after which people may move robots; without
-        one, the last of all.
+        """The exposure of the last frame in the log, after which people may move robots.
+
+        Without such a frame, it is the last exposure of all.
         """
         return int(self.logged_exposures[-1]) if len(self.logged_exposures) else -1
 
     @cached_property
     def accepted(self) -> Floats:
-        """Poses that our side accepted (T, N, 3) [mm, rad], each held until the next; NaN where
-        there is none, and after the end of a log that was broken off.
+        """Poses that our side accepted (T, N, 3) [mm, rad], each held until the next.
+
+        NaN where there is none, and after the end of an incomplete log.
         """
         poses = np.full((len(self.times_s), len(self.setup.names), 3), np.nan)
         if self.trial is None or not len(self.trial.frames):
@@ -587,12 +611,17 @@ class Truth:
 
 
 def distances_to_shape(shape: Shape, x: Floats, y: Floats) -> Floats:
-    """Return the distance of points (...) to a shape, negative inside.
+    """Compute the distance of points (...) to a shape, negative inside.
 
-    A shape is the polygon of its corners (K,), grown by its radius; a circle has one corner. The
+    A shape is the polygon of its corners (K,), grown by its radius. A circle has one corner. The
     plane is complex: a point is nearest to an edge from a to b at a + s (b - a), with s = Re((p -
-    a) / (b - a)) clipped to [0, 1], and inside if the angles under which it sees the edges sum up
+    a) / (b - a)) clipped to [0, 1]. It is inside if the angles under which it sees the edges add up
     to a full turn.
+
+    Args:
+        shape: The shape.
+        x: x of the points.
+        y: y of the points.
     """
     points = x + 1j * y
     corners = shape.corners[:, 0] + 1j * shape.corners[:, 1]

@@ -110,13 +110,16 @@ class OwnLines(PortedSide):
 
     @abstractmethod
     def read(self, message: bytes, row: int) -> Counts:
-        """Return the wheel speeds left, right [unit_mm mm/s] that a message asks of the robot in a
-        row of the setup; any of UNREADABLE, such as ValueError, if it cannot be read."""
+        """Return the wheel speeds left and right that a message requests of a robot [unit_mm mm/s].
+
+        It may raise any of UNREADABLE, such as ValueError, if the message cannot be read. `row` is
+        the robot's index.
+        """
 
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults
     ) -> EmulatedRobot:
-        """Return the robot in a row of the setup, with a program that reads messages."""
+        """Create a robot with a program that reads messages; see `PortedSide.make_robot`."""
 
         def program(index: int) -> OwnProgram:
             return OwnProgram(lambda message: self.read(message, index), self._watchdog_s)

@@ -17,8 +17,10 @@ DELAY_NS = 2 * MILLISECOND  # guess: from the end of a line at the radio to the 
 
 
 class LineRadio(RobotRadio):
-    """Passes lines on `port` to `robots`, and their replies back; `indices` are the numbers of all
-    robots of the setup."""
+    """Passes lines on `port` to `robots`, and their replies back.
+
+    `indices` are the numbers of all robots of the setup.
+    """
 
     end = b"\n"  # of a line
 

@@ -43,6 +43,6 @@ class EmulatedTwist(PortedSide):
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults
     ) -> EmulatedRobot:
-        """Return the robot in a row of the setup, with the firmware's core."""
+        """Create a robot with the firmware's core; see `PortedSide.make_robot`."""
         core = partial(TwistCore, radius_mm=round(float(self.radii[row])))
         return EmulatedRobot(name, self._section.index(name), battery_mv, core, acting)

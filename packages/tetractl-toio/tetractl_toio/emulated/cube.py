@@ -106,8 +106,10 @@ def _turning(speed: int) -> int:
 
 
 class Connection(RobotRadio):
-    """The connection to one cube, with events every `interval_ns` from `phase_ns` on. `robots` are
-    all cubes of the setup, of which it reaches `robot`."""
+    """The connection to one cube, with events every `interval_ns`, beginning at `phase_ns`.
+
+    `robots` are all cubes of the setup. The connection reaches only `robot`.
+    """
 
     def __init__(
         self,
@@ -135,8 +137,10 @@ class Connection(RobotRadio):
         self._written += [data] * self.times
 
     def notify(self, message: bytes, passed: Any) -> None:
-        """Pass on a reading of the cube at the next event; `passed` is called then, if it is the
-        newest that is not lost."""
+        """Pass on a reading of the cube at the next event.
+
+        `passed` is called then, if the reading is the newest that is not lost.
+        """
         self._noted.append((message, passed))
 
     def poll_answers(self) -> None:

@@ -60,8 +60,11 @@ FAULTS = (
 
 
 class EmulatedMat:
-    """The mat below emulated cubes. An event of a connection that passes readings on is an exposure
-    and a frame: whenever a program reads them, it counts them."""
+    """The mat below emulated cubes.
+
+    Each event of a connection that passes readings on counts as an exposure and a frame, whenever a
+    program reads them.
+    """
 
     Settings: ClassVar[type[Model]] = MatSettings
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS

@@ -28,18 +28,25 @@ NONE = (
     *("baud", "bad_bytes", "overtaken_packets", "stopped_elsewhere"),  # Bluetooth has one sender
     *("unplug", "stuck_port"),
 )
-"""Faults that Bluetooth cannot have, as it checks packets and keeps their order; and those of
-ports, whose reasons are others."""
+"""Faults that Bluetooth cannot have, because it checks packets and keeps their order.
+
+The faults of ports are also excluded, because they have other reasons.
+"""
 
 
 class CubesSettings(WheelsSettings):
-    """Properties of the connections and the cubes that differ from the spec; a battery is full at
-    5100 mV, empty at 4400."""
+    """Properties of the connections and the cubes that differ from the spec.
+
+    A battery is full at 5100 mV, and empty at 4400 mV.
+    """
 
     loss: Share = 0.02
-    """Share of the messages, either way, that are lost."""
+    """Fraction of the messages that are lost, in both directions."""
     interval: Annotated[float, Field(ge=0.008, le=0.5)] = 0.03
-    """Time between two events of a connection [s]; those of different cubes are spread over it."""
+    """Time between two events of a connection [s].
+
+    The events of different cubes are spread over it.
+    """
 
 
 class ConnectedCube(EmulatedRobot):
@@ -69,7 +76,7 @@ class EmulatedCubes(PortedSide):
 
     @classmethod
     def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
-        """Draw connections and cubes of a rehearsed day."""
+        """Sample connections and cubes of a randomised test run; see `tetractl_emulator.sides`."""
         drawn = super().world_of_day(random, lab, setup)
         return drawn | {"interval": round(random.uniform(0.01, 0.03), 3)}
 

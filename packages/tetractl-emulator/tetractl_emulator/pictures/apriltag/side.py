@@ -59,10 +59,14 @@ class Optics:
     def facing(
         cls, floor: Sequence[FloorTag], metres: float, width: int, height: int, tilt: float = 0.35
     ) -> Self:
-        """Return the camera nearest to the floor that sees all floor tags with some margin.
+        """Return the camera nearest to the floor that sees all floor tags with a margin.
 
-        `metres` is the spec's length unit [m], `width` and `height` are those of a picture [px],
-        and `tilt` is the angle between the optical axis and the vertical [rad].
+        Args:
+            floor: The floor tags.
+            metres: The spec's length unit [m].
+            width: Width of an image [px].
+            height: Height of an image [px].
+            tilt: Angle between the optical axis and the vertical [rad].
         """
         centres = np.array([tag.at for tag in floor]) * metres
         # from the centre of the largest card to its corner, rounded up [m]
@@ -102,8 +106,9 @@ class Optics:
 
     @property
     def axes(self) -> Floats:
-        """The directions right, down and forward of the camera in the arena's axes, one per row
-        (3, 3): a rotation matrix.
+        """The directions right, down and forward of the camera in the arena's axes.
+
+        They are the rows of a rotation matrix (3, 3).
         """
         forward = np.subtract(self.target, self.position)
         forward /= np.linalg.norm(forward)
@@ -130,9 +135,10 @@ Shades = NDArray[np.float32]
 
 
 class Renderer:
-    """Draws the robots' tags and the floor tags as seen through the optics; the same seed gives the
-    same pictures. `metres` is the spec's length unit [m]. Tags whose numbers are in `hidden` are
-    not drawn; the tags in `strays` are also drawn on the floor.
+    """Draws the robots' tags and the floor tags as the optics see them.
+
+    The same seed gives the same images. `metres` is the spec's length unit [m]. Tags with numbers
+    in `hidden` are not drawn. The tags in `strays` are also drawn on the floor.
     """
 
     def __init__(
@@ -174,9 +180,14 @@ class Renderer:
         return self._finished(canvas)
 
     def card(self, robot: RobotTag, poses: Poses, i: int) -> Floats:
-        """Return the pixels (4, 2), before distortion, of the corners of robot i's card.
+        """Return the pixels of the corners of a robot's card before distortion, shape (4, 2).
 
         The card is the tag with its white margin. Corners run clockwise from the top left corner.
+
+        Args:
+            robot: The tag of the robot.
+            poses: The poses of all robots.
+            i: Index of the robot.
         """
         heading = poses.heading[i] - robot.heading_offset
         return self._card((poses.x[i], poses.y[i]), robot.height_mm, heading, robot.size_mm)
@@ -263,8 +274,9 @@ class Renderer:
 
     @cached_property
     def _bent(self) -> tuple[Shades, Shades]:
-        """For each pixel of the distorted picture, the column and the row of the same point in the
-        undistorted picture: two arrays (height, width).
+        """Where each pixel of the distorted image is in the undistorted image.
+
+        The result is the columns and the rows, two arrays (height, width).
         """
         optics = self.optics
         rows, columns = np.indices((optics.height, optics.width), dtype=np.float32)

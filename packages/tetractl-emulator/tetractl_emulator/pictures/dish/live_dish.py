@@ -17,8 +17,10 @@ DROP = 0.25  # largest distance of a drop's cells from the dish's middle, in wid
 
 
 class CoilField:
-    """The field of coils, which are those of a section but for faults. At the strength
-    `reference_mt` [mT], the cells' turning rates are their a of equation (3) of the paper.
+    """The field of coils, which are those of a section unless faults change them.
+
+    At the strength `reference_mt` [mT], the cells' turning rates are their a of equation (3) of the
+    paper.
     """
 
     def __init__(self, section: CoilsSection, reference_mt: float, acting: ActingFaults) -> None:
@@ -49,12 +51,12 @@ class CoilField:
 
 
 class Dish:
-    """Cells between the coils of a `driver`: a `CurrentDriver`, or what has its `currents` and
-    `running`, and can `advance`.
+    """Cells between the coils of a driver.
 
+    `driver` is a `CurrentDriver`, or an object with its `currents`, `running` and `advance`.
     `walls` [um] are the edges along which cells slide, None for a dish without edges. If `held`, a
     placed cell stays at its place until the driver makes a field, as if a helper held it with a
-    pipette, so that a trial begins with the cells on their starts.
+    pipette. A trial then begins with the cells on their starts.
     """
 
     def __init__(
@@ -78,8 +80,9 @@ class Dish:
         self.drop()
 
     def drop(self) -> None:
-        """Scatter the cells around the middle of the dish, like a fresh drop from a pipette; do
-        nothing in a dish without edges.
+        """Scatter the cells around the middle of the dish, like a fresh drop from a pipette.
+
+        In a dish without edges, nothing happens.
         """
         walls = self._walls
         if walls is None:
@@ -103,9 +106,7 @@ class Dish:
         return self.field.field_mt(self.driver.currents)
 
     def advance(self, until_ns: int) -> None:
-        """Advance driver and cells in whole steps, as long as a step does not go beyond
-        `until_ns`.
-        """
+        """Advance driver and cells in whole steps that do not go beyond `until_ns`."""
         while self._now_ns + MILLISECOND <= until_ns:
             self._now_ns += MILLISECOND
             self.driver.advance(self._now_ns)
@@ -121,10 +122,10 @@ class Dish:
 
 
 class CellBody:
-    """The true state of one cell of a dish: x, y [mm], and heading, the direction of its helix's
-    axis [rad].
+    """The true state of one cell of a dish: x, y [mm], and heading [rad].
 
-    A cell never stands still; it counts as standing while the driver makes no field.
+    The heading is the direction of its helix's axis. A cell never stands still. It counts as
+    standing still while the driver makes no field.
     """
 
     def __init__(self, name: str, dish: Dish, row: int) -> None:
@@ -153,7 +154,13 @@ class CellBody:
         return not self.dish.steered
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the cell at a pose [mm, rad], where it stays if the dish's cells are `held`."""
+        """Put the cell at a pose, where it stays if the dish's cells are `held`.
+
+        Args:
+            x: x [mm].
+            y: y [mm].
+            heading: Heading [rad].
+        """
         cells = self.dish.cells
         row = self.row
         cells.x[row] = x * UM_MM
@@ -163,8 +170,14 @@ class CellBody:
 
 
 def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
-    """Return one cell per robot of a setup, with the robot's turning rate and speed, and with the
-    random walk `walk` of the heading [rad/sqrt(s)]; other properties are drawn at random.
+    """Generate one cell for each robot of a setup, with the robot's turning rate and speed.
+
+    Other properties are random.
+
+    Args:
+        setup: The constants of the experiment.
+        walk: Random walk of the headings [rad/sqrt(s)].
+        seed: Seed of the other properties.
     """
     cells = Swimmers.drawn(np.random.default_rng(seed), len(setup.names))
     cells.a = setup.a.copy()
@@ -175,8 +188,13 @@ def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
 
 
 def culture(count: int, strangers: int, walk: float, seed: int) -> tuple[Swimmers, Sequence[str]]:
-    """Return random cells and their names: first `count` cells with a magnet, then `strangers`
-    cells without. `walk` is the random walk of their headings [rad/sqrt(s)].
+    """Generate random cells and their names.
+
+    Args:
+        count: Number of cells with a magnet, which come first.
+        strangers: Number of cells without a magnet.
+        walk: Random walk of their headings [rad/sqrt(s)].
+        seed: Seed of the cells.
     """
     cells = Swimmers.drawn(np.random.default_rng(seed), count + strangers, strangers)
     cells.walk[:] = walk

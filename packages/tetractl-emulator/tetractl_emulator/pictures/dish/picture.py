@@ -28,11 +28,17 @@ SPREAD = 0.1  # um of blur per um of defocus: a numerical aperture of about 0.1
 
 @dataclass(frozen=True, slots=True)
 class RenderedSpeck:
-    """Debris or a bubble: an ellipse at x, y [um], `size_um` wide and `stretch` times as long, with
-    its long axis at the angle `turn` [rad].
+    """Debris or a bubble: an ellipse in the image.
 
-    `shade` is its contrast as a multiple of a cell's contrast, `drift` its velocity [um/s]; `rim`
-    is whether it has a bright rim.
+    Attributes:
+        x: x of its centre [um].
+        y: y of its centre [um].
+        size_um: Its width [um].
+        stretch: Its length, as a multiple of its width.
+        turn: Angle of its long axis [rad].
+        shade: Its contrast, as a multiple of a cell's contrast.
+        drift: Its velocity [um/s].
+        rim: Whether it has a bright rim.
     """
 
     x: float
@@ -75,7 +81,13 @@ class PictureLook:
 
     @classmethod
     def drawn(cls, random: np.random.Generator, side_px: int, um_px: float | None = None) -> Self:
-        """Return a random look, in the ranges of docs/cells-explained.md of tetractl-microscope."""
+        """Generate a random look, in the ranges of docs/cells-explained.md of tetractl-microscope.
+
+        Args:
+            random: The random generator.
+            side_px: Side of the image [px].
+            um_px: Scale [um/px]. None for a random scale.
+        """
         scale = float(random.uniform(2.0, 5.0)) if um_px is None else um_px
         bright = bool(random.random() < 0.5)
         span = side_px * scale
@@ -135,10 +147,13 @@ class DishPainter:
     def picture(
         self, cells: Swimmers, moments: Sequence[Bodies], is_shown: Bools, seconds: float
     ) -> Grey:
-        """Return a grey picture (height, width) of N `cells`, taken at a time [s].
+        """Draw a grey image of N cells, shape (height, width).
 
-        `moments` are the bodies of the cells at times spread evenly over the exposure; `shown`
-        (N,) is True for the cells to be drawn.
+        Args:
+            cells: The cells.
+            moments: Bodies of the cells at times that are spread evenly over the exposure.
+            is_shown: Whether each cell is drawn, shape (N,).
+            seconds: Time of the image [s].
         """
         look = self.look
         ink = self._specks_at_rest().copy()
@@ -195,8 +210,11 @@ class DishPainter:
     def _patch(
         self, x: float, y: float, reach_px: float
     ) -> tuple[tuple[slice, slice], Floats, Floats] | None:
-        """Return the slices of a picture up to `reach_px` around a position [um], and x and y
-        (upwards) of their pixels relative to the position [px]; None outside the picture.
+        """Return the part of an image around a position [um], up to `reach_px`.
+
+        Returns:
+            The slices, and x and y (upwards) of their pixels relative to the position [px]. None
+            outside the image.
         """
         column, row = self._pixels(x, y)
         left = max(0, int(column - reach_px))

@@ -145,7 +145,7 @@ class EmulatedMicroscope(StreamedCamera):
 
     @classmethod
     def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
-        """Draw the pictures of a rehearsed day."""
+        """Sample the images of a randomised test run; see `tetractl_emulator.sides`."""
         noise = round(random.uniform(2, 6), 2)
         contrast = round(random.uniform(40, 80), 1)
         return {"noise": noise, "contrast": contrast, "specks": random.randint(0, 20)}

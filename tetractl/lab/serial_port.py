@@ -28,6 +28,14 @@ UNREADABLE = (
 SWITCH_OFF = "switch the robots off by hand if they move"
 
 
+def is_network(name: str) -> bool:
+    """Return whether a port's name is an address, such as udp://HOST:PORT.
+
+    Over a network, each message comes whole or not at all, and nobody sees a device go away.
+    """
+    return "://" in name
+
+
 class PortHeldError(AbortError):
     """Another process has locked the file `port`.
 

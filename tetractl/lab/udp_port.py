@@ -86,6 +86,37 @@ def _open_lock(path: Path) -> int:
     return file
 
 
+def hold(name: str) -> int:
+    """Lock a name by which a program reaches devices, so that no other program does.
+
+    Args:
+        name: An address, such as udp://HOST:PORT.
+
+    Returns:
+        The descriptor of the locked file; closing it ends the lock.
+
+    Raises:
+        PortHeldError: If another program has locked the name.
+        AbortError: If the file cannot be locked.
+    """
+    lock = lock_file(name)
+    file = -1
+    try:
+        file = _open_lock(lock)
+        take_lock(file)
+    except OSError as error:
+        if file >= 0:
+            os.close(file)
+        if isinstance(error, BlockingIOError):
+            raise PortHeldError(str(lock), name) from None
+        why = "is a link" if error.errno == errno.ELOOP else error.strerror
+        raise AbortError(
+            f"{lock}, the lock of {name}: {why}",
+            f"remove it if it is there, and let this user write to {LOCKS}",
+        ) from None
+    return file
+
+
 class UdpPort(SerialPort):
     """The devices at `udp://host:port`; see SerialPort. Its `baud` has no meaning here.
 
@@ -122,7 +153,7 @@ class UdpPort(SerialPort):
         if address is None:
             raise AbortError(f"{self._name}: must be {SCHEME}HOST:PORT, or {SCHEME}:PORT to listen")
         if alone:
-            self._hold(self._name)
+            self._locked.append(hold(self._name))
         try:
             self._to = socket.getaddrinfo(*address, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
         except OSError as error:
@@ -131,28 +162,8 @@ class UdpPort(SerialPort):
         host, port = self._to
         resolved_name = f"{SCHEME}{host}:{port}"
         if alone and resolved_name != self._name:
-            self._hold(resolved_name)
+            self._locked.append(hold(resolved_name))
         self._listen(0)
-
-    def _hold(self, name: str) -> None:
-        """Lock a name of the devices.
-
-        Raises:
-            PortHeldError: If another program has locked it.
-        """
-        lock = lock_file(name)
-        try:
-            file = _open_lock(lock)
-            self._locked.append(file)
-            take_lock(file)
-        except BlockingIOError:
-            raise PortHeldError(str(lock), self._name) from None
-        except OSError as error:
-            why = "is a link" if error.errno == errno.ELOOP else error.strerror
-            raise AbortError(
-                f"{lock}, the lock of {self._name}: {why}",
-                f"remove it if it is there, and let this user write to {LOCKS}",
-            ) from None
 
     def _listen(self, port: int) -> None:
         """Read from a port of this computer; 0 means any port.

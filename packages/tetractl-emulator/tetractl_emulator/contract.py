@@ -10,7 +10,7 @@ from tetractl_testing import MovedRobots, SeenRobots, check_actuator, check_came
 
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
-from tetractl.lab.udp_port import SCHEME
+from tetractl.lab.serial_port import is_network
 from tetractl.spec.lab_section import LabSection
 from tetractl_emulator.m3pi.wheeled_side import PortedSide
 from tetractl_emulator.pose_stream import PoseStream
@@ -45,7 +45,7 @@ def check_lab(lab: LabSection, setup: Setup) -> None:
     stage_mm = setup.metres * 1000
     ports = emulation.wires.ports
     unplug = None  # a robot that is gone from a network is not noticed
-    if not all(radio.port.name.startswith(SCHEME) for radio in actuator.radios):
+    if not all(is_network(radio.port.name) for radio in actuator.radios):
         unplug = partial(actuator.plugged, False)
     try:
         check_camera(lab.camera, setup, SeenRobots(clock, poses, hide, ports))

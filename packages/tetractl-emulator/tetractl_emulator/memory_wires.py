@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from tetractl.core.errors import AbortError
-from tetractl.lab.serial_port import PortHeldError, SerialPort, missing_port
-from tetractl.lab.udp_port import SCHEME
+from tetractl.lab.serial_port import PortHeldError, SerialPort, is_network, missing_port
 from tetractl_emulator.port import PseudoPort
 
 FIRST_FREE = 40_000
@@ -103,7 +102,7 @@ class MemorySocket:
 
 
 class MemoryPort(PseudoPort):
-    """A device's end of a serial port, or of a UDP address `udp://HOST:PORT`, in memory.
+    """A device's end of a serial port, or of an address such as udp://HOST:PORT, in memory.
 
     It is plugged in while `fd` is not negative, connected while our end `ours` is open, and may be
     `stalled`: then it takes no bytes.
@@ -112,7 +111,7 @@ class MemoryPort(PseudoPort):
     def __init__(self, network: MemoryNetwork, link: Path | str) -> None:
         super().__init__(link)
         self._network = network
-        self._is_udp = self.name.startswith(SCHEME)
+        self._is_network = is_network(self.name)
         self._taken = deque[bytes]()  # what our end has written, a datagram or a write each
         self.ours: MemorySerial | None = None
         self.stalled = False
@@ -140,7 +139,7 @@ class MemoryPort(PseudoPort):
 
         It is 0 if our end is closed, and None for a network.
         """
-        if self._is_udp:
+        if self._is_network:
             return None
         return self.ours.bits_a_second if self.ours else 0
 
@@ -152,7 +151,7 @@ class MemoryPort(PseudoPort):
         """Return the bytes that our end has written, of a network the next datagram."""
         if not self._taken:
             return b""
-        if self._is_udp:
+        if self._is_network:
             return self._taken.popleft()
         data = b"".join(self._taken)
         self._taken.clear()

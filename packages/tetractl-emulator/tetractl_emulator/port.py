@@ -21,7 +21,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError, WireError
 from tetractl.lab.actuators.xbee.hardware import BAUDS
 from tetractl.lab.cobs import Splitter
-from tetractl.lab.udp_port import SCHEME
+from tetractl.lab.serial_port import is_network
 from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.loop import Loop, Timeline
 
@@ -130,7 +130,7 @@ class SerialDevice(ABC):
     def _passed(self, data: bytes) -> bytes:
         """Return bytes as they are passed on: a network drops a datagram that was changed."""
         passed = self.line.disturbed(data)
-        is_dropped = passed != data and self.port.name.startswith(SCHEME)
+        is_dropped = passed != data and is_network(self.port.name)
         return b"" if is_dropped else passed
 
     @property

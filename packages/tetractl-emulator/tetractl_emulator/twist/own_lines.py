@@ -7,14 +7,13 @@ port without its end.
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 from tetractl.core.errors import WireError
 from tetractl.lab.actuators.own_robots import ROBOT_BAUD
 from tetractl.lab.actuators.own_section import OwnSection
 from tetractl.lab.actuators.wheel_commands import Status
-from tetractl.lab.serial_port import UNREADABLE
-from tetractl.lab.udp_port import SCHEME
+from tetractl.lab.serial_port import UNREADABLE, is_network
 from tetractl.model.wheels import Counts
 from tetractl_emulator.faults import ActingFaults, Fault
 from tetractl_emulator.m3pi.robot import EmulatedRobot
@@ -62,18 +61,41 @@ class OwnProgram:
         """Do nothing: it does not measure its battery."""
 
 
+class ReadsMessages(Protocol):
+    """A side whose robots each take messages at a port of their own."""
+
+    @property
+    def robots(self) -> Sequence[EmulatedRobot]:
+        """The robots, in the setup's order."""
+        ...
+
+    def read(self, message: bytes, row: int) -> Counts:
+        """Return the wheel speeds left, right that a message asks of the robot in a row of the
+        setup; any of UNREADABLE, such as ValueError, if it cannot be read."""
+        ...
+
+
 class OwnRadio(LineRadio):
-    """The connection to the robot in a row of the setup, whose messages `read` reads."""
+    """The connection at `baud` bits per second to the robot in a row of the setup, whose messages
+    `read` reads."""
 
     end = b""
 
-    def __init__(self, stage: Stage, port: str, side: "OwnLines", row: int, loss: float) -> None:
+    def __init__(
+        self,
+        stage: Stage,
+        port: str,
+        side: ReadsMessages,
+        row: int,
+        loss: float,
+        baud: int = ROBOT_BAUD,
+    ) -> None:
         robots = side.robots[row : row + 1]
         seed = stage.options.seed + row
-        super().__init__(stage, stage.wires.port(port), ROBOT_BAUD, robots, [row], loss, seed)
+        super().__init__(stage, stage.wires.port(port), baud, robots, [row], loss, seed)
         self._side = side
         self._row = row
-        self._whole = port.startswith(SCHEME)
+        self._whole = is_network(port)
 
     def stop_elsewhere(self, sequence: int) -> None:
         """Do nothing: a robot has no emergency stop that another sender could press."""

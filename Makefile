@@ -9,7 +9,7 @@ PAPERS := ./packages/tetractl-papers
 IDENTIFY := ./packages/tetractl-identify
 LEARN := ./packages/tetractl-learn
 TESTING := ./packages/tetractl-testing
-PACKAGES := $(PAPERS) $(IDENTIFY) $(LEARN) $(TESTING) ./packages/tetractl-microscope ./packages/tetractl-emulator ./packages/tetractl-toio ./packages/tetractl-motioncapture
+PACKAGES := $(PAPERS) $(IDENTIFY) $(LEARN) $(TESTING) ./packages/tetractl-microscope ./packages/tetractl-emulator ./packages/tetractl-toio ./packages/tetractl-motioncapture ./packages/tetractl-ros2
 
 .PHONY: demo demo-ours demo-paper test test-fast test-ci test-all test-lowest test-newest lint dist docs clean proto
 

@@ -118,6 +118,7 @@ def test_tests_of_the_core_need_no_package():
         ("tetractl-microscope", ["init", "x", "--lab", "--camera", "apriltag"]),
         ("tetractl-emulator", ["init", "--example", "faults/apriltag/drips"]),
         ("tetractl-toio", ["init", "x", "--lab", "--robots", "toio"]),
+        ("tetractl-ros2", ["init", "x", "--lab", "--camera", "ros2", "--robots", "ros2"]),
         ("tetractl-motioncapture", ["init", "x", "--lab", "--camera", "motioncapture"]),
     ],
 )

@@ -9,6 +9,7 @@ MICROSCOPE = "tetractl-microscope"
 EMULATOR = "tetractl-emulator"
 TOIO = "tetractl-toio"
 MOTION_CAPTURE = "tetractl-motioncapture"
+ROS2 = "tetractl-ros2"
 PAPERS = "tetractl-papers"
 IDENTIFY = "tetractl-identify"
 LEARN = "tetractl-learn"
@@ -27,12 +28,16 @@ BRINGS = {
     ("tetractl.controllers", "rrt"): PAPERS,
     ("tetractl.controllers", "policy"): LEARN,
     ("tetractl.figures", "swarm"): PAPERS,
+    ("tetractl.commands", "rosbag-tables"): ROS2,
+    ("tetractl.commands", "export-rosbag"): ROS2,
     ("tetractl.cameras", "apriltag"): MICROSCOPE,
     ("tetractl.cameras", "cells"): MICROSCOPE,
     ("tetractl.cameras", "toio"): TOIO,
     ("tetractl.cameras", "motioncapture"): MOTION_CAPTURE,
+    ("tetractl.cameras", "ros2"): ROS2,
     ("tetractl.actuators", "field"): MICROSCOPE,
     ("tetractl.actuators", "toio"): TOIO,
+    ("tetractl.actuators", "ros2"): ROS2,
     ("tetractl.trial_robots", "choose"): MICROSCOPE,
     ("tetractl.examples", "tetrahymena_dish"): MICROSCOPE,
     ("tetractl.examples", "tetrahymena_lab"): MICROSCOPE,

@@ -26,6 +26,7 @@ def packages():
         "tetractl_papers",
         "tetractl_microscope",
         "tetractl_motioncapture",
+        "tetractl_ros2",
         "tetractl_toio",
     ):
         pytest.importorskip(name)

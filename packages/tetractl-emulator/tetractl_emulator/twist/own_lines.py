@@ -70,14 +70,26 @@ class ReadsMessages(Protocol):
         ...
 
     def read(self, message: bytes, row: int) -> Counts:
-        """Return the wheel speeds left, right that a message asks of the robot in a row of the
-        setup; any of UNREADABLE, such as ValueError, if it cannot be read."""
+        """Return the wheel speeds that a message asks of a robot.
+
+        Args:
+            message: The message.
+            row: The robot's place in the setup.
+
+        Returns:
+            The speeds of the left and the right wheel [unit_mm mm/s].
+
+        Raises:
+            Exception: One of UNREADABLE, such as ValueError, if the message cannot be read.
+        """
         ...
 
 
 class OwnRadio(LineRadio):
-    """The connection at `baud` bits per second to the robot in a row of the setup, whose messages
-    `read` reads."""
+    """The connection to the robot in a row of the setup, at `baud` bits per second.
+
+    The side's `read` reads its messages.
+    """
 
     end = b""
 

@@ -1,0 +1,130 @@
+"""Twists, emergency stops and batteries, before emulated robots and a graph that a test plays."""
+
+import math
+
+import pytest
+
+pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
+from tetractl_emulator.contract import check_lab
+from tetractl_ros2.messages import BatteryState, Bool, Twist, TwistStamped
+from tetractl_ros2.robots import Ros2Robots
+
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.commands import Steer
+from tetractl.core.errors import AbortError
+from tetractl.core.poses import Pose
+from tetractl.spec.lab_template import lab_template
+from tetractl.spec.load import parse_spec
+
+TEMPLATE = lab_template("ros2", "ros2").replace("@NAME@", "name: graph")
+NAMES = ("green", "blue", "red")
+NO_WATCHDOG = ("stops_after: 0.5", "stops_after: null"), (", watchdog: 0.5", "")
+
+
+def spec(*changes):
+    text = TEMPLATE
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return parse_spec(text, "graph.yaml").experiment
+
+
+class Ports:
+    """Topics to which a test subscribes."""
+
+    def __init__(self):
+        self.sent = {}
+        self.failing = set()
+        self.heard = {}
+
+    def make(self, name, baud, device, clock, heard, hint):
+        topic = name.removeprefix("ros2://0")
+        ports = self
+        self.sent[topic] = []
+        self.heard[topic] = heard
+
+        class Port:
+            failure = None
+            refusal = None
+
+            def open(self):
+                pass
+
+            def close(self):
+                pass
+
+            def write(self, data):
+                if topic in ports.failing:
+                    raise AbortError("gone")
+                ports.sent[topic].append(data)
+                return clock.now()
+
+        return Port()
+
+
+def robots_of(experiment, **options):
+    ports = Ports()
+    actuator = experiment.lab.actuator
+    return Ros2Robots(actuator, experiment.setup, VirtualClock(), ports.make, **options), ports
+
+
+def test_the_lab_relies_on_nothing_that_is_missing():
+    experiment = spec()
+    check_lab(experiment.lab, experiment.setup)
+
+
+def test_a_twist_asks_for_the_speed_and_turning_rate_of_the_wheel_speeds_that_are_logged():
+    robots, ports = robots_of(spec())
+    with robots:
+        sent = robots.send(Steer(math.pi / 2), [Pose(0.0, 0.0, 0.0)] * 3, (True,) * 3, 0)
+    for row, name in enumerate(NAMES):
+        twist = Twist.deserialize(ports.sent[f"/{name}/cmd_vel"][-1])
+        left, right = sent.left[row], sent.right[row]  # mm/s
+        assert twist.angular.z > 0
+        assert math.isclose(twist.linear.x, (left + right) / 2000, abs_tol=1e-4)
+        assert math.isclose(twist.angular.z, (right - left) / 160, abs_tol=1e-3)
+
+
+def test_a_stamped_twist_has_the_time_since_1970():
+    experiment = spec(("message: Twist ", "message: TwistStamped "))
+    robots, ports = robots_of(experiment, unix_ns=lambda: 1_700_000_000 * SECOND + 5)
+    with robots:
+        robots.stop()
+    message = TwistStamped.deserialize(ports.sent["/green/cmd_vel"][-1])
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1_700_000_000, 5)
+    assert message.twist == Twist()
+
+
+def test_only_an_emergency_stop_is_sent_to_the_common_topic():
+    robots, ports = robots_of(spec())
+    with robots:
+        robots.stop()
+        assert ports.sent["/emergency_stop"] == []
+        robots.stop(emergency=True)
+    assert [Bool.deserialize(data).data for data in ports.sent["/emergency_stop"]] == [True]
+
+
+def test_a_robot_whose_topic_fails_keeps_no_other_from_its_stop():
+    robots, ports = robots_of(spec())
+    ports.failing.add("/green/cmd_vel")
+    with robots, pytest.raises(AbortError, match="gone"):
+        robots.stop(emergency=True)
+    for topic in ("/blue/cmd_vel", "/red/cmd_vel", "/emergency_stop"):
+        assert len(ports.sent[topic]) == 1
+
+
+def test_without_a_watchdog_the_operator_is_asked():
+    assert robots_of(spec())[0].check().questions == ()
+    (question,) = robots_of(spec(*NO_WATCHDOG))[0].check().questions
+    assert "if this computer or its network fails, the robots drive on" in question
+
+
+def test_low_batteries_are_reported():
+    robots, ports = robots_of(spec())
+    for name, share in (("green", 0.15), ("blue", 0.05)):
+        data = BatteryState(voltage=11.0, percentage=share).serialize()
+        ports.heard[f"/{name}/battery_state"](data, 0)
+    low, empty, silent = robots.poll(0.1)
+    assert low.warnings == ("green's battery is at 15 %",) and low.charge == 15
+    assert empty.problems == ("blue's battery is at 5 %: charge it",)
+    assert silent.warnings == ("red sends no battery state on /red/battery_state",)

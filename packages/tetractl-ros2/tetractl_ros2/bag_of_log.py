@@ -1,0 +1,192 @@
+"""A trial's log as a rosbag2 recording, for `ros2 bag play`, RViz, Foxglove and PlotJuggler.
+
+| topic | message | what it holds |
+|---|---|---|
+| /tf | tf2_msgs/TFMessage | the measured pose of each tracked robot, a child frame of `world` |
+| /ROBOT/cmd_vel | geometry_msgs/TwistStamped | what each robot on wheels was sent |
+| /direction | geometry_msgs/Vector3Stamped | the common direction, length 1; a stop has length 0 |
+| /ROBOT/plan | nav_msgs/Path | where the controller expects each robot to drive |
+| /targets | geometry_msgs/PoseArray | the targets, at the start |
+
+Positions are in m. A header's stamp is the time of exposure or sending. The time of recording is
+when a message reached or left the computer.
+"""
+
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command
+from tetractl.core.errors import LogError, UsageError, printable
+from tetractl.log.read.trial_log import TrialLog
+from tetractl_ros2.bag_tables import INSTALL, NEEDS_ROSBAGS
+
+FRAME = "world"
+VERSION = 9
+"""The version of the recording's metadata, which ROS 2 Iron and later write."""
+
+Entry = tuple[int, str, str, Any]
+"""When a message was recorded [ns since 1970], its topic, the name of its type, and the message."""
+
+
+def write_bag(trial: TrialLog, folder: Path) -> int:
+    """Write the recording of a trial.
+
+    Args:
+        trial: The trial.
+        folder: The folder to make, with metadata.yaml and one MCAP file.
+
+    Returns:
+        The number of messages.
+
+    Raises:
+        UsageError: If rosbags is not installed, or the folder exists.
+        LogError: If the folder cannot be written.
+    """
+    try:
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise UsageError(NEEDS_ROSBAGS, INSTALL) from None
+    if folder.exists():
+        raise UsageError(f"{printable(str(folder))}: exists already", "name another with --out")
+    if not folder.parent.is_dir():
+        raise UsageError(f"{printable(str(folder))}: there is no folder {folder.parent}")
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    entries = sorted(Messages(trial, store).entries(), key=lambda entry: entry[0])
+    try:
+        with Writer(folder, version=VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+            connections: dict[str, Any] = {}
+            for recorded_ns, topic, kind, message in entries:
+                if topic not in connections:
+                    connections[topic] = writer.add_connection(topic, kind, typestore=store)
+                data = store.serialize_cdr(message, kind)
+                writer.write(connections[topic], recorded_ns, data)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise LogError(f"{printable(str(folder))}: cannot be written: {why}") from error
+    return len(entries)
+
+
+def topic_part(name: str, index: int) -> str:
+    """Return a robot's name as a part of a topic's name: letters, digits and underscores."""
+    part = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    return part if re.match(r"[A-Za-z]", part) else f"robot_{index}_{part}"
+
+
+class Messages:
+    """Makes the messages of a trial, of the types in `store`, a type store of rosbags."""
+
+    def __init__(self, trial: TrialLog, store: Any) -> None:
+        self._trial = trial
+        self._types = store.types
+        setup = trial.start.setup
+        self._metres = setup.metres
+        self._radius_m = None if setup.wheel_radius is None else setup.wheel_radius * setup.metres
+        parts = [topic_part(name, i) for i, name in enumerate(setup.names)]
+        distinct = len(set(parts)) == len(parts)
+        self._parts = parts if distinct else [f"{part}_{i}" for i, part in enumerate(parts)]
+
+    def entries(self) -> Iterator[Entry]:
+        """Yield all messages, topic by topic."""
+        yield self._targets()
+        yield from self._transforms()
+        for command in self._trial.commands:
+            yield from self._command(command)
+        yield from self._plans()
+
+    def _unix_ns(self, trial_ns: int) -> int:
+        return self._trial.start.start_unix_ns + int(trial_ns)
+
+    def _new(self, kind: str, **fields: Any) -> Any:
+        return self._types[kind](**fields)
+
+    def _header(self, trial_ns: int, frame: str = FRAME) -> Any:
+        sec, nanosec = divmod(self._unix_ns(trial_ns), SECOND)
+        stamp = self._new("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+        return self._new("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+    def _vector(self, x: float, y: float, z: float) -> Any:
+        return self._new("geometry_msgs/msg/Vector3", x=float(x), y=float(y), z=float(z))
+
+    def _turned(self, heading: float) -> Any:
+        half = float(heading) / 2
+        kind = "geometry_msgs/msg/Quaternion"
+        return self._new(kind, x=0.0, y=0.0, z=math.sin(half), w=math.cos(half))
+
+    def _pose(self, x: float, y: float, heading: float) -> Any:
+        place = {"x": float(x) * self._metres, "y": float(y) * self._metres, "z": 0.0}
+        point = self._new("geometry_msgs/msg/Point", **place)
+        turned = self._turned(heading)
+        return self._new("geometry_msgs/msg/Pose", position=point, orientation=turned)
+
+    def _targets(self) -> Entry:
+        targets = self._trial.start.setup.targets
+        poses = [self._pose(x, y, 0.0) for x, y in targets]
+        header = self._header(0)
+        array = self._new("geometry_msgs/msg/PoseArray", header=header, poses=poses)
+        return self._unix_ns(0), "/targets", "geometry_msgs/msg/PoseArray", array
+
+    def _transforms(self) -> Iterator[Entry]:
+        trial = self._trial
+        kind = "tf2_msgs/msg/TFMessage"
+        for row, received_ns in enumerate(trial.received_ns):
+            transforms = [
+                self._transform(part, trial.exposed_ns[row, i], trial.mocap[row, i])
+                for i, part in enumerate(self._parts)
+                if trial.valid[row, i]
+            ]
+            if transforms:
+                message = self._new(kind, transforms=transforms)
+                yield self._unix_ns(received_ns), "/tf", kind, message
+
+    def _transform(self, child: str, exposed_ns: int, pose: Any) -> Any:
+        x, y, heading = pose
+        moved = self._vector(x * self._metres, y * self._metres, 0.0)
+        turned = self._turned(heading)
+        kind = "geometry_msgs/msg/Transform"
+        transform = self._new(kind, translation=moved, rotation=turned)
+        return self._new(
+            "geometry_msgs/msg/TransformStamped",
+            header=self._header(exposed_ns),
+            child_frame_id=child,
+            transform=transform,
+        )
+
+    def _command(self, command: Command) -> Iterator[Entry]:
+        at_ns = self._unix_ns(command.sent_ns)
+        header = self._header(command.sent_ns)
+        direction = command.direction
+        along = (0.0, 0.0) if direction is None else (math.cos(direction), math.sin(direction))
+        kind = "geometry_msgs/msg/Vector3Stamped"
+        vector = self._vector(*along, 0.0)
+        yield at_ns, "/direction", kind, self._new(kind, header=header, vector=vector)
+        if command.left is None or command.right is None or self._radius_m is None:
+            return
+        kind = "geometry_msgs/msg/TwistStamped"
+        for part, left, right in zip(self._parts, command.left, command.right, strict=True):
+            v = (left + right) / 2 * self._metres
+            w = (right - left) * self._metres / (2 * self._radius_m)
+            linear = self._vector(v, 0.0, 0.0)
+            angular = self._vector(0.0, 0.0, w)
+            twist = self._new("geometry_msgs/msg/Twist", linear=linear, angular=angular)
+            own = self._header(command.sent_ns, part)
+            yield at_ns, f"/{part}/cmd_vel", kind, self._new(kind, header=own, twist=twist)
+
+    def _plans(self) -> Iterator[Entry]:
+        kind = "nav_msgs/msg/Path"
+        stamped = "geometry_msgs/msg/PoseStamped"
+        for step in self._trial.steps:
+            at_ns = step.command.sent_ns
+            header = self._header(at_ns)
+            for i, part in enumerate(self._parts):
+                poses = [
+                    self._new(stamped, header=header, pose=self._pose(x, y, heading))
+                    for x, y, heading in step.plan.path[:, i]
+                    if math.isfinite(x) and math.isfinite(y)
+                ]
+                path = self._new(kind, header=header, poses=poses)
+                yield self._unix_ns(at_ns), f"/{part}/plan", kind, path

@@ -1,0 +1,318 @@
+"""Poses on topics of a ROS 2 graph as a `Camera`.
+
+Stamps come from the sender's clock. The message that came quickest, of the last STAMPS of a topic,
+took the section's `latency`; another one took so much longer as it came later. So the clocks need
+not agree. If they do, `check` compares `latency` with the true age of the stamps.
+"""
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Self
+
+from tetractl.core.clock import SECOND, Clock, wait_for
+from tetractl.core.errors import AbortError, printable, text_of
+from tetractl.core.poses import CameraFrame
+from tetractl.core.protocols import Health
+from tetractl.core.setup import Setup
+from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
+from tetractl.lab.serial_port import UNREADABLE, Ports
+from tetractl.spec.lab_section import entry
+from tetractl.tools.worker import drained
+from tetractl_ros2.frame_group import FrameGroup, Reading, Readings
+from tetractl_ros2.section import Ros2CameraSection
+from tetractl_ros2.sightings import Sighting, bare, sightings
+from tetractl_ros2.topics import POSES, emulated_topic, pose_topics
+from tetractl_ros2.wire import TopicPort, ports_of
+
+FIRST_S = 5.0
+"""Maximum time until every robot has a pose [s]: nodes have to find each other first."""
+STAMPS = 600
+"""Messages of a topic whose stamps are compared with their arrivals: 6 s at 100 Hz."""
+FRAMES_WAITING_MAX = 1000
+"""Maximum number of frames that wait to be read."""
+SAME_CLOCK_NS = SECOND // 2
+"""Maximum age of a quick message's stamp on this computer's clock, if the clocks agree [ns]."""
+LATENCY_OFF_NS = SECOND // 50
+"""Difference between that age and `latency` above which `check` warns [ns]."""
+UNSEEN_NS = SECOND // 10
+"""Age of a robot's last pose, compared with the newest of all, above which it is not tracked [ns].
+Nothing tells that a body is hidden: a node just sends no more poses of it."""
+BODIES_MAX = 20
+"""Maximum number of streamed bodies that a message lists."""
+NAME_MAX = 60
+"""Maximum number of characters shown of a name that any node may choose."""
+HINT = "is the node running, in the same ROS domain, and does it publish this topic?"
+
+
+class StampClock:
+    """How long the messages of a topic took from their stamps to their arrivals, on two clocks."""
+
+    def __init__(self) -> None:
+        self._gaps_ns = deque[int](maxlen=STAMPS)
+
+    def late_ns(self, stamp_ns: int, received_ns: int) -> int:
+        """Take a message; return by how much it came later than the quickest one [ns]."""
+        gap_ns = received_ns - stamp_ns
+        self._gaps_ns.append(gap_ns)
+        return gap_ns - min(self._gaps_ns)
+
+    @property
+    def quickest_ns(self) -> int | None:
+        """The least time from a stamp to an arrival [ns], None before the first message."""
+        return min(self._gaps_ns, default=None)
+
+
+class Ros2Camera:
+    """Tracks the setup's robots by their poses in a ROS 2 graph.
+
+    It is a `tetractl.core.protocols.Camera`. Each topic has a thread that receives. The threads
+    share all fields below `_lock`, each of which is used under that lock.
+
+    Args:
+        section: The camera's section of the spec.
+        setup: The robots.
+        clock: The run's clock.
+        wake: Called after each frame.
+        ports: Makes other ports, such as those in memory.
+        unix_ns: The time since 1970 [ns], to compare stamps with.
+    """
+
+    def __init__(
+        self,
+        section: Ros2CameraSection,
+        setup: Setup,
+        clock: Clock,
+        wake: Callable[[], None] = lambda: None,
+        ports: Ports | None = None,
+        unix_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.section = section
+        self.setup = setup
+        self.damaged = 0
+        self._clock = clock
+        self._wake = wake
+        self._unix_ns = unix_ns
+        self._lock = threading.Lock()
+        robots = [entry(section.robots, name) for name in setup.names]
+        self._rows = {bare(robot.body): row for row, robot in enumerate(robots)}
+        self._offsets = [robot.heading_offset for robot in robots]
+        self._place = Placement(*section.origin, section.rotation, 1.0 / setup.metres)
+        self._message = POSES[section.message]
+        self._at_once = section.message == "NamedPoseArray"
+        self._group = FrameGroup(len(robots))
+        self._bodies = set[str]()  # names that were streamed
+        self._frames_seen: dict[int, str] = {}  # other frames in which robots were shown, by row
+        self._first_damaged = ""
+        self._unstamped = False
+        self._emulated = False
+        self._number = 0
+        self._newest_ns = -1
+        self._waiting = deque[CameraFrame](maxlen=FRAMES_WAITING_MAX)
+        topics = pose_topics(section, setup)
+        self._clocks = [StampClock() for _ in topics]
+        marker = emulated_topic()
+        make = ports or ports_of([*topics, marker])
+        self._ports = [
+            make(topic.address(section.domain), 0, topic.name, clock, partial(self._hear, i), HINT)
+            for i, topic in enumerate(topics)
+        ]
+        self._marker = make(
+            marker.address(section.domain), 0, marker.name, clock, self._hear_marker, ""
+        )
+
+    def __enter__(self) -> Self:
+        """Subscribe; return once every robot has a pose, or after FIRST_S if only some have."""
+        try:
+            for port in (*self._ports, self._marker):
+                port.open()
+            wait_for(self._clock, self._has_all, FIRST_S)
+            if self._number == 0:
+                raise self._silence()
+        except BaseException:
+            self._close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._close()
+
+    def check(self) -> Health:
+        """Report robots without poses, what their stamps tell, and whether they are emulated."""
+        with self._lock:
+            problems = (*self._missing(), *self._crowded())
+            warnings = tuple(self._stamp_warnings())
+            age_ns = self._quickest_age_ns()
+            facts = {} if age_ns is None else {"ros2_stamp_age_s": f"{age_ns / SECOND:.4f}"}
+            return Health(problems, warnings, facts, emulated=self._emulated)
+
+    def frames(self) -> list[CameraFrame]:
+        """Return every frame since the last call, oldest first."""
+        return drained(self._waiting)
+
+    def _has_all(self) -> bool:
+        return all(reading.pose is not None for reading in self._group.last)
+
+    def _silence(self) -> AbortError:
+        """Return the error that no pose has come."""
+        failure = next((port.failure for port in self._ports if port.failure), None)
+        if failure is not None:
+            return AbortError(failure, HINT)
+        if self._first_damaged:
+            many = f"none of {self.damaged} messages on {self.section.address} could be read"
+            return AbortError(f"{many}; the first: {self._first_damaged}", "is `message` right?")
+        missing = self._missing()
+        return AbortError(missing[0] if missing else "no pose came", HINT)
+
+    def _missing(self) -> tuple[str, ...]:
+        """Describe each robot that no message has shown."""
+        lines: list[str] = []
+        for row, (name, reading) in enumerate(zip(self.setup.names, self._group.last, strict=True)):
+            if reading.pose is not None:
+                continue
+            body = entry(self.section.robots, name).body
+            other = self._frames_seen.get(row)
+            if other is not None:
+                shown = printable(other, NAME_MAX) or '""'
+                lines.append(f"{name}'s poses are in the frame {shown}, not {self.section.frame}")
+            elif len(self._ports) > 1:
+                topic = self.section.topics(self.setup)[row]
+                lines.append(f"{name} has no pose: no message came on {topic}")
+            else:
+                where = f"{self.section.topic_pattern}; bodies there: {self._body_list()}"
+                lines.append(f"{name} has no body {body} on {where}")
+        return tuple(lines)
+
+    def _body_list(self) -> str:
+        names = sorted(self._bodies)
+        text = ", ".join(printable(name, NAME_MAX) for name in names[:BODIES_MAX]) or "none"
+        more = len(names) - BODIES_MAX
+        return f"{text} and {more} more" if more > 0 else text
+
+    def _crowded(self) -> tuple[str, ...]:
+        """Describe each topic with poses of more than one node; /tf has many by its nature."""
+        if self.section.message == "TFMessage":
+            return ()
+        return tuple(
+            f"{port.end.partners} nodes publish {port.end.topic.name}: stop all but one"
+            for port in self._ports
+            if isinstance(port, TopicPort) and port.end.partners > 1
+        )
+
+    def _quickest_age_ns(self) -> int | None:
+        """Return the age of the stamp of the quickest message, by this computer's clock [ns]."""
+        gaps = [clock.quickest_ns for clock in self._clocks]
+        known = [gap for gap in gaps if gap is not None]
+        if not known or self._emulated or self._unstamped:
+            return None
+        return max(known) + self._unix_ns() - self._clock.now()
+
+    def _stamp_warnings(self) -> Iterator[str]:
+        latency_s = self.section.latency
+        if self._unstamped:
+            yield (
+                f"poses have no stamp: each counts as {latency_s:g} s old when it arrives, "
+                "however late it is"
+            )
+        age_ns = self._quickest_age_ns()
+        if age_ns is None:
+            return
+        age_s = age_ns / SECOND
+        if not 0 <= age_ns <= SAME_CLOCK_NS:
+            yield (
+                f"stamps are {age_s:.3f} s old on arrival, so the sender's clock differs from this "
+                f"computer's: `latency`, {latency_s:g} s, cannot be checked"
+            )
+        elif abs(age_ns - latency_s * SECOND) > LATENCY_OFF_NS:
+            yield (
+                f"stamps are {age_s:.3f} s old on arrival, not {latency_s:g} s as `latency` says: "
+                "if both computers' clocks are synchronised, set `latency` to it"
+            )
+
+    def _hear_marker(self, data: bytes, _at_ns: int) -> None:
+        self._emulated = self._emulated or bool(data)
+
+    def _hear(self, topic: int, data: bytes, at_ns: int) -> None:
+        """Take a message of a topic; without data, its port has failed."""
+        with self._lock:
+            if not data:
+                self._take_failure(topic, at_ns)
+            else:
+                self._take_message(topic, data, at_ns)
+        self._wake()
+
+    def _take_failure(self, topic: int, at_ns: int) -> None:
+        fault = self._ports[topic].failure or f"the topic {self.section.address} has failed"
+        self._number += 1
+        none = (None,) * len(self.setup.names)
+        self._waiting.append(CameraFrame(self._number, at_ns, at_ns, none, fault=fault))
+
+    def _take_message(self, topic: int, data: bytes, at_ns: int) -> None:
+        try:
+            shown = sightings(self._message.deserialize(data))
+        except UNREADABLE as error:
+            self.damaged += 1
+            self._first_damaged = self._first_damaged or f"{text_of(error)}, in {data[:60]!r}"
+            return
+        by_stamp: dict[int, dict[int, Reading]] = {}
+        for sighting in shown:
+            row = self._row(topic, sighting)
+            if row is not None:
+                stamp, reading = self._reading(topic, row, sighting, at_ns)
+                by_stamp.setdefault(stamp, {})[row] = reading
+        if self._at_once:
+            self._add_untracked(by_stamp)
+        complete: list[Readings] = []
+        for stamp in sorted(by_stamp):
+            complete += self._group.add(stamp, by_stamp[stamp])
+        if complete:  # what came in one message is one frame, also with several stamps
+            self._pass_on(complete[-1], at_ns)
+
+    def _row(self, topic: int, sighting: Sighting) -> int | None:
+        """Return the place in the setup of the robot that is shown, None if it is none of ours."""
+        if sighting.body is not None:
+            self._bodies.add(sighting.body)
+        row = topic if sighting.body is None else self._rows.get(sighting.body)
+        if row is not None and sighting.frame != bare(self.section.frame):
+            self._frames_seen[row] = sighting.frame
+            return None
+        return row
+
+    def _reading(self, topic: int, row: int, sighting: Sighting, at_ns: int) -> tuple[int, Reading]:
+        """Return the stamp and the reading of a robot that a message shows."""
+        late_ns = 0
+        stamp = sighting.stamp_ns
+        if stamp > 0:
+            late_ns = self._clocks[topic].late_ns(stamp, at_ns)
+        else:
+            self._unstamped = True
+            stamp = at_ns
+        latency_ns = round(self.section.latency * SECOND)
+        exposed_ns = max(0, at_ns - latency_ns - late_ns)
+        pose = self._place.pose(sighting.rigid, UpAxis.Z, self._offsets[row])
+        return stamp, Reading(pose, exposed_ns)
+
+    def _add_untracked(self, by_stamp: dict[int, dict[int, Reading]]) -> None:
+        """Add the robots that a message of all bodies does not show: they are not tracked."""
+        for readings in by_stamp.values():
+            exposed_ns = next(iter(readings.values())).exposed_ns
+            for row in range(len(self.setup.names)):
+                readings.setdefault(row, Reading(None, exposed_ns))
+
+    def _pass_on(self, readings: Readings, at_ns: int) -> None:
+        """Let the frame of these readings wait to be read, if it is newer than the last one."""
+        newest_ns = max(reading.exposed_ns for reading in readings)
+        if newest_ns <= self._newest_ns:
+            return
+        self._newest_ns = newest_ns
+        self._number += 1
+        since_ns = newest_ns - UNSEEN_NS
+        poses = tuple(o.pose if o.exposed_ns >= since_ns else None for o in readings)
+        times = () if self._at_once else tuple(reading.exposed_ns for reading in readings)
+        self._waiting.append(CameraFrame(self._number, newest_ns, at_ns, poses, exposed_ns=times))
+
+    def _close(self) -> None:
+        for port in (*self._ports, self._marker):
+            port.close()

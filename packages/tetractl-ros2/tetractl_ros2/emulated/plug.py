@@ -1,0 +1,99 @@
+"""The emulation's end of a topic, used like the end of a serial port.
+
+Over wires in memory the bytes of messages pass as they are. In real time an emulated device is a
+participant of the ROS 2 graph, as a real one is: a thread takes what comes and wakes the
+emulation's loop by an event's file descriptor.
+"""
+
+import os
+import threading
+from collections import deque
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+from cyclonedds.core import DDSException
+from tetractl_emulator.port import PseudoPort
+from tetractl_emulator.sides import Stage
+
+from tetractl.core.errors import AbortError, TetractlError
+from tetractl_ros2.wire import Topic, TopicEnd, domain_of
+
+
+class TopicPlug(PseudoPort):
+    """An emulated device's publisher or subscription of a topic; `name` is its port's name."""
+
+    def __init__(self, topic: Topic, name: str) -> None:
+        super().__init__(name)
+        self.name = name  # a path would lose one of the slashes
+        self._end = TopicEnd(topic, domain_of(name))
+        self._came = deque[bytes]()
+        self._stalled = False
+        self._closing = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def plug(self) -> None:
+        """Join the topic; TetractlError if that fails."""
+        try:
+            self._end.open()
+        except AbortError as error:
+            raise TetractlError(error.message, hint=error.hint) from None
+        self.fd = os.eventfd(0, os.EFD_NONBLOCK)
+        self._closing.clear()
+        if not self._end.topic.publishes:
+            self._thread = threading.Thread(target=self._receive, name=self.name, daemon=True)
+            self._thread.start()
+
+    def unplug(self) -> None:
+        """Leave the topic; may be called twice."""
+        self._closing.set()
+        if self._thread is not None:
+            self._thread.join(2.0)
+            self._thread = None
+        self._end.close()
+        if self.fd >= 0:
+            os.close(self.fd)
+        self.fd = -1
+
+    def stall(self, stalled: bool) -> None:
+        """If `stalled`, lose what is sent to the topic; otherwise go on."""
+        self._stalled = stalled
+
+    def baud(self) -> None:
+        """Return None: a network has no baud rate."""
+
+    def read(self) -> bytes:
+        """Return the bytes of the next message, b"" if there is none."""
+        with suppress(BlockingIOError, OSError):
+            os.eventfd_read(self.fd)
+        return self._came.popleft() if self._came else b""
+
+    def write(self, data: bytes) -> None:
+        """Publish a message; one that cannot be sent is lost."""
+        if self.fd >= 0 and not self._stalled:
+            with suppress(DDSException):
+                self._end.publish(data)
+
+    def _receive(self) -> None:
+        """Take messages until the plug is pulled."""
+        while not self._closing.is_set():
+            for message in self._end.wait():
+                if not self._stalled:
+                    self._came.append(message)
+                    os.eventfd_write(self.fd, 1)
+
+
+def on_topics(stage: Stage, domain: int, topics: Iterable[Topic]) -> Stage:
+    """Return a stage whose ports with the names of these topics are topics of a ROS 2 graph.
+
+    If its wires are in memory, the stage stays as it is.
+    """
+    if stage.wires.ports is not None:
+        return stage
+    by_name = {topic.address(domain): topic for topic in topics}
+
+    def port(name: Path | str) -> PseudoPort:
+        return TopicPlug(by_name[str(name)], str(name))
+
+    return replace(stage, wires=replace(stage.wires, port=port))

@@ -1,0 +1,158 @@
+"""The emulated actuator of type `ros2`: robots that follow twists, and publish their batteries."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, ClassVar
+
+from tetractl_emulator.faults import ActingFaults, Fault
+from tetractl_emulator.loop import Loop
+from tetractl_emulator.m3pi.robot import EmulatedRobot
+from tetractl_emulator.m3pi.wheeled_side import WHEELED_FAULTS, PortedSide, WheelsSettings
+from tetractl_emulator.sides import Facts, Stage
+from tetractl_emulator.twist.own_lines import OwnProgram, OwnRadio, Read
+
+from tetractl.core.clock import SECOND
+from tetractl.core.protocols import EMULATED_NAME
+from tetractl.lab.actuators.wheel_commands import Status
+from tetractl.model.wheels import Counts
+from tetractl_ros2.emulated.plug import on_topics
+from tetractl_ros2.messages import BatteryState, Bool, Twist, TwistStamped
+from tetractl_ros2.section import UNIT_MM, Ros2Section
+from tetractl_ros2.topics import battery_topics, command_topics, emergency_topic
+
+NETWORK_BAUD = 10_000_000
+"""Speed of a slow wireless network [bits/s]."""
+FULL_MV = 5100
+"""Voltage of a full battery [mV]."""
+EMPTY_MV = 4400
+"""Voltage of an empty battery [mV]."""
+BATTERY_NS = SECOND // 2
+"""Time between two states of a battery [ns]."""
+NO_WATCHDOG_S = 1e6
+"""The watchdog's time of robots without one [s]: longer than any run."""
+NOT_OF_DDS = (
+    *("baud", "bad_bytes", "overtaken_packets", "doubled_packets"),  # DDS numbers and checks
+    *("stopped_elsewhere", "low_battery"),  # not every robot has these topics
+)
+"""Faults that a topic cannot have, or that not all robots can notice."""
+
+
+class TwistProgram(OwnProgram):
+    """A robot's driver: it follows the newest twist until its watchdog or the emergency stop."""
+
+    def __init__(self, read: Read, watchdog_s: float, battery_mv: int) -> None:
+        super().__init__(read, watchdog_s)
+        self.battery_mv = battery_mv
+        self.is_emergency_stopped = False
+
+    def wheels(self, now_ms: int) -> Counts:
+        """Return the wheel speeds that act now [UNIT_MM mm/s]."""
+        return (0, 0) if self.is_emergency_stopped else super().wheels(now_ms)
+
+    def status(self, now_ms: int) -> Status:
+        """Return whether it drives, is silent or emergency-stopped."""
+        if self.is_emergency_stopped:
+            return Status.EMERGENCY_STOPPED
+        return super().status(now_ms)
+
+    def set_battery(self, battery_mv: int) -> None:
+        """Take the battery's voltage [mV]."""
+        self.battery_mv = battery_mv
+
+
+class EmergencyStop(OwnRadio):
+    """The common topic of the emergency stop: it reaches the drivers of all robots."""
+
+    def hear(self, data: bytes) -> None:
+        """Take a message that has come."""
+        if Bool.deserialize(data).data:
+            for robot in self._side.robots:
+                assert isinstance(robot.core, TwistProgram), "all robots run a TwistProgram"
+                robot.core.is_emergency_stopped = robot.core.is_emergency_stopped or robot.powered
+
+    def _witness(self, data: bytes) -> None:
+        """Record nothing: the record is of commands that drive."""
+
+
+class EmulatedRos2Robots(PortedSide):
+    """Robots that subscribe to the topics of a `Ros2Section`."""
+
+    faults: ClassVar[Sequence[type[Fault]]] = tuple(
+        kind for kind in WHEELED_FAULTS if kind.__name__ not in NOT_OF_DDS
+    )
+
+    def __init__(self, stage: Stage, settings: WheelsSettings) -> None:
+        section = stage.lab.actuator
+        assert isinstance(section, Ros2Section), "the actuator's type is ros2"
+        commands = command_topics(section, stage.setup, publishes=False)
+        batteries = battery_topics(section, stage.setup, publishes=True)
+        emergency = emergency_topic(section, publishes=False)
+        known = [topic for topic in (*commands, *batteries, emergency) if topic is not None]
+        domain = section.domain
+        stage = on_topics(stage, domain, known)
+        self._watchdog_s = section.stops_after or NO_WATCHDOG_S
+        self._message = Twist if section.message == "Twist" else TwistStamped
+        super().__init__(stage, settings, (section.speed_max_mm_s / UNIT_MM, UNIT_MM))
+        self.radios = [
+            OwnRadio(stage, topic.address(domain), self, row, settings.loss, NETWORK_BAUD)
+            for row, topic in enumerate(commands)
+        ]
+        if emergency is not None:
+            address = emergency.address(domain)
+            self.radios.append(EmergencyStop(stage, address, self, 0, 0.0, NETWORK_BAUD))
+        self._battery_ports = [
+            None if topic is None else stage.wires.port(topic.address(domain))
+            for topic in batteries
+        ]
+
+    def read(self, message: bytes, row: int) -> Counts:
+        """Return the wheel speeds left, right [UNIT_MM mm/s] that a message asks for."""
+        decoded: Any = self._message.deserialize(message)
+        twist = decoded if isinstance(decoded, Twist) else decoded.twist
+        speed = twist.linear.x * 1000
+        rim = twist.angular.z * float(self.radii[row])
+        return round((speed - rim) / UNIT_MM), round((speed + rim) / UNIT_MM)
+
+    def make_robot(
+        self, row: int, name: str, battery_mv: int, acting: ActingFaults
+    ) -> EmulatedRobot:
+        """Return the robot in a row of the setup, with its driver."""
+        make: Callable[[int], TwistProgram] = partial(self._program, battery_mv)
+        return EmulatedRobot(name, row, battery_mv, make, acting)
+
+    def _program(self, battery_mv: int, index: int) -> TwistProgram:
+        read = partial(self.read, row=index)
+        return TwistProgram(read, self._watchdog_s, battery_mv)
+
+    def open(self, loop: Loop) -> Facts:
+        """Join all topics, and begin to publish the batteries."""
+        facts = super().open(loop)
+        for port in self._battery_ports:
+            if port is not None:
+                port.plug()
+        self._publish_batteries()
+        return facts
+
+    def close(self) -> Facts:
+        """Leave all topics."""
+        for port in self._battery_ports:
+            if port is not None:
+                port.unplug()
+        return super().close()
+
+    def _publish_batteries(self) -> None:
+        """Publish the state of each battery now, and again later."""
+        for robot, port in zip(self.robots, self._battery_ports, strict=True):
+            if port is not None and robot.powered:
+                assert isinstance(robot.core, TwistProgram), "all robots run a TwistProgram"
+                port.write(_battery_state(robot.core.battery_mv).serialize())
+        self.timeline.at(self.timeline.now_ns + BATTERY_NS, self._publish_batteries)
+
+
+def _battery_state(battery_mv: int) -> BatteryState:
+    charge = (battery_mv - EMPTY_MV) / (FULL_MV - EMPTY_MV)
+    return BatteryState(
+        voltage=battery_mv / 1000,
+        percentage=max(0.0, min(1.0, charge)),
+        serial_number=EMULATED_NAME,
+    )

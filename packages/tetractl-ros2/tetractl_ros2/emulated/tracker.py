@@ -1,0 +1,122 @@
+"""The emulated camera of type `ros2`: a motion-capture node that publishes poses."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+from tetractl_emulator.faults import Fault
+from tetractl_emulator.loop import Loop
+from tetractl_emulator.optitrack.tracked_body import View
+from tetractl_emulator.pose_stream import PoseSettings, PoseStream, Shot
+from tetractl_emulator.sides import Body, Facts, Stage
+
+from tetractl.core.clock import SECOND
+from tetractl.lab.cameras.optitrack.natnet import RigidBody, UpAxis
+from tetractl.spec.lab_section import entry
+from tetractl_ros2.emulated.plug import on_topics
+from tetractl_ros2.messages import (
+    Bool,
+    Header,
+    NamedPose,
+    NamedPoseArray,
+    Odometry,
+    Point,
+    PoseMessage,
+    PoseStamped,
+    PoseWithCovariance,
+    Quaternion,
+    TFMessage,
+    Time,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
+from tetractl_ros2.section import Ros2CameraSection
+from tetractl_ros2.topics import emulated_topic, pose_topics
+
+EPOCH_NS = 1_700_000_000 * SECOND
+"""What the tracker's clock shows when the emulation's shows 0 [ns]: the two do not agree."""
+MARKED = Bool(data=True).serialize()
+"""The message that says that the tracker is not real."""
+
+
+class EmulatedTracker(PoseStream):
+    """Publishes the poses of all robots with one stamp, in the section's kind of message.
+
+    A body that is not tracked is left out.
+    """
+
+    faults: ClassVar[Sequence[type[Fault]]] = PoseStream.faults
+
+    def __init__(self, stage: Stage, settings: PoseSettings, bodies: Sequence[Body]) -> None:
+        section = stage.lab.camera
+        assert isinstance(section, Ros2CameraSection), "the camera's type is ros2"
+        topics = pose_topics(section, stage.setup, publishes=True)
+        marker = emulated_topic(publishes=True)
+        stage = on_topics(stage, section.domain, [*topics, marker])
+        self._addresses = [topic.address(section.domain) for topic in topics]
+        super().__init__(stage, settings, bodies)
+        self.pose_section = section
+        self._ports = [stage.wires.port(address) for address in self._addresses]
+        self._marker = stage.wires.port(marker.address(section.domain))
+        robots = [entry(section.robots, body.name) for body in bodies]
+        self._bodies = [robot.body for robot in robots]
+        x, y = section.origin
+        self.view = View(UpAxis.Z, (x * stage.mm, y * stage.mm), section.rotation)
+        for body, robot in zip(self.tracked, robots, strict=True):
+            body.asset.offset = robot.heading_offset
+
+    def open(self, loop: Loop) -> Facts:
+        """Join the topics, and expose the first frame."""
+        for port in (*self._ports, self._marker):
+            port.plug()
+        self.begin()
+        return {"camera": ", ".join(self._addresses)}
+
+    def close(self) -> Facts:
+        """Leave the topics; return the number of frames sent."""
+        for port in (*self._ports, self._marker):
+            port.unplug()
+        return {"frames": self.frames}
+
+    def packed(self, shot: Shot) -> bytes:
+        """Return the message that shows all robots."""
+        return self._message(shot, [body for body in shot.bodies if body.tracking_valid])
+
+    def _stream(self, frame: Shot, now_ns: int) -> None:
+        """Publish a frame: one message for all robots, or one on the topic of each."""
+        self.frames += 1
+        self._marker.write(MARKED)
+        if len(self._ports) == 1 and len(frame.bodies) > 1:
+            self._ports[0].write(self.packed(frame))
+            return
+        for body in frame.bodies:
+            if body.tracking_valid:
+                self._ports[body.id].write(self._message(frame, [body]))
+
+    def _message(self, shot: Shot, shown: Sequence[RigidBody]) -> bytes:
+        """Return the bytes of a message with these bodies."""
+        sec, nanosec = divmod(EPOCH_NS + shot.exposed_ns, SECOND)
+        header = Header(Time(sec, nanosec), self.pose_section.frame)
+        return self._packed(header, shown).serialize()
+
+    def _packed(self, header: Header, shown: Sequence[RigidBody]) -> Any:
+        match self.pose_section.message:
+            case "TFMessage":
+                transforms: Any = [self._transform(header, body) for body in shown]
+                return TFMessage(transforms)
+            case "NamedPoseArray":
+                poses: Any = [NamedPose(self._bodies[body.id], _pose(body)) for body in shown]
+                return NamedPoseArray(header, poses)
+            case "PoseStamped":
+                return PoseStamped(header, _pose(shown[0]))
+            case "Odometry":
+                child = self._bodies[shown[0].id]
+                return Odometry(header, child, PoseWithCovariance(_pose(shown[0])))
+
+    def _transform(self, header: Header, body: RigidBody) -> TransformStamped:
+        transform = Transform(Vector3(*body.position), Quaternion(*body.quaternion))
+        return TransformStamped(header, self._bodies[body.id], transform)
+
+
+def _pose(body: RigidBody) -> PoseMessage:
+    return PoseMessage(Point(*body.position), Quaternion(*body.quaternion))

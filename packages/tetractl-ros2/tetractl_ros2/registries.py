@@ -1,0 +1,6 @@
+"""What this package brings in addition to its devices: parts of `tetractl init --lab`."""
+
+from pathlib import Path
+
+TEMPLATES = Path(__file__).parent / "templates"
+"""The folder of the parts of `tetractl init --lab --camera ros2 --robots ros2`."""

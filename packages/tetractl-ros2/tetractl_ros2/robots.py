@@ -1,0 +1,195 @@
+"""Robots of a ROS 2 graph as an `Actuator`: a twist for each robot, and a common emergency stop.
+
+A twist v, w asks a robot on two wheels at the distance r from its centre for the wheel speeds
+
+    left = v - r w,    right = v + r w.
+
+The counts of `WheeledActuator` are wheel speeds in units of UNIT_MM.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from tetractl.core.clock import SECOND, Clock, wait_for
+from tetractl.core.poses import Floats
+from tetractl.core.protocols import EMULATED_NAME, Health, RobotStatus
+from tetractl.core.setup import Setup
+from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_speed
+from tetractl.lab.serial_port import PortGroup, Ports, SerialPort, stop_all_at
+from tetractl.model.wheels import CountArray
+from tetractl.spec.lab_section import entry
+from tetractl_ros2.messages import BatteryState, Bool, Header, Time, Twist, TwistStamped, Vector3
+from tetractl_ros2.section import UNIT_MM, Ros2Section
+from tetractl_ros2.topics import battery_topics, command_topics, emergency_topic
+from tetractl_ros2.wire import TopicPort, ports_of
+
+BASE_FRAME = "base_link"
+"""The frame of a TwistStamped: the robot's own."""
+EMPTY = 10.0
+"""Charge below which a robot would soon stop [%]."""
+HINT = "is the robot's driver running, in the same ROS domain?"
+NO_WATCHDOG = (
+    "no `stops_after`: if this computer or its network fails, the robots drive on with their last "
+    "command until somebody switches them off"
+)
+
+
+class Ros2Robots(WheeledActuator):
+    """Drives the setup's robots; see `tetractl.core.protocols.Actuator`.
+
+    Args:
+        section: The actuator's section of the spec.
+        setup: The robots.
+        clock: The run's clock.
+        ports: Makes other ports, such as those in memory.
+        unix_ns: The time since 1970 [ns], for the stamps of TwistStamped.
+    """
+
+    def __init__(
+        self,
+        section: Ros2Section,
+        setup: Setup,
+        clock: Clock,
+        ports: Ports | None = None,
+        unix_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.section = section
+        self._unix_ns = unix_ns
+        robots = [entry(section.robots, name) for name in setup.names]
+        self._batteries: list[BatteryState | None] = [None] * len(robots)
+        commands = command_topics(section, setup)
+        batteries = battery_topics(section, setup)
+        emergency = emergency_topic(section)
+        known = [topic for topic in (*commands, *batteries, emergency) if topic is not None]
+        make = ports or ports_of(known)
+        domain = section.domain
+        self._command_ports = [
+            make(topic.address(domain), 0, name, clock, lambda *_: None, HINT)
+            for name, topic in zip(setup.names, commands, strict=True)
+        ]
+        battery_ports = [
+            make(topic.address(domain), 0, topic.name, clock, partial(self._hear, row), HINT)
+            for row, topic in enumerate(batteries)
+            if topic is not None
+        ]
+        self._emergency_port: SerialPort | None = None
+        if emergency is not None:
+            address = emergency.address(domain)
+            self._emergency_port = make(
+                address, 0, "the emergency stop", clock, lambda *_: None, HINT
+            )
+        stopping = [] if self._emergency_port is None else [self._emergency_port]
+        self.links = PortGroup([*self._command_ports, *stopping, *battery_ports])
+        gains = np.array([(robot.left_gain, robot.right_gain) for robot in robots]).T
+        self._gain = gains * UNIT_MM
+        super().__init__(
+            setup,
+            clock,
+            link=self.links,
+            stated_radii_mm=[robot.radius_mm for robot in robots],
+            drivetrains=wheels_by_speed(self._gain, section.speed_max_mm_s / UNIT_MM),
+            delay_ns=round(section.delay * SECOND),
+            rate=section.rate,
+        )
+
+    @property
+    def stopping_ports(self) -> list[SerialPort]:
+        """The ports by which robots are stopped."""
+        emergency = [] if self._emergency_port is None else [self._emergency_port]
+        return [*self._command_ports, *emergency]
+
+    def check(self) -> Health:
+        """Report other nodes that drive the robots, and ask whether they may lack a watchdog."""
+        problems = tuple(
+            f"{rivals} other publisher{'s' * (rivals > 1)} on {port.end.topic.name}: "
+            "end what else drives this robot"
+            for port in self._command_ports
+            if isinstance(port, TopicPort) and (rivals := port.end.rivals()) > 0
+        )
+        questions = () if self.section.stops_after is not None else (NO_WATCHDOG,)
+        emulated = [b is not None and b.serial_number == EMULATED_NAME for b in self._batteries]
+        return Health(problems, questions=questions, emulated=any(emulated))
+
+    def poll(self, timeout_s: float) -> list[RobotStatus]:
+        """Wait for the batteries' states, and report robots to whose topic nobody subscribes."""
+        has_battery = [entry(self.section.robots, name).battery is not None for name in self.names]
+
+        def has_all() -> bool:
+            pairs = zip(has_battery, self._batteries, strict=True)
+            return all(state is not None for expected, state in pairs if expected)
+
+        wait_for(self._clock, has_all, timeout_s)
+        return [self._status(row, has_battery[row]) for row in range(len(self.names))]
+
+    def _status(self, row: int, has_battery: bool) -> RobotStatus:
+        name = self.names[row]
+        port = self._command_ports[row]
+        answers = port.look_for_subscribers() if isinstance(port, TopicPort) else None
+        problems = () if port.refusal is None else (f"{name}: {port.refusal}: {HINT}",)
+        state = self._batteries[row]
+        if state is None:
+            silent = f"{name} sends no battery state on {entry(self.section.robots, name).battery}"
+            return RobotStatus(answers, problems=problems, warnings=(silent,) * has_battery)
+        volts = state.voltage if math.isfinite(state.voltage) else None
+        charge = round(100 * state.percentage) if math.isfinite(state.percentage) else None
+        low = f"{name}'s battery is at {charge} %"
+        if charge is not None and charge < EMPTY:
+            problems = (*problems, f"{low}: charge it")
+        warns = charge is not None and EMPTY <= charge < self.section.battery_warn
+        return RobotStatus(answers, volts, problems, (low,) * warns, charge)
+
+    def twist(self, row: int, left: float, right: float) -> bytes:
+        """Return the message that asks the robot in a row of the setup for wheel speeds.
+
+        Args:
+            row: The robot's place in the setup.
+            left: Speed of the left wheel [mm/s].
+            right: Speed of the right wheel [mm/s].
+        """
+        speed_m_s = (left + right) / 2000
+        turning = (right - left) / (2 * float(self.radii[row]))
+        message = Twist(linear=Vector3(x=speed_m_s), angular=Vector3(z=turning))
+        if self.section.message == "Twist":
+            return message.serialize()
+        sec, nanosec = divmod(self._unix_ns(), SECOND)
+        header = Header(stamp=Time(sec, nanosec), frame_id=BASE_FRAME)
+        return TwistStamped(header=header, twist=message).serialize()
+
+    def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
+        asked = outputs * UNIT_MM
+        messages = [self.twist(row, *pair) for row, pair in enumerate(asked.T.tolist())]
+        return self._send(self._command_ports, messages), outputs * self._gain
+
+    def _halt(self, emergency: bool) -> int:
+        messages = [self.twist(row, 0.0, 0.0) for row in range(len(self.names))]
+        ports = self._command_ports
+        if emergency and self._emergency_port is not None:
+            ports = [*ports, self._emergency_port]
+            messages.append(Bool(data=True).serialize())
+        return self._send(ports, messages)
+
+    def _send(self, ports: list[SerialPort], messages: list[bytes]) -> int:
+        """Send each port its message, even if another port fails; return the last time [ns].
+
+        Raises:
+            AbortError: If a port has failed.
+        """
+        return PortGroup(ports).send(messages)
+
+    def _hear(self, row: int, data: bytes, _at_ns: int) -> None:
+        if data:
+            self._batteries[row] = BatteryState.deserialize(data)
+
+
+def stop_all(section: Ros2Section, setup: Setup, clock: Clock, alone: bool) -> str:
+    """Stop every robot by ten messages within 200 ms; return a summary.
+
+    Raises:
+        AbortError: If nobody subscribes to a robot's topic; the others are stopped.
+    """
+    robots = Ros2Robots(section, setup, clock)
+    return stop_all_at(robots.stopping_ports, partial(robots.stop, emergency=True), clock, alone)

@@ -1,0 +1,216 @@
+"""The sections of the spec for ROS 2: `type: ros2` of camera and actuator."""
+
+import math
+import re
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import AfterValidator, Field
+
+from tetractl.core.setup import Setup
+from tetractl.lab.actuators.wheeled_section import Found, wheel_gains
+from tetractl.spec.base import Angle, NonNegative, Point, Positive
+from tetractl.spec.lab_section import (
+    ActuatorSection,
+    CameraSection,
+    RobotPart,
+    entry,
+    mismatches,
+    too_fast,
+    unknown_radii,
+)
+from tetractl.spec.yaml.problems import Loc
+
+BODY = "{body}"
+"""In the name of a topic: stands for each robot's `body`, so that each robot has its own topic."""
+NAME = re.compile(r"(/[A-Za-z_{][A-Za-z0-9_{}]*)+")
+UNIT_MM = 0.1
+"""The wheel speed that counts as 1 [mm/s]: a Twist holds numbers that are not whole."""
+RATE_PER_WATCHDOG = 3
+"""Minimum number of commands within `stops_after`, because some may be lost."""
+
+Domain = Annotated[int, Field(ge=0, le=232)]
+PoseMessageName = Literal["PoseStamped", "Odometry", "TFMessage", "NamedPoseArray"]
+USUAL_TOPICS: dict[str, str] = {
+    "PoseStamped": "/{body}/pose",
+    "Odometry": "/{body}/odom",
+    "TFMessage": "/tf",
+    "NamedPoseArray": "/poses",
+}
+"""The topic of each kind of poses, unless the section names another."""
+
+
+def _full_name(topic: str) -> str:
+    """Return the name of a topic if it is one."""
+    if NAME.fullmatch(topic) is None:
+        raise ValueError("must be a full name such as /green/cmd_vel")
+    return topic
+
+
+TopicName = Annotated[str, Field(max_length=200), AfterValidator(_full_name)]
+
+
+class BodyOfRobot(RobotPart):
+    """A robot's entry in the camera's section."""
+
+    body: str = Field(min_length=1, max_length=200)
+    """What the graph calls the robot: its child frame, its name in a NamedPoseArray, or the part of
+    its topic's name that stands for {body}."""
+    heading_offset: Angle = 0.0
+    """Angle added to the body's heading to give the robot's heading [rad]."""
+
+
+class Ros2CameraSection(CameraSection):
+    """Poses on topics of a ROS 2 graph: of a motion-capture node, /tf, or robots' odometry."""
+
+    device: ClassVar[str] = "tetractl_ros2.camera:Ros2Camera"
+    type: Literal["ros2"]
+    domain: Domain = 0
+    """The ROS domain: ROS_DOMAIN_ID of the other nodes."""
+    message: PoseMessageName
+    """The message that holds poses: geometry_msgs/PoseStamped or nav_msgs/Odometry, one topic for
+    each robot; tf2_msgs/TFMessage; or motion_capture_tracking_interfaces/NamedPoseArray."""
+    topic: TopicName | None = None
+    """The topic; {body} stands for each robot's body. By default /{body}/pose, /{body}/odom, /tf or
+    /poses."""
+    frame: str = Field(min_length=1, max_length=200)
+    """The frame of the poses, as in their headers: one that is fixed to the floor. Poses in other
+    frames are not used."""
+    origin: Point = (0.0, 0.0)
+    """Position of the frame's origin in the spec's coordinates [length unit]."""
+    rotation: Angle = 0.0
+    """Angle from the spec's x axis to the frame's x axis [rad]."""
+    latency: NonNegative = Field(default=0.01, le=0.5)
+    """Time from the stamp in a header until its message arrives [s], when it arrives quickly."""
+    robots: tuple[BodyOfRobot, ...] = Field(min_length=1, max_length=32)
+    """One entry for each robot of the spec."""
+
+    @property
+    def topic_pattern(self) -> str:
+        """The name of the topic, or of all topics with {body} in it."""
+        return self.topic or USUAL_TOPICS[self.message]
+
+    @property
+    def address(self) -> str:
+        """The domain and the topic, for display."""
+        return f"ros2://{self.domain}{self.topic_pattern}"
+
+    def topics(self, setup: Setup) -> tuple[str, ...]:
+        """Return the names of the topics: one for all robots, or one for each, in their order."""
+        pattern = self.topic_pattern
+        if BODY not in pattern:
+            return (pattern,)
+        bodies = [entry(self.robots, name).body for name in setup.names]
+        return tuple(pattern.replace(BODY, body) for body in bodies)
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield the place and text of each problem with robots, bodies and topics."""
+        yield from mismatches(self.robots, setup.names, ("body",))
+        pattern = self.topic_pattern
+        if self.message in ("PoseStamped", "Odometry") and BODY not in pattern:
+            yield (
+                ("topic",),
+                f"must hold {BODY}: a {self.message} does not say which robot it shows",
+            )
+        if pattern.replace(BODY, "").count("{"):
+            yield ("topic",), f"may hold {BODY}, and no other braces"
+        for i, robot in enumerate(self.robots):
+            if BODY in pattern and NAME.fullmatch(f"/{robot.body}") is None:
+                yield ("robots", i, "body"), "must be letters, digits and _, as it names a topic"
+
+    def bounds(self) -> dict[str, str]:
+        """Return the topic and the frame as {name: text}, for display."""
+        where = f"{self.message} on {self.topic_pattern}, ROS domain {self.domain}"
+        return {"poses": f"{where}, in frame {self.frame}"}
+
+    def heading_offset(self, name: str) -> float:
+        """Return the angle added to the heading of a robot's body [rad]."""
+        return entry(self.robots, name).heading_offset
+
+
+class Ros2Robot(RobotPart):
+    """A robot's entry in the actuator's section."""
+
+    topic: TopicName
+    """The topic of its commands, such as /green/cmd_vel."""
+    battery: TopicName | None = None
+    """The topic of its sensor_msgs/BatteryState; None if it has none."""
+    radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
+    """Distance r from a wheel to its centre [mm]; by default the spec's."""
+    left_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
+    """True speed of the left wheel over the speed that it was sent."""
+    right_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
+    """True speed of the right wheel over the speed that it was sent."""
+
+
+class Ros2Section(ActuatorSection):
+    """Robots of a ROS 2 graph that are driven by twists: a speed and a turning rate."""
+
+    device: ClassVar[str] = "tetractl_ros2.robots:Ros2Robots"
+    calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
+    stopping: ClassVar[str] = "tetractl_ros2.robots:stop_all"
+    dead_zone_max: ClassVar[int] = 0
+    type: Literal["ros2"]
+    domain: Domain = 0
+    """The ROS domain: ROS_DOMAIN_ID of the robots."""
+    message: Literal["Twist", "TwistStamped"] = "Twist"
+    """The message of a command, of geometry_msgs."""
+    stops_after: float | None = Field(default=None, ge=0.1, le=5, allow_inf_nan=False)
+    """Time without a command after which a robot's own program stops it [s]. ROS 2 has no such
+    watchdog: the robot's driver must. None if it has none."""
+    emergency_stop: TopicName | None = None
+    """A topic of std_msgs/Bool at which true stops the robots until they are released by hand; None
+    if there is none."""
+    rate: float = Field(default=20.0, ge=10, le=200, allow_inf_nan=False)
+    """Commands to each robot per second [Hz]."""
+    delay: float = Field(default=0.01, ge=0, le=0.2, allow_inf_nan=False)
+    """Time from the sending of a command until the wheels follow it [s]."""
+    speed_max_mm_s: Positive = Field(default=400.0, le=5000)
+    """Maximum wheel speed that is sent [mm/s]."""
+    battery_warn: float = Field(default=20.0, ge=0, le=100, allow_inf_nan=False)
+    """A warning is printed for a robot whose battery is below this charge [%]."""
+    robots: tuple[Ros2Robot, ...] = Field(min_length=1, max_length=32)
+    """One entry for each robot of the spec."""
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield place and text of each problem with robots, topics, wheels, speeds and rate."""
+        yield from mismatches(self.robots, setup.names, ("topic", "battery"))
+        yield from too_fast(setup, self.speed_max_mm_s)
+        yield from unknown_radii(setup, [robot.radius_mm for robot in self.robots])
+        for i, robot in enumerate(self.robots):
+            for key in ("topic", "battery"):
+                if "{" in (getattr(robot, key) or ""):
+                    yield ("robots", i, key), "must be a full name such as /green/cmd_vel"
+        if self.stops_after is None:
+            if math.isfinite(setup.watchdog_s):
+                text = f"is missing, though wheels.watchdog says {setup.watchdog_s:g} s"
+                yield ("stops_after",), text
+            return
+        if setup.watchdog_s > self.stops_after:
+            yield (), f"stop after {self.stops_after:g} s: set wheels.watchdog to it"
+        if self.rate * self.stops_after < RATE_PER_WATCHDOG:
+            yield (
+                ("rate",),
+                f"must be {RATE_PER_WATCHDOG} commands in {self.stops_after:g} s or more",
+            )
+
+    def bounds(self) -> dict[str, str]:
+        """Return topics, rate, watchdog and maximum wheel speed as {name: text}, for display."""
+        topics = ", ".join(robot.topic for robot in self.robots)
+        ends = (
+            "never by themselves" if self.stops_after is None else f"after {self.stops_after:g} s"
+        )
+        return {
+            "robots": f"{topics} in ROS domain {self.domain}, {self.rate:g} commands a second each",
+            "robots without commands stop": ends,
+            "wheel speeds": f"at most {self.speed_max_mm_s:g} mm/s",
+        }
+
+    def outputs(self, name: str, limit: int) -> tuple[float, int]:
+        """Return what is sent for a 127th of the maximum wheel speed, and for `limit` of them."""
+        unit = self.speed_max_mm_s / UNIT_MM / 127
+        return unit, int(unit * limit)
+
+    def measured(self, calibrated: Found) -> dict[str, Any]:
+        """Return a robot's r and gains."""
+        return wheel_gains(calibrated, UNIT_MM)

@@ -1,0 +1,76 @@
+"""What a message of poses says: which body is where, in which frame, and when."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from tetractl.core.clock import SECOND
+from tetractl.lab.cameras.optitrack.natnet import RigidBody
+from tetractl_ros2.messages import (
+    Header,
+    NamedPoseArray,
+    Odometry,
+    PoseMessage,
+    PoseStamped,
+    TFMessage,
+    TransformStamped,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """One body in a message.
+
+    Attributes:
+        body: What the message calls the body; None if the topic says which one it is.
+        frame: The frame of its coordinates.
+        stamp_ns: When it was there, on the sender's clock [ns]; 0 if the message does not say.
+        rigid: Where it was [m], and how it was turned.
+    """
+
+    body: str | None
+    frame: str
+    stamp_ns: int
+    rigid: RigidBody
+
+
+def sightings(message: Any) -> list[Sighting]:
+    """Return the bodies in a message of one of the kinds of poses, in its order."""
+    match message:
+        case PoseStamped():
+            return [_sighting(None, message.header, message.pose)]
+        case Odometry():
+            return [_sighting(None, message.header, message.pose.pose)]
+        case NamedPoseArray():
+            poses: Any = message.poses
+            return [_sighting(named.name, message.header, named.pose) for named in poses]
+        case TFMessage():
+            transforms: Any = message.transforms
+            return [_of_transform(stamped) for stamped in transforms]
+        case _:
+            raise TypeError(f"{type(message).__name__} holds no poses")
+
+
+def stamp_ns(header: Header) -> int:
+    """Return the time in a header [ns]."""
+    return header.stamp.sec * SECOND + header.stamp.nanosec
+
+
+def bare(frame: str) -> str:
+    """Return the name of a frame without the slash that old programs put before it."""
+    return frame.removeprefix("/")
+
+
+def _sighting(body: str | None, header: Header, pose: PoseMessage) -> Sighting:
+    at = pose.position
+    turn = pose.orientation
+    return Sighting(body, bare(header.frame_id), stamp_ns(header), _rigid(at, turn))
+
+
+def _of_transform(stamped: TransformStamped) -> Sighting:
+    rigid = _rigid(stamped.transform.translation, stamped.transform.rotation)
+    header = stamped.header
+    return Sighting(bare(stamped.child_frame_id), bare(header.frame_id), stamp_ns(header), rigid)
+
+
+def _rigid(at: Any, turn: Any) -> RigidBody:
+    return RigidBody(0, (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w), True)

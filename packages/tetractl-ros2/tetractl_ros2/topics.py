@@ -1,0 +1,61 @@
+"""Which topics the devices of a spec use, and in which direction."""
+
+from cyclonedds.idl import IdlStruct
+
+from tetractl.core.setup import Setup
+from tetractl.spec.lab_section import entry
+from tetractl_ros2.messages import (
+    BatteryState,
+    Bool,
+    NamedPoseArray,
+    Odometry,
+    PoseStamped,
+    TFMessage,
+    Twist,
+    TwistStamped,
+)
+from tetractl_ros2.section import Ros2CameraSection, Ros2Section
+from tetractl_ros2.wire import Topic
+
+POSES: dict[str, type[IdlStruct]] = {
+    "PoseStamped": PoseStamped,
+    "Odometry": Odometry,
+    "TFMessage": TFMessage,
+    "NamedPoseArray": NamedPoseArray,
+}
+COMMANDS: dict[str, type[IdlStruct]] = {"Twist": Twist, "TwistStamped": TwistStamped}
+EMULATED = "/tetractl/emulated"
+"""The topic at which an emulated tracker says that it is not real."""
+
+
+def pose_topics(section: Ros2CameraSection, setup: Setup, publishes: bool = False) -> list[Topic]:
+    """Return the topics of the poses, one for all robots or one for each in the setup's order."""
+    message = POSES[section.message]
+    return [Topic(name, message, publishes) for name in section.topics(setup)]
+
+
+def emulated_topic(publishes: bool = False) -> Topic:
+    """Return the topic at which an emulated tracker says that it is not real."""
+    return Topic(EMULATED, Bool, publishes, latched=True)
+
+
+def command_topics(section: Ros2Section, setup: Setup, publishes: bool = True) -> list[Topic]:
+    """Return the topics of the robots' commands, in the setup's order."""
+    message = COMMANDS[section.message]
+    robots = [entry(section.robots, name) for name in setup.names]
+    return [Topic(robot.topic, message, publishes) for robot in robots]
+
+
+def battery_topics(
+    section: Ros2Section, setup: Setup, publishes: bool = False
+) -> list[Topic | None]:
+    """Return the topics of the robots' batteries in the setup's order, None for one without."""
+    names = [entry(section.robots, name).battery for name in setup.names]
+    return [None if name is None else Topic(name, BatteryState, publishes) for name in names]
+
+
+def emergency_topic(section: Ros2Section, publishes: bool = True) -> Topic | None:
+    """Return the topic of the emergency stop, None if there is none."""
+    if section.emergency_stop is None:
+        return None
+    return Topic(section.emergency_stop, Bool, publishes, latched=True)

@@ -1,0 +1,271 @@
+"""Topics of a ROS 2 graph, used like ports: this process joins the graph as a DDS participant.
+
+ROS 2 sends the topic `/cmd_vel` as the DDS topic `rt/cmd_vel`. A `Topic` says which messages it
+carries and with which quality of service (QoS); a `TopicEnd` publishes or subscribes to it; and a
+`TopicPort` is such an end as the port of a camera or actuator. What passes through a port are the
+bytes of one message, so that emulated devices can pass the same bytes in memory.
+
+    twist = Topic("/green/cmd_vel", Twist, publishes=True)
+    port = TopicPort(twist, "ros2://0/green/cmd_vel", 0, "green", clock, hear, "is green on?")
+    port.open()
+    port.write(Twist(linear=Vector3(x=0.1)).serialize())
+"""
+
+import os
+import threading
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakValueDictionary
+
+from cyclonedds import core, sub
+from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+from cyclonedds.core import (
+    InstanceState,
+    Policy,
+    Qos,
+    ReadCondition,
+    SampleState,
+    ViewState,
+    WaitSet,
+)
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.pub import DataWriter
+from cyclonedds.topic import Topic as DdsTopic
+
+from tetractl.core.clock import MILLISECOND, Clock, wait_for
+from tetractl.core.errors import AbortError
+from tetractl.lab.client_port import ClientPort
+from tetractl.lab.serial_port import Heard, Ports
+from tetractl.lab.udp_port import hold
+
+SCHEME = "ros2://"
+"""Beginning of a port's name: ros2://DOMAIN/TOPIC."""
+PREFIX = "rt"
+"""What ROS 2 puts before the name of a topic in DDS."""
+DISCOVERY_S = 3.0
+"""Maximum time to wait for the other nodes of a topic [s]. Nodes on one network find each other
+within some 0.1 s."""
+WAIT_NS = 100 * MILLISECOND
+"""How long a thread waits for messages before it looks whether its port is being closed [ns]."""
+MESSAGES_MAX = 100
+"""Maximum number of messages that are taken at once, and that a subscription keeps."""
+PUBLISHERS_MAX = 1000
+"""Maximum number of publishers of a graph that are looked at."""
+BLOCKING_NS = 20 * MILLISECOND
+"""Maximum time for which a write may wait for a slow subscriber [ns]."""
+
+_participants: WeakValueDictionary[int, DomainParticipant] = WeakValueDictionary()
+_participants_lock = threading.Lock()
+
+
+def participant(domain: int) -> DomainParticipant:
+    """Return this process's participant of a ROS domain. It leaves the graph once nobody uses it.
+
+    Raises:
+        AbortError: If DDS cannot open its sockets.
+    """
+    with _participants_lock:
+        joined = _participants.get(domain)
+        if joined is None:
+            try:
+                joined = DomainParticipant(domain)
+            except core.DDSException as error:
+                raise AbortError(
+                    f"cannot join ROS domain {domain}: {error.msg}",
+                    "does CYCLONEDDS_URI name a network interface of this computer?",
+                ) from None
+            _participants[domain] = joined
+        return joined
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """A topic of a ROS 2 graph, and this process's part in it.
+
+    Attributes:
+        name: Its name in ROS 2, such as `/green/cmd_vel`.
+        message: The class of its messages, one of `messages`.
+        publishes: Whether this process publishes to it. If not, it subscribes.
+        latched: Whether a subscriber that comes later still receives the last message (QoS
+            transient local).
+    """
+
+    name: str
+    message: type[IdlStruct]
+    publishes: bool = False
+    latched: bool = False
+
+    def address(self, domain: int) -> str:
+        """Return the name of the topic's port."""
+        return f"{SCHEME}{domain}{self.name}"
+
+    @property
+    def qos(self) -> Qos:
+        """The quality of service.
+
+        A publisher is reliable, so that it reaches subscribers of both kinds, and keeps only its
+        last message: an old command is never sent again. A subscriber asks for best effort, so that
+        it receives from publishers of both kinds.
+        """
+        durability = (
+            Policy.Durability.TransientLocal if self.latched else Policy.Durability.Volatile
+        )
+        cdr = Policy.DataRepresentation(use_cdrv0_representation=True)
+        if self.publishes:
+            reliable = Policy.Reliability.Reliable(max_blocking_time=BLOCKING_NS)
+            return Qos(reliable, durability, Policy.History.KeepLast(1), cdr)
+        best_effort = Policy.Reliability.BestEffort
+        return Qos(
+            best_effort, Policy.Durability.Volatile, Policy.History.KeepLast(MESSAGES_MAX), cdr
+        )
+
+
+class TopicEnd:
+    """This process's publisher or subscription of a topic in a domain, while it is open."""
+
+    def __init__(self, topic: Topic, domain: int) -> None:
+        self.topic = topic
+        self._domain = domain
+        self._writer: DataWriter[Any] | None = None
+        self._reader: sub.DataReader[Any] | None = None
+        self._arrivals: WaitSet | None = None
+
+    def open(self) -> None:
+        """Announce the publisher or subscription to the graph; AbortError if that fails."""
+        joined = participant(self._domain)
+        try:
+            dds_topic = DdsTopic(joined, PREFIX + self.topic.name, self.topic.message)
+            if self.topic.publishes:
+                self._writer = DataWriter(joined, dds_topic, qos=self.topic.qos)
+            else:
+                self._reader = sub.DataReader(joined, dds_topic, qos=self.topic.qos)
+                unread = ViewState.Any | InstanceState.Any | SampleState.NotRead
+                self._arrivals = WaitSet(joined)
+                self._arrivals.attach(ReadCondition(self._reader, unread))
+        except core.DDSException as error:
+            raise AbortError(
+                f"{self.topic.name}: {error.msg}", "is the topic's name valid?"
+            ) from None
+
+    def close(self) -> None:
+        """Leave the topic; may be called twice."""
+        self._arrivals = None
+        self._reader = None
+        self._writer = None
+
+    def publish(self, data: bytes) -> None:
+        """Publish the message with these bytes; DDSException if that fails."""
+        assert self._writer is not None, "the end is open, and publishes"
+        self._writer.write(self.topic.message.deserialize(data))
+
+    def wait(self) -> list[bytes]:
+        """Wait for messages, at most WAIT_NS, and return the bytes of those that have come."""
+        arrivals = self._arrivals
+        reader = self._reader
+        if arrivals is None or reader is None:
+            return []
+        arrivals.wait(WAIT_NS)
+        samples = reader.take(MESSAGES_MAX)
+        return [sample.serialize() for sample in samples if isinstance(sample, IdlStruct)]
+
+    @property
+    def partners(self) -> int:
+        """How many publishers (of a subscription) or subscriptions (of a publisher) there are."""
+        if self._writer is not None:
+            return len(self._writer.get_matched_subscriptions())
+        return 0 if self._reader is None else len(self._reader.get_matched_publications())
+
+    def rivals(self) -> int:
+        """Return how many other publishers of the topic there are in the graph."""
+        name = PREFIX + self.topic.name
+        own = None if self._writer is None else self._writer.guid
+        reader = BuiltinDataReader(participant(self._domain), BuiltinTopicDcpsPublication)
+        publishers = [end for end in reader.read(PUBLISHERS_MAX) if isinstance(end.topic_name, str)]
+        return sum(end.topic_name == name and end.key != own for end in publishers)
+
+
+class TopicPort(ClientPort):
+    """A topic as the port of a device; see `SerialPort`, whose `baud` has no meaning here."""
+
+    def __init__(
+        self, topic: Topic, name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
+    ) -> None:
+        super().__init__(name, baud, device, clock, heard, hint)
+        self.end = TopicEnd(topic, domain_of(name))
+        self._lock: int | None = None  # descriptor of the file that is locked
+
+    def open(self, alone: bool = True) -> None:
+        """Join the topic.
+
+        A publisher waits until somebody subscribes, at most DISCOVERY_S. If nobody does, `refusal`
+        says so.
+
+        Raises:
+            PortHeldError: If `alone` and another program of this computer publishes here.
+            AbortError: If the topic cannot be joined.
+        """
+        if alone and self.end.topic.publishes:
+            self._lock = hold(self._name)
+        self.end.open()
+        super().open(alone)
+        topic = self.end.topic
+        if topic.publishes:
+            wait_for(self._clock, lambda: self.end.partners > 0, DISCOVERY_S)
+            self.look_for_subscribers()
+
+    def look_for_subscribers(self) -> bool:
+        """Return whether any node subscribes to the topic, and keep the answer in `refusal`."""
+        is_received = self.end.partners > 0
+        self.refusal = None if is_received else f"no node subscribes to {self.end.topic.name}"
+        return is_received
+
+    def write(self, data: bytes) -> int:
+        """Publish a message, given by its bytes; return the time [ns]."""
+        with self._sending:
+            if self.failure:
+                raise AbortError(self.failure, self._hint)
+            try:
+                self.end.publish(data)
+            except (core.DDSException, AssertionError) as error:
+                raise self._fail(f"takes no message: {error}") from None
+            return self._clock.now()
+
+    def connect(self) -> None:
+        """Do nothing: `open` has joined the topic."""
+
+    def wait(self) -> None:
+        """Pass on the messages that come."""
+        if self.end.topic.publishes:
+            super().wait()
+        else:
+            for message in self.end.wait():
+                self.take(message)
+
+    def close(self) -> None:
+        """Leave the topic; may be called twice, never raises."""
+        super().close()
+        with suppress(core.DDSException):
+            self.end.close()
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+
+def domain_of(name: str) -> int:
+    """Return the ROS domain in the name of a port, ros2://DOMAIN/TOPIC."""
+    return int(name.removeprefix(SCHEME).partition("/")[0])
+
+
+def ports_of(topics: Iterable[Topic]) -> Ports:
+    """Return a function that makes the port of each of these topics by its name."""
+    by_name = {topic.name: topic for topic in topics}
+
+    def make(name: str, *arguments: Any) -> TopicPort:
+        domain_and_topic = name.removeprefix(SCHEME)
+        topic = by_name["/" + domain_and_topic.partition("/")[2]]
+        return TopicPort(topic, name, *arguments)
+
+    return make

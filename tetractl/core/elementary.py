@@ -41,26 +41,31 @@ EXPONENT_MAX = 800.0
 """exp(x) of a larger x is infinite, and exp(-x) is 0."""
 
 
-def sin(x):
-    """Compute the sine of an angle x [rad]."""
+def without_quarter_turns(x):
+    """Take quarter turns off an angle x [rad].
+
+    Returns:
+        k: The number of quarter turns; a whole number.
+        r: The angle that is left, |r| <= pi/4 [rad]; NaN if x is not finite.
+    """
     if not abs(x) < ANGLE_MAX:
         if not abs(x) < math.inf:
-            return math.nan
+            return 0, math.nan
         x = x % math.tau
     k = math.floor(x * TWO_OVER_PI + 0.5)
-    r = ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3
+    return k, ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3
+
+
+def sin(x):
+    """Compute the sine of an angle x [rad]."""
+    k, r = without_quarter_turns(x)
     value = cos_near_0(r) if k & 1 else sin_near_0(r)
     return -value if k & 2 else value
 
 
 def cos(x):
     """Compute the cosine of an angle x [rad]."""
-    if not abs(x) < ANGLE_MAX:
-        if not abs(x) < math.inf:
-            return math.nan
-        x = x % math.tau
-    k = math.floor(x * TWO_OVER_PI + 0.5)
-    r = ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3
+    k, r = without_quarter_turns(x)
     value = sin_near_0(r) if k & 1 else cos_near_0(r)
     return -value if (k + 1) & 2 else value
 
@@ -91,12 +96,23 @@ def cos_near_0(r):
     return 1.0 - square * (0.5 - square * series)
 
 
+def without_powers_of_2(x):
+    """Write e^x as 2^k e^r, for |x| < EXPONENT_MAX.
+
+    Returns:
+        k: A whole number.
+        r: What is left of the exponent, |r| <= ln(2)/2.
+    """
+    k = math.floor(x * ONE_OVER_LN_2 + 0.5)
+    return k, (x - k * LN_2_1) - k * LN_2_2
+
+
 def exp(x):
     """Compute e^x; infinite where it is too large for a float."""
     if not abs(x) < EXPONENT_MAX:
         return _exp_of_large(x)
-    k = math.floor(x * ONE_OVER_LN_2 + 0.5)
-    p = expm1_near_0((x - k * LN_2_1) - k * LN_2_2)
+    k, r = without_powers_of_2(x)
+    p = expm1_near_0(r)
     # in two steps, of which neither leaves the range of floats too early
     return (1.0 + p) * power_of_2(k >> 1) * power_of_2(k - (k >> 1))
 
@@ -105,8 +121,8 @@ def expm1(x):
     """Compute e^x - 1, exact for small x as well."""
     if not abs(x) < EXPONENT_MAX:
         return _exp_of_large(x) - 1.0
-    k = math.floor(x * ONE_OVER_LN_2 + 0.5)
-    p = expm1_near_0((x - k * LN_2_1) - k * LN_2_2)
+    k, r = without_powers_of_2(x)
+    p = expm1_near_0(r)
     if k == 0:
         return p
     if k > 1000:  # less than a last place is neglected

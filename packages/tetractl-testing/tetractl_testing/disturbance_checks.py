@@ -99,14 +99,14 @@ def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:
         call(disturbance.received, now_ns, now_ns + FRAME_NS)
         if k % FRAMES_OF_PERIOD == 0:
             call(disturbance.planning_s, now_s)
-            call(disturbance.sent, _command(now_ns, poses, all_robots))
+            call(disturbance.sent, _command(now_ns, all_robots))
     return calls
 
 
-def _command(now_ns: int, poses: Poses, reached: Bools) -> DelayedCommand:
+def _command(now_ns: int, reached: Bools) -> DelayedCommand:
     """Return a command that is sent, and due, now."""
     wheels = np.ones((2, len(reached)))
-    return DelayedCommand(now_ns, now_ns, Steer(0.5), reached, None, poses.heading.copy(), wheels)
+    return DelayedCommand(now_ns, now_ns, Steer(0.5), reached, wheels=wheels)
 
 
 def _fits(method: str, section: DisturbanceSection, arguments: Any, result: Any) -> Any:

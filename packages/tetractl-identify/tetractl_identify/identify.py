@@ -213,7 +213,7 @@ def _distance_explained(tracks: Sequence[Track], number: int, robot: FittedRobot
     for track in tracks:
         times = track.exposed[:, number]
         drives = (times >= track.sent[0] + SETTLED_S) & (times <= track.until)
-        rows = np.flatnonzero(drives & track.valid[:, number])
+        rows = np.flatnonzero(drives & track.commanded[:, number])
         rows = rows[rows_apart(times[rows], STEP_S)]
         if len(rows) > 1:
             parts.append(PoseSteps.between(times[rows], track.poses[rows, number]))

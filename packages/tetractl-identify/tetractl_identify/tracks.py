@@ -32,7 +32,9 @@ class Track:
     `on_wheels` whose lag nothing states. `strength` is that of the field in `strength_unit`, None
     if the spec does not state it. `twists` (C, N, 2) are speed [length unit/s] and turning rate
     [rad/s] that each robot was sent, NaN where it was sent none; without any, C is 0. `own_times`
-    (M, N) are those of robots' poses [s], `time` for all if it is empty. `all_commands` is False of
+    (M, N) are those of robots' poses [s], `time` for all if it is empty. `unreached` (M, N) is True
+    while a robot does not follow the newest command, because the log knows that it did not receive
+    it; if it is empty, nothing is known of lost commands. `all_commands` is False of
     lagging wheels that were sent others between these, and `rates_unstated` True of those of which
     nothing states whether they steer themselves, or a host sends them rates that foresee their lag.
     `two_clocks` is True if the times of poses and commands may be of different clocks, as in tables
@@ -58,6 +60,7 @@ class Track:
     strength_unit: str = "mT"
     twists: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
     own_times: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    unreached: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
     all_commands: bool = True
     rates_unstated: bool = False
     two_clocks: bool = False
@@ -75,6 +78,11 @@ class Track:
         if self.own_times.size:
             return self.own_times
         return np.repeat(self.time[:, None], len(self.names), axis=1)
+
+    @property
+    def commanded(self) -> Bools:
+        """The poses (M, N) of robots that follow their newest command, as far as the log knows."""
+        return self.valid & ~self.unreached if self.unreached.size else self.valid
 
 
 def rows_apart(times: Floats, least_s: float, last_s: float = -math.inf) -> Integers:
@@ -121,6 +129,7 @@ def track_of(log: TrialLog) -> Track:
         poses=log.mocap,
         own_times=log.exposed_ns / SECOND,
         valid=log.valid & ~_paused(log)[:, None],
+        unreached=_unreached(log),
         sent=np.array([command.sent_ns for command in directed], dtype=float) / SECOND,
         u=np.array([command.direction for command in directed], dtype=float),
         until=last_ns / SECOND,
@@ -167,6 +176,28 @@ def _paused(log: TrialLog) -> Bools:
             until_ns = again_ns + round(SETTLED_S * SECOND)
             paused |= (log.mocap_ns >= stop_ns) & (log.mocap_ns < until_ns)
     return paused
+
+
+def _unreached(log: TrialLog) -> Bools:
+    """Find the frames at which a robot does not follow the newest command, shape (M, N).
+
+    A robot that did not receive a command keeps its former speeds, and stops after the time of its
+    watchdog. It follows again SETTLED_S after the next command that it receives.
+    """
+    unreached = np.zeros(log.valid.shape, dtype=np.bool_)
+    settled_ns = round(SETTLED_S * SECOND)
+    for robot in range(len(log.start.setup.names)):
+        lost_ns: int | None = None
+        for command in log.commands:
+            if not command.delivered[robot]:
+                lost_ns = command.sent_ns if lost_ns is None else lost_ns
+            elif lost_ns is not None:
+                again_ns = command.sent_ns + settled_ns
+                unreached[:, robot] |= (log.mocap_ns >= lost_ns) & (log.mocap_ns < again_ns)
+                lost_ns = None
+        if lost_ns is not None:
+            unreached[:, robot] |= log.mocap_ns >= lost_ns
+    return unreached
 
 
 def stopped_ns(log: TrialLog) -> int | None:

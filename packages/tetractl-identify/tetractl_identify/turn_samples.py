@@ -46,10 +46,13 @@ class Turns:
 
     @classmethod
     def of(cls, track: Track, robot: int) -> "Turns":
-        """Return the turns of a robot from where it drives until the stop."""
+        """Find the turns of a robot from where it drives until the stop.
+
+        Turns under commands that did not reach the robot are left out.
+        """
         times = track.exposed[:, robot]
         drives = (times >= track.sent[0] + SETTLED_S) & (times <= track.until)
-        is_used = drives & track.valid[:, robot]
+        is_used = drives & track.commanded[:, robot]
         times = times[is_used]
         headings = np.unwrap(track.poses[is_used, robot, 2])
         rows = rows_apart(times[::2], TURN_S)

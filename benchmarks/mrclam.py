@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 from tetractl_identify.identify import cell
-from tetractl_identify.response import UNITS, respond
+from tetractl_identify.response import respond
+from tetractl_identify.robot_response import UNITS
 from tetractl_identify.tracks import Track
 
 from tetractl.core.errors import UsageError

@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tetractl_identify.response import ResponseParameters, respond, response_table
+from tetractl_identify.response import respond
+from tetractl_identify.robot_response import response_table
+from tetractl_identify.step_regression import ResponseParameters
 from tetractl_identify.tracks import Track, rows_apart
 from tetractl_identify.unusual import USUAL
 
@@ -212,6 +214,52 @@ def test_circles_to_one_side_give_wide_intervals_and_one_sentence():
     note = response_table([response], "", "mm").note
     assert "these data do not determine" in note
     assert "checklist" not in note
+
+
+def with_motion_aside(track, angle, slip=0.0):
+    """A track whose robot moves at an `angle` [rad] from its heading, and slips in turns by `slip`
+    [rad s2/mm] times its speed times its turning rate."""
+    times = track.time
+    x, y, heading = track.poses[:, 0].T
+    steps = np.diff(x + 1j * y)
+    apart_s = np.diff(times)
+    turned = np.diff(heading)
+    # over 0.2 s, since the noise of single steps is no slip
+    near = np.ones(10) / 10
+    speed = np.convolve(np.abs(steps) / apart_s, near, "same")
+    rate = np.convolve(turned / apart_s, near, "same")
+    aside = steps * np.exp(1j * (angle + slip * speed * rate))
+    path = np.concatenate([[0j], np.cumsum(aside)])
+    poses = np.stack([path.real, path.imag, heading], axis=-1)
+    return replace(track, poses=poses[:, None])
+
+
+@pytest.mark.long
+def test_a_car_that_slips_to_one_side_is_neither_refused_nor_called_rotated():
+    """Regression: "the commands explain too little (34 % of the distance travelled)"."""
+    rng = np.random.default_rng(21)
+    to_the_left = random_twists(rng, round(TRACK_S / COMMAND_PERIOD_S), COMMANDS_PER_TWIST)
+    to_the_left[:, 1] = np.abs(to_the_left[:, 1])
+    track = track_of_one_robot(21, twists=to_the_left)
+    (response,) = respond([with_motion_aside(track, 0.0, slip=-0.006)])
+    assert response.distance_explained.fraction is not None
+    assert response.distance_explained.fraction > 0.9
+    assert "checklist" not in response_table([response], "", "mm").note
+
+
+@pytest.mark.long
+def test_a_rotated_body_is_printed_with_the_checklist():
+    (response,) = respond([with_motion_aside(track_of_one_robot(22), 0.5)])
+    assert response.heading_offset.value == pytest.approx(0.5, abs=0.02)
+    note = response_table([response], "", "mm").note
+    assert "heading offset of one is 0.5" in note
+    assert "checklist" in note
+
+
+@pytest.mark.long
+def test_a_body_that_is_rotated_by_a_quarter_turn_is_refused():
+    with pytest.raises(UsageError, match="of the distance travelled"):
+        respond([with_motion_aside(track_of_one_robot(23), np.pi / 2)])
 
 
 def seen_twice_a_second(track):

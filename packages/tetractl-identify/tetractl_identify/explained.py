@@ -1,14 +1,17 @@
 """How much of the motion of robots their commands explain: the one check of tables and logs.
 
-Let m be what was measured in each step (a turn, or a distance along and across the heading), f what
-the fitted model makes of the commands, and N the sum of squares that the noise of the poses alone
-would make. The commands explain the fraction
+Let m be what was measured in each step (a turn, or a distance, which is below 0 if it is driven
+backwards), f what the fitted model makes of the commands, and N the sum of squares that the noise
+of the poses alone would make. The commands explain the fraction
 
-    1 - (sum |m - f|^2 - N) / (sum |m|^2 - N),
+    1 - (sum (m - f)^2 - N) / (sum m^2 - N),
 
-which is unknown if sum |m|^2 is not significantly above N. Noise hides slow motion in single steps,
+which is unknown if sum m^2 is not significantly above N. Noise hides slow motion in single steps,
 and motion to and fro cancels over seconds, so the fraction is taken over steps and over seconds,
 and the larger one counts.
+
+A distance is the length of the way, ahead or aside: a car that slips in its turns drives as far as
+it is asked to, but not along its heading. Whether headings point ahead is a value of its own.
 """
 
 import math
@@ -68,7 +71,7 @@ def explained(
     """Compare measured steps with those that the commands explain.
 
     Args:
-        measured: Measured steps, shape (M,), complex if they have two components.
+        measured: Measured turns, shape (M,), or complex distances along and across the heading.
         fitted: Steps that the model makes of the commands, shape (M,).
         asked: Steps that the commands ask for, shape (M,).
         noise: Standard deviation of each component of a pose.
@@ -79,20 +82,25 @@ def explained(
     by_scale: list[Explained] = []
     for groups in (np.arange(len(fitted)), windows):
         _, group = np.unique(groups, return_inverse=True)
-        total = _squares(measured, group)
+        moved = _sums(measured, group)
+        total = float(np.square(moved).sum())
         count = components * (group.max(initial=-1) + 1)
         of_noise = 2 * noise**2 * count  # a step has the noise of two poses
-        rest = max(_squares(measured - fitted, group) - of_noise, 0.0)
+        unexplained = np.square(moved - _sums(fitted, group)).sum()
+        rest = max(float(unexplained) - of_noise, 0.0)
         is_significant = total > of_noise * (1 + SURE * math.sqrt(3 / max(count, 1)))
         fraction = max(0.0, 1 - rest / (total - of_noise)) if is_significant else None
-        by_scale.append(Explained(fraction, rest, _squares(asked, group)))
+        by_scale.append(Explained(fraction, rest, float(np.square(_sums(asked, group)).sum())))
     return max(by_scale, key=lambda scale: -1.0 if scale.fraction is None else scale.fraction)
 
 
-def _squares(steps: Complex | Floats, group: Integers) -> float:
-    """Add the steps (M,) of each group, and return the sum of the squares."""
-    sums = np.bincount(group, np.real(steps)) ** 2 + np.bincount(group, np.imag(steps)) ** 2
-    return float(sums.sum())
+def _sums(steps: Complex | Floats, group: Integers) -> Floats:
+    """Add the steps (M,) of each group. Complex steps give lengths, below 0 if they lead back."""
+    ahead = np.bincount(group, np.real(steps)).astype(np.float64)
+    if not np.iscomplexobj(steps):
+        return ahead
+    across = np.bincount(group, np.imag(steps)).astype(np.float64)
+    return np.copysign(np.hypot(ahead, across), ahead)
 
 
 def windows_of(begin_s: Floats, end_s: Floats) -> Integers:

@@ -132,7 +132,8 @@ def _read_logs(paths: Sequence[Path], wheels: bool) -> "tuple[list[Track], Trial
 
 def _show_response(tracks: "list[Track]", as_json: bool) -> None:
     """Print how robots follow speeds and turning rates."""
-    from tetractl_identify.response import respond, response_table
+    from tetractl_identify.response import respond
+    from tetractl_identify.robot_response import response_table
     from tetractl_identify.tracks import require_same
 
     require_same(tracks)

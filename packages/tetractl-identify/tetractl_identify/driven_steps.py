@@ -1,0 +1,337 @@
+"""Chooses the steps of a robot by which its response to commands is fitted.
+
+Steps last at least STEP_S. Steps in which no command acts are left out, since a robot without
+commands stands still, and so are steps that are FAR times further off than usual, as where a
+tracker takes one body for another. `_delay` finds the delay after which commands explain most of
+the motion, whatever the difference of the clocks.
+
+Shapes: a robot has S steps in all its tracks, of which the fit uses M; one track has C commands.
+Pairs of a motion's two integrals stand in columns: of the speed, then of the turning rate.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.linalg import solve_banded
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from tetractl.core.errors import UsageError, printable
+from tetractl.core.poses import Bools, Floats, Integers
+from tetractl_identify.fit import block_numbers
+from tetractl_identify.heading_offset import DrivenSteps
+from tetractl_identify.identify import INTERVALS_MIN
+from tetractl_identify.pose_steps import Complex, PoseSteps, robust_gains
+from tetractl_identify.tracks import Track, integrals_of_sent, rows_apart
+
+STEP_S = 0.1
+"""Minimum duration of a step [s]."""
+LONGEST_S = 0.55
+LONGEST = 2.2
+"""A step is left out, since the robot was not seen, if it lasts LONGEST_S [s] or more, and LONGEST
+times the median time between two poses."""
+FAR = 8.0
+"""How far off a step is that is left out, in standard deviations."""
+NEIGHBOURS = 5
+"""How many steps earlier or later commands may act than they seem to at first."""
+STD_OF_MEDIAN = 1.48
+"""Standard deviation of normal numbers over the median of their magnitudes."""
+CLOCKS_S = np.arange(-200, 201) / 20
+PEAK = 5
+"""Delays that are tried, less the expected one [s]; and their number to either side of one that it
+has to exceed."""
+AS_GOOD = 0.1
+REVERSED = 0.8
+"""Share of the motion by which a delay nearer to the expected one may explain less; and that for
+which a delay counts if robots turn right where they are sent left."""
+CLIPPED = 0.02
+"""Fraction of the rates that is clipped at either end."""
+FIRST_LAG_S = 0.1
+"""Lag of both motions that is assumed while steps are chosen [s]."""
+DEAD_TIME_UNIT_S = 0.05
+"""Usual change of a dead time [s]."""
+INTEGRALS_KEPT = 64
+"""Number of integrals that are not computed again: most parameters do not change them."""
+ONE_RATIO = 0.999
+"""Squared correlation of the two integrals above which the data cannot tell them apart, as on
+circles. The motion is then taken for the robot's own."""
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenTrack:
+    """One robot in one track: the `steps` between its poses at `pose_s` (S + 1,) [s], and the
+    `commands` (C, 2) of v and w that it was sent at `sent_s` (C,) [s]. `two_clocks` is as in
+    `Track`."""
+
+    pose_s: Floats
+    steps: PoseSteps
+    sent_s: Floats
+    commands: Floats
+    two_clocks: bool
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first pose to the last [s]."""
+        return float(self.pose_s[-1] - self.pose_s[0]) if len(self.pose_s) else 0.0
+
+    def integrals(self, dead_time: float, lag: float, drift: float = 0.0) -> Floats:
+        """Return the integrals over each step (S, 2) of the rates r that follow the commands u.
+
+        From lag dr/dt = u - r the integral of r is that of u less lag times the rise of r, hence
+        the difference of U(t) - lag r(t) between a step's ends, with U the integral of u. Between
+        two commands r tends to u as exp(-t / lag); robots have the first command's rates before it.
+        """
+        if len(self.pose_s) < 2 or not len(self.sent_s):
+            return np.zeros((len(self.steps.turned), 2))
+        apart_s = np.diff(self.sent_s)
+        decay = np.exp(-apart_s / lag)
+        # r at each command: r[k + 1] = decay[k] r[k] + (1 - decay[k]) u[k], a system in two bands
+        bands = np.ones((2, len(self.commands)))
+        bands[1, :-1] = -decay
+        bands[1, -1] = 0.0
+        first = self.commands[:1]
+        rest = (1 - decay)[:, None] * self.commands[:-1]
+        rates = solve_banded((1, 0), bands, np.vstack([first, rest]))
+        of_commands = np.cumsum(apart_s[:, None] * self.commands[:-1], axis=0)
+        total = np.vstack([np.zeros((1, 2)), of_commands])
+
+        middle_s = (self.pose_s[0] + self.pose_s[-1]) / 2
+        acting_s = self.pose_s - dead_time + drift * (self.pose_s - middle_s)
+        newest = np.maximum(np.searchsorted(self.sent_s, acting_s, side="right") - 1, 0)
+        command = self.commands[newest]
+        since_s = (acting_s - self.sent_s[newest])[:, None]
+        rate = command + (rates[newest] - command) * np.exp(-np.maximum(since_s, 0.0) / lag)
+        return np.diff(total[newest] + since_s * command - lag * rate, axis=0)
+
+    def sent(self, delay: float) -> Floats:
+        """Return the way and turn that were sent in each step (S, 2), a delay [s] before."""
+        until = integrals_of_sent(self.sent_s, self.commands, self.pose_s - delay)
+        return np.diff(until, axis=0)
+
+    def acts(self, dead_time: float) -> Bools:
+        """Return in which steps (S,) a command acts."""
+        times = self.pose_s - dead_time
+        return (times[:-1] >= self.sent_s[0]) & (times[1:] <= self.sent_s[-1])
+
+
+def driven_track(track: Track, robot: int) -> DrivenTrack:
+    """Return the steps of a robot in a track, and its commands."""
+    times_s = track.exposed[:, robot]
+    frames = np.flatnonzero(track.commanded[:, robot])
+    frames = frames[rows_apart(times_s[frames], STEP_S)]
+    commanded = np.isfinite(track.twists[:, robot]).all(axis=1)
+    return DrivenTrack(
+        pose_s=times_s[frames],
+        steps=PoseSteps.between(times_s[frames], track.poses[frames, robot]),
+        sent_s=track.sent[commanded],
+        commands=track.twists[commanded, robot],
+        two_clocks=track.two_clocks,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UsedSteps:
+    """The M steps of a robot that the fit uses.
+
+    Attributes:
+        tracks: All tracks of the robot.
+        rows: Which of the steps of all tracks are used, shape (M,).
+        turned: Turns, shape (M,) [rad].
+        moved: Distances along and across the heading, shape (M,), as in `PoseSteps`.
+        begin_s: Begin of each step, shape (M,) [s].
+        duration_s: Duration of each step, shape (M,) [s].
+        block: Number of the block in which each step is, shape (M,).
+        neighbours: Whether the next step begins with the pose at which a step ends, shape (M - 1,).
+        left_out: Number of steps left out because they are too far off.
+        dead_time: Dead time from which the search starts [s].
+        drift_unit: Usual drift of the clocks, in which it is searched; 0 for one clock.
+        in_one_ratio: Whether speed and turning rate are sent in one ratio.
+    """
+
+    tracks: list[DrivenTrack]
+    rows: Integers
+    turned: Floats
+    moved: Complex
+    begin_s: Floats
+    duration_s: Floats
+    block: Integers
+    neighbours: Bools
+    left_out: int
+    dead_time: float
+    drift_unit: float
+    in_one_ratio: bool
+
+    @property
+    def way(self) -> Floats:
+        """The distances along the heading (M,) [length unit]."""
+        return self.moved.real
+
+    @property
+    def speed(self) -> float:
+        """The median speed [length unit/s]."""
+        return max(float(np.median(np.abs(self.way) / self.duration_s)), 1e-12)
+
+    def driven(self, integrals: Floats) -> DrivenSteps:
+        """Return the steps with the distances and turns that were sent in them, shape (M, 2)."""
+        return DrivenSteps(
+            moved=self.moved,
+            duration_s=self.duration_s,
+            way_sent=integrals[:, 0],
+            turn_sent=integrals[:, 1],
+            block=self.block,
+        )
+
+    def integrals(
+        self, dead_time: float, speed_lag: float, turning_lag: float, drift: float = 0.0
+    ) -> Floats:
+        """Integrate the speed and the turning rate over each step.
+
+        Args:
+            dead_time: Time from the sending of a command until it acts [s].
+            speed_lag: Time constant with which the speed follows [s].
+            turning_lag: Time constant with which the turning rate follows [s].
+            drift: How fast the times of the commands run apart from those of the poses [s/s].
+
+        Returns:
+            The integrals, shape (M, 2): of the speed [length unit] and of the turning rate [rad].
+        """
+        of_speed = self._with_lag(dead_time, speed_lag, drift)
+        of_turning = self._with_lag(dead_time, turning_lag, drift)
+        return np.column_stack([of_speed[:, 0], of_turning[:, 1]])
+
+    @lru_cache(INTEGRALS_KEPT)  # noqa: B019 few are kept
+    def _with_lag(self, dead_time: float, lag: float, drift: float) -> Floats:
+        """Return the integrals over each step (M, 2), both with one lag."""
+        return integrals_of(self.tracks, dead_time, lag, drift)[self.rows]
+
+
+def integrals_of(
+    tracks: Sequence[DrivenTrack], dead_time: float, lag: float, drift: float = 0.0
+) -> Floats:
+    """Return the integrals over all steps of some tracks (S, 2)."""
+    return np.concatenate([track.integrals(dead_time, lag, drift) for track in tracks])
+
+
+def used_steps(name: str, tracks: list[DrivenTrack], expected_s: float) -> UsedSteps:
+    """Choose the steps of a robot to use.
+
+    Args:
+        name: The robot.
+        tracks: Its tracks.
+        expected_s: The expected dead time [s].
+
+    Raises:
+        UsageError: If it drives in too few steps.
+    """
+    steps = PoseSteps.together([track.steps for track in tracks])
+    drives = steps.duration_s < _longest(steps)
+    _require_enough(name, drives)
+    dead_time = _delay(tracks, steps, expected_s + FIRST_LAG_S) - FIRST_LAG_S
+    driven = integrals_of(tracks, dead_time, FIRST_LAG_S)
+    acts = np.concatenate([track.acts(dead_time) for track in tracks])
+    drives &= acts & (np.hypot(driven[:, 0], driven[:, 1]) > 1e-9)
+    _require_enough(name, drives)
+    way = steps.moved.real
+    turned = steps.turned
+    far_off = _far_off(turned, driven, drives) | _far_off(way, driven, drives)
+    rows = np.flatnonzero(drives & ~far_off)
+    ends_of_tracks = np.cumsum([len(track.steps.turned) for track in tracks])[:-1]
+    begin_s = np.concatenate([track.pose_s[:-1] for track in tracks])
+    longest_s = max(track.duration_s for track in tracks)
+    has_two_clocks = any(track.two_clocks for track in tracks)
+    return UsedSteps(
+        tracks=tracks,
+        rows=rows,
+        turned=turned[rows],
+        moved=steps.moved[rows],
+        begin_s=begin_s[rows],
+        duration_s=steps.duration_s[rows],
+        block=block_numbers(steps.duration_s)[rows],
+        neighbours=(np.diff(rows) == 1) & ~np.isin(rows[1:], ends_of_tracks),
+        left_out=int((drives & far_off).sum()),
+        dead_time=dead_time,
+        # the ends of the longest recording are off by the usual change of the dead time
+        drift_unit=2 * DEAD_TIME_UNIT_S / longest_s if has_two_clocks else 0.0,
+        in_one_ratio=_are_in_one_ratio(driven[rows]),
+    )
+
+
+def _are_in_one_ratio(driven: Floats) -> bool:
+    """Decide whether two integrals (M, 2) are one, up to a factor."""
+    lengths = np.linalg.norm(driven, axis=0)
+    product = float(driven[:, 0] @ driven[:, 1])
+    return bool(lengths.all()) and product**2 > ONE_RATIO * float(np.prod(lengths)) ** 2
+
+
+def _longest(steps: PoseSteps) -> float:
+    """Return the duration from which a step is left out [s]."""
+    if not len(steps.duration_s):
+        return LONGEST_S
+    return max(LONGEST_S, LONGEST * float(np.median(steps.duration_s)))
+
+
+def _require_enough(name: str, drives: Bools) -> None:
+    """Raise UsageError if a robot drives in too few steps (S,)."""
+    if drives.sum() < INTERVALS_MIN:
+        raise UsageError(
+            f"robot {printable(name)} drives in only {drives.sum()} steps between its poses",
+            f"{INTERVALS_MIN} are needed: give longer recordings, or leave it out of the tables",
+        )
+
+
+def _delay(tracks: Sequence[DrivenTrack], steps: PoseSteps, expected_s: float) -> float:
+    """Return the delay [s] after which speeds and turns that were sent explain most of the motion;
+    of several that explain AS_GOOD as much, that nearest to the expected one.
+    """
+    delays = expected_s + CLOCKS_S
+    is_seen = steps.duration_s < _longest(steps)
+    motion = _usual_rates(steps.at(is_seen))
+    shares = np.zeros(len(delays))
+    for i, delay in enumerate(delays.tolist()):
+        sent = np.concatenate([track.sent(delay) for track in tracks]) / steps.duration_s[:, None]
+        shares[i] = _share(motion, sent[is_seen])
+    is_peak = (shares == maximum_filter1d(shares, 2 * PEAK + 1)) & (
+        shares >= shares.max() - AS_GOOD
+    )
+    peaks = delays[is_peak]
+    return float(peaks[np.abs(peaks - expected_s).argmin()])
+
+
+def _usual_rates(steps: PoseSteps) -> Floats:
+    """Return the turning rates and the speeds ahead and aside in some steps (3, S), clipped to
+    those that are usual: a tracker may take a body for another."""
+    motion = np.stack([steps.turned, steps.moved.real, steps.moved.imag]) / steps.duration_s
+    low, high = np.quantile(motion, (CLIPPED, 1 - CLIPPED), axis=1, keepdims=True)
+    return np.clip(motion, low, high)
+
+
+def _share(motion: Floats, sent: Floats) -> float:
+    """Return the share of a motion (3, S) that speeds and turning rates sent (S, 2) explain."""
+    turn_rate, ahead, aside = motion
+    speed, rate = sent.T
+    of_turns = _correlation(rate, turn_rate)
+    of_ways = math.hypot(_correlation(speed, ahead), _correlation(speed, aside))
+    unexplained = (1 - of_turns**2) * (1 - min(of_ways, 1.0) ** 2)
+    return (1 - unexplained) * (1.0 if of_turns > 0 else REVERSED)
+
+
+def _correlation(first: Floats, second: Floats) -> float:
+    """Return the correlation of two series (S,), 0 if one of them never changes."""
+    a = first - first.mean()
+    b = second - second.mean()
+    lengths = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float(a @ b) / (lengths + 1e-300)
+
+
+def _far_off(measured: Floats, driven: Floats, drives: Bools) -> Bools:
+    """Return which steps (S,) are FAR from the regression of those that drive, and further than
+    commands can make them that act up to NEIGHBOURS steps earlier or later: in a track without
+    noise, others are off only by these."""
+    expected = driven @ robust_gains(measured[drives], driven[drives])
+    residuals = np.abs(measured - expected)
+    usual = STD_OF_MEDIAN * np.median(residuals[drives])
+    near = 2 * NEIGHBOURS + 1
+    changes = maximum_filter1d(expected, near) - minimum_filter1d(expected, near)
+    return residuals > FAR * usual + changes + 1e-9

@@ -1,0 +1,143 @@
+"""How one robot follows its commands of speed and turning rate, and the table of such robots.
+
+Values are printed with their 95 % intervals. Sentences below the table name what the data do not
+determine, and what is unusual (`unusual`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.tools.likelihood import SampleInterval
+from tetractl.tools.table.table import Column, Table
+from tetractl_identify.explained import Explained
+from tetractl_identify.identify import cell, labels_of
+from tetractl_identify.unusual import (
+    GAINS,
+    USUAL,
+    may_be_usual,
+    undetermined_values,
+    unusual_values,
+)
+
+SAME_LAG_S = 0.02
+"""How well a lag has to be known to be of use in a spec [s]."""
+SHORTEST_LAG_S = 1e-3
+LONGEST_LAG_S = 10.0
+"""Shorter and longer lags are taken for these [s]."""
+DRIFT_S = 0.1
+"""Minimum difference of two clocks at the end of a recording that the table names [s]."""
+DETERMINED = ("dead_time", "turning_lag", "speed_lag", *GAINS, "veer")
+"""The values of which the table says whether the data determine them."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotResponse:
+    """How one robot follows its commands; see the fields of `FittedRobot` for the noise.
+
+    Attributes:
+        name: The robot.
+        turning_gain: Turning rate, over the one that was sent.
+        speed_gain: Speed, over the one that was sent.
+        veer: How much the robot turns per distance travelled while w is 0 [rad/length unit].
+        heading_offset: Angle from the heading to the motion, while the robot drives straight ahead
+            [rad].
+        clock_drift: How fast the times of commands run apart from those of the poses [s/s]. None
+            if both are of one clock.
+        turning_explained: How much of the turning the commands explain.
+        distance_explained: How much of the distance travelled they explain.
+        duration_s: Duration of the recording, of the longest if there are several [s].
+        intervals: Number of steps used.
+        left_out: Number of steps left out because they are too far off.
+    """
+
+    name: str
+    dead_time: SampleInterval
+    turning_lag: SampleInterval
+    speed_lag: SampleInterval
+    turning_gain: SampleInterval
+    speed_gain: SampleInterval
+    veer: SampleInterval
+    heading_offset: SampleInterval
+    heading_walk: SampleInterval
+    heading_noise: SampleInterval
+    way_walk: SampleInterval
+    position_noise: SampleInterval
+    clock_drift: SampleInterval | None
+    turning_explained: Explained
+    distance_explained: Explained
+    duration_s: float
+    intervals: int
+    left_out: int
+
+    @property
+    def quantities(self) -> dict[str, SampleInterval]:
+        """The values by name, in the order of a table's rows."""
+        values = {name: getattr(self, name) for name in UNITS}
+        return {name: value for name, value in values.items() if value is not None}
+
+    @property
+    def problem(self) -> str:
+        """What contradicts the commands; "" if nothing does."""
+        turns = self.turning_explained.is_contradicted(
+            may_be_usual("turning_gain", self.turning_gain)
+        )
+        drives = self.distance_explained.is_contradicted(
+            may_be_usual("speed_gain", self.speed_gain)
+        )
+        of_turning = f"{self.turning_explained} of the turning" if turns else ""
+        of_distance = f"{self.distance_explained} of the distance travelled" if drives else ""
+        return " and ".join(filter(None, (of_turning, of_distance)))
+
+
+UNITS = {
+    "dead_time": "s",
+    "turning_lag": "s",
+    "speed_lag": "s",
+    "turning_gain": "",
+    "speed_gain": "",
+    "veer": "rad/{unit}",
+    "heading_offset": "rad",
+    "heading_walk": "rad/sqrt(s)",
+    "heading_noise": "rad",
+    "way_walk": "{unit}/sqrt(s)",
+    "position_noise": "{unit}",
+    "clock_drift": "s/s",
+}
+"""The units of `quantities`; {unit} is the tracks' unit of length."""
+
+
+def response_table(responses: Sequence[RobotResponse], title: str, unit: str) -> Table:
+    """Return a table of robots' values with their 95 % intervals; a row per value."""
+    units = {name: UNITS[name] for name in responses[0].quantities}
+    labels = [*labels_of(units, unit), "turning explained", "distance explained", "left out"]
+    columns = [Column("quantity", labels)]
+    for robot in responses:
+        values = [cell(value) for value in robot.quantities.values()]
+        left_out = f"{robot.left_out} of {robot.left_out + robot.intervals}"
+        of_motion = [str(robot.turning_explained), str(robot.distance_explained)]
+        columns.append(Column(robot.name, [*values, *of_motion, left_out]))
+    by_name = [(robot.name, robot.quantities) for robot in responses]
+    drift = DRIFT_S / max(robot.duration_s for robot in responses)
+    usual = USUAL | {"clock_drift": (-drift, drift)}
+    notes = [
+        _lag_for_spec(responses),
+        undetermined_values(by_name, DETERMINED),
+        unusual_values(by_name, usual),
+    ]
+    return Table(title, tuple(columns), "\n".join(text for text in notes if text))
+
+
+def _lag_for_spec(responses: Sequence[RobotResponse]) -> str:
+    """Describe the lag of a spec that fits all robots: the mean of the lags of turning, by which a
+    host steers, weighted by their precision. "" if it is not known well enough to be of use."""
+    lags = np.array([robot.turning_lag.value for robot in responses])
+    widths = np.array([robot.turning_lag.high - robot.turning_lag.low for robot in responses])
+    weights = 1 / np.clip(widths, SHORTEST_LAG_S, LONGEST_LAG_S)
+    mean = float(np.average(lags, weights=weights))
+    if not (widths / 2 <= SAME_LAG_S).all():
+        return ""
+    if not (abs(lags - mean) <= SAME_LAG_S).all():
+        return f"no single lag fits all robots within {SAME_LAG_S:g} s"
+    return f"the lag of turning for a spec: lab.lag={mean:.3f} (simulated: wheels.lag)"

@@ -1,0 +1,161 @@
+"""The regression of a robot's turns and distances on what was sent, for given parameters.
+
+For given `ResponseParameters` (dead time, lags, walks and noise) the steps are linear in the gains,
+so that `Whitened` has their restricted likelihood in closed form. The gains have a wide prior,
+which only matters where the data cannot tell two of them apart, as on circles. Neighbouring steps
+share the noise of a pose with opposite signs, so the covariance of the steps is tridiagonal.
+
+Shapes: M steps; pairs of integrals stand in columns: of the speed, then of the turning rate.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky_banded, solve_banded
+
+from tetractl.core.poses import Floats
+from tetractl_identify.driven_steps import DEAD_TIME_UNIT_S, UsedSteps
+from tetractl_identify.robot_response import LONGEST_LAG_S, SHORTEST_LAG_S
+
+LN_MOST = 25.0
+"""Maximum magnitude of the logarithm of a parameter over its unit: beyond it, numbers overflow."""
+TURN_ERROR_RAD = 5e-4
+WAY_ERROR = 0.005
+"""Standard deviations by which the model errs in a turn [rad], and in a distance, relative to the
+usual one. Robots do not drive arcs, and wheels turn by whole counts."""
+GAIN_PRIOR_STD = 10.0
+"""Standard deviation of the prior of the gains around 1, or relative to gains above 1: hardly any
+prior."""
+OTHER_PRIOR_STD = 1.0
+"""Standard deviation of the prior of what the other integral adds to a motion, around 0, relative
+to the motion: hardly any prior."""
+NOTHING = 1e-6
+"""Factor on this deviation if the data cannot tell the two integrals apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseParameters:
+    """What is searched: dead time and lags [s], random walks per sqrt(s) and noises of the heading
+    [rad] and of the way and positions [length unit].
+
+    A search has them as a vector (8,) in the order of the fields: the dead time less the expected
+    one, in DEAD_TIME_UNIT_S; the drift of the clocks, in its unit; of all others the logarithms
+    over their units.
+    """
+
+    dead_time: float
+    turning_lag: float
+    speed_lag: float
+    heading_walk: float
+    way_walk: float
+    heading_noise: float
+    position_noise: float
+    clock_drift: float
+
+    def at(self, vector: Floats) -> "ResponseParameters":
+        """Return the parameters of a vector (8,). `self` has the units; the dead time of a vector
+        of zeros is that of `self`, and there is no drift then."""
+        factor = np.exp(np.clip(vector, -LN_MOST, LN_MOST))
+        return ResponseParameters(
+            dead_time=self.dead_time + DEAD_TIME_UNIT_S * vector[0],
+            turning_lag=_lag(self.turning_lag * factor[1]),
+            speed_lag=_lag(self.speed_lag * factor[2]),
+            heading_walk=self.heading_walk * factor[3],
+            way_walk=self.way_walk * factor[4],
+            heading_noise=self.heading_noise * factor[5],
+            position_noise=self.position_noise * factor[6],
+            clock_drift=self.clock_drift * vector[7],
+        )
+
+    def integrals(self, steps: UsedSteps) -> Floats:
+        """Return the integrals of the speed and of the turning rate over each step (M, 2)."""
+        return steps.integrals(self.dead_time, self.speed_lag, self.turning_lag, self.clock_drift)
+
+
+def _lag(lag_s: float) -> float:
+    """Return a lag [s] within the bounds of those that are tried."""
+    return min(max(lag_s, SHORTEST_LAG_S), LONGEST_LAG_S)
+
+
+@dataclass(frozen=True, slots=True)
+class Whitened:
+    """Turns or distances with their integrals, divided by the Cholesky root of their covariance.
+
+    Attributes:
+        y: Whitened turns or distances, shape (M,): y - x gains is white.
+        x: Whitened integrals, shape (M, 2), of p and of q.
+        ln_root: Logarithms of the diagonal of the root, shape (M,).
+        own: Column of the integral that the motion follows: 0 for distances, 1 for turns.
+        own_only: Whether the other integral adds nothing.
+    """
+
+    y: Floats
+    x: Floats
+    ln_root: Floats
+    own: int
+    own_only: bool
+
+    @property
+    def prior(self) -> tuple[Floats, Floats]:
+        """The mean (2,) of the prior of the gains, and the inverse of its variance (2,)."""
+        lengths = np.linalg.norm(self.x, axis=0)
+        scale = max(float(lengths[self.own]), float(np.linalg.norm(self.y)), 1e-12)
+        std = OTHER_PRIOR_STD * (NOTHING if self.own_only else 1.0)
+        weights = np.square(np.maximum(lengths, 1e-12) / (std * scale))
+        weights[self.own] = np.square(
+            max(float(lengths[self.own]), 1e-12) / (GAIN_PRIOR_STD * scale)
+        )
+        mean = np.zeros(2)
+        mean[self.own] = 1.0
+        return mean, weights
+
+    @property
+    def information(self) -> Floats:
+        """The information (2, 2) on the gains."""
+        return np.asarray(self.x.T @ self.x + np.diag(self.prior[1]), dtype=np.float64)
+
+    def gains(self) -> Floats:
+        """Return the likeliest gains (2,), of the integrals of p and of q."""
+        mean, weights = self.prior
+        gains = np.linalg.solve(self.information, self.x.T @ self.y + weights * mean)
+        return np.asarray(gains, dtype=np.float64)
+
+    def likelihoods(self, gains: Floats) -> Floats:
+        """Return ln of the likelihood of each step (M,) with some gains (2,)."""
+        return -self.ln_root - np.square(self.y - self.x @ gains) / 2
+
+    def restricted_likelihood(self) -> float:
+        """Return ln of the likelihood whatever the gains are."""
+        _, ln_information = np.linalg.slogdet(self.information)
+        likelihoods = self.likelihoods(self.gains())
+        return float(likelihoods.sum() - ln_information / 2)
+
+
+def _whiten(
+    measured: Floats,
+    own: int,
+    p: ResponseParameters,
+    steps: UsedSteps,
+    walk: float,
+    noise: float,
+    error: float,
+) -> Whitened:
+    """Whiten turns or distances (M,), with their integrals: the variance of a step is walk^2 times
+    its duration, error^2 and twice noise^2, the covariance of neighbours -noise^2."""
+    covariance = np.zeros((2, len(measured)))  # its diagonal, and the one below
+    covariance[0] = walk**2 * steps.duration_s + error**2 + 2 * noise**2
+    covariance[1, :-1] = np.where(steps.neighbours, -(noise**2), 0.0)
+    root = cholesky_banded(covariance, lower=True)
+    whitened = solve_banded((1, 0), root, np.column_stack([measured, p.integrals(steps)]))
+    return Whitened(whitened[:, 0], whitened[:, 1:], np.log(root[0]), own, steps.in_one_ratio)
+
+
+def whitened_turns(steps: UsedSteps, p: ResponseParameters) -> Whitened:
+    """Whiten the turns of a robot for given parameters."""
+    return _whiten(steps.turned, 1, p, steps, p.heading_walk, p.heading_noise, TURN_ERROR_RAD)
+
+
+def whitened_ways(steps: UsedSteps, p: ResponseParameters) -> Whitened:
+    """Whiten the distances of a robot along its heading for given parameters."""
+    error = WAY_ERROR * float(np.median(np.abs(steps.way))) + 1e-12
+    return _whiten(steps.way, 0, p, steps, p.way_walk, p.position_noise, error)

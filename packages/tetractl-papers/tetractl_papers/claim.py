@@ -4,14 +4,17 @@ A claim is an outcome that the paper states, never a number that the spec is giv
 an `OurNumber`, with n and its 95 % interval [low, high] (a point if all values are equal). What is
 `Asked` of it gives the verdict:
 
-    reached    the whole interval is within what is asked
-    agrees     what is asked is the published number itself, and chance explains the difference
-    missed     the whole interval is outside, or chance does not explain the difference
-    undecided  the interval holds the bound: more trials would decide
-    out of reach   not reached, and a bound that no controller can break says why
+    reached     the whole interval is within what is asked
+    agrees      what is asked is the published number itself, and our interval holds it
+    missed      the whole interval is outside, or does not hold the published number
+    undecided   the interval holds the bound: more trials would decide
+    not judged  the published number comes from an experiment: both are printed, and nothing else
 
-So a share can be missed and reached, but only by enough trials: 0 of 20 does not show that fewer
-than 5 % of all trials would do the same, as its interval ends at 16 %.
+A simulation is never tested against an experiment. Its disturbances are assumptions, so agreement
+would show that they were chosen well, and a difference that they were chosen badly.
+
+A share can be missed and reached, but only by enough trials: 0 of 20 does not show that fewer than
+5 % of all trials would do the same, as its interval ends at 16 %.
 """
 
 import math
@@ -26,7 +29,7 @@ from tetractl.core.poses import Floats
 from tetractl.statistics.estimate import Interval, distributions, proportion_interval
 
 CONFIDENCE = 0.95
-"""Of all intervals and tests here."""
+"""Confidence of all intervals here."""
 _ENDS = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
 """Probabilities below the ends of such an interval."""
 
@@ -38,7 +41,7 @@ class Fate(StrEnum):
     AGREES = "agrees"
     MISSED = "missed"
     UNDECIDED = "undecided"
-    OUT_OF_REACH = "out of reach"
+    NOT_JUDGED = "not judged"
 
 
 # ---- The numbers of our trials ----
@@ -50,7 +53,6 @@ class NumberKind(StrEnum):
     MEAN = "mean"
     DEVIATION = "standard deviation"
     SHARE = "share of trials in which a fact holds"
-    RUNS = "share of runs as large as the published one"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +63,7 @@ class OurNumber:
         kind: What kind of number it is.
         value: The number.
         n: Number of trials.
-        low: Lower end of its 95 % interval. For RUNS, the middle 95 % of the runs.
+        low: Lower end of its 95 % interval.
         high: Upper end of that interval.
         means: If `value` is a difference, our mean and that of the other controller. None
             otherwise.
@@ -90,25 +92,23 @@ def share_of(values: Floats) -> OurNumber:
     return OurNumber(NumberKind.SHARE, count / n, n, interval.low, interval.high)
 
 
-def _deviation(values: Floats) -> float:
-    """Return the standard deviation of values, NaN of a single one."""
-    return float(np.std(values, ddof=1)) if len(values) > 1 else math.nan
-
-
 def deviation_of(values: Floats) -> OurNumber:
-    """Return the standard deviation of values (n,), with the chi-square interval of normal ones."""
+    """Return the standard deviation of values (n,), with the chi-square interval of normal ones.
+
+    It is NaN if there is only one value.
+    """
     from scipy import stats  # slow to import
 
     n = len(values)
-    std = _deviation(values)
+    std = float(np.std(values, ddof=1)) if n > 1 else math.nan
     low, high = (std * np.sqrt((n - 1) / stats.chi2.ppf(_ENDS[::-1], n - 1))).tolist()
     return OurNumber(NumberKind.DEVIATION, std, n, low, high)
 
 
 # ---- What can be asked of them ----
 
-Decide = Callable[[Floats, OurNumber], Fate]
-"""Returns the verdict on the values (n,) of our trials and on their number."""
+Decide = Callable[[OurNumber], Fate]
+"""Returns the verdict on the number of our trials."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,60 +145,19 @@ def as_often(share: float) -> Asked:
     return Asked(f"agreement with {100 * share:g} %", share_of, _holds(share))
 
 
-def one_run(published: float) -> Asked:
-    """Ask whether a published run is among the middle 95 % of ours.
-
-    Our number is the fraction of runs that are at least as large.
-    """
-
-    def number(values: Floats) -> OurNumber:
-        low, high = np.quantile(values, _ENDS).tolist()
-        share = float(np.mean(values >= published))
-        return OurNumber(NumberKind.RUNS, share, len(values), low, high)
-
-    return Asked("agreement", number, _holds(published))
-
-
-def same_mean(mean: float, std: float, n: int) -> Asked:
-    """Ask whether our mean equals a published one: Welch's t test finds no difference (p > 0.05).
+def not_judged(number: Callable[[Floats], OurNumber]) -> Asked:
+    """Ask nothing, because the published number comes from an experiment.
 
     Args:
-        mean: The published mean.
-        std: The published standard deviation.
-        n: Number of published values.
+        number: Computes our number from the values (n,) of our trials, such as `mean_of`.
     """
-
-    def decide(values: Floats, ours: OurNumber) -> Fate:
-        from scipy import stats
-
-        own_std = _deviation(values)
-        test = stats.ttest_ind_from_stats(
-            ours.value, own_std, ours.n, mean, std, n, equal_var=False
-        )
-        return _agreement(test.pvalue > 1 - CONFIDENCE)
-
-    return Asked("agreement", mean_of, decide)
-
-
-def same_deviation(std: float, n: int) -> Asked:
-    """Ask whether our standard deviation equals that of n published values.
-
-    The F test must find no difference (p > 0.05).
-    """
-
-    def decide(values: Floats, ours: OurNumber) -> Fate:
-        from scipy import stats
-
-        low, high = stats.f.ppf(_ENDS, ours.n - 1, n - 1)
-        return _agreement(low <= (ours.value / std) ** 2 <= high)
-
-    return Asked("agreement", deviation_of, decide)
+    return Asked("nothing: an experiment", number, lambda ours: Fate.NOT_JUDGED)
 
 
 def _within(low: float, high: float) -> Decide:
     """Return the verdict by the interval: within `low` to `high`, outside, or neither."""
 
-    def decide(values: Floats, ours: OurNumber) -> Fate:
+    def decide(ours: OurNumber) -> Fate:
         if low <= ours.low and ours.high <= high:
             return Fate.REACHED
         return Fate.MISSED if ours.high < low or ours.low > high else Fate.UNDECIDED
@@ -208,12 +167,7 @@ def _within(low: float, high: float) -> Decide:
 
 def _holds(published: float) -> Decide:
     """Return the verdict by whether our interval holds a published number."""
-    return lambda values, ours: _agreement(ours.low <= published <= ours.high)
-
-
-def _agreement(is_explained: bool) -> Fate:
-    """Return the verdict on a difference that chance explains, or does not."""
-    return Fate.AGREES if is_explained else Fate.MISSED
+    return lambda ours: Fate.AGREES if ours.low <= published <= ours.high else Fate.MISSED
 
 
 # ---- Claims ----
@@ -225,7 +179,7 @@ class Claim:
 
     `measure` turns a trial of the arm `arm` into a number, or a fact into 1 or 0, in `unit`. With
     `minus`, the same is measured of that arm, and the paired differences are assessed. `expected`
-    is the verdict that the page states, and `why` its reason, if it is not reached.
+    is the verdict that the page states, and `why` explains a difference from what is published.
     """
 
     figure: str
@@ -260,10 +214,7 @@ def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
         means = (float(values.mean()), float(subtracted.mean()))
         values = values - subtracted
     ours = claim.asked.number(values)
-    verdict = claim.asked.decide(values, ours)
-    if claim.expected is Fate.OUT_OF_REACH and verdict is not Fate.REACHED:
-        verdict = Fate.OUT_OF_REACH
-    return Row(claim, replace(ours, means=means), verdict)
+    return Row(claim, replace(ours, means=means), claim.asked.decide(ours))
 
 
 def _measured(claim: Claim, trials: Sequence[Any]) -> Floats:

@@ -66,7 +66,7 @@ def table(name: str, source: str, rows: Sequence[Row]) -> Table:
             claim.asked.words,
             _number(row.ours, claim.unit),
             str(row.ours.n),
-            _interval(row.ours, claim.unit),
+            _interval(row.ours),
             row.verdict,
             claim.why,
         )
@@ -76,9 +76,8 @@ def table(name: str, source: str, rows: Sequence[Row]) -> Table:
 
 def _number(number: OurNumber, unit: str) -> str:
     """Return our number as text."""
-    if number.kind in (NumberKind.SHARE, NumberKind.RUNS):
-        count = f"{round(number.value * number.n)} of {number.n}"
-        return count if number.kind is NumberKind.SHARE else f"{count} runs as large"
+    if number.kind is NumberKind.SHARE:
+        return f"{round(number.value * number.n)} of {number.n}"
     if math.isnan(number.value):  # the deviation of a single trial
         return "unknown"
     text = f"{_length(number.value)} {unit}".strip()
@@ -93,14 +92,10 @@ def _length(value: float) -> str:
     return lengths(value)(value)
 
 
-def _interval(number: OurNumber, unit: str) -> str:
+def _interval(number: OurNumber) -> str:
     """Return the interval of our number as text."""
-    match number.kind:
-        case NumberKind.SHARE:
-            return f"{100 * number.low:.0f} to {100 * number.high:.0f} %"
-        case NumberKind.RUNS:
-            show = lengths(number.high)
-            return f"runs: {show(number.low)} to {show(number.high)} {unit}"
+    if number.kind is NumberKind.SHARE:
+        return f"{100 * number.low:.0f} to {100 * number.high:.0f} %"
     if math.isnan(number.low) or number.low == number.high:
         return "none"
     show = lengths(number.value)

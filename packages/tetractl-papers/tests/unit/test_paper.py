@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from tetractl_papers import command
 from tetractl_papers import trials as reproduce_trials
-from tetractl_papers.claim import Claim, Fate, assess, at_most, same_deviation
+from tetractl_papers.claim import Claim, Fate, assess, at_most, deviation_of, not_judged
 from tetractl_papers.ou_measures import spinning_time, total_error
 from tetractl_papers.paper import Paper, Runs, table
 from tetractl_papers.registries import PAPERS
@@ -172,6 +172,19 @@ def test_the_command_prints_a_row_of_the_page(tmp_path):
     assert rows_of_page()[stated[0].figure][3] == f"{mean:.1f} um"
 
 
+def test_no_row_on_an_experiment_has_a_verdict_or_a_p_value():
+    """What Ou's 20 trials, Khalil's and Pichel's cells gave is printed next to ours, not tested."""
+    rows = rows_of_page()
+    for figure in (
+        "20 trials: mean total error, bench",
+        "20 trials: standard deviation of the total error, bench",
+        "diameter of the disc of 95 % of a hold, microjet",
+        "a over B: width of its interval, 204 cells",
+    ):
+        assert rows[figure][6] == "not judged"
+    assert not re.search(r"Welch|F test|p >|p <", PAGE.read_text(encoding="utf-8"))
+
+
 def test_an_unknown_paper_is_refused():
     with pytest.raises(UsageError, match="there is no paper 'oo'"):
         command.reproduce(["oo"])
@@ -179,7 +192,7 @@ def test_an_unknown_paper_is_refused():
 
 def test_the_deviation_of_one_trial_is_unknown():
     """Regression: `reproduce ou --trials 1` ended with a traceback."""
-    asked = same_deviation(std=225.1, n=20)
+    asked = not_judged(deviation_of)
     row = assess(Claim("deviation", "225.1 mm", "one", float, asked), {"one": [132.0]})
     (cells,) = table("mine", "x", [row]).rows
     assert cells[3:6] == ("unknown", "1", "none")

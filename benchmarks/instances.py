@@ -6,6 +6,9 @@
     python benchmarks/instances.py --report             print the page of what there is
 
 For each instance it writes a study and runs `tetractl study`, so it goes on where it was stopped.
+The seed is the day of the last commit as a number, such as 20261130, unless --seed states another:
+nobody chooses it, and no rule of the controller was chosen with it. A folder keeps its seed.
+
 Everything is simulated. The rows are those of docs/reference/benchmark.md; `tetractl stats` says
 more of each folder.
 
@@ -81,23 +84,42 @@ def bound_s(spec: Experiment) -> float:
     return float(np.max((gaps - accept) / setup.speed))
 
 
-def study_text(name: str, title: str, arms: Mapping[str, SETTING], trials: int) -> str:
+def seed_of_last_commit() -> int:
+    """Return the day of the repository's last commit as a number, such as 20261130."""
+    command = ["git", "log", "-1", "--format=%cd", "--date=format:%Y%m%d"]
+    folder = Path(__file__).parent
+    return int(subprocess.run(command, cwd=folder, check=True, capture_output=True).stdout)
+
+
+def study_text(name: str, title: str, arms: Mapping[str, SETTING], trials: int, seed: int) -> str:
     """Return the YAML text of an instance's study."""
     study = {
         "name": title,
         "base": str(EXPERIMENTS / "benchmark" / f"{name}.yaml"),
         "controllers": {arm: dict(settings) for arm, settings in arms.items()},
-        "trials": {"count": trials, "seed": 1},
+        "trials": {"count": trials, "seed": seed},
     }
     return yaml.safe_dump(study, sort_keys=False)
 
 
-def run(name: str, out: Path, arms: Mapping[str, SETTING], trials: int, jobs: int) -> int:
-    """Write the study of an instance and run what it lacks; return its exit code."""
+def run(
+    name: str, out: Path, arms: Mapping[str, SETTING], trials: int, jobs: int, seed: int | None
+) -> int:
+    """Write the study of an instance and run what it lacks; return its exit code.
+
+    Without a `seed`, a study that was begun keeps its own.
+    """
     study = out.with_name(f"{out.name}.yaml")
-    study.write_text(study_text(name, out.name, arms, trials), encoding="utf-8")
+    if seed is None:
+        seed = seed_of(study) if study.exists() else seed_of_last_commit()
+    study.write_text(study_text(name, out.name, arms, trials, seed), encoding="utf-8")
     command = ["-m", "tetractl", "study", study, "--out", out]
     return subprocess.run([sys.executable, *command, "--jobs", str(jobs)]).returncode
+
+
+def seed_of(study: Path) -> int:
+    """Return the seed of a study that was written."""
+    return yaml.safe_load(study.read_text(encoding="utf-8"))["trials"]["seed"]
 
 
 Row = dict[str, str]
@@ -181,8 +203,11 @@ def report(folder: Path, names: Sequence[str]) -> None:
     for name in names:
         if (folder / name / "trials.csv").exists():
             spec = instance(name)
-            lines = table(trials_by_arm(folder / name), bound_s(spec))
-            print("\n".join([f"### `{name}`", "", spec.description, "", *lines, ""]))
+            least_s = bound_s(spec)
+            seed = seed_of(folder / f"{name}.yaml")
+            bound = f"Lower bound of a trial's time: {least_s:.2f} s. Seed: {seed}."
+            lines = table(trials_by_arm(folder / name), least_s)
+            print("\n".join([f"### `{name}`", "", spec.description, "", bound, "", *lines, ""]))
 
 
 def main() -> None:
@@ -190,6 +215,7 @@ def main() -> None:
     all_names = sorted(path.stem for path in (EXPERIMENTS / "benchmark").glob("*.yaml"))
     parser.add_argument("--trials", type=int, default=100)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--seed", type=int, help="of all trials [the day of the last commit]")
     parser.add_argument(
         "--only", default=",".join(all_names), help="instances, such as paper,cells"
     )
@@ -206,7 +232,8 @@ def main() -> None:
         for name in names:
             progress(name)
             arms_run = {OURS: {}} if options.ours else controllers(name)
-            run(name, options.out / name, arms_run, options.trials, options.jobs)
+            out = options.out / name
+            run(name, out, arms_run, options.trials, options.jobs, options.seed)
     report(options.out, names)
 
 

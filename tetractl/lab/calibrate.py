@@ -116,10 +116,7 @@ def calibrate_robots(
     limit: int,
     report: Callable[[str], None],
 ) -> Measured:
-    """Measure the named robots one after another with outputs up to `limit` 127ths of full speed.
-
-    AbortError, with the reason, if a robot cannot be measured.
-    """
+    """Measure robots one after another with small motions; see `ActuatorSection.calibrate`."""
     offsets = []
     wheels = []
     lines = []

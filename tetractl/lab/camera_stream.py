@@ -17,13 +17,17 @@ from tetractl.core.poses import CameraFrame
 SLOW_HZ = 20.0
 """Rate of frames below which one lost frame looks like a lost stream [Hz]."""
 NOISE_FRAMES = 25
-"""Number of frames in a row that must differ in each body, before the first run, for the poses to
-count as noisy. At 120 Hz they take 0.2 s, in which robots stand or somebody carries one of them."""
+"""Number of frames in a row that must differ in each body for the poses to count as noisy.
+
+They come before the first run. At 120 Hz they take 0.2 s, in which robots stand still, or somebody
+carries one of them.
+"""
 
 
 def rate_hz(numbers: Sequence[int], received_ns: Sequence[int]) -> float | None:
-    """Return the rate [Hz] of frames or pictures with these numbers, received at these times, those
-    between them included; None for fewer than two.
+    """Compute the rate of frames or images [Hz], including those that were lost in between.
+
+    They have these numbers and were received at these times. None if there are fewer than two.
     """
     if len(numbers) < 2 or received_ns[-1] <= received_ns[0]:
         return None
@@ -45,7 +49,13 @@ class RepeatDetector:
         self._differing_in_a_row = 0  # frames before robots were first driven
 
     def add(self, frame: CameraFrame, before: CameraFrame, driven: bool) -> None:
-        """Compare a frame with the one before; `driven` is whether robots ever were."""
+        """Compare a frame with the one before.
+
+        Args:
+            frame: The frame.
+            before: The frame before.
+            driven: Whether robots have ever been driven.
+        """
         if not driven and not self._is_noisy:
             if _each_body_differs(frame, before):
                 self._differing_in_a_row += 1

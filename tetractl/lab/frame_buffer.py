@@ -28,8 +28,10 @@ class FrameBuffer:
             self.count += 1
 
     def since(self, count: int) -> tuple[list[AcceptedFrame], int]:
-        """Return the frames after the first `count`, oldest first, and the number of all frames so
-        far: the `count` for the next call. Frames dropped from the buffer are left out.
+        """Return the frames after the first `count`, oldest first, and the number of all so far.
+
+        That number is the `count` for the next call. Frames that the buffer has dropped are left
+        out.
         """
         with self._lock:
             new_frames = list(islice(reversed(self._frames), max(self.count - count, 0)))

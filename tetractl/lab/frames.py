@@ -11,12 +11,16 @@ from tetractl.core.poses import CameraFrame, Pose
 
 @dataclass(frozen=True, slots=True)
 class AcceptedFrame:
-    """A camera frame, exposed after all earlier frames, and the N robots' poses that the guard has
-    accepted.
+    """A camera frame, and the poses of the N robots that the guard has accepted.
 
-    `poses` (N,) are the last accepted poses, None before a robot's first. `fresh` (N,) is whether a
-    pose is from this frame; if not, the robot was not tracked or its pose was refused. `exposed_ns`
-    (N,) are the times of the poses if they have their own, otherwise it is empty.
+    It was exposed after all earlier frames.
+
+    Attributes:
+        frame: The frame.
+        poses: Last accepted pose of each robot. None before a robot's first pose.
+        fresh: Whether each pose is from this frame. If not, the robot was untracked or its pose was
+            refused.
+        exposed_ns: Time of each pose [ns], if poses have their own times. Otherwise empty.
     """
 
     frame: CameraFrame

@@ -241,9 +241,14 @@ class Guard:
             self._enter(GuardState.READY)
 
     def abort(self, reason: str, emergency: bool = False, suspect: int | None = None) -> None:
-        """Enter `abort`, for good; later calls do not change the reason. `suspect` is the robot
-        that seems to be at fault, None for no one robot. Robots that are hidden since their poses
-        are refused become ghosts.
+        """Abort for good. Later calls do not change the reason.
+
+        Robots that are hidden because their poses are refused are refused for good from now on.
+
+        Args:
+            reason: Why.
+            emergency: Whether robots must latch the stops.
+            suspect: Index of the robot that seems to have failed. None if it is not a single robot.
         """
         with self._state_lock:
             self.emergency |= emergency
@@ -257,8 +262,10 @@ class Guard:
                 robot.ghost = robot.decision.refused
 
     def name_culprit(self, frames: FrameBuffer) -> None:
-        """After an abort, correct its reason once if by the last frames not the suspected robot is
-        at fault; slow, so to be called once the robots are stopped.
+        """Correct the reason of an abort, once, if the suspected robot is not the cause.
+
+        This is judged by the last frames. It is slow, and therefore called after the robots were
+        stopped.
         """
         suspect = self._suspect
         if suspect is None:
@@ -307,15 +314,22 @@ class Guard:
     def note_transmission(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
     ) -> None:
-        """Note a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
+        """Take note of a transmission.
+
+        Args:
+            now_ns: When it was sent.
+            speed: Commanded speed of each robot [length unit/s], N entries.
+            turning: Commanded turning rate of each robot [rad/s], N entries.
+        """
         for check in self._checks:
             check.sent(now_ns, speed, turning)
 
     # ---- each step of the inner loop: check_awake, check_frame for each new frame, decide ----
 
     def check_awake(self, now_ns: int) -> None:
-        """Abort if nothing was decided for `stream_lost`; to be called before frames are checked
-        that waited meanwhile.
+        """Abort if nothing was decided for `stream_lost`.
+
+        It must be called before frames are checked that waited in the meantime.
         """
         ticked_ns = self._pace.ticked_ns
         asleep_ns = 0 if ticked_ns is None else now_ns - ticked_ns
@@ -365,11 +379,13 @@ class Guard:
     def decide(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
         """Decide which robots may move now. In a run, first look for what ends it.
 
-        `damaged` is the number of pictures or datagrams so far that the camera could not read,
-        `failure` is why the actuator cannot send any more, None if it can.
+        The controller's thread may end or abort a run at any time. Robots move only if the state
+        still belongs to a run after everything has been decided.
 
-        The controller's thread may end or abort a run at any time: robots move only if the state is
-        one of a run after all has been decided.
+        Args:
+            now_ns: The present time.
+            damaged: Number of images or datagrams so far that the camera could not read.
+            failure: Why the actuator cannot send any more. None if it can.
         """
         self.check_awake(now_ns)
         if failure:
@@ -399,24 +415,24 @@ class Guard:
     # ---- a frame ----
 
     def _decide_pose(self, i: int, pose: Pose | None, in_run: bool) -> PoseDecision | None:
-        """Return what becomes of the pose of robot i in the newest frame, None if that was decided
-        in a frame before; only its checks remember anything of it.
+        """Decide whether to accept the pose of robot i in the newest frame.
 
-        The first of these rows that fits decides:
+        None if that was decided in an earlier frame. Only the checks remember anything about the
+        pose. The first row that fits decides:
 
             there is none, or the run goes on without the robot     missing
-            it is the measurement of a frame before                 None
+            it is the measurement of an earlier frame               None
             the robot is a ghost, or cannot have come there         refused
-            the frame repeats the one before, of a noisy camera     refused
+            the frame repeats the last one of a noisy camera        refused
             it is the robot's first one, or no run has begun yet    accepted
             no run is on, but one was: it may show a motion         accepted, and checks note it
             it equals the last one to the bit, so no motion         as checks find
             it shows a motion, which commands explain or not        as checks find
 
-        Robots that move although no run is on have perhaps not heard the stop, which is then sent
-        again. A robot whose pose repeats may stand. But if its commands must have moved it by now,
-        the camera shows a frozen picture; then equal poses are refused until another one comes,
-        whatever is commanded meanwhile.
+        Robots that move although no run is on may not have received the stop, which is then sent
+        again. A robot with a repeated pose may be standing still. However, if its commands must
+        have moved it by now, the camera shows a frozen image. Then equal poses are refused until a
+        different one arrives, whatever is commanded in the meantime.
         """
         robot = self._robots[i]
         last = robot.last
@@ -488,8 +504,11 @@ class Guard:
                 return
 
     def _check_camera_and_controller(self, now_ns: int, damaged: int) -> None:
-        """Abort if much of what the camera sends cannot be read, if robots drive ahead by an old
-        direction, or if no frame has come for `stream_lost`: no robot is then to blame."""
+        """Abort if the camera or the controller has failed.
+
+        That is the case if much of what the camera sends cannot be read, if robots drive by an old
+        direction, or if no frame has arrived for `stream_lost`. No robot is to blame then.
+        """
         rules = self.rules
         undirected_ns = now_ns - self._pace.directed_ns
         frameless_ns = now_ns - self._stream.newest_ns
@@ -503,10 +522,11 @@ class Guard:
             self.abort(self._with_cause(self._stream.frameless_text(frameless_ns), now_ns))
 
     def _check_tracking(self) -> None:
-        """For each robot that is not lost: abort if it disobeys for as long as stops it; lose it if
-        it is not tracked for `untracked_abort`, or if it is seen too rarely.
+        """Abort or lose each robot that disobeys or is not tracked.
 
-        A run that may lose robots loses one that does not move as any other that is not tracked.
+        A robot that disobeys for as long as it takes to stop it aborts the run. A robot that is
+        untracked for `untracked_abort`, or is seen too rarely, is lost. A run that may lose robots
+        also loses one that does not move.
         """
         limit_ns = self.rules.limits.untracked_abort * SECOND
         for i, robot in enumerate(self._robots):
@@ -524,8 +544,10 @@ class Guard:
                 return
 
     def _pose_now(self, i: int, robot: RobotTrack) -> Pose | None:
-        """Return the accepted pose of robot i at the newest frame, None if it is hidden or lost; a
-        pose that is older is carried on by the commands."""
+        """Return the accepted pose of robot i at the newest frame. None if it is hidden or lost.
+
+        An older pose is predicted to that time with the commands that were sent.
+        """
         pose = robot.last
         if pose is None or not robot.tracked:
             return None
@@ -584,8 +606,10 @@ class Guard:
             self._warnings.append(text)
 
     def _with_cause(self, reason: str, now_ns: int) -> str:
-        """Add to a reason that blames a robot or the camera what else explains it: late control
-        steps just before, or slow frames. The text does not ask then whether the robot was pushed.
+        """Add another explanation to a reason that blames a robot or the camera.
+
+        It may be late control steps just before, or slow frames. The text then does not ask whether
+        the robot was pushed.
         """
         late_ns = self._pace.late_ns
         if late_ns is not None and now_ns - late_ns <= COMPARED_NS:

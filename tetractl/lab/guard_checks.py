@@ -1,11 +1,12 @@
-"""The list of the guard's checks: what each is asked, and what it may find. A device of other
-robots brings a list of its own.
+"""The list of the guard's checks, and what each of them may find.
+
+A device for other robots brings its own list.
 
     MotionCheck   may a pose be its robot's, by the commands of the last 0.3 s?   Refuse, Moved
     DriftCheck    may the motion over the whole trial be that of its wheels?      Abort
     Keeps         does a robot leave the arena, enter an obstacle, touch another? Abort
 
-That a body is lifted, or jumps, the guard itself asks of its `RobotTrack`.
+The guard itself checks with its `RobotTrack` whether a body is lifted, or jumps.
 """
 
 from collections.abc import Callable
@@ -20,10 +21,15 @@ from tetractl.lab.places import Keeps
 
 @dataclass(frozen=True, slots=True)
 class GuardChecks:
-    """The checks of a kind of robots, in the order in which they are made. `drift` knows how the
-    robots have moved over the trial: by it poses are carried on, and by it the guard says who is at
-    fault. Robots that are stopped `together` share one signal: none of them can be held still while
-    the others move."""
+    """The checks for a kind of robots.
+
+    Attributes:
+        checks: The checks, in the order in which they are made.
+        drift: Knows how the robots have moved over the trial. It predicts poses, and the guard uses
+            it to find the cause of an abort.
+        together: Whether robots share one signal, so that none can be held still while the others
+            move.
+    """
 
     checks: tuple[GuardCheck, ...]
     drift: DriftCheck

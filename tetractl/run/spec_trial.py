@@ -59,7 +59,17 @@ def run_logged(
     interrupt: Interrupt | None = None,
     supervision: LabSupervision | None = None,
 ) -> Result:
-    """Run a trial and write its log to `folder` meanwhile."""
+    """Run a trial of a spec, and write its log meanwhile.
+
+    Args:
+        spec: The spec.
+        folder: The folder of the log.
+        trial: The number of the trial.
+        observers: They get every event too, each in a thread of its own if the trial runs in real
+            time.
+        interrupt: Ends the trial on request; by default, nothing else does.
+        supervision: Supervises the lab; by default this process does.
+    """
     interrupt = interrupt or Interrupt()
     with (
         LogWriter(log_path(folder, trial), real_time=spec.experiment.plant.real_time) as log,
@@ -78,9 +88,17 @@ def ready_trial(
     supervision: LabSupervision | None = None,
     controller: Controller | None = None,
 ) -> Iterator[Trial]:
-    """Give a trial that is ready to run. The `writers` of logs are called in the control loop's
-    thread, the `observers` in threads of their own if the trial runs in real time. Without a
-    `supervision`, this process supervises the lab; without a `controller`, the spec's decides."""
+    """Prepare a trial of a spec, and give it when it is ready to run.
+
+    Args:
+        writers: Writers of logs, called in the thread of the control loop.
+        spec: The spec.
+        trial: The number of the trial.
+        observers: They get every event in threads of their own, if the trial runs in real time.
+        interrupt: Ends the trial on request.
+        supervision: Supervises the lab; by default this process does.
+        controller: The controller; by default, the one that the spec selects.
+    """
     section = spec.experiment.plant
     clock = section.clock()
     start_unix_ns = time.time_ns() if section.real_time else EPOCH_NS

@@ -73,17 +73,27 @@ def load_spec(path: Path, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
 
 
 def parse_spec(text: str, name: str, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
-    """Check the text of a spec, as `load_document` does; `name` is its name in error messages.
+    """Check the text of a spec, as `load_document` does.
 
-    The spec must not name a file, as there is no folder to find it in.
+    The spec must not name a file, because there is no folder to find it in.
+
+    Args:
+        text: The text.
+        name: Its name in error messages.
+        settings: Values that replace those in the text.
     """
     return load_document(parse_document(text, name), settings)
 
 
 def parse_written(text: str, name: str, settings: Sequence[SpecSetting] = ()) -> LoadedSpec:
-    """Check a resolved spec that tetractl has written into a log.
+    """Check a resolved spec that tetractl wrote into a log.
 
-    Its places are not checked: a trial may have measured them.
+    Its places are not checked, because a trial may have measured them.
+
+    Args:
+        text: The text.
+        name: Its name in error messages.
+        settings: Values that replace those in the text.
     """
     document = with_settings(parse_document(text, name), settings)
     _refuse_study(document)
@@ -95,8 +105,15 @@ def parse_written(text: str, name: str, settings: Sequence[SpecSetting] = ()) ->
 def parse_contents(
     contents: Mapping[str, Any], name: str, settings: Sequence[SpecSetting] = ()
 ) -> LoadedSpec:
-    """Check a spec given as its contents, as `parse_spec` does; problems and warnings name fields,
-    but no lines, which no file has."""
+    """Check a spec given as its contents, as `parse_spec` does.
+
+    Problems and warnings name fields but no lines, because there is no file.
+
+    Args:
+        contents: The contents.
+        name: Its name in error messages.
+        settings: Values that replace those in the contents.
+    """
     text = as_text(contents, name)
     with without_lines():
         document = parse_document(text, name)
@@ -220,8 +237,10 @@ def _refuse_named_files(document: Document) -> None:
 
 
 def _estimates(document: Document) -> bool:
-    """Return whether a document's controller identifies robots while it drives: by its field
-    `estimate` or, where that is not given, by the default of its kind."""
+    """Check whether a document's controller identifies robots while it drives.
+
+    Its field `estimate` says so or, if it is missing, the default of its kind.
+    """
     kind = _controller_kind(document)
     if kind is None:
         return False
@@ -242,8 +261,12 @@ def _controller_kind(document: Document) -> type[ControllerSection] | None:
 
 
 def validated_experiment(document: Document, written: bool) -> Experiment:
-    """Return the experiment of a document; InvalidSpecError with all its wrong values at once or,
-    if there are none, with all that contradicts each other."""
+    """Return the experiment of a document.
+
+    Raises:
+        InvalidSpecError: With all wrong values at once or, if there are none, with all
+            contradictions.
+    """
     experiment = validated(Experiment, document)
     with np.errstate(all="ignore"):  # numbers at the end of floating point are compared as inf
         for error in errors_of(experiment, written):

@@ -55,8 +55,10 @@ FORMS = {
     OF_WHEELS: ("left_mm_s", "right_mm_s", "radius_mm"),
     POSES: ("x_mm", "y_mm", "heading_rad"),
 }
-"""The columns of each kind of table, besides the time. A table that has those of several is of the
-first."""
+"""The columns of each kind of table, in addition to the time.
+
+If a table has the columns of several kinds, it is of the first of them.
+"""
 UNITS = {"rad": RADIANS, "rad_s": RADIANS_S, "mm": METRES, "mm_s": METRES_S}
 """The units in which a column may be instead of that in FORMS."""
 AGAIN = 0.1
@@ -87,12 +89,13 @@ Series = tuple[str, str]
 
 @dataclass(slots=True)
 class _Numbers:
-    """The numbers of a trial in CSV files, one after the other: of the POSE_ROWs of all `robots`,
-    which are numbered, and of the DIRECTION_ROWs or TWIST_ROWs of each robot.
+    """The numbers of a trial in CSV files, one after another.
 
-    `lag_s` is the time constant of the wheels [s], 0 if none is stated. A robot "" stands for all.
-    NaN is an unknown number. `first` and `newest` are the times [s] of what is in the files, by its
-    column and robot. The paths are of the files.
+    They are the numbers of the POSE_ROWs of all `robots`, which are numbered, and of the
+    DIRECTION_ROWs or TWIST_ROWs of each robot. `lag_s` is the time constant of the wheels [s], 0 if
+    none is stated. A robot "" stands for all robots. NaN is an unknown number. `first` and `newest`
+    are the times [s] of what is in the files, by its column and robot. The paths are those of the
+    files.
     """
 
     robots: dict[str, int] = field(default_factory=dict)
@@ -110,8 +113,17 @@ class _Numbers:
         return _rows(self.poses, POSE_ROW)
 
     def take_time(self, path: Path, row: CsvRow, column: NumberColumn, series: Series) -> float:
-        """Return the time of a row, which is not earlier than the row before it of its series;
-        UsageError if it is."""
+        """Return the time of a row, and check the order of times.
+
+        Args:
+            path: The file.
+            row: The row.
+            column: The column of times.
+            series: The rows that must be in order.
+
+        Raises:
+            UsageError: If the time is earlier than in the row before.
+        """
         time = column.number(path, row)
         first = self.first.setdefault(series, time)
         newest = self.newest.get(series, time)
@@ -133,8 +145,11 @@ def _rows(numbers: "array[float]", row: np.dtype[np.void]) -> NDArray[np.void]:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """The columns of a table of one of FORMS: the time, and the others by name; of a table of
-    poses the `unit` of its lengths."""
+    """The columns of a table of one of FORMS.
+
+    They are the time, and the others by name. For a table of poses, `unit` is the unit of its
+    lengths.
+    """
 
     path: Path
     form: str
@@ -148,7 +163,13 @@ class _Columns:
         return math.nan if column is None else column.optional(self.path, row)
 
     def wrong(self, row: CsvRow, name: str, problem: str) -> UsageError:
-        """Return the error of the number in a row of a column."""
+        """Return the error for a number in a table.
+
+        Args:
+            row: The row.
+            name: The column.
+            problem: What is wrong.
+        """
         return UsageError(f"{self.path}, line {row.line}: {self.by_name[name].key} {problem}")
 
 
@@ -183,8 +204,11 @@ def _add_direction(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
 
 
 def _add_speeds(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
-    """Add the speed and turning rate in a row, or those that the speeds of a robot's wheels are; if
-    a number is missing, nothing was sent at this step."""
+    """Add the speed and turning rate in a row.
+
+    They may follow from the speeds of a robot's wheels. If a number is missing, nothing was sent at
+    this step.
+    """
     trial.commands_path = columns.path
     if columns.form == OF_WHEELS:
         left = columns.number(row, "left")
@@ -253,8 +277,11 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
 
 
 def _idle_robots(trials: list[_Numbers]) -> set[str]:
-    """Return the robots to which no trial sends a speed; UsageError if there is no other, or if it
-    is not known which robot is sent one."""
+    """Return the robots to which no trial sends a speed.
+
+    Raises:
+        UsageError: If there is no other robot, or if it is unknown which robot receives a speed.
+    """
     paths = next((numbers for numbers in trials if numbers.poses_path), _Numbers())
     in_poses = {robot for numbers in trials for robot in numbers.robots}
     sent_to = {robot for numbers in trials for robot in numbers.twists}
@@ -490,8 +517,13 @@ def names_of(robots: Collection[str]) -> str:
 
 
 def _refuse_two_places(path: Path, rows: NDArray[np.void], names: list[str]) -> None:
-    """Raise UsageError if a robot is at two places at one time: its POSE_ROWs (R,) are of several
-    robots. A row that is written twice does no harm."""
+    """Check that no robot is at two places at one time.
+
+    The POSE_ROWs (R,) belong to several robots. A row that is written twice does no harm.
+
+    Raises:
+        UsageError: If a robot is.
+    """
     ordered = rows[np.lexsort((rows["time"], rows["robot"]))]
     before = ordered[:-1]
     after = ordered[1:]
@@ -559,8 +591,11 @@ def _measurements(times: Floats, poses: Floats, is_stated: Bools) -> Bools:
 
 
 def _directions(numbers: _Numbers, path: Path, begin: float) -> _Commands:
-    """Return the directions in order, their times counted from `begin`; UsageError if robots are
-    sent different ones."""
+    """Return the directions in order, with times counted from `begin`.
+
+    Raises:
+        UsageError: If robots receive different directions.
+    """
     rows = np.zeros(0, DIRECTION_ROW)
     for robot, of_robot in numbers.directions.items():
         before = rows
@@ -578,8 +613,10 @@ def _directions(numbers: _Numbers, path: Path, begin: float) -> _Commands:
 
 
 def _twists(numbers: _Numbers, path: Path, robots: list[str], unit: str, begin: float) -> _Commands:
-    """Return the speeds and turning rates in order, their times counted from `begin`, with speeds
-    in the unit of the poses."""
+    """Return the speeds and turning rates in order, with times counted from `begin`.
+
+    Speeds are in the unit of the poses.
+    """
     of_robot = {robot: _rows(of_one, TWIST_ROW) for robot, of_one in numbers.twists.items()}
     for robot, rows in of_robot.items():
         twists = np.column_stack([rows["speed"], rows["turning_rate"]])
@@ -598,8 +635,13 @@ def _twists(numbers: _Numbers, path: Path, robots: list[str], unit: str, begin: 
 
 
 def _refuse_two_commands(path: Path, robot: str, times: Floats, commands: Floats) -> None:
-    """Raise UsageError if a robot is sent two different commands (C, K) at one time, as where times
-    (C,) [s] are rounded."""
+    """Check that no robot receives two different commands (C, K) at one time.
+
+    That may happen if times (C,) [s] are rounded.
+
+    Raises:
+        UsageError: If a robot does.
+    """
     differs = (np.diff(commands, axis=0) != 0).any(axis=1)
     twice = np.flatnonzero((np.diff(times) == 0) & differs)
     if len(twice):

@@ -30,8 +30,10 @@ STEP_S = 0.1
 """Minimum duration of a step [s]."""
 LONGEST_S = 0.55
 LONGEST = 2.2
-"""A step is left out, since the robot was not seen, if it lasts LONGEST_S [s] or more, and LONGEST
-times the median time between two poses."""
+"""Multiple of the median time between two poses from which a step is left out.
+
+It must also last LONGEST_S [s] or more: then the robot was not seen.
+"""
 FAR = 8.0
 """How far off a step is that is left out, in standard deviations."""
 NEIGHBOURS = 5
@@ -39,13 +41,13 @@ NEIGHBOURS = 5
 STD_OF_MEDIAN = 1.48
 """Standard deviation of normal numbers over the median of their magnitudes."""
 CLOCKS_S = np.arange(-200, 201) / 20
+"""Delays that are tried, minus the expected one [s]."""
 PEAK = 5
-"""Delays that are tried, less the expected one [s]; and their number to either side of one that it
-has to exceed."""
+"""Number of neighbours on either side that a delay must exceed to count as a peak."""
 AS_GOOD = 0.1
+"""Fraction of the motion by which a delay nearer to the expected one may explain less."""
 REVERSED = 0.8
-"""Share of the motion by which a delay nearer to the expected one may explain less; and that for
-which a delay counts if robots turn right where they are sent left."""
+"""Fraction of the motion for which a delay counts if robots turn right where they are sent left."""
 CLIPPED = 0.02
 """Fraction of the rates that is clipped at either end."""
 FIRST_LAG_S = 0.1
@@ -55,15 +57,23 @@ DEAD_TIME_UNIT_S = 0.05
 INTEGRALS_KEPT = 64
 """Number of integrals that are not computed again: most parameters do not change them."""
 ONE_RATIO = 0.999
-"""Squared correlation of the two integrals above which the data cannot tell them apart, as on
-circles. The motion is then taken for the robot's own."""
+"""Squared correlation of the two integrals above which the data cannot tell them apart.
+
+This happens on circles. The motion is then attributed to the robot's own command.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class DrivenTrack:
-    """One robot in one track: the `steps` between its poses at `pose_s` (S + 1,) [s], and the
-    `commands` (C, 2) of v and w that it was sent at `sent_s` (C,) [s]. `two_clocks` is as in
-    `Track`."""
+    """One robot in one track.
+
+    Attributes:
+        pose_s: Times of its poses [s], shape (S + 1,).
+        steps: The steps between its poses.
+        sent_s: Times of the commands [s], shape (C,).
+        commands: v and w that were sent, shape (C, 2).
+        two_clocks: As in `Track`.
+    """
 
     pose_s: Floats
     steps: PoseSteps
@@ -282,8 +292,9 @@ def _require_enough(name: str, drives: Bools) -> None:
 
 
 def _delay(tracks: Sequence[DrivenTrack], steps: PoseSteps, expected_s: float) -> float:
-    """Return the delay [s] after which speeds and turns that were sent explain most of the motion;
-    of several that explain AS_GOOD as much, that nearest to the expected one.
+    """Return the delay after which speeds and turns that were sent explain most of the motion [s].
+
+    Of several delays that explain AS_GOOD as much, it is the one nearest to the expected delay.
     """
     delays = expected_s + CLOCKS_S
     is_seen = steps.duration_s < _longest(steps)
@@ -300,8 +311,10 @@ def _delay(tracks: Sequence[DrivenTrack], steps: PoseSteps, expected_s: float) -
 
 
 def _usual_rates(steps: PoseSteps) -> Floats:
-    """Return the turning rates and the speeds ahead and aside in some steps (3, S), clipped to
-    those that are usual: a tracker may take a body for another."""
+    """Return the turning rates and the speeds ahead and aside in some steps (3, S).
+
+    They are clipped to usual values, because a tracker may confuse two bodies.
+    """
     motion = np.stack([steps.turned, steps.moved.real, steps.moved.imag]) / steps.duration_s
     low, high = np.quantile(motion, (CLIPPED, 1 - CLIPPED), axis=1, keepdims=True)
     return np.clip(motion, low, high)
@@ -326,9 +339,11 @@ def _correlation(first: Floats, second: Floats) -> float:
 
 
 def _far_off(measured: Floats, driven: Floats, drives: Bools) -> Bools:
-    """Return which steps (S,) are FAR from the regression of those that drive, and further than
-    commands can make them that act up to NEIGHBOURS steps earlier or later: in a track without
-    noise, others are off only by these."""
+    """Find the steps (S,) that are far from the regression of those that drive.
+
+    They must be further than FAR, and further than commands can explain that act up to NEIGHBOURS
+    steps earlier or later: in a track without noise, others differ only by these.
+    """
     expected = driven @ robust_gains(measured[drives], driven[drives])
     residuals = np.abs(measured - expected)
     usual = STD_OF_MEDIAN * np.median(residuals[drives])

@@ -104,8 +104,10 @@ def _sums(steps: Complex | Floats, group: Integers) -> Floats:
 
 
 def windows_of(begin_s: Floats, end_s: Floats) -> Integers:
-    """Number the windows of WINDOW_S of steps (M,) from `begin_s` to `end_s` [s]. A gap between two
-    steps begins a new window."""
+    """Number the windows of WINDOW_S of steps (M,) from `begin_s` to `end_s` [s].
+
+    A gap between two steps begins a new window.
+    """
     if not len(begin_s):
         return np.zeros(0, dtype=np.int64)
     is_new = np.append(True, np.abs(begin_s[1:] - end_s[:-1]) > 1e-6)

@@ -1,23 +1,25 @@
-"""Fits a dead time that all robots share, and each robot's turning rate a, speed, heading bias and
-noise, by maximising the likelihood of the controller's filter (`control.estimation.filter`).
+"""Fits the dead time, turning rates, speeds, heading biases and noise of robots.
+
+All robots share the dead time. The fit maximises the likelihood of the controller's filter
+(`control.estimation.filter`).
 
 A first pass of the filter over the longest track has a grid of dead times, and each of RATES as
-factors on the expected turning rates a. The fit starts from the likeliest. In each of ROUNDS
-rounds or more, passes over all tracks
+factors on the expected turning rates a. The fit starts from the most likely values. In each of at
+least ROUNDS rounds, it passes over all tracks
 
-- with the noise varied give gradient and curvature of the likelihood in the noise of measurements
-  and the random walks, for a Newton step;
-- with dead times around the likeliest give a parabola, whose maximum and width are the dead time
-  and its standard deviation, and each robot's a, speed and bias with theirs.
+- with varied noise, which gives gradient and curvature of the likelihood in the noise of
+  measurements and the random walks, for a Newton step;
+- with dead times around the most likely, which gives a parabola, whose maximum and width are the
+  dead time and its standard deviation, and each robot's a, speed and bias with theirs.
 
-The filter estimates a, speed and bias as constant states with wide priors, so that the likelihood
-is the restricted one, which accounts for their fit. Intervals are normal in ln a, ln of the speed,
-bias, dead time, ln of the measurement noise, and the random walks, and as wide as the differences
-of blocks of BLOCK_S ask (`_Fit._widen`).
+The filter estimates a, speed and bias as constant states with wide priors. The likelihood is
+therefore the restricted one, which accounts for their fit. Intervals are normal in ln a, ln of the
+speed, bias, dead time, ln of the measurement noise, and the random walks, and are widened as the
+differences of blocks of BLOCK_S require (`_Fit._widen`).
 
-The model does not fit robots whose speed wanders from second to second, nor those whose residuals
-of the heading are not white, by the test of Ljung and Box ("On a measure of lack of fit in time
-series models", Biometrika 65, 1978).
+The model does not fit robots whose speed wanders from second to second, nor robots whose heading
+residuals are not white, by the test of Ljung and Box ("On a measure of lack of fit in time series
+models", Biometrika 65, 1978).
 """
 
 from collections.abc import Sequence
@@ -41,9 +43,13 @@ from tetractl_identify.passes import (
 )
 
 ROUNDS = 6
+"""Number of rounds of a fit."""
 ROUNDS_MOST = 20
-"""Rounds of a fit, and those of one whose dead time has not settled, as where directions turn
-smoothly: a sine of .8 rad/s gave an a of 4.16 for 4 after six."""
+"""Maximum number of rounds if the dead time has not settled.
+
+That happens where directions turn smoothly: a sine of .8 rad/s gave an a of 4.16 instead of 4 after
+six rounds.
+"""
 SETTLED_S = 3e-4
 """Change in a round below which a dead time has settled, if it is not below half its deviation [s].
 """
@@ -53,15 +59,19 @@ REACH_S = 0.3
 APART_S = 0.02
 """Half width and spacing of the first pass's dead times [s]."""
 SEARCHED_FROM_S = -0.5
+"""Minimum of the dead times that are searched if it is unknown [s]."""
 SEARCHED_UNTIL_S = 2.0
+"""Maximum of the dead times that are searched if it is unknown [s]."""
 SEARCHED_APART_S = 0.05
-"""Dead times that are searched if it is unknown, and their spacing [s]. Below 0, times are of two
-clocks."""
+"""Spacing of the dead times that are searched if it is unknown [s].
+
+Below 0, times come from two clocks.
+"""
 USUAL_S = 0.05  # dead time from which the fit begins if none is found [s]
 FIRST_STD = np.array([0.5, 0.5, 0.2])
+"""Prior standard deviations of ln a, ln of the speed and bias [rad] in the first pass."""
 MOST_STD = np.array([2.0, 0.5, 1.0])
-"""Prior standard deviations of ln a, ln of the speed and bias [rad]: of the first pass, and at
-most."""
+"""Maximum prior standard deviations of ln a, ln of the speed and bias [rad] in any pass."""
 WIDER = 10.0
 """Prior standard deviation of a pass, over the deviation after the pass before."""
 POINTS = np.arange(-2.0, 3.0)
@@ -78,13 +88,15 @@ NOISE_PRIOR_STD = 5.0
 CERTAIN_STD = 1e-6
 """Prior standard deviation of a, speed and bias that are given."""
 BLOCK_S = 20.0
+"""Duration of the blocks whose differences give the intervals [s]."""
 BLOCKS_LEAST = 8
-"""Duration of the blocks whose differences give the intervals [s]; and how many there are at least,
-shorter ones. Of 10 runs of real robots, deviations of gains by blocks of 2, 10, 20, 30 and 60 s are
-as 0.7, 0.9, 1, 1.05 and 1.1."""
+"""Minimum number of the blocks whose differences give the intervals.
+
+If necessary, they are shorter. For 10 runs of real robots, deviations of gains from blocks of 2,
+10, 20, 30 and 60 s are in the ratio 0.7, 0.9, 1, 1.05 and 1.1.
+"""
 DEAD_TIME = 7
-"""Slot of the dead time behind a robot's other parameters: of the noise, then ln a, ln of the speed
-and bias."""
+"""Slot of the dead time after a robot's other parameters: noise, ln a, ln of the speed and bias."""
 FAR = np.array([3.0, 1.0, 1.5])
 """Half widths from which ends of ln a, ln speed, bias are unknown."""
 LAGS = 5
@@ -95,19 +107,23 @@ CLIPPED = 4.0
 RESOLVED_S = 1e-3
 """Dead time below 0 that is none [s]."""
 RESOLVED = 1e-3
-"""Deviation of the residuals of headings below which no camera shows that a model does not fit
-[rad]."""
+"""Standard deviation of heading residuals below which no camera shows a misfit [rad]."""
 DELAY_S = 7e-4
-"""How far the radio's delay may be from that which a host assumes [s]. Hosts of lagging wheels send
-rates of the headings after that delay, so that robots turn as if a were larger by its share a
-DELAY_S: the bench's host assumes 7 ms of 7.7. With it, intervals of a held the truth in 344 of 360
-of the bench's logs (n = 120, three robots each; benchmarks/identify_coverage.py --bench)."""
+"""How far the radio's delay may be from the delay that a host assumes [s].
+
+Hosts of lagging wheels send rates for the headings after that delay, so robots turn as if a were
+larger by the fraction a DELAY_S. The bench's host assumes 7 ms instead of 7.7 ms. With this value,
+intervals of a contained the truth in 344 of 360 cases in the bench's logs (n = 120, three robots
+each; benchmarks/identify_coverage.py --bench).
+"""
 HEADING = "heading"
 ALONG = "along the path"
 WANDERS = 0.03
-"""Deviation of a robot's speeds over a second, over the speed, from which the model does not fit:
-of trials of the bench at most 0.010, of robots that slip by 20 % in half of a trial 0.095 or more
-(n = 36 each)."""
+"""Relative standard deviation of a robot's speed over a second above which the model does not fit.
+
+In trials of the bench it is at most 0.010, for robots that slip by 20 % in half of a trial at least
+0.095 (n = 36 each).
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,11 +158,20 @@ def fit(
     dead_time: float | None,
     all_commands: bool = True,
 ) -> tuple[SampleInterval, tuple[FittedRobot, ...]]:
-    """Fit the parameters to the frames of some tracks of N robots, from expected turning rates a
-    (N,) [rad/s], speeds (N,) [length unit/s] and dead time [s], None if that is unknown.
+    """Fit the parameters of N robots to the frames of some tracks.
 
-    Returns the dead time that all robots share, and the values of each. Without `all_commands` no
-    heading is a misfit: hosts of lagging wheels send new rates between two directions.
+    Args:
+        frames: The frames of each track.
+        names: The names of the robots, for the result.
+        a: The expected turning rates (N,) [rad/s].
+        speed: The expected speeds (N,) [length unit/s].
+        dead_time: The expected dead time [s], None if it is unknown.
+        all_commands: Whether the tracks contain every command that the robots followed. If not, as
+            when
+            hosts of lagging wheels send new rates between two directions, no heading is a misfit.
+
+    Returns:
+        The dead time that all robots share [s], and the values of each robot.
     """
     state = _Fit(frames, a, speed, dead_time)
     for count in range(ROUNDS_MOST):
@@ -159,8 +184,11 @@ def fit(
 
 
 def _searched(frames: TrackFrames, rows: np.ndarray, belief: Belief) -> float:
-    """Return the likeliest dead time of those that are possible [s], for robots `rows` (R,) with
-    each of RATES; USUAL_S if it is at an end of these, as nothing then fits."""
+    """Return the most likely of the possible dead times [s].
+
+    Robots `rows` (R,) are tried with each of RATES. If it is at an end of the range, nothing fits,
+    and USUAL_S is returned.
+    """
     taus = np.arange(SEARCHED_FROM_S, SEARCHED_UNTIL_S, SEARCHED_APART_S)
     passed = run([frames], rows, belief, taus, SEARCHED_APART_S)
     best = _likeliest(passed)
@@ -175,12 +203,12 @@ def _likeliest(passed: Passed) -> int:
 
 
 class _Fit:
-    """The parameters of a fit, improved round by round: the dead time `tau`, means and standard
-    deviations (N, 3) of ln a, ln of the speed and heading bias, and the noise.
+    """The parameters of a fit, which improve round by round.
 
-    The noise of a robot has four parameters (N, 4), over `unit` (N, 4): the logarithm of the noise
-    of measured positions, their random walk, the logarithm of the noise of headings, and their
-    random walk. Walks may be 0, and count by their magnitudes.
+    They are the dead time `tau`, means and standard deviations (N, 3) of ln a, ln of the speed and
+    heading bias, and the noise. The noise of a robot has four parameters (N, 4), in units `unit`
+    (N, 4): the logarithm of the noise of measured positions, their random walk, the logarithm of
+    the noise of headings, and their random walk. Walks may be 0, and count by their magnitudes.
     """
 
     def __init__(
@@ -207,8 +235,11 @@ class _Fit:
         self.tau_std = APART_S / 2
 
     def _start(self, dead_time: float | None) -> tuple[float, Floats, Floats]:
-        """Return the likeliest dead time about the expected one, or of all if it is unknown, and
-        means and deviations with the likeliest of RATES for each robot."""
+        """Return the most likely dead time, and means and deviations to start from.
+
+        The dead time is searched around the expected one, or everywhere if it is unknown. Each
+        robot starts with the most likely of RATES.
+        """
         count = len(self.mean)
         rows = np.repeat(np.arange(count), len(RATES))
         belief = self._belief(rows, self.noise[rows])
@@ -237,12 +268,14 @@ class _Fit:
         self.noise, self.noise_std = newton_step(likelihood, self.noise, NOISE_PRIOR_STD)
 
     def fit_motion(self, watched: bool = False) -> Passed:
-        """Find the likeliest dead time, a, speed and bias at the present noise; return the pass
-        with dead times around the former one.
+        """Fit the dead time, a, speed and bias with the present noise.
 
-        The likeliest dead time and its standard deviation are those of a parabola through the
-        likelihoods. Means change with the dead time as a line fitted to them, and so the deviations
-        account for that of the dead time.
+        The dead time and its standard deviation come from a parabola through the likelihoods. Means
+        change with the dead time along a fitted line, so the deviations account for that of the
+        dead time.
+
+        Returns:
+            The pass with dead times around the previous one.
         """
         rows = np.arange(len(self.mean))
         belief = self._belief(rows, self.noise)
@@ -278,8 +311,11 @@ class _Fit:
         return self._unit[rows] * factors
 
     def _widen(self) -> None:
-        """Widen the deviations by as much as the slopes of blocks differ more than the likelihood's
-        curvature says: by the root of their ratio, in each parameter."""
+        """Widen the deviations as the differences between blocks require.
+
+        In each parameter, the factor is the root of the ratio of the variance of the blocks' slopes
+        to the likelihood's curvature.
+        """
         base, up, down = self._by_blocks()
         slopes = (up - down) / 2
         curvatures = 2 * base - up - down
@@ -293,8 +329,11 @@ class _Fit:
         self.tau_std *= float(wider[0, DEAD_TIME])
 
     def _by_blocks(self) -> tuple[Floats, Floats, Floats]:
-        """Return ln of the likelihood of each robot's blocks (B, N, 8): as it is, and with each
-        parameter raised and lowered by its deviation: noise, means and dead time."""
+        """Return ln of the likelihood of each robot's blocks (B, N, 8).
+
+        It is computed with the present parameters, and with each parameter raised and lowered by
+        its deviation: noise, means and dead time.
+        """
         count = len(self.mean)
         durations_s = [np.diff(track.time[:, 0], prepend=track.time[0, 0]) for track in self.frames]
         ends = np.cumsum([len(duration_s) for duration_s in durations_s])[:-1]
@@ -374,8 +413,7 @@ class _Fit:
         return motion
 
     def _noise_intervals(self) -> Floats:
-        """Return the deviations of each robot's noise (N, 4, 3): value, lower and upper end of
-        each."""
+        """Return the intervals of each robot's noise (N, 4, 3): value, lower and upper end."""
         rows = np.arange(len(self.noise))
         value = np.abs(self.noise)
         value[:, ::2] = self.noise[:, ::2]
@@ -392,8 +430,10 @@ def _intervals(values: Floats) -> list[SampleInterval]:
 
 
 def _is_correlated(residuals: Floats) -> list[bool]:
-    """Return whether the headings' residuals (F, N) of each robot [rad] are not white though their
-    deviation is above RESOLVED."""
+    """Check whether the heading residuals (F, N) of each robot [rad] are not white.
+
+    Only deviations above RESOLVED count.
+    """
     robots = residuals.shape[1]
     correlated: list[bool] = []
     for series in residuals.T:
@@ -418,11 +458,11 @@ def block_numbers(duration_s: Floats) -> Integers:
 
 
 def wider_of_blocks(curvatures: Floats) -> Floats:
-    """Return by how much wider an interval by the spread of blocks is than a normal one, for the
-    negative curvatures h (B, ...) of ln of the likelihood of each block.
+    """Compute how much wider an interval from the spread of blocks is than a normal one.
 
-    Where a robot turns in few blocks, few tell of its turns: a value counts as of (sum h)^2 / sum
-    h^2 blocks, and has the t distribution's quantile.
+    The negative curvatures h (B, ...) of ln of the likelihood of each block are given. If a robot
+    turns in few blocks, few say something about its turns: a value counts as one from (sum h)^2 /
+    sum h^2 blocks, and has the quantile of the t distribution.
     """
     information = np.maximum(curvatures, 0.0)
     blocks = information.sum(axis=0) ** 2 / (np.square(information).sum(axis=0) + 1e-300)

@@ -1,5 +1,6 @@
-"""Identifies robots from tracks: each value with its 95 % interval, to be shown in tables and
-written to a section of a spec.
+"""Identifies robots from tracks: each value with its 95 % interval.
+
+The values can be shown in tables and written to a section of a spec.
 
     robots = identify(tracks, expected_a)
     robots = without_unsure_intervals(robots)
@@ -49,8 +50,11 @@ QUANTITIES = {
 }
 """The fields of a robot in a table, with their units."""
 UNIFORM_RAD = 0.2
-"""Directions turn uniformly if none is further from a straight line over time than this, nor from
-the direction before [rad]: steps of .4 rad tell a and dead time from one another."""
+"""Maximum deviation of directions that turn uniformly [rad].
+
+No direction is further from a straight line over time than this, nor from the previous direction.
+Steps of .4 rad suffice to distinguish a from the dead time.
+"""
 TURN_LEAST = 1.0
 """By how much directions that turn uniformly turn at least [rad]."""
 UNIFORM_RATES = 1.1
@@ -111,11 +115,16 @@ class IdentifiedRobots:
 def identify(
     tracks: list[Track], a: Floats | None, dead_time: float | None = 0.05
 ) -> IdentifiedRobots:
-    """Identify robots from tracks, all of the same robots.
+    """Identify robots from tracks. All tracks must show the same robots.
 
-    `a` (N,) [rad/s] are the expected turning rates, right within a factor of about 5, or None if
-    unknown; `dead_time` [s] is the expected dead time, right within 0.3 s, or None. UsageError if
-    the tracks contain too few data.
+    Args:
+        tracks: The tracks.
+        a: Expected turning rates [rad/s], shape (N,), right within a factor of about 5. None if
+            unknown.
+        dead_time: Expected dead time [s], right within 0.3 s. None if unknown.
+
+    Raises:
+        UsageError: If the tracks contain too little data.
     """
     require_same(tracks)
     names = tracks[0].names
@@ -177,8 +186,10 @@ def identify(
 def _turning_explained(
     tracks: Sequence[Track], number: int, robot: FittedRobot, dead_time_s: float
 ) -> Explained:
-    """Compare the turns of a robot with those by its fitted values and a dead time [s]. The
-    directions ask for turns as large as their own changes."""
+    """Compare the turns of a robot with those predicted from its fitted values.
+
+    The prediction uses a dead time [s]. Directions request turns as large as their own changes.
+    """
     measured: list[Floats] = []
     fitted: list[Floats] = []
     asked: list[Floats] = []
@@ -230,8 +241,11 @@ def _distance_explained(tracks: Sequence[Track], number: int, robot: FittedRobot
 
 
 def turn_uniformly(tracks: list[Track]) -> bool:
-    """Return whether the directions of all tracks turn at one rate, to either side: robots follow
-    them at an angle that the dead time makes as well as a and the heading bias do."""
+    """Check whether the directions of all tracks turn at one constant rate, to either side.
+
+    Robots then follow them at an angle that the dead time causes as well as a and the heading bias
+    do.
+    """
     rates: list[float] = []
     for track in tracks:
         u = np.unwrap(track.u)
@@ -249,8 +263,11 @@ def turn_uniformly(tracks: list[Track]) -> bool:
 
 
 def without_unsure_intervals(result: IdentifiedRobots) -> IdentifiedRobots:
-    """Return the values as they are printed and written: without the ends of intervals that hold in
-    fewer than 92 % of the logs of trials (docs/how-to/identify.md)."""
+    """Return the values as they are printed and written.
+
+    They lack the ends of intervals that hold in fewer than 92 % of the logs of trials
+    (docs/how-to/identify.md).
+    """
     unsure = ["heading_noise", "heading_walk"]
     dead_time = result.dead_time
     if result.doubt is not None:
@@ -269,8 +286,10 @@ def _without_ends(interval: SampleInterval) -> SampleInterval:
 
 
 def spec_section(result: IdentifiedRobots, when: str) -> Identified:
-    """Return the section `identified` of a spec; `when` is its date and time as text. There, a dead
-    time is not below 0."""
+    """Return the section `identified` of a spec. Its dead time is not below 0.
+
+    `when` is its date and time as text.
+    """
     ends = (result.dead_time.value, result.dead_time.low, result.dead_time.high)
     robots: dict[str, IdentifiedRobot] = {}
     for robot in result.robots:
@@ -361,8 +380,10 @@ def labels_of(quantities: Mapping[str, str], unit: str) -> list[str]:
 
 
 def _entries(result: IdentifiedRobots, number: int) -> list[str]:
-    """Return the entries of a robot's column, for the labels of `tables`. The last one is alpha,
-    the turning rate per unit of the field's strength."""
+    """Return the entries of a robot's column, for the labels of `tables`.
+
+    The last one is alpha, the turning rate per unit of the field's strength.
+    """
     robot = result.robots[number]
     texts = [cell(getattr(robot, name)) for name in QUANTITIES]
     texts.append(str(robot.lost))
@@ -386,8 +407,9 @@ def _fit_text(robots: Sequence[FittedRobot]) -> str:
 
 
 def cell(interval: SampleInterval) -> str:
-    """Return a value and the ends of its interval as text, rounded to two significant digits of
-    half the interval's width.
+    """Format a value and the ends of its interval.
+
+    They are rounded to two significant digits of half the interval's width.
     """
     if math.isnan(interval.low):  # not stated; infinite if the data do not bound the value
         return f"{interval.value:.2g}"

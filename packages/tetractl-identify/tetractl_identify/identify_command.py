@@ -33,7 +33,7 @@ def identify(
     ] = None,
     wheels: Annotated[
         bool,
-        switch("Of logs, fit how robots follow the speeds of their wheels, not the directions."),
+        switch("With logs: fit how robots follow wheel speeds instead of directions."),
     ] = False,
     as_json: AsJson = False,
 ) -> int:
@@ -105,10 +105,15 @@ def _refuse_file_of_response(out: Path | None) -> None:
 
 
 def _read_logs(paths: Sequence[Path], wheels: bool) -> "tuple[list[Track], TrialLog, bool]":
-    """Return the tracks of the logs in which directions were sent, the first of these logs, and
-    whether a log is damaged; UsageError if directions were sent in none.
+    """Return the tracks of the logs in which directions were sent.
 
-    With `wheels`, the tracks hold the speeds of wheels that were sent, not the directions.
+    With `wheels`, the tracks hold the speeds sent to wheels instead of directions.
+
+    Returns:
+        The tracks, the first of these logs, and whether a log is damaged.
+
+    Raises:
+        UsageError: If no log has directions.
     """
     from tetractl_identify.tracks import track_of, wheels_of
 

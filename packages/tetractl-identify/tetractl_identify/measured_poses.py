@@ -22,19 +22,26 @@ LEAP = 10.0
 TURN = 0.5
 TURN_RATE = 4.0
 TURN_MOST = 2.2
-"""A turn between two poses is a jump above TURN [rad] + TURN_RATE [rad/s] or thrice the usual rate
-times their time, at most TURN_MOST [rad]."""
+"""Maximum turn that counts as a jump [rad].
+
+A turn between two poses is a jump above TURN [rad] plus TURN_RATE [rad/s] or three times the usual
+rate, times their time, at most TURN_MOST.
+"""
 TURNS_S = 0.5
 """Time after which a robot may have turned by any angle [s]."""
 JUMP_S = 1.0
 """Duration of poses that a jump outweighs: stretches of twice as long are left out [s]."""
 USUAL = 0.6
 FAST = 0.9
-"""Quantiles of turns and of ways that count as usual: two in five turns may be to and from a
-flipped heading."""
+"""Quantiles of turns and distances that count as usual.
+
+Two in five turns may be to and from a flipped heading.
+"""
 MEDIAN_BEND = 1.442
-"""Median distance of a place from the middle of its neighbours, over the noise of each: 1.177
-sqrt(1.5)."""
+"""Median distance of a place from the middle of its neighbours, relative to the noise of each.
+
+It is 1.177 sqrt(1.5).
+"""
 SURE_NOISE = 10.0
 """Standard deviations of the noise that two places may be apart."""
 LEAST_WAY = 1e-9
@@ -53,8 +60,10 @@ def measured(times: Floats, poses: Floats) -> Bools:
 
 
 def _repeats(poses: Floats) -> Bools:
-    """Return which poses (M, 3) repeat the one before them, or its heading or place, until the
-    robot is suddenly far away, or until the end."""
+    """Find the poses (M, 3) that repeat the previous pose, or its heading or place.
+
+    This holds until the robot is suddenly far away, or until the end.
+    """
     moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     turned = np.abs(wrap(np.diff(poses[:, 2])))
     is_turned = turned == 0
@@ -76,8 +85,10 @@ def _fast(steps: Floats) -> float:
 
 
 def _frozen(is_same: Bools, is_release: Bools) -> Bools:
-    """Return which poses (M,) end one of REPEATS_MIN or more steps (M - 1,) in a row that are the
-    same and have a release (M,) behind them; the last release is the end of the track."""
+    """Find the poses (M,) that end at least REPEATS_MIN equal steps (M - 1,) in a row.
+
+    The steps must be followed by a release (M,). The last release is the end of the track.
+    """
     frozen = np.zeros(len(is_same) + 1, dtype=np.bool_)
     if not is_same.any() or is_same.all():
         return frozen

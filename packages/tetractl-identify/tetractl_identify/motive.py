@@ -119,8 +119,11 @@ def _open_take(path: Path) -> tuple[_Take, Iterator[tuple[int, str]]]:
 def _numbers(
     path: Path, take: _Take, lines: Iterator[tuple[int, str]]
 ) -> Iterator[tuple[int, Floats]]:
-    """Yield the number of each line with its entries (W,), NaN where one is empty; UsageError if
-    there are no lines."""
+    """Yield the number of each line with its entries (W,), NaN where one is empty.
+
+    Raises:
+        UsageError: If there are no lines.
+    """
     is_empty = True
     for number, line in lines:
         is_empty = False
@@ -145,8 +148,10 @@ def _length_unit(path: Path, name: str) -> str:
 def _bodies(
     path: Path, header: Sequence[Sequence[str]], angles: int
 ) -> dict[str, tuple[list[int], list[int]]]:
-    """Return the columns of each rigid body, by its name, of the rows above the numbers: those of
-    its rotation, X, Y, Z and perhaps W, and those of its position."""
+    """Return the columns of each rigid body, by its name, from the rows above the numbers.
+
+    They are those of its rotation, X, Y, Z and perhaps W, and those of its position.
+    """
     if header[-1][0] != "Frame" or len(header) < 4:
         raise UsageError(
             f"{path}: is no whole export of Motive: no row begins with Frame",
@@ -196,8 +201,10 @@ def _number(path: Path, line: int, entry: str) -> float:
 
 
 def _is_y_up(path: Path, take: _Take) -> bool:
-    """Decide whether y is up, as Motive has it by default: unless bodies move much less along z
-    than along y."""
+    """Decide whether y is up, which is Motive's default.
+
+    It is not if bodies move much less along z than along y.
+    """
     counts = np.zeros(len(take.bodies))
     first = np.zeros((len(take.bodies), 3))
     sums = np.zeros((len(take.bodies), 3))

@@ -43,19 +43,27 @@ AT_REST_S = 0.3
 WANDER_S = 1.0
 """Duration of the blocks whose speeds are compared [s]."""
 INNER = (0.3, 0.7)
-"""Quantiles between which the speeds of blocks are compared: a speed that changes amid a trial is
-beyond both, one that a radio stops in less than a third of its seconds beyond none."""
+"""Quantiles between which the speeds of blocks are compared.
+
+A speed that changes in the middle of a trial is beyond both. A speed that a radio stops in less
+than a third of its seconds is beyond none.
+"""
 INNER_STDS = 1.049
 """How far these are apart for a normal distribution [standard deviations]."""
 STANDS = 0.5
+"""Fraction of its usual speed below which a robot nearly stands still."""
 STANDS_S = 0.2
-"""Share of its usual speed below which a robot nearly stands, over a time in which noise of the
-camera makes no such speed [s]."""
+"""Time over which the speed of a robot is judged to decide whether it nearly stands still [s].
+
+The noise of the camera makes no such speed over this time.
+"""
 FULL = 0.6
 """Share of a block for which a robot is measured at least."""
 MEDIAN_OFF = 0.826
-"""Median of how far a place is from the middle of its neighbours, over the noise of each: .6745
-sqrt(1.5)."""
+"""Median distance of a place from the middle of its neighbours, relative to the noise of each.
+
+It is .6745 sqrt(1.5).
+"""
 IDENTIFIED = [LN_A, LN_SPEED, TURN_BIAS]
 """The filter's states of a `Belief`."""
 NO_COMMANDS = SentCommands(np.empty(0), np.empty(0))
@@ -120,8 +128,10 @@ class TrackFrames:
 
 
 def _driving(time: Floats, poses: Floats, valid: Bools, lagging: bool) -> Bools:
-    """Return in which of M frames each robot drives (M, N); one with lagging wheels from AT_REST_S
-    before."""
+    """Find the frames in which each robot drives (M, N).
+
+    A robot with lagging wheels counts from AT_REST_S earlier.
+    """
     moved = np.diff(poses[..., :2], axis=0)
     pace = np.hypot(moved[..., 0], moved[..., 1]) / np.diff(time)[:, None]
     pace[~(valid[:-1] & valid[1:])] = np.nan
@@ -134,8 +144,10 @@ def _driving(time: Floats, poses: Floats, valid: Bools, lagging: bool) -> Bools:
 
 
 def _hold(track: Track) -> tuple[float, float, float]:
-    """Return the means over time of the first three powers of how long lagging wheels keep the rate
-    of a heading [s, s2, s3]: the host sends them a new one with each command."""
+    """Return means of the first three powers of how long lagging wheels keep a rate [s, s2, s3].
+
+    They are means over time. The host sends the wheels a new rate with each command.
+    """
     before_end = track.sent <= track.until
     apart_s = np.diff(track.sent[before_end])
     if track.lag == 0 or not apart_s.any():
@@ -165,8 +177,9 @@ def speeds(tracks: Sequence[TrackFrames]) -> Floats:
 
 
 def position_noise(tracks: Sequence[TrackFrames]) -> Floats:
-    """Return about how noisy the measured positions of each robot (N,) are [length unit]: by how
-    far places are from the line between the one before and the one after, in the median.
+    """Estimate the noise of each robot's measured positions (N,) [length unit].
+
+    It is the median distance of places from the line between the previous and the next place.
     """
     noises: list[float] = []
     for robot in range(tracks[0].used.shape[1]):
@@ -184,9 +197,10 @@ def position_noise(tracks: Sequence[TrackFrames]) -> Floats:
 
 
 def speed_wander(tracks: Sequence[TrackFrames]) -> Floats:
-    """Return the standard deviation of the speed of each robot (N,) between blocks of WANDER_S,
-    over its median: 0 if it is measured in one block only. It is that of a normal distribution with
-    the same quantiles INNER of its blocks.
+    """Compute the relative standard deviation of each robot's speed (N,) between blocks.
+
+    Blocks last WANDER_S. The result is 0 if the speed is measured in only one block. It belongs to
+    a normal distribution with the same quantiles INNER as the blocks.
     """
     wanders: list[float] = []
     for robot in range(tracks[0].used.shape[1]):
@@ -202,8 +216,10 @@ def speed_wander(tracks: Sequence[TrackFrames]) -> Floats:
 
 
 def _paces_of_blocks(track: TrackFrames, robot: int) -> list[float]:
-    """Return the speed of a robot along its heading in each block in which it is measured for long
-    enough. Intervals in which it nearly STANDS are left out: lost commands may stop a robot."""
+    """Return the speed of a robot along its heading in each block with enough measurements.
+
+    Intervals in which it nearly stands still are left out, because lost commands may stop a robot.
+    """
     is_measured = track.used[1:, robot] & track.used[:-1, robot]
     if not is_measured.any():
         return []
@@ -235,9 +251,14 @@ def _usual(pace: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Belief:
-    """What is assumed of R rows: `mean` and `std` (R, 3) of ln a, ln of the speed and heading bias;
-    standard deviations `noise` (R, 2) of a measured position [length unit] and heading [rad], and
-    `walk` (R, 2) of their random walks [1/sqrt(s)].
+    """What is assumed of R rows of the filter.
+
+    Attributes:
+        mean: Means of ln a, ln of the speed and heading bias, shape (R, 3).
+        std: Their standard deviations, shape (R, 3).
+        noise: Standard deviations of a measured position [length unit] and heading [rad], shape (R,
+            2).
+        walk: Their random walks [1/sqrt(s)], shape (R, 2).
     """
 
     mean: Floats
@@ -248,12 +269,15 @@ class Belief:
 
 @dataclass(frozen=True, slots=True)
 class Passed:
-    """The results of a pass: `by_block` (K, B, R) is ln of the likelihood of each block of time, up
-    to a constant; `mean` and `std` (B, R, 3) are as in `Belief`.
+    """The results of a pass of the filter.
 
-    For the dead time in the middle of the bank, if watched: `heading_residuals` (F, R) [rad], NaN
-    where a pose is not used; `lost` (R,) is the expected number
-    of directions that did not reach the robot.
+    Attributes:
+        by_block: ln of the likelihood of each block of time, up to a constant, shape (K, B, R).
+        mean: Means as in `Belief`, shape (B, R, 3).
+        std: Their standard deviations, shape (B, R, 3).
+        heading_residuals: Residuals of headings for the dead time in the middle of the bank [rad],
+            shape (F, R), if watched. NaN where a pose is not used.
+        lost: Expected number of directions that did not reach each robot, shape (R,), if watched.
     """
 
     by_block: Floats
@@ -277,8 +301,18 @@ def run(
     watched: bool = False,
     blocks: Sequence[Integers] = (),
 ) -> Passed:
-    """Run the filter over tracks for robots `rows` (R,) and dead times tau (B,) [s], each uncertain
-    by `apart_s`; `blocks` are the numbers of the frames' blocks (F,) of each track, by default 0.
+    """Run the filter over tracks, once for each dead time.
+
+    Args:
+        tracks: The frames of each track.
+        rows: The indices of the robots (R,).
+        belief: What is assumed about these robots.
+        tau: The dead times (B,) [s].
+        apart_s: How far each dead time is uncertain [s].
+        watched: Whether residuals of headings and lost robots are collected.
+        blocks: For each track, the number of the block of each frame (F,). By default, all are in
+            block
+            0.
     """
     first_model, bank = _start(belief, tau)
     blocks = blocks or [np.zeros(len(track.time), dtype=np.int64) for track in tracks]
@@ -331,8 +365,18 @@ def _run_track(
     by_block: Floats,
     block: Integers,
 ) -> None:
-    """Run the filter over the frames of a track (F,), each in a `block` (F,), and add ln of their
-    likelihood to that of its block (K, B, R)."""
+    """Run the filter over the frames of a track, and add their ln likelihoods to the blocks.
+
+    Args:
+        bank: The filters.
+        model: The assumptions about the robots.
+        track: The frames (F,).
+        rows: The indices of the robots (R,).
+        apart_s: How far each dead time is uncertain [s].
+        watch: Collects residuals; None for nothing.
+        by_block: The ln likelihood of each block (K, B, R), to which those of the frames are added.
+        block: The number of each frame's block (F,).
+    """
     from tetractl.control.estimation.kernels import filter as kernel
 
     commands = SentCommands(track.when, track.u)
@@ -375,7 +419,13 @@ class _Watch:
         self._missed = np.zeros((len(u) + 1, rows))
 
     def add(self, bank: Bank, poses: Floats, used: Bools) -> None:
-        """Add a frame: poses (R, 3) and whether each is used (R,)."""
+        """Add a frame.
+
+        Args:
+            bank: The filters.
+            poses: The poses, shape (R, 3).
+            used: Whether each pose is used, shape (R,).
+        """
         middle = len(bank.dead_time_s) // 2
         ln_weight = bank.ln_weight[middle]
         state = bank.state[middle, self._rows, ln_weight.argmax(axis=1)]

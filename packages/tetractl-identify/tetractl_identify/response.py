@@ -69,9 +69,12 @@ POSITION_NOISE_UNIT_S = 0.002
 GRADIENT = 1e-3
 """Slope of ln of the posterior, per unit of the parameters, at which the search ends."""
 UNIT_LEAST = 0.02
+"""Minimum of the unit of the parameters for the intervals, relative to the unit of the search."""
 UNIT_STDS = 3.0
-"""Unit of the parameters for the intervals: UNIT_STDS standard deviations, from UNIT_LEAST to 1 of
-the units of the search."""
+"""Unit of the parameters for the intervals: this many standard deviations.
+
+It is limited to the range from UNIT_LEAST to 1 of the units of the search.
+"""
 SEARCHED = 8
 """Number of the parameters that are searched; behind them in a vector come the gains."""
 PRIOR_STD = 5.0
@@ -83,9 +86,12 @@ UNKNOWN = 5.0
 UNKNOWN_S = 0.45
 """Half width of the interval of the dead time that its prior alone makes, nearly [s]."""
 RESOLVED_S = 1e-3
+"""Standard deviation of times that no recording resolves [s]."""
 RESOLVED_GAIN = 1e-3
-"""Standard deviations of times [s] and of gains that no recording resolves: stamps are in ms, and a
-camera is calibrated to 0.1 % at best."""
+"""Standard deviation of gains that no recording resolves.
+
+Stamps are in ms, and a camera is calibrated to 0.1 % at best.
+"""
 
 
 def respond(tracks: Sequence[Track], dead_time: float = 0.1) -> list[RobotResponse]:
@@ -202,8 +208,10 @@ def _response(name: str, steps: UsedSteps) -> RobotResponse:
 
 
 def _noise(steps: UsedSteps, measured: Floats, driven: Floats) -> float:
-    """Estimate the noise of poses by what two neighbouring steps share, of turns or distances (M,)
-    and the integrals (M, 2) that drive them."""
+    """Estimate the noise of poses from what two neighbouring steps have in common.
+
+    Turns or distances (M,) and the integrals (M, 2) that drive them are given.
+    """
     residuals = measured - driven @ robust_gains(measured, driven)
     limit = CLIP * STD_OF_MEDIAN * float(np.median(np.abs(residuals)))
     clipped = np.clip(residuals, -limit, limit)
@@ -214,11 +222,12 @@ def _noise(steps: UsedSteps, measured: Floats, driven: Floats) -> float:
 def _deviations(
     steps: UsedSteps, units: ResponseParameters, likeliest: Floats, curvature_std: Floats
 ) -> Floats:
-    """Return the standard deviations (12,) of the likeliest vector, with the gains of turns and of
-    ways behind it: the greater of the curvature's and of the jackknife's of blocks.
+    """Return the standard deviations (12,) of the most likely vector, followed by the gains.
 
-    With s_b and H_b the slope and curvature of ln of the likelihood of each of B blocks, and H that
-    of all, the vector without a block is nearly the likeliest less (H - H_b)^-1 s_b.
+    The gains are those of turns and distances. Each deviation is the larger of the curvature's and
+    of the jackknife's over blocks. With s_b and H_b the slope and curvature of ln of the likelihood
+    of each of B blocks, and H that of all, the vector without a block is nearly the most likely one
+    minus (H - H_b)^-1 s_b.
     """
     at_best = units.at(likeliest[:SEARCHED])
     unit = np.ones(len(likeliest))

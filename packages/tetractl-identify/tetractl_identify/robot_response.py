@@ -130,8 +130,11 @@ def response_table(responses: Sequence[RobotResponse], title: str, unit: str) ->
 
 
 def _lag_for_spec(responses: Sequence[RobotResponse]) -> str:
-    """Describe the lag of a spec that fits all robots: the mean of the lags of turning, by which a
-    host steers, weighted by their precision. "" if it is not known well enough to be of use."""
+    """Describe the lag of a spec that fits all robots.
+
+    It is the mean of the lags of turning, by which a host steers, weighted by their precision. The
+    text is empty if the lag is not known well enough to be useful.
+    """
     lags = np.array([robot.turning_lag.value for robot in responses])
     widths = np.array([robot.turning_lag.high - robot.turning_lag.low for robot in responses])
     weights = 1 / np.clip(widths, SHORTEST_LAG_S, LONGEST_LAG_S)

@@ -20,27 +20,34 @@ from tetractl_identify.robot_response import LONGEST_LAG_S, SHORTEST_LAG_S
 LN_MOST = 25.0
 """Maximum magnitude of the logarithm of a parameter over its unit: beyond it, numbers overflow."""
 TURN_ERROR_RAD = 5e-4
+"""Standard deviation by which the model errs in a turn [rad]."""
 WAY_ERROR = 0.005
-"""Standard deviations by which the model errs in a turn [rad], and in a distance, relative to the
-usual one. Robots do not drive arcs, and wheels turn by whole counts."""
+"""Standard deviation by which the model errs in a distance, relative to the usual one.
+
+Robots do not drive exact arcs, and wheels turn by whole counts.
+"""
 GAIN_PRIOR_STD = 10.0
-"""Standard deviation of the prior of the gains around 1, or relative to gains above 1: hardly any
-prior."""
+"""Standard deviation of the prior of the gains around 1, or relative to gains above 1.
+
+It is so wide that the prior hardly matters.
+"""
 OTHER_PRIOR_STD = 1.0
-"""Standard deviation of the prior of what the other integral adds to a motion, around 0, relative
-to the motion: hardly any prior."""
+"""Standard deviation of the prior of what the other integral adds to a motion.
+
+The prior is around 0, relative to the motion, and so wide that it hardly matters.
+"""
 NOTHING = 1e-6
 """Factor on this deviation if the data cannot tell the two integrals apart."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResponseParameters:
-    """What is searched: dead time and lags [s], random walks per sqrt(s) and noises of the heading
-    [rad] and of the way and positions [length unit].
+    """The parameters that are searched.
 
-    A search has them as a vector (8,) in the order of the fields: the dead time less the expected
-    one, in DEAD_TIME_UNIT_S; the drift of the clocks, in its unit; of all others the logarithms
-    over their units.
+    They are dead time and lags [s], and random walks per sqrt(s) and noises of the heading [rad]
+    and of the distance and positions [length unit]. A search has them as a vector (8,) in the order
+    of the fields: the dead time minus the expected one, in DEAD_TIME_UNIT_S; the drift of the
+    clocks, in its unit; for all others, the logarithms over their units.
     """
 
     dead_time: float
@@ -53,8 +60,10 @@ class ResponseParameters:
     clock_drift: float
 
     def at(self, vector: Floats) -> "ResponseParameters":
-        """Return the parameters of a vector (8,). `self` has the units; the dead time of a vector
-        of zeros is that of `self`, and there is no drift then."""
+        """Return the parameters for a vector (8,).
+
+        `self` has the units. A vector of zeros has the dead time of `self` and no drift.
+        """
         factor = np.exp(np.clip(vector, -LN_MOST, LN_MOST))
         return ResponseParameters(
             dead_time=self.dead_time + DEAD_TIME_UNIT_S * vector[0],
@@ -140,8 +149,11 @@ def _whiten(
     noise: float,
     error: float,
 ) -> Whitened:
-    """Whiten turns or distances (M,), with their integrals: the variance of a step is walk^2 times
-    its duration, error^2 and twice noise^2, the covariance of neighbours -noise^2."""
+    """Whiten turns or distances (M,) and their integrals.
+
+    The variance of a step is walk^2 times its duration, plus error^2, plus twice noise^2; the
+    covariance of neighbours is -noise^2.
+    """
     covariance = np.zeros((2, len(measured)))  # its diagonal, and the one below
     covariance[0] = walk**2 * steps.duration_s + error**2 + 2 * noise**2
     covariance[1, :-1] = np.where(steps.neighbours, -(noise**2), 0.0)

@@ -15,8 +15,10 @@ from tetractl.model.wheels import body_velocity
 SETTLED_S = 0.5
 """Time from the first direction after a pause until all robots drive again."""
 ROUNDING_S = 1e-6
-"""How much shorter a time between two poses may be by rounding: floats near Unix times, from which
-times may be counted, are 2.4e-7 s apart [s]."""
+"""How much shorter a time between two poses may be because of rounding [s].
+
+Times may be counted from 1970, and floats near Unix times are 2.4e-7 s apart.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +88,13 @@ class Track:
 
 
 def rows_apart(times: Floats, least_s: float, last_s: float = -math.inf) -> Integers:
-    """Return the rows (K,) of increasing times (M,) [s] that are `least_s` [s] or more after the
-    row before, the first one after `last_s` [s]."""
+    """Select rows with a minimum time between them, (K,).
+
+    Args:
+        times: Increasing times [s], shape (M,).
+        least_s: Minimum time between two rows [s].
+        last_s: The first row is after this time [s].
+    """
     rows: list[int] = []
     for row, time_s in enumerate(times.tolist()):
         if time_s - last_s >= least_s - ROUNDING_S:
@@ -97,16 +104,24 @@ def rows_apart(times: Floats, least_s: float, last_s: float = -math.inf) -> Inte
 
 
 def integrals_of_sent(sent_s: Floats, rates: Floats, times: Floats) -> Floats:
-    """Return the integrals (M, K) up to times (M,) [s] of rates (C, K), each of which is held from
-    when it was sent (C,) [s] until the next one."""
+    """Integrate rates that are each held until the next one, up to given times, (M, K).
+
+    Args:
+        sent_s: When each rate was sent [s], shape (C,).
+        rates: The rates, shape (C, K).
+        times: The times [s], shape (M,).
+    """
     total = np.zeros_like(rates)
     total[1:] = np.cumsum(np.diff(sent_s)[:, None] * rates[:-1], axis=0)
     return np.column_stack([np.interp(times, sent_s, column) for column in total.T])
 
 
 def track_of(log: TrialLog) -> Track:
-    """Return the track of a log: measured poses and commands, never the true poses; UsageError if
-    its robots drove with the field off at times."""
+    """Return the track of a log: measured poses and commands, never the true poses.
+
+    Raises:
+        UsageError: If its robots sometimes drove with the field off.
+    """
     if any(isinstance(command.action, FieldOff) for command in log.commands):
         raise UsageError(
             f"{log.log}: its robots drove with the field off at times",
@@ -143,8 +158,13 @@ def track_of(log: TrialLog) -> Track:
 
 
 def wheels_of(log: TrialLog) -> Track:
-    """Return the track of a log with the speeds and turning rates that wheels were sent, by (21)-
-    (23) with the spec's radius; UsageError if the robots have no wheels."""
+    """Return the track of a log with the speeds and turning rates sent to wheels.
+
+    They are computed by (21)-(23) with the spec's radius.
+
+    Raises:
+        UsageError: If the robots have no wheels.
+    """
     radius = log.start.setup.wheel_radius
     track = track_of(log)
     sent_ns: list[int] = []
@@ -164,8 +184,9 @@ def wheels_of(log: TrialLog) -> Track:
 
 
 def _paused(log: TrialLog) -> Bools:
-    """Return which frames (M,) were exposed between a stop and SETTLED_S after the next direction:
-    the robots stop, stand still, or start to drive.
+    """Find the frames (M,) exposed between a stop and SETTLED_S after the next direction.
+
+    In these, the robots stop, stand still, or start to drive.
     """
     directed_ns = [command.sent_ns for command in log.commands if command.direction is not None]
     stops_ns = [command.sent_ns for command in log.commands if command.stops]

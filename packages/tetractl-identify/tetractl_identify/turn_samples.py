@@ -18,8 +18,10 @@ TURN_S = 0.05
 """Minimum duration of a turn [s]."""
 GAP_S = 0.3
 GAP = 2.2
-"""A turn is left out, since the robot was not seen, if it lasts GAP_S [s] or more, and GAP times
-the median time between two of its poses."""
+"""Multiple of the median time between two poses from which a turn is left out.
+
+It must also last GAP_S [s] or more: then the robot was not seen.
+"""
 
 
 @dataclass(frozen=True, slots=True)

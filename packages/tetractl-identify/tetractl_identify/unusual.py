@@ -21,8 +21,10 @@ USUAL = {
 """Usual ranges of values, in the units of the tables."""
 GAINS = ("turning_gain", "speed_gain")
 REACH_MOST = {"dead_time": 0.3, "turning_gain": 0.5, "speed_gain": 0.5}
-"""Half width of an interval above which the data do not determine the value; times the value if
-that is above 1."""
+"""Half width of an interval above which the data do not determine the value.
+
+It is multiplied by the value if that is above 1.
+"""
 
 Values = Mapping[str, SampleInterval]
 

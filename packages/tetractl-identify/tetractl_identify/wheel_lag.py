@@ -20,8 +20,10 @@ from tetractl_identify.tracks import Track
 from tetractl_identify.turn_samples import Turns
 
 LAG_S = 0.02
-"""Lag of the wheels that is tried [s]. A host that foresees their lag makes robots turn as if a
-longer one were about so long."""
+"""Lag of the wheels that is tried [s].
+
+A host that predicts their lag makes robots turn as if a longer lag were about this long.
+"""
 NEAR_S = 0.05
 APART_S = 0.0025
 """How far from the expected one dead times are tried, and how far apart [s]."""
@@ -32,8 +34,14 @@ SURE = 1.65
 
 
 def lag_may_turn(tracks: Sequence[Track], dead_time_s: float) -> bool:
-    """Return whether wheels that lag by LAG_S explain the turns of robots as well as wheels that do
-    not, which have about some dead time [s]: what these leave unexplained is not surely less.
+    """Return whether wheels that lag by LAG_S explain the turns as well as wheels that do not lag.
+
+    That is so unless lagging wheels surely leave more of the turns unexplained. In both cases, the
+    wheels also have about some dead time.
+
+    Args:
+        tracks: Tracks of the same robots.
+        dead_time_s: That dead time [s].
     """
     robots = [[Turns.of(track, robot) for track in tracks] for robot in range(len(tracks[0].names))]
     if not all(any(len(turns.angle) for turns in of_robot) for of_robot in robots):
@@ -46,8 +54,10 @@ def lag_may_turn(tracks: Sequence[Track], dead_time_s: float) -> bool:
 
 
 def _unexplained(robots: Sequence[Sequence[Turns]], lag_s: float, near_s: float) -> Floats:
-    """Return how far the turns of robots (R, K) are from those of wheels with a lag [rad], one
-    robot after another, at the dead time near `near_s` [s] that explains most."""
+    """Compute how far the turns of robots (R, K) are from those of wheels with a lag [rad].
+
+    Robots follow one after another. The dead time near `near_s` [s] that explains most is used.
+    """
 
     def rests(dead_time_s: float) -> Floats:
         of_robots: list[Floats] = []

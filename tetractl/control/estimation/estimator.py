@@ -70,8 +70,16 @@ class StateEstimator:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Problem:
-        """Add the previous step's command and the frames since; return the problem with the poses
-        at which the next direction acts.
+        """Add the previous step's command and the frames since, and predict the present problem.
+
+        Args:
+            observation: The newest frame.
+            last_command: The command of the previous step, None if there is none to add.
+            earlier: Frames between that of the previous step and the newest one, oldest first.
+
+        Returns:
+            The problem with the poses that the robots will have when the next direction takes
+            effect.
         """
         if last_command is not None:
             self.add_command(last_command)
@@ -117,8 +125,10 @@ class StateEstimator:
         self.filter.add_command(command)
 
     def _is_sent_again(self, command: Command) -> bool:
-        """Return whether a command repeats the last one given to the filter, within a signal
-        period; the step that comes a whole period later may come up to half a step early."""
+        """Return whether a command repeats the last one given to the filter within a signal period.
+
+        The step that comes a whole period later may come up to half a step early.
+        """
         commands = self.filter.commands
         if command.direction is None or not len(commands.sent_s):
             return False
@@ -146,6 +156,8 @@ class StateEstimator:
 
     @property
     def held_at_action(self) -> Floats:
-        """The direction [rad] that each robot that is not lost follows at the moment when the next
-        direction begins to act, NaN for a robot that stands still."""
+        """The direction [rad] that each robot follows when the next direction takes effect.
+
+        Lost robots are left out. It is NaN for a robot that stands still.
+        """
         return self._held[self.present]

@@ -99,8 +99,11 @@ from tetractl.core.poses import Bools, Integers, Observation, Poses
 SPACING_NS = round(0.03 * SECOND)
 """Least time between two frames used [ns]; docs/decisions/filter.md has errors with others."""
 REOPEN_S = 4.0
-"""Least time from the start of a trial, or from opening the bank again, to doing so again [s]:
-until then too few blocks of frames test the model. Chosen, not measured."""
+"""Minimum time before the bank is opened again [s].
+
+It counts from the start of a trial, or from the last time that the bank was opened: until then, too
+few blocks of frames test the model. Chosen, not measured.
+"""
 TRIAL_STARTS_NS = 0
 """Time at which a trial starts [ns]: its clock begins then."""
 HEADING_MISFIT = INNOVATIONS.index("heading")
@@ -119,8 +122,11 @@ class FilterBank:
     def __init__(self, prior: Prior) -> None:
         self.prior = prior
         self.model = filter_model(prior)
-        """What is assumed of the robots. From the first opening of the bank on, motors may saturate
-        in it; in which filters they do is a matter of their states."""
+        """The assumptions about the robots.
+
+        Once the bank has been opened again, they allow motors to saturate; in which filters they do
+        depends on the states of these filters.
+        """
         self.commands = SentCommands(np.empty(0), np.empty(0))
         """The commands that were sent, each as the direction that robots shall follow."""
         self.turns_on_the_spot = False
@@ -144,11 +150,14 @@ class FilterBank:
     # ---- what a controller calls ----
 
     def add_frames(self, newest: Observation, earlier: Sequence[Observation] = ()) -> None:
-        """Bring the filters to the `newest` frame of a control step, by way of the `earlier` frames
-        since the newest of the step before; then open the bank again if there is a reason.
+        """Bring the filters to the newest frame of a control step, and reopen the bank if needed.
 
-        Whether the model fits is asked before the frames are added: what the last forecast said of
-        it counts.
+        Whether the model fits is decided before the frames are added, because what the last
+        forecast said about it counts.
+
+        Args:
+            newest: The newest frame.
+            earlier: Frames since the newest of the previous step, oldest first.
         """
         misfits = self._misfits()
         times_sparse_before = self.reception.times_shown
@@ -179,8 +188,10 @@ class FilterBank:
         return forecast._replace(dead_time_s=dead_time_s, dead_time_std_s=dead_time_std_s)
 
     def add_command(self, command: Command) -> None:
-        """Add a command with the time at which it was sent: a direction, or a stop or a turn on the
-        spot, which have none."""
+        """Add a command with the time at which it was sent.
+
+        It is a direction, or a stop or a turn on the spot, which have none.
+        """
         if isinstance(command.action, FieldOff):
             return  # it turns no robot
         if not isinstance(command.action, Stop):
@@ -204,8 +215,11 @@ class FilterBank:
     # ---- what the filters say ----
 
     def likeliest(self) -> tuple[Integers, Integers, Integers]:
-        """Return where each robot's likeliest hypothesis is in the arrays of the bank, so that
-        `bank.state[likeliest]` (N, STATES) are their states: its filter, robot and slot, (N,) each.
+        """Return where the likeliest hypothesis of each robot is in the arrays of the bank.
+
+        Returns:
+            The indices of its filter, robot and slot, (N,) each, so that `bank.state[likeliest]`
+            (N, STATES) are the states of these hypotheses.
         """
         filters = self._likeliest_filters()
         robots = np.arange(len(self.prior.a))
@@ -217,8 +231,11 @@ class FilterBank:
         return self.bank.shared_score.argmax(axis=0)
 
     def _misfits(self) -> Bools:
-        """Return (N, 3) whether each robot is a misfit, by its likeliest filter, in each of
-        INNOVATIONS: its sum over blocks is one that chance exceeds once in a thousand times."""
+        """Return (N, 3) whether each robot fails to fit the model, in each of INNOVATIONS.
+
+        A robot fails if, by its likeliest filter, the sum over blocks is so large that chance
+        exceeds it only once in a thousand times.
+        """
         filters = self._likeliest_filters()
         robots = np.arange(len(filters))
         blocks = np.maximum(self.bank.blocks[filters, robots], LEAST_BLOCKS)
@@ -230,9 +247,12 @@ class FilterBank:
     def _frames_used(
         self, newest: Observation, earlier: Sequence[Observation]
     ) -> list[Observation]:
-        """Return the frames that are used, in the order of time: those SPACING_NS after the one
-        used before. After earlier ones, the newest is used at any distance: one per control step
-        does no harm. If the prior is certain, all are used."""
+        """Return the frames that the filters use, in the order of time.
+
+        They are those at least SPACING_NS after the one used before. If there are earlier frames,
+        the newest is used at any distance: one more per control step does no harm. If the prior is
+        certain, all frames are used.
+        """
         if self.prior.certain:
             return [*earlier, newest]
         used = list[Observation]()
@@ -265,8 +285,10 @@ class FilterBank:
         self.last_frame = frames[-1]
 
     def _place(self, frame: Observation, placed: Bools) -> None:
-        """Place the robots `placed` (N,) at their poses of a frame, in all their filters; they
-        follow the last command that acts by then."""
+        """Place the robots `placed` (N,) at their poses of a frame, in all their filters.
+
+        They follow the last command that has taken effect by then.
+        """
         from tetractl.control.estimation.kernels.filter import place
 
         poses = frame.poses.array()
@@ -297,8 +319,11 @@ class FilterBank:
 
     @property
     def tests_radio(self) -> bool:
-        """Whether frames are to show if few directions reach the robots: those of robots on wheels,
-        until it is known; where nothing is to be learnt, none are."""
+        """Whether frames have yet to show if only few directions reach the robots.
+
+        That is the case for robots on wheels until the answer is known. If the prior is certain,
+        there is nothing to learn.
+        """
         is_known = self.prior.certain or self.reception.is_sparse
         return not (self.prior.swims or is_known)
 
@@ -330,16 +355,21 @@ class FilterBank:
     # ---- step 4: the bank is opened again ----
 
     def _may_reopen(self, newest: Observation) -> bool:
-        """Return whether the bank is opened again if the model does not fit: not for cells, whose
-        own doings are no other dead time, nor too soon."""
+        """Return whether the bank may be opened again if the model does not fit.
+
+        It is not for cells, whose own moves do not mean a different dead time, nor soon after the
+        last time.
+        """
         opened_ns = TRIAL_STARTS_NS if self.reopened_ns is None else self.reopened_ns
         is_due = newest.sampled_ns >= opened_ns + REOPEN_S * SECOND
         return not self.prior.swims and is_due
 
     def _reopen(self, frame: Observation, heading_fits: bool) -> None:
-        """Open the bank again at a frame: begin with the first dead times, and with motors that may
-        saturate unless `heading_fits` of every robot. The saturation, which was taken for none
-        until now, drifts from that which is tried."""
+        """Open the bank again at a frame, with the first dead times.
+
+        Unless `heading_fits` for every robot, some filters assume motors that saturate. Until now
+        the saturation was taken to be absent; from now on it drifts from the values that are tried.
+        """
         bank = reopened_bank(self.bank, self.likeliest(), heading_fits, self.prior)
         walk = self.model.walk.copy()
         walk[LN_SATURATION] = SATURATION_WALK

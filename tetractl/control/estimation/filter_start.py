@@ -1,12 +1,14 @@
-"""From what the filters of `tetractl.control.estimation.filter` start: what they assume of robots
-on wheels and of cells, and the banks: the first one, that of robots which were replaced, and that
-of robots on wheels whose model turns out not to fit.
+"""What the filters of `tetractl.control.estimation.filter` start from.
 
-Both kinds of robots have states of their own, in addition to those of all robots. One of these can
-be found from no start, and is *tried*: filters are laid out in groups, which start from different
-values of it. Cells have a helix, whose frequency is tried from the start. Robots on wheels have
-motors that may saturate: they are one group at first, and one more for each saturation that is
-tried later, where the heading does not fit.
+This module contains the assumptions about robots on wheels and cells, and the banks of filters: the
+first one, that of robots which were replaced, and that of robots on wheels whose model turns out
+not to fit.
+
+Both kinds of robots have states of their own, in addition to those of all robots. For one of these,
+no single starting value leads to the true one, and several are *tried*: filters are laid out in
+groups, which start from different values of it. For cells it is the frequency of the helix, which
+is tried from the start. For robots on wheels it is the saturation of the motors: there is one group
+at first, and one more for each saturation that is tried later, if the heading does not fit.
 
 In each group, a robot gets one filter for each dead time of a grid around the prior's,
 
@@ -108,8 +110,10 @@ def tried_state(prior: Prior) -> int:
 
 
 def filter_model(prior: Prior) -> FilterModel:
-    """Return what the filters assume of the robots of a prior. Motors of wheels do not saturate
-    until that is tried."""
+    """Return what the filters assume about the robots of a prior.
+
+    Motors of wheels do not saturate until that is tried.
+    """
     _, walk = _deviations(prior)
     walk[X] = SLIP * prior.speed
     walk[Y] = SLIP * prior.speed
@@ -127,16 +131,20 @@ def filter_model(prior: Prior) -> FilterModel:
 
 
 def first_std(prior: Prior) -> Floats:
-    """Return the standard deviations (N, n) from which the n states with a variance start; those of
-    the pose are 0 until it is that of a frame."""
+    """Return the standard deviations (N, n) from which the n states with a variance start.
+
+    Those of the pose are 0 until the pose comes from a frame.
+    """
     std, _ = _deviations(prior)
     return std.T
 
 
 def _deviations(prior: Prior) -> tuple[Floats, Floats]:
-    """Return the standard deviations (n, N) of the states at first, and of their random walks
-    [1/sqrt(s)]; those of the poses are 0, as these start from a frame. A state that is known does
-    not walk. Of a helix of random phase, sine and cosine deviate by its radius / sqrt(2)."""
+    """Return the first standard deviations (n, N) of states and their random walks [1/sqrt(s)].
+
+    Those of the poses are 0, as these start from a frame. A state that is known does not walk. If
+    the phase of a helix is random, sine and cosine deviate by its radius / sqrt(2).
+    """
     flow = (prior.flow_std, FLOW_WALK * prior.flow_std)
     deviations = {
         LN_A: (prior.a_std, A_WALK),
@@ -161,8 +169,10 @@ def _deviations(prior: Prior) -> tuple[Floats, Floats]:
 
 
 def _noise(prior: Prior) -> Floats:
-    """Return the standard deviations (3, N) of measured x, y and heading: the camera's noise, the
-    usual one if it is not known, and what its grid adds."""
+    """Return the standard deviations (3, N) of measured x, y and heading.
+
+    They are the camera's noise, or the usual one if that is not known, and what its grid adds.
+    """
     noise = np.empty((3, len(prior.a)))
     position = prior.position_noise
     noise[:2] = position or POSITION_NOISE_S * np.maximum(prior.speed, LEAST_SPEED)
@@ -189,7 +199,13 @@ def first_bank(prior: Prior) -> Bank:
 
 
 def bank_with_replaced(bank: Bank, prior: Prior, replaced: Bools) -> Bank:
-    """Return a bank in which the robots `replaced` (N,) have the filters of a trial's beginning."""
+    """Return a bank in which the replaced robots have the filters of a trial's beginning.
+
+    Args:
+        bank: The bank so far, which stays unchanged.
+        prior: The prior of all robots.
+        replaced: Whether each robot was replaced, (N,).
+    """
     first = first_bank(prior)
     size = max(len(bank.score), len(first.score))
     bank = bank.padded(size)
@@ -201,15 +217,25 @@ def bank_with_replaced(bank: Bank, prior: Prior, replaced: Bools) -> Bank:
 def reopened_bank(
     bank: Bank, likeliest: tuple[Integers, Integers, Integers], heading_fits: bool, prior: Prior
 ) -> Bank:
-    """Return filters that find out why the model does not fit: with the first dead times again, as
-    the dead time may have changed, and its filter be gone; and, unless `heading_fits` of every
-    robot, in groups with motors that saturate.
+    """Return filters that find out why the model does not fit.
 
-    All know what each robot's `likeliest` hypothesis does, by its index (filters, robots and slots,
-    (N,) each). It stays the likeliest until frames show otherwise: filters of other dead times
-    score less by how much these differ, those with saturation by what is rare. All robots get the
-    latter: one that just saturates does not show it by a misfit. How well each fits is tested from
-    the start again.
+    They start with the first dead times again, because the dead time may have changed and its
+    filter may have been dropped. Unless every heading fits, there are also groups with motors that
+    saturate. All robots get these: a robot whose motors only just saturate does not show it by a
+    misfit.
+
+    Every filter knows what the robot's likeliest hypothesis does. That hypothesis stays the
+    likeliest until frames show otherwise: filters with other dead times score less the more these
+    differ, and filters with saturation score less because saturation is rare. How well each one
+    fits is tested from the start again.
+
+    Args:
+        bank: The filters so far.
+        likeliest: Where each robot's likeliest hypothesis is in the bank: its filter, robot and
+            slot,
+            (N,) each.
+        heading_fits: Whether the heading of every robot fits the model.
+        prior: The prior of all robots.
     """
     std = first_std(prior)
     unchanged = _around_likeliest(bank, likeliest, prior, std)

@@ -12,8 +12,10 @@ from tetractl.core.poses import Floats
 
 
 class Sticks(NamedTuple):
-    """How robots do not do what they are sent: a robot is stuck, or a cell rests, or backs off and
-    turns."""
+    """How robots ignore commands for a while.
+
+    A robot gets stuck; a cell rests, or backs off and turns.
+    """
 
     every_s: float = 30.0  # mean time until it begins
     for_s: float = 0.5  # mean time for which it lasts

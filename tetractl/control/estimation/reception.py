@@ -39,16 +39,22 @@ from tetractl.core.elementary import log, log_of_sum
 from tetractl.core.poses import Floats, Integers
 
 SELDOM = 0.05
-"""Probability that a radio that works loses a direction for all robots; chosen as q above, which is
-`LOSS_PROBABILITY`."""
+"""Probability that a working radio loses a direction for all robots.
+
+It is chosen equal to q above, which is `LOSS_PROBABILITY`.
+"""
 OFTEN = 0.75
 """The same of a sparse radio: it lets one in four through."""
 LN_SURE = 20.0
-"""r above which the radio is shown to be sparse. A direction that is missed adds 2.7 at most, one
-that is heard takes off 1.3 at most. Chosen."""
+"""r above which the radio is shown to be sparse.
+
+A direction that is missed adds at most 2.7, and one that is heard subtracts at most 1.3. Chosen.
+"""
 LN_SAYS = log(2)
-"""Least absolute value of ln P with which a direction counts: else the frames hardly say whether it
-was heard. Chosen."""
+"""Minimum absolute value of ln P with which a direction counts.
+
+Below it, the frames hardly say whether the direction was heard. Chosen.
+"""
 MISSED_IN_A_ROW = 3
 """Number of directions missed in a row that count: a silence of the radio adds 8.1 at most."""
 
@@ -63,8 +69,11 @@ class Reception:
         """How often r has exceeded LN_SURE; r began at 0 again each time."""
         self._missed_in_a_row = 0
         self._ln_robot_ratios: dict[int, Floats] = {}
-        """Of each command not yet tested, by its index: ln((1 - q) Lambda + q) of the robots (N,)
-        at the last frame before the next command acted on them; 0 without such a frame."""
+        """For each command not yet tested, by its index: ln((1 - q) Lambda + q) of the robots (N,).
+
+        They are those at the last frame before the next command took effect on them; 0 without such
+        a frame.
+        """
         self._next = 1
         """Index of the next command to be tested. The first has none before it."""
 
@@ -74,11 +83,15 @@ class Reception:
         return self.times_shown > 1
 
     def add_frame(self, bank: Bank, filters: Integers, commands: SentCommands) -> None:
-        """Note what a frame says of the command that acted last on each robot. The bank has
-        followed the robots to this frame; `filters` (N,) are the rows of their likeliest filters.
+        """Note what a frame says about the command that took effect last on each robot.
 
-        Once the next command has acted on all robots, a command is tested, if it is news and frames
-        were taken before.
+        Once the next command has taken effect on all robots, a command is tested, if it `is_news`
+        and frames were taken before.
+
+        Args:
+            bank: The filters, which have followed the robots to this frame.
+            filters: The rows of the robots' likeliest filters (N,).
+            commands: The commands that were sent.
         """
         rows = filters.tolist()
         acted_last = [int(bank.next_command[row, robot]) - 1 for robot, row in enumerate(rows)]
@@ -113,8 +126,11 @@ class Reception:
 
 
 def is_news(directions: Floats, command: int) -> bool:
-    """Return whether frames show if robots heard a command: they are to drive by it and by the one
-    before, and its direction is not one that they may still follow."""
+    """Return whether frames can show if robots heard a command.
+
+    They can if the robots drive by it and by the one before, and its direction is not one that they
+    may still follow.
+    """
     before = directions[max(0, command - FOLLOWS) : command]
     tested = directions[command]
     both_drive = not np.isnan([before[-1], tested]).any()
@@ -122,13 +138,18 @@ def is_news(directions: Floats, command: int) -> bool:
 
 
 def ln_robot_ratio(bank: Bank, row: int, robot: int, direction: float) -> float:
-    """Return ln((1 - q) Lambda + q) of a robot, by the filter in a `row` of the bank; `direction`
-    is that of the command that acted last.
+    """Return ln((1 - q) Lambda + q) of a robot, by one filter of the bank.
 
-    When it acted, it was heard and missed with the odds (1 - q) / q. Frames have multiplied them by
-    Lambda since. The odds now are those of the likeliest hypothesis that follows the direction,
-    over the likeliest that follows another one. Nothing is known, and the result is 0, if one of
-    the two is not kept, or the robot is most probably stuck.
+    When the last command took effect, the odds that it was heard were (1 - q) / q. Since then,
+    frames have multiplied these odds by Lambda. The odds now are those of the likeliest hypothesis
+    that follows the direction, over the likeliest that follows another one. If one of the two is
+    not kept, or the robot is most probably stuck, nothing is known, and the result is 0.
+
+    Args:
+        bank: The filters.
+        row: The row of the filter in the bank.
+        robot: The index of the robot.
+        direction: The direction of the command that took effect last [rad].
     """
     # as lists: NumPy takes ten times as long for four numbers
     *ln_weights, ln_stuck = bank.ln_weight[row, robot].tolist()

@@ -37,13 +37,29 @@ SCALARS = {
 
 
 def not_yaml(origin: str, message: str, mark: Mark | None) -> InvalidSpecError:
-    """Return the error of text that is not one YAML document within the limits."""
+    """Return the error for text that is not one YAML document within the limits.
+
+    Args:
+        origin: The file.
+        message: What is wrong.
+        mark: Where. None if unknown.
+    """
     line, column = (None, None) if mark is None else (mark.line + 1, mark.column + 1)
     return InvalidSpecError([SpecProblem(origin, printable(message, 300), line, column)])
 
 
 def within_limits(origin: str, depth: int, nodes: int, mark: Mark) -> None:
-    """Raise InvalidSpecError at `mark` if nesting is too deep or there are too many values."""
+    """Check that nesting is not too deep and that there are not too many values.
+
+    Args:
+        origin: The file.
+        depth: Depth of nesting.
+        nodes: Number of values so far.
+        mark: Where the value is.
+
+    Raises:
+        InvalidSpecError: If a limit is exceeded.
+    """
     if depth > MAX_DEPTH:
         raise not_yaml(origin, f"nested deeper than {MAX_DEPTH} levels", mark)
     if nodes > MAX_NODES:
@@ -118,8 +134,13 @@ def _mark(line: int, column: int) -> Mark:
 
 
 def _refuse_missing_space(text: str, origin: str, line: int) -> None:
-    """Raise InvalidSpecError if the line above `line`, from 0, has no space after its colon: YAML
-    reads it as the begin of a text, and refuses the line below."""
+    """Check that the line above `line`, from 0, has a space after its colon.
+
+    Without it, YAML reads the line as the beginning of a text, and refuses the next line.
+
+    Raises:
+        InvalidSpecError: If the space is missing.
+    """
     above = text.splitlines()[max(line - 1, 0) : line]
     entry = above[0].partition(" #")[0] if above else ""
     hint = with_space(entry.strip())
@@ -130,8 +151,10 @@ def _refuse_missing_space(text: str, origin: str, line: int) -> None:
 
 
 def with_space(text: str) -> str:
-    """Return a hint for a key and its value without a space between, which YAML reads as one text;
-    "" for other texts."""
+    """Return a hint for a key and its value without a space between them. Empty for other texts.
+
+    YAML reads these as one text.
+    """
     match = re.fullmatch(r"([A-Za-z_]\w*):([^\s/:].*)", text)
     return f"a space is missing after the colon: {match[1]}: {match[2]}" if match else ""
 

@@ -47,7 +47,13 @@ class Place:
     refused: SpecProblem | None = None
 
     def problem(self, loc: Loc, message: str, value: str | None = None) -> SpecProblem:
-        """Return a problem at this location."""
+        """Return a problem at this place.
+
+        Args:
+            loc: The location of the value.
+            message: What is wrong.
+            value: The value as text. None to leave it out.
+        """
         return SpecProblem(self.origin, message, self.line, self.column, dotted(loc), value)
 
 
@@ -88,7 +94,13 @@ class Document:
         return self.places.get(loc) or Place(self.origin)
 
     def problem_at(self, loc: Loc, message: str, value: str | None = None) -> SpecProblem:
-        """Return a problem at the place of a value."""
+        """Return a problem at the place of a value.
+
+        Args:
+            loc: The location of the value.
+            message: What is wrong.
+            value: The value as text. None to leave it out.
+        """
         return self.place(loc).problem(loc, message, value)
 
     def refuse(self, loc: Loc, message: str) -> None:
@@ -104,7 +116,13 @@ class Document:
         return holder
 
     def put(self, loc: Loc, value: Any, place: Place) -> None:
-        """Replace the value at a location, whose holder exists, by one that is given at `place`."""
+        """Replace the value at a location by one that is given elsewhere.
+
+        Args:
+            loc: The location. Its parent exists.
+            value: The new value.
+            place: Where the new value is given.
+        """
         self.holder(loc)[loc[-1]] = value
         stale = [inner for inner in self.places if inner[: len(loc)] == loc]
         for inner in stale:
@@ -143,9 +161,12 @@ def parse_document(text: str, origin: str) -> Document:
 
 
 def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
-    """Parse one value, as given to `--set`, for the location `loc`.
+    """Parse one value, as given to `--set`.
 
-    Problems have the printable text `origin` as their location, without a line.
+    Args:
+        text: The value.
+        origin: A printable text that problems name as their place, without a line.
+        loc: The location of the value.
     """
     document = Document(origin)
     value = None
@@ -170,8 +191,14 @@ class _Builder:
         self.count = 0
 
     def build(self, node: Node, loc: Loc, depth: int = 0, key: Place | None = None) -> Any:
-        """Return the plain data of a node, and store the place of each value; `key` is that of the
-        node's own key."""
+        """Return the plain data of a node, and store the place of each value.
+
+        Args:
+            node: The node.
+            loc: Its location.
+            depth: Depth of nesting.
+            key: Place of the node's own key. None if it has none.
+        """
         self.count += 1
         within_limits(self.document.origin, depth, self.count, node.start_mark)
         places = self.document.places
@@ -193,8 +220,10 @@ class _Builder:
             return None
 
     def _items(self, node: MappingNode, loc: Loc) -> Iterator[tuple[str, Place, Node]]:
-        """Yield each key of a mapping, its place and the node of its value; a later one is asked
-        for once the value is built."""
+        """Yield each key of a mapping, its place and the node of its value.
+
+        The next key is requested after the value is built.
+        """
         for key, value in node.value:
             place = self.place(key)
             if not isinstance(key, ScalarNode) or key.tag != STR:

@@ -10,8 +10,17 @@ MAX_BYTES = 1 << 20
 
 
 def file_of_spec(folder: Path | None, key: str, name: str) -> Path:
-    """Return the path of the file that a key of a spec names, relative to the spec's `folder`;
-    SpecError for a relative name without a folder, as in the log of a trial."""
+    """Return the path of the file that a key of a spec names.
+
+    Args:
+        folder: The spec's folder, which the name is relative to. None if there is none, as in a
+            log.
+        key: The key.
+        name: The name of the file.
+
+    Raises:
+        SpecError: If the name is relative, and there is no folder.
+    """
     if folder is None and not Path(name).is_absolute():
         raise SpecError(
             f"{key}: {printable(name)}: is in the folder of a spec that was not read from a file",

@@ -81,8 +81,10 @@ def did_you_mean(word: str, choices: Sequence[str]) -> str:
 
 
 def near_files(path: Path) -> str:
-    """Return a suggestion of the specs in the folder of a missing one whose names are nearest to
-    its own, such as `; did you mean 'mine.yaml'?`, or "" if none is near."""
+    """Suggest specs in the folder of a missing one with similar names.
+
+    The text is like `; did you mean 'mine.yaml'?`, or empty if there is no similar name.
+    """
     try:
         names = sorted(file.name for file in path.parent.iterdir() if file.suffix in SUFFIXES)
     except OSError:

@@ -16,8 +16,12 @@ from tetractl.spec.yaml.problems import InvalidSpecError, Loc
 
 @dataclass(frozen=True, slots=True)
 class FieldValue:
-    """The value that an option such as `--seed 3` states for the field at a path, such as
-    `trials.seed`; problems with the value name the option.
+    """The value that an option such as `--seed 3` gives to a field.
+
+    Attributes:
+        path: The field, such as `trials.seed`.
+        value: The value.
+        option: The option, which problems with the value name.
     """
 
     path: str
@@ -76,10 +80,15 @@ def _put_text(document: Document, setting: str) -> None:
 
 
 def make_way(document: Document, steps: Sequence[str], place: Place) -> Loc:
-    """Return the location that a path means, after creating the mappings on the way to it.
+    """Return the location that a path means, after creating the missing mappings on the way.
 
-    A step is a key, the `name` of a list's entry, or an index. InvalidSpecError, at the `place`
-    where the path is given, if there is none.
+    Args:
+        document: The document.
+        steps: The path. A step is a key, the `name` of a list's entry, or an index.
+        place: Where the path is given.
+
+    Raises:
+        InvalidSpecError: If there is no such location.
     """
     loc: Loc = ()
     holder: Any = document.data

@@ -79,8 +79,10 @@ def share(bank, common):
 
 @compiled(**INLINE_FAST)
 def _multiply(bank, common, ln_of_others, i, density):
-    """Fill robot i's shared scores: those of its own frames, and what the other robots tell of the
-    time; `density` (B,) is scratch."""
+    """Fill robot i's shared scores: those of its own frames and those of the other robots.
+
+    The other robots also tell of the dead time. `density` (B,) is scratch.
+    """
     filters = density.size
     times = common.ln_prior.size
     most = -math.inf
@@ -121,13 +123,21 @@ def _dead_time(bank, i, density):
 
 @compiled(**ENTRY_FAST)
 def select(bank, tried, commanded, going_on):
-    """Fill `going_on` with the filters that go on by their shared scores; return whether they are
-    others than those of the bank.
+    """Fill `going_on` with the filters that continue, chosen by their shared scores.
 
-    Of each robot's filters in each group those go on that are not far less likely than the best,
-    with those between them and next to the likeliest; of two groups whose state `tried` has become
-    the same, the less likely ends. Once robots were `commanded`, the step of a grid of three dead
-    times is halved, and a grid whose best is at its end moves.
+    In each group of a robot's filters, those continue that are not far less likely than the best,
+    together with those between them and next to the likeliest. If the state `tried` of two groups
+    has become the same, the less likely group ends. Once robots were commanded, a grid of three
+    dead times halves its step, and a grid whose best dead time is at its end moves.
+
+    Args:
+        bank: The filters.
+        tried: The index of the state that groups start from different values of.
+        commanded: Whether the robots were sent commands.
+        going_on: A `NextFilters` that is filled.
+
+    Returns:
+        Whether the filters differ from those of the bank.
     """
     robots = going_on.step_s.size
     chosen = np.empty(going_on.rows.shape[0], np.int64)
@@ -267,8 +277,11 @@ def _lay_around(bank, i, chosen, best, going_on):
 
 @compiled(**INLINE_FAST)
 def _between(bank, i, chosen, group, time_s):
-    """Return which of the filters `chosen` of a group has its dead time nearest to `time_s`, -1 if
-    there is none, and the score of that time: interpolated, and beyond the ends that of the end."""
+    """Return which of the `chosen` filters of a group is nearest to a dead time, and its score.
+
+    The score is that of the dead time: it is interpolated, and beyond the ends of the grid it is
+    that of the end. The filter is -1 if there is none.
+    """
     nearest = -1
     before = -1
     score = 0.0
@@ -292,13 +305,22 @@ def _between(bank, i, chosen, group, time_s):
 
 @compiled(**ENTRY_FAST)
 def forecast(bank, model, commands, frame_s, sent_s, room):
-    """Fill `room`, a `Forecast`, with what each robot's likeliest hypothesis says; return the mean
-    of the dead times and its standard deviation [s].
+    """Fill a `Forecast` with what each robot's likeliest hypothesis predicts.
 
-    Poses are predicted from those at the times frame_s (N,) of the last frame [s], through all
-    commands, to the moment when a command that is sent at `sent_s` acts on each robot; of lagging
-    wheels, they are those in which they then come to rest if they stop. Standard deviations grow
-    with the misfit.
+    Poses are predicted from the last frame, through all commands, to the moment when a command that
+    is sent at `sent_s` takes effect on each robot. If wheels lag, they are the poses in which the
+    robots come to rest if they then stop. Standard deviations grow with the misfit.
+
+    Args:
+        bank: The filters.
+        model: The assumptions about the robots.
+        commands: The commands that were sent.
+        frame_s: The times of the robots' poses in the last frame (N,) [s].
+        sent_s: The time at which the next command is sent [s].
+        room: The `Forecast` that is filled.
+
+    Returns:
+        The mean of the dead times [s] and their standard deviation [s].
     """
     filters, robots = bank.shared_score.shape
     density = np.empty(filters)
@@ -338,8 +360,13 @@ def forecast(bank, model, commands, frame_s, sent_s, room):
 
 @compiled(**INLINE_FAST)
 def _misfit(bank, b, i, room):
-    """Fill how far the sums of the innovations are from what the model allows; return the factor by
-    which standard deviations grow: the root of the largest mean square, and not below 1."""
+    """Fill how far the sums of the innovations are from what the model allows.
+
+    Returns:
+        The factor by which standard deviations grow: the root of the largest mean square, and at
+        least
+        1.
+    """
     blocks = max(bank.blocks[b, i], LEAST_BLOCKS)
     limit = _largest_square_sum(blocks)
     growth2 = 1.0
@@ -351,8 +378,10 @@ def _misfit(bank, b, i, room):
 
 @compiled(**INLINE_FAST)
 def _describe(bank, model, b, i, slot, z, growth, room):
-    """Fill what a hypothesis says of robot i's motion. The state has logarithms of a and v: their
-    deviations are relative."""
+    """Fill what a hypothesis says about the motion of robot i.
+
+    The state has logarithms of a and v, so their deviations are relative.
+    """
     cov = bank.cov[b, i, slot]
     a, speed, side, saturation = parameters_of(model, i, z)
     room.a[i] = a
@@ -380,11 +409,13 @@ def _probability_of_stuck(ln_weight, slot):
 
 @compiled(**INLINE_FAST)
 def _predict(bank, model, commands, b, i, slot, z, dead_time_s, begin_s, end_s):
-    """Predict the state z of a hypothesis between two times [s] through all commands; return the
-    direction followed at the end [rad], NaN for a robot that stands.
+    """Predict the state z of a hypothesis from `begin_s` to `end_s` [s], through all commands.
 
-    A stuck robot hears no command. One that acts within 1 ns of the end is followed then. Those
-    that acted before the beginning are in the state.
+    A stuck robot hears no command. A command that takes effect within 1 ns of the end is followed
+    then. Those that took effect before the beginning are contained in the state.
+
+    Returns:
+        The direction followed at the end [rad], NaN for a robot that stands still.
     """
     stuck = slot == bank.ln_weight.shape[2] - 1
     number = commands.sent_s.size

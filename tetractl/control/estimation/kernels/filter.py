@@ -98,10 +98,18 @@ NO_SLOT = -1
 
 @compiled(**ENTRY_FAST)
 def place(bank, model, commands, time_s, poses, placed):
-    """Start the robots `placed` (N,) again from the poses (N, 3) of a frame.
+    """Restart the robots `placed` from the poses of a frame.
 
-    In every hypothesis, a robot has the pose that was measured, and drives by the last command that
-    acts at or before the time of its pose, time_s (N,).
+    In every hypothesis, a robot gets the pose that was measured, and drives by the last command
+    that takes effect at or before the time of its pose.
+
+    Args:
+        bank: The filters.
+        model: The assumptions about the robots.
+        commands: The commands that were sent.
+        time_s: The time of each robot's pose (N,) [s].
+        poses: The measured poses (N, 3).
+        placed: Whether each robot is restarted (N,).
     """
     for i in range(placed.size):
         if not placed[i]:
@@ -113,8 +121,11 @@ def place(bank, model, commands, time_s, poses, placed):
 
 @compiled(**INLINE_FAST)
 def _set_pose(bank, model, b, i, pose):
-    """Set the pose of every hypothesis to a measured one (3,). It is as uncertain as two deviations
-    of the camera's noise, and has nothing to do with the other states."""
+    """Set the pose of every hypothesis to a measured one (3,).
+
+    It is as uncertain as two deviations of the camera's noise, and does not correlate with the
+    other states.
+    """
     bank.unfit_s[b, i] = 0.0
     for s in range(bank.ln_weight.shape[2]):
         z = bank.state[b, i, s]
@@ -156,13 +167,23 @@ def _number_sent_by(commands, time_s):
 
 @compiled(**ENTRY_FAST)
 def follow(bank, model, commands, frames, noisy, step_s):
-    """Take every filter through the frames; it is at the first one, whose poses it knows already.
-    The dead times of a robot are `step_s` apart. Return the ln of the likelihood of each robot's
-    poses by each of its filters (B, N).
+    """Take every filter through some frames.
 
-    A pose is used for an update if it is valid and new. A camera may show old poses as new ones:
-    with measurements that are `noisy` a pose equal to the one before is old, unless the camera is
-    so coarse that poses repeat; and in a frame that `_is_frozen` all are.
+    The filters are at the first frame, whose poses they know already. A pose is used for an update
+    if it is valid and new. A camera may show old poses as new ones: if measurements are noisy, a
+    pose equal to the one before is old, unless the camera is so coarse that poses repeat; and all
+    poses of a frame that `_is_frozen` are old.
+
+    Args:
+        bank: The filters.
+        model: The assumptions about the robots.
+        commands: The commands that were sent.
+        frames: The frames, as `PoseFrames`.
+        noisy: Whether measurements have noise.
+        step_s: The distance between the dead times of a robot [s].
+
+    Returns:
+        The ln of the likelihood of each robot's poses by each of its filters (B, N).
     """
     filters, robots = bank.dead_time_s.shape
     ln_likelihoods = np.zeros((filters, robots))
@@ -228,8 +249,10 @@ def _is_frozen(bank, model, commands, frames, f):
 
 @compiled(**INLINE_FAST)
 def _predict(bank, model, commands, b, i, begin_s, end_s, step_s, scratch):
-    """Move the hypotheses of a filter on from one time to another. They branch at each command that
-    acts on the way."""
+    """Predict the hypotheses of a filter from one time to another.
+
+    They branch at each command that takes effect on the way.
+    """
     hypotheses = _hypotheses(bank, b, i)
     noise_scale = bank.noise_scale[b, i]
     now_s = begin_s
@@ -249,8 +272,10 @@ def _predict(bank, model, commands, b, i, begin_s, end_s, step_s, scratch):
 
 @compiled(**INLINE_FAST)
 def _next_acts_s(bank, commands, b, i):
-    """Return when the next command acts in a filter, its dead time after it was sent; infinity if
-    there is none."""
+    """Return when the next command takes effect in a filter [s]; infinity if there is none.
+
+    That is its dead time after the command was sent.
+    """
     command = bank.next_command[b, i]
     if command < commands.sent_s.size:
         return commands.sent_s[command] + bank.dead_time_s[b, i]
@@ -259,8 +284,7 @@ def _next_acts_s(bank, commands, b, i):
 
 @compiled(**INLINE_FAST)
 def _predict_one(hypotheses, s, model, i, noise_scale, begin_s, end_s, scratch):
-    """Move one hypothesis on: the robot follows its direction until its watchdog stops it, and then
-    stands."""
+    """Predict one hypothesis: the robot drives until its watchdog stops it, then stands still."""
     z = hypotheses.state[s]
     cov = hypotheses.cov[s]
     stops_s = min(max(hypotheses.until_s[s], begin_s), end_s)
@@ -369,12 +393,12 @@ def _branch_all(hypotheses, model, i, u, now_s, step_s):
 
 @compiled(**INLINE_FAST)
 def _ln_branches(parents, u):
-    """Return ln of the probability of both branches of each parent, (2, S) with the rows HEARD and
-    MISSED:
+    """Return ln of the probabilities of the branches of each parent: (2, S), rows HEARD and MISSED.
 
         w_heard = w + ln(1 - lost),    w_missed = w + ln(lost).
 
-    To one that follows u already, both are the same: it goes on as HEARD, with all its probability.
+    For a parent that follows u already, both are the same: it continues as HEARD, with all its
+    probability.
     """
     number = parents.ln_weight.size
     ln_branches = np.empty((2, number))
@@ -403,11 +427,11 @@ def _likeliest_branch(ln_branches):
 
 @compiled(**INLINE_FAST)
 def _find_twin(parents, parent, u, hypotheses, parent_of):
-    """Return the slot of the twin of a branch from a parent, which follows u; NO_SLOT if there is
-    none. The branches in the slots taken come from the parents `parent_of`; the first twin counts.
+    """Return the slot of the twin of a branch that follows u, NO_SLOT if there is none.
 
-    A twin follows the same direction, and the headings of their parents differ by little for their
-    uncertainty: whichever of both is true, the robot moves alike from now on.
+    A twin follows the same direction, and the headings of their parents differ little compared with
+    their uncertainty: whichever of the two is true, the robot moves in the same way from now on.
+    The branches in the slots taken come from the parents `parent_of`; the first twin counts.
     """
     variance = parents.cov[parent, HEADING, HEADING]
     for slot in range(parent_of.size):
@@ -472,13 +496,22 @@ def _turning_rate(model, i, z, u):
 
 @compiled(**INLINE_FAST)
 def _update(bank, model, b, i, pose, seconds, scratch):
-    """Update the hypotheses of a filter by a pose, `seconds` after the one before; return ln L, the
-    ln of the pose's likelihood.
+    """Update the hypotheses of a filter by a pose, and return ln of the pose's likelihood.
 
-    The innovation nu of the likeliest hypothesis, the measured less the expected pose over its
-    deviation, then says how the filter does. If |nu|^2 is within the gate, the pose fits: it tells
-    how large the noise is, and whether the model is right. Else it is an outlier. If these go on
-    for longer than any fault of a camera, the filter has lost the robot, and starts from the pose.
+    The innovation nu of the likeliest hypothesis, which is the measured minus the expected pose
+    over its deviation, then says how well the filter does. If |nu|^2 is within the gate, the pose
+    fits: it tells how large the noise is, and whether the model is right. Otherwise it is an
+    outlier. If outliers last longer than any fault of a camera, the filter has lost the robot, and
+    restarts from the pose.
+
+    Args:
+        bank: The filters.
+        model: The assumptions about the robots.
+        b: The index of the filter.
+        i: The index of the robot.
+        pose: The measured pose (3,).
+        seconds: The time since the previous pose [s].
+        scratch: Arrays to work in.
     """
     noise_scale = bank.noise_scale[b, i]
     innovation = scratch.likeliest_innovation
@@ -500,13 +533,13 @@ def _update(bank, model, b, i, pose, seconds, scratch):
 
 @compiled(**INLINE_FAST)
 def _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovation):
-    """Update states and probabilities by a pose; return ln L, and fill the `innovation` (3,) of the
-    likeliest hypothesis.
+    """Update states and probabilities by a pose, and return ln L, the ln of the pose's likelihood.
 
         w_s <- w_s + ln p(pose | s) - ln L,    ln L = ln sum_s exp(w_s) p(pose | s)
 
-    The probabilities have the sum 1 then. After that, a w below `LEAST_LN_WEIGHT` is raised
-    to it: what the robot does not do may become true again.
+    Then the sum of the probabilities is 1. After that, a w below `LEAST_LN_WEIGHT` is raised to it:
+    what the robot does not do now may become true again. The `innovation` (3,) of the likeliest
+    hypothesis is filled.
     """
     ln_weight = hypotheses.ln_weight
     largest = -math.inf
@@ -531,7 +564,7 @@ def _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovat
 
 @compiled(**INLINE_FAST)
 def _scale_after(scale, square):
-    """Return the ratio r of observed to expected variances after one more squared innovation q:
+    """Return the ratio r of observed to expected variances after one more squared innovation q.
 
         r <- r (1 + (min(q, q_max) / E - 1) / n),    E = E[min(q, q_max)], if the noise is right.
 
@@ -544,13 +577,14 @@ def _scale_after(scale, square):
 
 @compiled(**INLINE_FAST)
 def _add_to_block(bank, b, i, innovation):
-    """Add an innovation nu (3,) to the present block of K frames, and a block that is full to the
-    sum over blocks that tests the model:
+    """Add an innovation nu (3,) to the present block of K frames.
+
+    When a block is full, it is added to the sum over blocks that tests the model:
 
         square_sum <- square_sum + min((sum_block nu)^2 / K, most_square).
 
-    If the model is right, innovations are independent, and the square is 1 in the mean. If it is
-    not, those of a block have the same sign, and it is larger.
+    If the model is right, innovations are independent, and the square is 1 on average. If it is
+    wrong, those of a block have the same sign, and the square is larger.
     """
     block_sum = bank.block_sum[b, i]
     for j in range(3):
@@ -571,15 +605,15 @@ def _add_to_block(bank, b, i, innovation):
 
 @compiled(**INLINE_FAST)
 def _exchange_stuck(hypotheses, model, seconds, now_s):
-    """Let probability pass between the likeliest driving hypothesis and the stuck one, for the
-    `seconds` until now.
+    """Exchange probability between the likeliest driving hypothesis and the stuck one.
 
     A robot that drives gets stuck once in `every_s`, and a stuck one comes free after `for_s`, both
-    on average: in this time with the probabilities
+    on average. In the `seconds` until now, this happens with the probabilities
 
         p_stick = seconds / every_s,    p_free = seconds / for_s,    at most 1/2 each.
 
-    Where two hypotheses become one, the likelier's state and w count. One of three things is done:
+    Where two hypotheses become one, the state and w of the likelier one count. One of three things
+    is done:
 
         it comes free   if w_stuck + ln p_free > w_likeliest, the likeliest takes the stuck state:
                         w_likeliest <- w_stuck + ln p_free,    w_stuck <- w_stuck + ln(1 - p_free)
@@ -587,8 +621,8 @@ def _exchange_stuck(hypotheses, model, seconds, now_s):
                         takes the likeliest state: w_stuck <- w_likeliest + ln p_stick
         neither         w_stuck <- w_stuck + ln(1 - p_free)
 
-    If the likeliest robot is not to drive, being stuck and standing are the same, and no robot is
-    stuck.
+    If the likeliest hypothesis does not drive, being stuck and standing still are the same, and no
+    robot is stuck.
     """
     ln_weight = hypotheses.ln_weight
     stuck = ln_weight.size - 1
@@ -642,8 +676,10 @@ def _relate_scores(bank, i):
 
 @compiled(**INLINE_FAST)
 def is_none(ln_probability):
-    """Return whether a slot of this logarithm has no hypothesis, or a row no filter; nor has it one
-    if it is no number."""
+    """Return whether a slot with this ln of a probability has no hypothesis, or a row no filter.
+
+    That is so for minus infinity and for NaN.
+    """
     return not ln_probability > -math.inf
 
 
@@ -661,8 +697,10 @@ def _hypotheses(bank, b, i):
 
 @compiled(**INLINE_FAST)
 def _copy_state(source, from_slot, target, to_slot):
-    """Copy the state and covariance of a hypothesis of `source` to a slot of `target`, number by
-    number: arrays that are assigned whole take seconds to compile."""
+    """Copy the state and covariance of a hypothesis of `source` to a slot of `target`.
+
+    They are copied number by number: arrays that are assigned whole take seconds to compile.
+    """
     z = source.state[from_slot]
     cov = source.cov[from_slot]
     z_copy = target.state[to_slot]

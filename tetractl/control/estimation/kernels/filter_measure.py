@@ -112,8 +112,13 @@ def _expect(model, i, z, expected, slopes):
 
 @compiled(**INLINE_FAST)
 def _compare(model, i, z, cov, noise_scale, pose, scratch):
-    """Fill `off`, `variance` and `innovation` of the scratch arrays for a pose (3,); return the sum
-    of the squared innovations, and that of the ln of their variances H P H' + R."""
+    """Compare a measured pose (3,) with the one expected by a hypothesis.
+
+    `off`, `variance` and `innovation` of the scratch arrays are filled.
+
+    Returns:
+        The sum of the squared innovations, and the sum of the ln of their variances H P H' + R.
+    """
     off = scratch.off
     variance = scratch.variance
     innovation = scratch.innovation

@@ -1,5 +1,4 @@
-"""How a filter of `tetractl.control.estimation.filter` predicts the state of one hypothesis: z and
-P.
+"""How a filter of `tetractl.control.estimation.filter` predicts one hypothesis: z and P.
 
 A robot that follows a direction u moves for a short time t [s] by
 
@@ -65,8 +64,11 @@ NO_CHANGE = (0.0, 0.0, 0.0)
 AT_REST = NO_CHANGE, (0.0, 0.0, 1.0), NO_CHANGE, (NO_CHANGE,) * len(RobotParameters._fields)
 """`Derivatives` of a robot at rest: it does not move, and keeps its heading."""
 UNKNOWN_HEADING = math.pi * math.pi / 3
-"""Variance of a heading that may be any [rad2]. Linearised, that of a robot that drives against its
-direction grows without bound, until rounding makes the covariance none."""
+"""Variance of a heading of which nothing is known [rad2].
+
+Without this limit, the linearised variance of a robot that drives against its direction grows
+without bound, until the covariance is invalid because of rounding.
+"""
 
 
 @compiled(**INLINE_FAST)
@@ -77,7 +79,13 @@ def stands(u):
 
 @compiled(**INLINE_FAST)
 def parameters_of(model, i, z):
-    """Return a [rad/s], v [length unit/s], side and saturation of robot i in the state z."""
+    """Return a [rad/s], v [length unit/s], side and saturation of robot i in a state.
+
+    Args:
+        model: The assumptions about the robots.
+        i: The index of the robot.
+        z: The state (STATES,).
+    """
     a = model.parameters[i, 0] * exp(z[LN_A])
     speed = model.parameters[i, 1] * exp(z[LN_SPEED])
     return a, speed, z[SIDE], exp(min(z[LN_SATURATION], 0.0))
@@ -152,10 +160,10 @@ def _step(model, z, drives, cos_u, sin_u, parameters, t):
 
 @compiled(**INLINE_FAST)
 def _lagging(z, rest, rest_slopes, goal, parameters, lag, t):
-    """Return the `Derivatives` of a short step of lagging wheels, given those of the heading in
-    which they come to rest; swing and pace change.
+    """Return the `Derivatives` of a short step of lagging wheels; swing and pace change.
 
-    A change of that heading, of which a share `keep` stays, turns the chord by the half of both.
+    They follow from the derivatives of the heading in which the wheels come to rest. If that
+    heading changes and a fraction `keep` of the change stays, the chord turns by half of both.
     """
     a = parameters[0]
     speed = parameters[1]
@@ -262,8 +270,7 @@ def _add_walk(model, i, cov, noise_scale, t):
 
 @compiled(**INLINE_FAST)
 def _bound_heading(cov):
-    """Lower the variance of the heading to that of one of which nothing is known, and what depends
-    on it with it."""
+    """Limit the variance of the heading to that of an unknown one, and its covariances with it."""
     share = math.sqrt(UNKNOWN_HEADING / cov[HEADING, HEADING])
     for k in range(cov.shape[0]):
         cov[HEADING, k] *= share

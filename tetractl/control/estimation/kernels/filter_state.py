@@ -1,5 +1,6 @@
-"""What the filters of `tetractl.control.estimation.filter` know of robots, and what they assume;
-without the compiler.
+"""What the filters of `tetractl.control.estimation.filter` know and assume about robots.
+
+Nothing here needs the compiler.
 
 **State.** Of each robot a filter follows the position (x, y) and the heading theta in which it
 travels, its turning rate a and speed v, a turn bias beta, a marker bias m that is added to the
@@ -23,9 +24,9 @@ T dtheta/dt, in which the robot would come to rest. What a camera measures is in
 Robots on wheels have no helix: their covariance ends before HELIX_SINE, and they leave the helix's
 slots 0. Cells have all states, but their LN_SATURATION stays 0.
 
-The arrays of a `Bank` have an entry for each filter b of B, and for each robot i of N; those of
-hypotheses also one for each slot s of S: a robot that drives may follow one of some commands, the
-slots before the last, or it is stuck, the last slot.
+The arrays of a `Bank` have an entry for each filter b of B, and for each robot i of N. Those of
+hypotheses also have one for each slot s of S: a robot that drives may follow one of some commands
+(all slots but the last), or it is stuck (the last slot).
 """
 
 import math
@@ -48,8 +49,10 @@ Y = 1
 HEADING = 2
 """Heading theta of the course [rad]; not wrapped."""
 LN_A = 3
-"""ln of the turning rate a over the prior's. This state and the three that follow are in the order
-of `RobotParameters`."""
+"""ln of the turning rate a over the prior's.
+
+This state and the three that follow are in the order of `RobotParameters`.
+"""
 LN_SPEED = 4
 """ln of the speed v over the prior's."""
 SIDE = 5
@@ -94,16 +97,21 @@ HEADINGS = 1
 FOLLOWS = 3
 """Number of latest commands that a robot may follow."""
 LOG_FOLLOWS = 6
-"""The same number for logs, where commands may follow each other sooner than the frames show
-whether a robot heard the one before: it may have heard any of them, and the likeliest are kept."""
+"""The same number for filters of logs.
+
+In logs, commands may follow each other sooner than the frames show whether a robot heard the one
+before. It may have heard any of them, and the likeliest are kept.
+"""
 
 # Without another source, a value was chosen once, and docs/decisions/filter.md has the errors
 # measured with it. Those of one module alone are there.
 LOSS_PROBABILITY = 0.05
 """Probability that a command does not arrive."""
 GATE = 30.0
-"""Squared deviation above which a pose is an outlier: chi-square of 3 numbers exceeds it once
-in 700,000 poses."""
+"""Squared deviation above which a pose is an outlier.
+
+Chi-square of 3 numbers exceeds it once in 700,000 poses.
+"""
 LEAST_BLOCKS = 10
 """Number of blocks for which those that are missing count as empty."""
 QUANTILE = 3.09
@@ -162,13 +170,17 @@ class FilterModel(NamedTuple):
     sticks: Sticks = Sticks()
     """How robots do not do what they are sent."""
     hold: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Means over time of the first three powers of how long wheels keep a turning rate [s, s2, s3];
-    0 if it is always that of the present heading."""
+    """Means over time of the first three powers of how long wheels keep a turning rate [s, s2, s3].
+
+    They are 0 if the rate is always that of the present heading.
+    """
     coarse: bool = False
     """Whether poses of robots that drive may be equal."""
     branch_all: bool = False
-    """Whether every hypothesis branches when a command acts, as logs need it; else the likeliest
-    one does, as the controller has time for."""
+    """Whether every hypothesis branches when a command takes effect, as logs need it.
+
+    Otherwise only the likeliest one does, which is all the controller has time for.
+    """
 
 
 class Bank(NamedTuple):
@@ -189,8 +201,10 @@ class Bank(NamedTuple):
     unfit_s: Floats
     """(B, N) time since a hypothesis fitted [s]."""
     block_sum: Floats
-    """(B, N, 3) sum of the present block's innovations along and across the course and of the
-    heading, over their deviations."""
+    """(B, N, 3) sum of the present block's innovations over their deviations.
+
+    The three are those along and across the course and of the heading.
+    """
     block_frames: Floats
     """(B, N) number of frames in the present block."""
     square_sum: Floats
@@ -219,10 +233,16 @@ class Bank(NamedTuple):
         group: NDArray[np.int64],
         follows: int = FOLLOWS,
     ) -> Self:
-        """Return filters of robots that stand, with one hypothesis each: dead times (B,), means
-        (B, N, STATES) and standard deviations (N, n) of the states, and groups (B,).
+        """Return filters of robots that stand still, with one hypothesis each.
 
-        There are slots for `follows` hypotheses of robots that drive, and one of a stuck robot.
+        Args:
+            dead_time_s: The dead time of each filter (B,) [s].
+            mean: The means of the states (B, N, STATES).
+            std: The standard deviations of the states with a variance (N, n).
+            group: The group of each filter (B,).
+            follows: The number of slots for hypotheses of robots that drive. There is one more
+                slot, for a
+                stuck robot.
         """
         robots, states = std.shape
         per_filter = (len(dead_time_s), robots)
@@ -366,8 +386,10 @@ class NextFilters(NamedTuple):
         )
 
     def taken_from(self, bank: Bank) -> Bank:
-        """Return the bank of these filters, each with the dead time and the score that it takes. If
-        a robot has fewer than others, copies of its last one fill the rest, which are no filters.
+        """Return the bank of these filters, each with its new dead time and score.
+
+        If a robot has fewer filters than others, copies of its last one fill the rest; they do not
+        count as filters.
         """
         goes_on = self.rows >= 0
         number = goes_on.sum(axis=0)  # of filters of each robot (N,)
@@ -450,8 +472,13 @@ class Forecast(NamedTuple):
 
 
 def largest_square_sum(blocks: float) -> float:
-    """Return the sum of a number of squares of standard normal numbers that chance exceeds once in
-    a thousand times: chi-square by Wilson and Hilferty (1931)."""
+    """Return the limit that a sum of squares of standard normal numbers rarely exceeds.
+
+    Chance exceeds it once in a thousand times. It is chi-square by Wilson and Hilferty (1931).
+
+    Args:
+        blocks: The number of squares.
+    """
     part = 2 / (9 * blocks)
     root = 1 - part + QUANTILE * math.sqrt(part)
     return blocks * root * root * root

@@ -1,7 +1,7 @@
 """The command line: one module per command, which reads the options and prints results."""
 
 ADDRESSES_NEEDED = 1e9
-"""Least address space [bytes] for a process; with less, OpenBLAS tries to get memory for ever."""
+"""Minimum address space of a process [bytes]; with less, OpenBLAS asks for memory forever."""
 
 
 def main() -> None:

@@ -73,7 +73,7 @@ class _ListedKind:
 
     @property
     def problem(self) -> str:
-        """What is wrong, "" for nothing."""
+        """The problem; "" if there is none."""
         return f"needs {self.lacks}, which is not installed" if self.lacks else self.broken
 
 

@@ -42,7 +42,7 @@ THEIRS = (
     "The controller too sends one direction to all: it simulates many sequences, and sends the "
     "first step of the best. It stops when no sequence brings them nearer."
 )
-"""What is said when the controller's trial has ended, and its last picture stays."""
+"""Text shown when the controller's trial has ended, and its last image stays."""
 DISTURBED = "three_m3pi_bench"
 """A shipped spec whose robots and camera are disturbed."""
 

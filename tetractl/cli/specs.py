@@ -210,7 +210,7 @@ def validate(
 
 @dataclass(frozen=True, slots=True)
 class _Checked:
-    """What is known of a checked file: the items of JSON, and lines of text."""
+    """The findings about a checked file: as items of JSON, and as lines of text."""
 
     fields: dict[str, Any]
     lines: list[str]
@@ -234,7 +234,7 @@ def _check(path: Path, sets: list[str]) -> _Checked:
 
 
 def _valid(file: str, loaded: "LoadedSpec", warnings: "Sequence[PlacedWarning]") -> _Checked:
-    """Return what is said of a valid spec."""
+    """Return the line about a valid spec."""
     from tetractl.model.bounds import least_total_error
     from tetractl.reach.reach import reach
 

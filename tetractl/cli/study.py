@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 STOPPING = b"\nstopping after the steps that run; a second Ctrl-C stops at once\n"
 """Printed by the handler of the first signal."""
 ARMS_NAMED = 4
-"""Most arms that the notice of outdated trials names."""
+"""Maximum number of arms that the notice of outdated trials names."""
 
 
 def study(

@@ -20,9 +20,9 @@ from tetractl.core.shape import Shape
 
 # the entries of `Obstacles.walls`
 LEFT = 0
-"""Least x of the region between the walls [length unit]."""
+"""Minimum x of the region between the walls [length unit]."""
 BOTTOM = 1
-"""Least y of it [length unit]."""
+"""Minimum y of it [length unit]."""
 RIGHT = 2
 """Greatest x of it [length unit]."""
 TOP = 3
@@ -43,7 +43,7 @@ class Obstacles:
     radii: Floats
     """Radius of each shape, (M,)."""
     low: Floats
-    """Least x, y of the corners of each polygon, (M, 2)."""
+    """Minimum x, y of the corners of each polygon, (M, 2)."""
     high: Floats
     """Greatest x, y of them, (M, 2)."""
     walls: Floats

@@ -62,7 +62,7 @@ OUTPUT_STEP = 4
 SLOWEST_RAD_S = 0.25
 """Turning rate below which it is noise, or a wheel that sticks [rad/s]."""
 POINTS_MIN = 3
-"""Least number of turning rates for the fit of a line."""
+"""Minimum number of turning rates for the fit of a line."""
 STRAIGHT_SHARE = 0.6
 """Turning rate of each wheel while the robot drives straight, relative to the maximum of both."""
 RADII_MM = 5.0, 500.0

@@ -169,7 +169,7 @@ class CameraStream:
 
     @property
     def slow_text(self) -> str:
-        """What is added to a reason that blames a robot if frames come slowly, "" if not."""
+        """A hint for errors that blame a robot; "" unless frames arrive slowly."""
         rate = self._rate.hz
         if rate is None or rate >= SLOW_HZ:
             return ""

@@ -111,7 +111,7 @@ way.
 SPACING = 5
 """Blocks between two moments of the grid."""
 MOMENTS_MAX = 32
-"""Most moments of the grid."""
+"""Maximum number of moments of the grid."""
 LIMIT = 16.0
 """Statistic above which a pose is false. Good trials of the emulated lab reach 13
 (docs/decisions/safety.md).
@@ -124,7 +124,7 @@ A dead zone causes a larger one.
 SURE_ERRORS = 3.0
 """Number of standard deviations by which a wheel must exceed its maximum error."""
 LEAST_KNOWN = 0.01
-"""Share of the prior's variance that a trial must have explained."""
+"""Fraction of the prior's variance that a trial must have explained."""
 TOGETHER = "all robots drift together: has the camera, its origin or its scale moved?"
 TURNS_TEXT = (
     "robots turn by themselves while they drive, by wheels that differ or by poses false since "

@@ -100,7 +100,7 @@ from tetractl.lab.motion_check import COMPARED_NS, DOES_NOT_MOVE, PUSHED, REPEAT
 from tetractl.lab.robot_track import MISSING, PoseDecision, RobotTrack
 
 DAMAGED_MAX = 20
-"""Most pictures or datagrams of a second that may be damaged."""
+"""Maximum number of images or datagrams per second that may be damaged."""
 BUSY = "control steps were late (is this computer busy?), then "
 """Put before a reason that blames a robot or the camera."""
 FROZEN = "the frame repeats the one before to the last bit: is the camera frozen?"

@@ -12,7 +12,7 @@ from tetractl.spec.lab_section import LabLimits
 NOISE_MM = 2.0
 """Largest error of a pose [mm], in addition to that which the camera's section states."""
 SILENCE_MIN_S = 0.5
-"""Least time without a direction after which a run ends [s], however short the period."""
+"""Minimum time without a direction after which a run ends [s], however short the period."""
 
 
 @dataclass(frozen=True, slots=True)

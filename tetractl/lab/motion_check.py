@@ -77,7 +77,7 @@ SLACK_RAD = 0.08
 COMPARED_NS = SECOND
 """Age up to which a moment is kept."""
 SPACING_NS = SECOND // 20
-"""Least time between two moments."""
+"""Minimum time between two moments."""
 STANDS_SHARE = 0.3
 """A robot that makes less than this fraction of the commanded motion stands still."""
 MEANT_SHARE = 0.3

@@ -23,7 +23,7 @@ from tetractl.lab.guard_rules import GuardRules
 from tetractl.spec.lab_section import UNTRACKED_STOP_S
 
 FORGIVEN = 0.25
-"""Share of the time for which a robot is seen that is taken off the time for which it was not."""
+"""Fraction of the time a robot is seen that is subtracted from the time it was not seen."""
 JUMP_HEADING = 0.7
 """How far a heading may jump at once [rad], as `jump_mm` in the limits for a position."""
 FASTER = 2.0

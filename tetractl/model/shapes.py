@@ -21,9 +21,9 @@ class Rectangle(ShapeSection):
 
     type: Literal["rectangle"]
     left: Finite
-    """Least x [length unit]."""
+    """Minimum x [length unit]."""
     bottom: Finite
-    """Least y [length unit]."""
+    """Minimum y [length unit]."""
     width: Positive
     """Extent in x [length unit]."""
     height: Positive

@@ -83,7 +83,7 @@ class DirectDrive:
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the robots that received it.
 
-        With the motion `euler`, the chords begin at the true headings.
+        With the motion `euler`, robots drive straight from the headings that they have now.
         """
         reached = command.reached
         held = self.held

@@ -32,7 +32,7 @@ LENGTH = 96
 SEED = 0
 """Seed of the sequences, which are the same in each call: a verdict must not depend on chance."""
 TOLERANCE = 0.01
-"""Least spread of a combination that can be reached, over that of the one that moves furthest."""
+"""Minimum spread of a reachable combination, relative to that of the one that moves furthest."""
 CHANCE = 4.0
 """Multiple of the usual spread of a combination beyond which a sequence has moved it by chance."""
 ROUNDS = 4
@@ -42,7 +42,7 @@ NORMAL_MEDIAN = 0.6745
 NEAR = 3.0
 """Combinations within this factor of TOLERANCE are reached barely, if at all."""
 STILL = 1e-300
-"""Least spread that others are divided by [s]: that of robots that all stand is 0."""
+"""Minimum spread that others are divided by [s]: it is 0 if all robots stand still."""
 ROBOTS_MAX = 40
 """Largest number of robots; more would take longer than a second."""
 STEPS = (0.01, 0.02, 0.05, 0.1, 0.2)

@@ -44,7 +44,7 @@ CARRIED = 61
 The page then stays below 5 MB. Its tables have all trials.
 """
 CARRIED_MIN = 3
-"""Least number of trials that it carries of a batch."""
+"""Minimum number of trials of a batch that the page contains."""
 LEFT_OUT = (
     "<p>The page carries {} of {} trials, without plans and searches: of each batch those at evenly"
     " spaced ranks of the total error, from the best to the worst, and some that do not count. The"

@@ -23,7 +23,7 @@ from tetractl.spec.controller import ALONE, ControllerSection, Host
 from tetractl.spec.experiment import Experiment
 
 NUMBERS_MAX = CHUNK_MAX // 32
-"""Most numbers of a plan: they take a quarter of the largest chunk of a log that is read."""
+"""Maximum count of numbers in a plan: a quarter of the largest chunk of a log that is read."""
 
 
 def build_controller(experiment: Experiment, key: int) -> "CheckedController":

@@ -14,7 +14,7 @@ from tetractl.tools.files import lock_file
 LOCK_FILE = ".tetractl-lock"
 """Name of the file in a folder that one run at a time may write to."""
 OWNER_BYTES = 300
-"""Most bytes of a lock file that are read [bytes]: host, process and time need some 100."""
+"""Maximum size of a lock file that is read [bytes]: host, process and time need about 100."""
 OPENED = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
 """How the file is opened: no link is followed, where the system can tell."""
 

@@ -21,7 +21,7 @@ from tetractl.spec.section_abilities import KeepsClear
 from tetractl.spec.yaml.problems import Loc
 
 MEMORY_GB = 1.0
-"""Most memory of a control step [GB]."""
+"""Maximum memory of a control step [GB]."""
 GB_PER_NUMBER = 8e-9
 """Memory of a number of 64 bits [GB]."""
 ROUNDING = 1e-9

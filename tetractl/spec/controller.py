@@ -37,7 +37,7 @@ class OptimizerSection(Model):
     @property
     @abstractmethod
     def evaluations_min(self) -> int:
-        """Least number of cost evaluations that a search needs."""
+        """Minimum number of cost evaluations that a search needs."""
 
     @property
     def evaluations_max(self) -> int | None:

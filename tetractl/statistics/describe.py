@@ -30,7 +30,7 @@ from tetractl.statistics.open_batch import (
 from tetractl.statistics.statistic import Figure, statistics
 
 ENOUGH = 8
-"""Least number of pairs or, without pairs, of trials on each side, for a verdict."""
+"""Minimum number of pairs or, without pairs, of trials on each side, for a verdict."""
 NO_PAIRS: Floats = np.zeros(0)
 _NOT_THE_WORLD = CHANGES_NO_TRIAL | {"controller", "name", "reference", "lab"}
 """Fields of a spec that do not change the disturbances of a trial."""

@@ -23,7 +23,7 @@ CONFIDENCE = 0.95
 FAR = 10
 """Errors above this multiple of the median are the tail, if the spec states no bound."""
 VALUES_MIN = 3
-"""Least number of values for an interval of a mean: two have no skewness."""
+"""Minimum number of values for an interval of a mean: two have no skewness."""
 _NAN = math.nan
 Z = float(special.ndtri((1 + CONFIDENCE) / 2))
 """Quantile z of the normal distribution for the confidence of the intervals."""

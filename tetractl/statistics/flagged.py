@@ -53,9 +53,9 @@ SAFETY: dict[str, Callable[[Verdict, float], list[bool]]] = {
 }
 """What must not happen, with a function that returns which robots of a given radius did it."""
 CHANCE = 0.01
-"""Share of batches in which a rate is beyond its limit by chance."""
+"""Fraction of batches in which a rate is beyond its limit by chance."""
 LEAST = 6
-"""Least number of trials with a known rate that are compared."""
+"""Minimum number of trials with a known rate that are compared."""
 FEW = 14.0
 """By how much fewer trials widen the limit: see above."""
 UNCONFIRMED = 2.0

@@ -24,9 +24,9 @@ from tetractl.tools.table.table import NONE, Column, Table, fixed, lengths, list
 from tetractl.tools.table.terminal_table import LISTED_MAX
 
 DECIMALS_MAX = 9
-"""Most decimals of an error."""
+"""Maximum number of decimals of an error."""
 SIDE_BY_SIDE = 3
-"""Most batches in one table of trials: more columns of words are too wide."""
+"""Maximum number of batches in one table of trials: more columns of words are too wide."""
 PUBLISHED = "difference from published"
 """Label of the difference from the published result."""
 TINY = 1e-6

@@ -18,11 +18,11 @@ from typing import IO, Self
 from tetractl.core.errors import printable
 
 SAID_BYTES = 4096
-"""Most that is kept of what a child says: its last bytes."""
+"""Maximum that is kept of the output of a child: its last bytes."""
 SHOWN_LINE_MAX = 300
-"""Most characters of a line of a child that are shown."""
+"""Maximum number of characters of a line of a child that are shown."""
 READ_BYTES = 65536
-"""Most bytes that are read of a pipe at a time."""
+"""Maximum number of bytes that are read from a pipe at a time."""
 SAFE_PATH = "PYTHONSAFEPATH"
 """The environment variable by which Python does not import from the present folder."""
 

@@ -21,9 +21,9 @@ from tetractl.tools.children import SAFE_PATH, SAID_BYTES, shown_lines
 R = TypeVar("R")
 
 LINES_MAX = 50
-"""Most lines of all workers of a pool that are shown."""
+"""Maximum number of lines of all workers of a pool that are shown."""
 STARTS_MAX = 50
-"""How often it is tried whether workers can be started again."""
+"""Number of attempts to start workers again."""
 START_S = 0.1
 """Time before each of these attempts [s]."""
 

@@ -45,11 +45,11 @@ LONGEST_S = 60.0
 """Longest time that a video plays; a longer trial plays faster [s]."""
 SCENE_WIDTH_IN = 5.0
 SCENE_HEIGHT_IN = 4.4
-"""Most that the arena takes of a picture."""
+"""Maximum width and height of the arena in the video [in]."""
 SIDE_IN = 2.2
 """Width of the curve and the words, to the right of the arena."""
 SIDE_HEIGHT_IN = 3.0
-"""Least height of the two together."""
+"""Minimum height of the two together."""
 LABELS_IN = 0.62
 """Room for the labels of an axis, on its left."""
 TOP_IN = 0.3
@@ -59,7 +59,7 @@ SHOWN_PX = 640
 SHOWN_RATE = 12
 """Width, and pictures per second, of a video inside a notebook, to be made in some seconds."""
 BODY_LEAST = 0.014
-"""Least half length of a robot's body as a share of the arena, so that it is seen."""
+"""Minimum half length of a drawn robot as a fraction of the arena, so that it is visible."""
 TRAIL_POINTS = 600
 """About as many points of a trail are drawn."""
 ARROW = np.array([-1, 1, 0.6 + 0.3j, 1, 0.6 - 0.3j])

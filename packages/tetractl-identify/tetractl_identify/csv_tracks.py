@@ -62,7 +62,7 @@ If a table has the columns of several kinds, it is of the first of them.
 UNITS = {"rad": RADIANS, "rad_s": RADIANS_S, "mm": METRES, "mm_s": METRES_S}
 """The units in which a column may be instead of that in FORMS."""
 AGAIN = 0.1
-"""Share of the time so far, from its begin, within which a time that falls starts again."""
+"""Fraction of the time so far, from its begin, within which a time that falls starts again."""
 COLUMNS_SAID = 8
 """Largest number of columns that a message names."""
 BOTH_FILES = "name both files, such as poses.csv steps.csv of `tetractl export`"
@@ -603,8 +603,8 @@ def _directions(numbers: _Numbers, path: Path, begin: float) -> _Commands:
         _refuse_two_commands(path, robot, rows["time"], rows["direction"][:, None])
         if len(before) and not np.array_equal(before["direction"], rows["direction"]):
             raise UsageError(
-                f"{path}: {printable(robot)} is sent other directions than others",
-                "all robots are sent one direction: identify each by tables of its own",
+                f"{path}: {printable(robot)} receives other directions than the other robots",
+                "robots of one table share one direction: identify each robot from its own tables",
             )
     ages = (rows["time"] - rows["observed"])[1:]
     ages = ages[np.isfinite(ages)]

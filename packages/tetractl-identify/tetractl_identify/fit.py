@@ -78,7 +78,7 @@ POINTS = np.arange(-2.0, 3.0)
 """Dead times of a parabola, less the likeliest so far, in its standard deviations."""
 SHRINKS_TO = 0.2
 GROWS_TO = 5.0
-"""Least and greatest new standard deviation of the dead time over the one before."""
+"""Minimum and maximum new standard deviation of the dead time over the one before."""
 UNKNOWN_S = 0.3
 """Standard deviation from which a dead time counts as unknown."""
 LN_MOST = 50.0

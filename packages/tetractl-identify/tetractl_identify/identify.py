@@ -35,7 +35,7 @@ from tetractl_identify.unusual import unusual_values
 from tetractl_identify.wheel_lag import lag_may_turn
 
 INTERVALS_MIN = 20
-"""Least number of intervals of a robot for a fit."""
+"""Minimum number of intervals of a robot for a fit."""
 STEP_S = 0.1
 """Minimum duration of the steps by which distances are compared [s]."""
 UNKNOWN_A = 3.0

@@ -14,7 +14,7 @@ from scipy.ndimage import minimum_filter1d
 from tetractl.core.poses import Bools, Floats, Integers, wrap
 
 REPEATS_MIN = 2
-"""Least number of repeats in a row that are no measurement."""
+"""Minimum number of repeats in a row that are no measurement."""
 RELEASE = 2.5
 """Usual ways or turns between two poses, above which a robot has moved while its pose repeated."""
 LEAP = 10.0

@@ -58,7 +58,7 @@ STANDS_S = 0.2
 The noise of the camera makes no such speed over this time.
 """
 FULL = 0.6
-"""Share of a block for which a robot is measured at least."""
+"""Minimum fraction of a block for which a robot must be measured."""
 MEDIAN_OFF = 0.826
 """Median distance of a place from the middle of its neighbours, relative to the noise of each.
 

@@ -145,7 +145,7 @@ class PolicyController(PlainController):
         if not np.isfinite(outputs).all():
             raise ControlError(
                 "the policy's outputs are not finite numbers",
-                "its weights are too large, or a pose is no number",
+                "its weights are too large, or a pose is not a number",
             )
         along_x, along_y = np.clip(outputs, -1.0, 1.0)
         direction = atan2(along_y, along_x)

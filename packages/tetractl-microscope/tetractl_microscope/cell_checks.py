@@ -54,7 +54,7 @@ class Swims(MotionCheck):
         self._slack[:, 2] += 2 * HEADING_RAD
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take a transmission: the cells' speeds [length unit/s] and turning rates [rad/s]."""
+        """Take note of a transmission; see `GuardCheck.sent`."""
         v = np.array(speed)
         slowest, fastest = turning_rates(np.array(turning), self._a)
         error = WANDERS * np.abs(v)

@@ -123,7 +123,7 @@ def refuse_times_apart(poses: Span, sent: Floats, commands: Span) -> None:
 
 
 COVERED = 0.9
-"""Share of the robots' way while commands act, below which it is said; chosen."""
+"""Fraction of the robots' path under commands below which a remark says so; chosen."""
 DIRECTIONS_MIN = 2
 """Minimum number of commands during the recording.
 

@@ -17,7 +17,7 @@ from tetractl_motioncapture.process_port import ProcessPort
 from tetractl_motioncapture.section import MotionCaptureSection
 
 NAME_MAX = 60
-"""Most characters that are shown of a streamed body's name, which any sender chooses."""
+"""Maximum number of characters shown of a streamed body's name, which any sender chooses."""
 NAMES_MAX = 20
 
 

@@ -24,7 +24,7 @@ COUNT = 200
 NEAR = 1e-6
 """Relative error up to which two results agree."""
 TINY = 1e-300
-"""Least scale that a difference is divided by."""
+"""Minimum scale that a difference is divided by."""
 
 
 @dataclass(frozen=True, slots=True)

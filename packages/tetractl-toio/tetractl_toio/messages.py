@@ -17,7 +17,7 @@ SERVICE = "10b20100-5b3b-4571-9508-cf3efcd7bbae"
 SPEED_MAX = 115
 """Largest motor speed that a cube takes."""
 SPEED_MIN = 8
-"""Least motor speed at which its wheels turn."""
+"""Minimum motor speed at which its wheels turn."""
 WHEEL_MM_S = 4.3 / 60 * math.pi * 12.5
 """Speed of a wheel of 12.5 mm for one unit of motor speed, 4.3 revolutions a minute [mm/s]."""
 RADIUS_MM = 13.3

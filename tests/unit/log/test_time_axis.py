@@ -74,4 +74,4 @@ def test_undelivered_commands_and_lost_robots_are_notes(tmp_path):
     assert sum("did not get the command" in text for text in texts) == lost > 0
     assert any(text.endswith("is lost") for text in texts)
     events = [event.text for event in read_trial(tmp_path / "trial.mcap").events]
-    assert any("is lost: no pose of it came; is it hidden" in text for text in events)
+    assert any("is lost: no poses of it arrived; is it hidden" in text for text in events)

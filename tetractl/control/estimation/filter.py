@@ -97,7 +97,7 @@ from tetractl.core.motion_estimate import INNOVATIONS
 from tetractl.core.poses import Bools, Integers, Observation, Poses
 
 SPACING_NS = round(0.03 * SECOND)
-"""Least time between two frames used [ns]; docs/decisions/filter.md has errors with others."""
+"""Minimum time between two frames used [ns]; docs/decisions/filter.md has errors with others."""
 REOPEN_S = 4.0
 """Minimum time before the bank is opened again [s].
 

@@ -84,7 +84,7 @@ FREQUENCY_STD = 0.15
 GRID_REACH = 3.0
 """Half width of the grid of dead times at first, in standard deviations of the prior."""
 LEAST_SPEED = 1e-9
-"""Least speed that a noise is taken over [length unit/s]: a robot may have none."""
+"""Minimum speed that a noise is divided by [length unit/s]: a robot may have none."""
 FREQUENCIES = 0.5, 0.75, 1.0, 1.4
 """Frequencies of the helix to start from, over the usual one; their ratios are below 1.5."""
 SATURATIONS = 0.8, 0.4

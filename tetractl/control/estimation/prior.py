@@ -1,4 +1,4 @@
-"""What is assumed of the robots' motion before they have moved."""
+"""The assumptions about the robots' motion before they have moved."""
 
 import math
 from typing import NamedTuple

@@ -62,7 +62,7 @@ MISS_MAX = 4.0
 MISS_OF_WAY = 0.05
 """Fraction of what they have to go then that is added to this miss."""
 TRUSTED_S = 1.0
-"""Least time that a plan is driven before [s]."""
+"""Minimum time for which a plan is followed before robots rest for a new one [s]."""
 
 
 class Nodes(NamedTuple):

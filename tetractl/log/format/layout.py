@@ -17,7 +17,7 @@ from tetractl.log.format.scene import WORLD, frame_of
 
 MEDIA_TYPE = "application/json"
 ASPECT = 1.1
-"""Least ratio of the 3D panel's width to its height."""
+"""Minimum ratio of the 3D panel's width to its height."""
 MARGIN = 1.08
 ERROR = "/studio_script/error"
 WHOLE, LIGHT = SLATES[1:]

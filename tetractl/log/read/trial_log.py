@@ -160,7 +160,7 @@ class TrialLog(TrialRecords, Shown):
 def _next_step(text: str) -> str:
     """Return the reason for a message and what to do, which logs do not contain."""
     if text.endswith(" is lost"):
-        return ": no pose of it came; is it hidden, out of view, off its mat or switched off?"
+        return ": no poses of it arrived; is it hidden, out of view, off its mat or switched off?"
     if text.startswith("the model does not fit"):
         return (
             ": `tetractl identify` measures a, speed and dead time, which is longer if frames are "

@@ -48,7 +48,7 @@ MESSAGE_POSES_MAX = 20_000
 SHOWN_HZ = 15
 """Rate of a simulation's transforms for viewers [Hz]; viewers interpolate between transforms."""
 PLAN_SHOWN_NS = SECOND * 3 // 20
-"""Least time between two plans for viewers [ns]."""
+"""Minimum time between two plans for viewers [ns]."""
 
 
 class RecordSink(Protocol):

@@ -37,7 +37,7 @@ def in_rows(robots: Any) -> Floats:
 
 
 LOWER = -math.pi
-"""Least direction u of a search, lb of (12) [rad]; directions beyond the bounds are wrapped."""
+"""Minimum direction u of a search, lb of (12) [rad]; directions beyond the bounds are wrapped."""
 UPPER = math.pi
 """Greatest direction u of a search, ub of (12) [rad]."""
 

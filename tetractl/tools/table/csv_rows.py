@@ -26,7 +26,7 @@ CSV_LINE = 1 << 16
 CHUNK = 1 << 20
 """Number of bytes that are decoded at a time, to find the encoding."""
 TITLES_MAX = 10
-"""Most lines of titles above a header."""
+"""Maximum number of lines of titles above a header."""
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 SEPARATORS = (",", ";", "\t", "|")  # between the entries of a line
 ARCHIVES = {b"\x1f\x8b": "gzip", b"PK": "zip, or a spreadsheet", b"(\xb5": "zstd", b"BZ": "bzip2"}

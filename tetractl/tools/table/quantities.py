@@ -96,7 +96,7 @@ class NumberColumn:
         """Return the number in a row; UsageError if it is missing, none, or too large."""
         value = self.optional(path, row)
         if math.isnan(value):
-            raise UsageError(f"{path}, line {row.line}: {printable(self.key)}: states no number")
+            raise UsageError(f"{path}, line {row.line}: {printable(self.key)}: not a number")
         return value
 
     def optional(self, path: Path, row: CsvRow) -> float:

@@ -8,7 +8,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 NONE = "-"
 """The text for an unknown value."""
 LISTED = 4
-"""Most texts in one line."""
+"""Maximum number of texts in one line."""
 
 
 def fixed(decimals: int) -> Callable[[float], str]:

@@ -24,7 +24,7 @@ from tetractl.tools.table.table import Array, Table
 PART = ".part"
 """Ending of a file that is not complete yet."""
 COLUMNS_NAMED = 4
-"""Most columns that are named in an error."""
+"""Maximum number of columns that are named in an error."""
 AddRows = Callable[[str, Table, str], None]
 """Function that adds rows to the file of a name; the text is their source, for messages."""
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
 LISTED_MAX = 20
-"""Most problems, or trials with problems, that are listed."""
+"""Maximum number of problems, or trials with problems, that are listed."""
 WIDTH = 120
 """Line width in characters if there is no terminal; a longer word is not broken."""
 

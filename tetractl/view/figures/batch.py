@@ -47,7 +47,7 @@ DOT_PT2 = 16
 SMALL_DOT_PT2 = 4
 """Area of a dot of many [pt^2]."""
 SHADED = 4
-"""Most batches whose bands are shaded: more would hide one another."""
+"""Maximum number of batches whose bands are shaded: more would hide one another."""
 ROOM = 0.05
 """Room beyond the errors of a logarithmic axis, as a fraction of their range."""
 BEYOND = 1.02

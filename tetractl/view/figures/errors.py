@@ -34,7 +34,7 @@ from tetractl.view.figures.trials import (
 HEADROOM = 1.04
 """Height of a panel over its greatest value."""
 LEAST = 1e-9
-"""Least of the greatest values [length unit]: the limits of an axis must differ."""
+"""Minimum of the largest values [length unit]: the limits of an axis must differ."""
 TIMES = 400
 """Points of a median over time."""
 PANELS_MAX = 12

@@ -24,7 +24,7 @@ ROOM = 0.05
 LABEL_LENGTH = 24
 """Largest length of a value's text [characters]."""
 LOG_DECADES = 1.5
-"""Least span of positive values for a logarithmic axis [decades]."""
+"""Minimum span of positive values for a logarithmic axis [decades]."""
 TICKS_MAX = 8
 """Largest number of values for which each value has a tick."""
 

@@ -9,7 +9,7 @@ from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 
 NUMBERED = 8
-"""Least number of robots that are numbered."""
+"""Minimum number of robots that are numbered."""
 NAME_LENGTH = 16
 """Largest length of a robot's name [characters]."""
 

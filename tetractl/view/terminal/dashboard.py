@@ -57,12 +57,12 @@ ROBOT_BAR_MOST = 40
 ROBOTS_LEAST = 3
 """Lines of robots that are shown even if others have no line."""
 SMALLEST = 1e-12
-"""Least distance of a whole bar: robots may start on their targets [length unit]."""
+"""Minimum distance of a whole bar: robots may start on their targets [length unit]."""
 SPARKLINE_MOST = 48
 LINES_OF_OTHERS = 12
 """Lines that the robots' block leaves to other blocks."""
 EVENTS_SHOWN = ((36, 6), (24, 2), (16, 1))
-"""Least height of the terminal, and how many events it then shows; the first that fits."""
+"""Minimum height of the terminal, and how many events it then shows; the first that fits."""
 
 
 @dataclass(frozen=True, slots=True)

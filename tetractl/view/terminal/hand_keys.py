@@ -47,7 +47,7 @@ WHY = (
 )
 """What a person has felt when the trial has ended, in eight lines of the smallest panel."""
 PAUSED = "PAUSED. Try arrows: dots show where each leads. Nothing moves until you press P."
-"""What is said in a pause."""
+"""Text shown during a pause."""
 BYTE_ORDER_MARK = "\ufeff"
 """What some editors write at the beginning of a file."""
 WAIT_S = 0.01

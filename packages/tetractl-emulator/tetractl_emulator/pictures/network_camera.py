@@ -29,7 +29,7 @@ from tetractl_emulator.faults import ActingFaults
 
 BOUNDARY = "emulated-by-tetractl"
 WAITING_MAX = 32
-"""Most pictures that wait on the way to a client."""
+"""Maximum number of pictures that wait on the way to a client."""
 
 
 @dataclass(frozen=True, slots=True)

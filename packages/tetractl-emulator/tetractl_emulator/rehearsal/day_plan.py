@@ -22,15 +22,15 @@ SPAN_S = 11.0
 CHOICE_S = 5.0
 """By how much later it may be if trials choose their cells first [s]."""
 BLIND_SHARE = 0.1
-"""Share of the days on which robots on wheels are driven blindly, until a limit stops them."""
+"""Fraction of the days on which robots on wheels are driven blindly, until a limit stops them."""
 BLIND_S = 15
 """Time of a day's blind drive [s], in which each robot comes to a rim."""
 FACING_SHARE = 0.5
-"""Share of these days on which two robots start face to face."""
+"""Fraction of these days on which two robots start face to face."""
 FACING = (2.0, 3.0)
 """Distance of these two, as a multiple of `separation_mm`: while one turns round, they meet."""
 SHORT_SHARE = 0.15
-"""Share of the days whose trial ends after SHORT_S, while robots drive."""
+"""Fraction of the days whose trial ends after SHORT_S, while robots drive."""
 SHORT_S = (2.0, 8.0)
 OWN = ("kind", "right")  # keys of a drawn fault that a script does not have
 

@@ -123,10 +123,10 @@ def _expected_code(truth: Truth) -> int:
 def _counts(truth: Truth) -> Iterator[Violation]:
     """Check that a trial counts only if nothing forbids it.
 
-    No emergency stop may have been pressed since its run began, except in the last `TRANSIT_S`. No
-    robot may be unseen for `stream_lost` at its end, unless poses froze like those of robots that
-    stand still. No fault may show motion from the end of driving to the end of the process. Other
-    limits of the spec are not checked here.
+    A trial must not count in three cases: an emergency stop was pressed after the run began, and
+    earlier than `TRANSIT_S` before the end; a robot was unseen for longer than `stream_lost` at the
+    end, unless poses froze like those of robots that stand still; or the camera showed motion from
+    the end of driving to the end of the process. Other limits of the spec are not checked here.
     """
     end_s = truth.alive_s
     pressed_s = truth.pressed_s

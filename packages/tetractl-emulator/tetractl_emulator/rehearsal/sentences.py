@@ -59,7 +59,10 @@ ROLLS_MM_S = 1.5
 DRIVEN_MM_S = 5.0
 """Speed of a wheel above which its robot counts as driven."""
 STOPS_MIN = 5
-"""Least stops after a run: a radio that loses every second packet takes one on 97 of 100 days."""
+"""Minimum number of stops after a run.
+
+A radio that loses every second packet takes one of them on 97 of 100 days.
+"""
 WATCHED_S = 2.0
 """Time after the end in which stops are repeated while a robot is not seen to rest."""
 NOISE_MM = 4.0

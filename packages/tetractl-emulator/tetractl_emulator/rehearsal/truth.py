@@ -60,9 +60,9 @@ DRIVING_STATES = ("run", "hold")
 LATE_FRAMES = ("late_pictures", "late_frames", "reordered")
 """Faults that make frames late by their field `by`."""
 MOVES_MM_S = 10.0
-"""Least speed that pictures of a second show plainly [mm/s]."""
+"""Minimum speed that pictures of a second show plainly [mm/s]."""
 MOVES_RAD_S = 0.1
-"""Least rate of turning that pictures of a second show plainly [rad/s]."""
+"""Minimum rate of turning that pictures of a second show plainly [rad/s]."""
 TRANSIT_S = 0.05
 """Maximum time from an event to its command at the robots [s].
 

@@ -424,8 +424,8 @@ def _is_ghost(
 ) -> bool:
     """Check whether a body is only in the background.
 
-    It is if the part of the image differs GHOST times less from the unchanged ring around it than
-    the same part of the background does.
+    A ghost looks like the unchanged ring around it now, but differs from the ring in the
+    background: there, the difference is at least GHOST times as large.
     """
     level = background[ring].mean() if ring.any() else np.median(background)
     off_now = float(np.abs(now - level)[body].mean())

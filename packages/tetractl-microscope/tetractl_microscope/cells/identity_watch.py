@@ -11,7 +11,7 @@ from tetractl.core.poses import Floats
 from tetractl.core.trial import Note
 
 SURE = 0.9
-"""Least probability of a robot's identity; below it, it is unknown which robot it is."""
+"""Minimum probability of a robot's identity; below it, it is unknown which robot it is."""
 
 
 class IdentityWatch:

@@ -341,7 +341,7 @@ class CellTracker:
         return rectangles
 
     def _shown(self, cells: Sequence[CellTrack], now: PictureNow) -> list[SeenCell]:
-        """Return what is said of cells in the newest picture."""
+        """Return the cells to show in the newest image."""
         rows = np.array([cell.row for cell in cells], int)
         places, _ = self.bank.expected(rows)
         means = self.bank.mean[rows]

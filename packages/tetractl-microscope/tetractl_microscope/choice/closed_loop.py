@@ -147,7 +147,7 @@ REGULAR = 1e-12
 For robots that stand still, these matrices are singular.
 """
 REGULAR_MIN = 1e-30
-"""Least value that is added [length unit^2]."""
+"""Minimum value that is added [length unit^2]."""
 
 
 @dataclass(frozen=True, slots=True)

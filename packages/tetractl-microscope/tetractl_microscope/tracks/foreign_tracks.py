@@ -33,9 +33,9 @@ POSES_MAX = 2_000_000
 AXES = (("t", "time", "frame"), ("x",), ("y",))
 """Names of the axes of a graph of which no types are stated."""
 SPARSE = 10
-"""Least common step of the numbers of all pictures that is said: times in ms have such a one."""
+"""Minimum common step of all image numbers that is reported: times in ms have such a step."""
 SAID_MAX = 200
-"""Most characters of an error of the library geff that are shown."""
+"""Maximum number of characters of an error of the library geff that are shown."""
 MICROMETRES = {"nm": 1e-3, "um": 1.0, "mm": 1e3, "cm": 1e4, "m": 1e6, "inch": 25400.0}
 """Units of lengths [um]."""
 PIXELS = ("", "px", "pixel", "pixels")
@@ -258,11 +258,13 @@ def _require_whole(path: Path, column: str, frames: Floats) -> None:
     is_fraction = frames % 1 != 0
     if is_fraction.any():
         first = frames[is_fraction][0]
-        said = f"{path}: column {printable(column)}: {first:g} is no number of a picture"
-        raise UsageError(said, f"of times in seconds, name the column {printable(column)}_s")
+        said = f"{path}: column {printable(column)}: {first:g} is not a frame number"
+        raise UsageError(
+            said, f"if these are times in seconds, name the column {printable(column)}_s"
+        )
     if frames.min() < 0:
-        said = f"{path}: column {printable(column)}: {frames.min():g} is no number of a picture"
-        raise UsageError(said, "the film's first picture is number 0")
+        said = f"{path}: column {printable(column)}: {frames.min():g} is not a frame number"
+        raise UsageError(said, "the first frame of a film has the number 0")
 
 
 def _from_first_picture(path: Path, frames: Floats, remarks: list[str]) -> Floats:

@@ -21,7 +21,7 @@ ONWARD = 0.5
 Long displacements count most. Beads in water have .23, Euglena .78, Paramecium .92.
 """
 WAYS_MIN = 10
-"""Fewest objects of a film that are examined."""
+"""Minimum number of objects in a film that are examined."""
 FEW = 1 / 3
 """Fraction of objects that keep going below which hardly any does.
 
@@ -32,7 +32,7 @@ most do not get MOVED lengths away.
 LONGEST_S = 1.0
 """Longest time of a displacement of a track that is tried [s]: swimmers turn, places scatter."""
 PAIRS_MIN = 10
-"""Fewest independent pairs of displacements of which a cosine is known."""
+"""Minimum number of independent pairs of displacements for a cosine."""
 EVEN = 0.2
 """Maximum relative scatter of the lengths of steps that count as equally long.
 
@@ -42,7 +42,7 @@ link .23 or more. Swimmers that turn by 2.2 rad/s, filmed at 1 Hz, have .09 or l
 if their speed varies by a fifth.
 """
 STEPS_MIN = 40
-"""Fewest steps of which that is said."""
+"""Minimum number of steps for that finding."""
 TO_AND_FRO = "what moves goes to and fro, as beads do: nothing swims"
 
 

@@ -27,7 +27,7 @@ TOGETHER = 3.0
 Eight cells that swim in independent directions reached it in 22 of 10,000 samples.
 """
 TOGETHER_MIN = 8
-"""Fewest cells of which that is said."""
+"""Minimum number of cells for that finding."""
 STRAIGHT = 0.7
 TURNS_ABOUT = 0.5
 """Minimum net displacement of cells that a flow carries, as a fraction of their path.
@@ -36,7 +36,7 @@ It is also the maximum mean of a field's directions, as vectors of length 1, for
 about.
 """
 STRAIGHTER = 0.9
-"""Share of its VSL below which a speed along a helix cannot be: the cell turns by itself."""
+"""Fraction of its VSL below which a speed along a helix cannot be: the cell turns by itself."""
 OF_THE_HELIX = (
     "speed_um_s",
     "speed_sd_um_s",

@@ -64,13 +64,13 @@ from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 ALIKE = 0.1
 """Squared difference of the headings of two hypotheses that are one, over the variance."""
 LEAST_LN_WEIGHT = -25.0
-"""Least ln of the probability of a hypothesis: its slot is not given up."""
+"""Minimum ln of the probability of a hypothesis: its slot is not freed."""
 LOST_TRACK_S = 0.3
 """Time without a fit after which the camera's pose is used [s]."""
 SCALE_MEMORY = 400.0
 """Number of frames over which the noise is averaged."""
 SCALE_LEAST = 1e-3
-"""Least ratio of observed to expected variances."""
+"""Minimum ratio of observed to expected variances."""
 SCALE_MOST = 10.0
 """Greatest ratio of observed to expected variances."""
 CAPPED_SQUARE = 4.0

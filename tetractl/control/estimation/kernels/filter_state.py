@@ -153,7 +153,7 @@ class PoseFrames(NamedTuple):
 
 
 class FilterModel(NamedTuple):
-    """What is assumed of N robots; `noise` and `walk` are standard deviations."""
+    """Assumptions about N robots; `noise` and `walk` are standard deviations."""
 
     parameters: Floats
     """(N, 2) PARAMETERS of the motion: a [rad/s] and v [length unit/s]."""
@@ -438,7 +438,7 @@ class Forecast(NamedTuple):
 
     @classmethod
     def room_for(cls, robots: int) -> Self:
-        """Return room for what is said of some robots: what is not filled stays NaN."""
+        """Return an empty forecast for some robots, full of NaN."""
         arrays: dict[str, Any] = {name: np.full(robots, np.nan) for name in cls._fields}
         arrays["flow"] = np.full((robots, 2), np.nan)
         arrays["misfit"] = np.full((robots, len(INNOVATIONS)), np.nan)
@@ -451,7 +451,7 @@ class Forecast(NamedTuple):
 
     @property
     def estimate(self) -> Estimate:
-        """What is known of the robots' motion."""
+        """The estimate of the robots' motion."""
         return Estimate(
             a=self.a,
             a_std=self.a_std,

@@ -61,7 +61,7 @@ class PolishSettings(NamedTuple):
     tolerance: float
     """Merit that is good enough [length unit]."""
     slack: float
-    """Least clearance of a path that is pushed out of an obstacle [length unit]."""
+    """Minimum clearance of a path that is pushed out of an obstacle [length unit]."""
     patience: int
     """Number of iterations in which the merit must fall to the fraction PROGRESS."""
     iterations_max: int

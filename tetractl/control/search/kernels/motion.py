@@ -73,7 +73,7 @@ class FlatProblem(NamedTuple):
     swept: bool
     """Whether the segments between predicted positions must also be clear."""
     separation: float
-    """Least distance of two robots, 0 for robots that may meet."""
+    """Minimum distance of two robots, 0 for robots that may meet."""
 
 
 @lru_cache(maxsize=2)  # the searches of one control step need the same arrays

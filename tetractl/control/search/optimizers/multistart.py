@@ -58,7 +58,7 @@ class Multistart(OptimizerSection):
     slack: ClassVar[float] = 0.01
     """Clearance of a path pushed out of an obstacle, per step of the fastest robot."""
     steps: ClassVar[int] = 40
-    """Most Levenberg-Marquardt iterations of a start."""
+    """Maximum number of Levenberg-Marquardt iterations of a start."""
     patience: ClassVar[int] = 6
     """A polish ends if so many iterations bring no fall by a fifth."""
 
@@ -69,7 +69,7 @@ class Multistart(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Least number of cost evaluations of a search: one round and a warm start."""
+        """Minimum number of cost evaluations of a search: one round and a warm start."""
         return self.particles + 1
 
     @property

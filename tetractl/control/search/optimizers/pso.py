@@ -64,7 +64,7 @@ class Pso(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Least number of cost evaluations of a search: all particles and a warm start."""
+        """Minimum number of cost evaluations of a search: all particles and a warm start."""
         return self.particles + 1
 
     @property

@@ -109,5 +109,5 @@ def _numbers(line: bytes) -> tuple[str, *tuple[int, ...]]:
     for word in words:
         digits = word.removeprefix("-")
         if not (digits.isascii() and digits.isdecimal() and len(digits) <= DIGITS_MAX):
-            raise WireError(f"{word!r} is no number")
+            raise WireError(f"{word!r} is not a number")
     return kind, *map(int, words)

@@ -116,7 +116,8 @@ class ModelDef:
 class Connect:
     """The client's first message.
 
-    In unicast, servers from NatNet 4.0 on stream in the client's `version` if it is `pinned`.
+    If `version` is `pinned`, servers from NatNet 4.0 on stream in that version. This holds for
+    unicast only.
     """
 
     version: Version = NEWEST

@@ -186,7 +186,7 @@ def test_tables_of_other_programs_are_read_by_their_own_columns(header, columns,
 
 
 def test_a_cell_need_not_be_found_in_the_first_picture(tmp_path):
-    """Regression: "x: states no number", and the hint to leave the entry empty."""
+    """Regression: "x: not a number", and the hint to leave the entry empty."""
     is_found = K > 0
     places = [np.where(is_found, column, np.nan) for column in (X, Y)]
     path = placed(tmp_path / "a.csv", "particle,frame,x,y", NUMBER, K, *places)
@@ -271,11 +271,11 @@ def test_options_do_not_scale_numbers_that_have_a_unit(tmp_path):
         ("particle,picture,y,x", COLUMNS, "no column of tracks: frame, t or time_s missing"),
         ("particle,frame,y,z", COLUMNS, "no column of tracks: x missing; its columns are"),
         ("particle,frame,row,col", COLUMNS, "no column of tracks: x; y missing"),
-        ("particle,frame,y,x", (NUMBER, K - 3, Y, X), "frame: -3 is no number of a picture"),
+        ("particle,frame,y,x", (NUMBER, K - 3, Y, X), "frame: -3 is not a frame number"),
         (
             "track_id,t,y,x",
             (NUMBER, K / HZ, Y, X),
-            r"column t: 0\.04 is no number of a picture\n.*name the column t_s",
+            r"column t: 0\.04 is not a frame number\n.*name the column t_s",
         ),
     ],
 )

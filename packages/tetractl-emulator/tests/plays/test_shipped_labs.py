@@ -29,10 +29,11 @@ def marked(name):
 def test_no_trial_of_a_shipped_lab_is_flagged(tmp_path, name):
     """Regression: 8 of 8 trials of three_m3pi_lab said that the model does not fit.
 
-    The published controller does not know where the arena ends: an abort is no warning.
+    An abort is no warning where nothing keeps robots in the arena: the published controller does
+    not know where it ends, and a cell may swim over a dish's edge before it is steered.
     """
     logs = flagged_trials(LABS[name], tmp_path / "logs")
-    if name == "three_m3pi_paper_lab":
+    if name in ("three_m3pi_paper_lab", "tetrahymena_dish"):
         logs = [log for log in logs if log.outcome != "aborted"]
     assert logs == []
 

@@ -54,7 +54,7 @@ iRobot Create 0.13, and the largest laboratory robots 0.27.
 """
 OVERSHOOTING = "euler"
 """The motion that computes the heading with the paper's equation (6)."""
-ROBOTS_ALIKE = 0.05
+SAME_WITHIN = 0.05
 """Robots are similar if their turning rates a differ by at most this fraction, and their start
 headings by at most this number of radians.
 """
@@ -262,8 +262,8 @@ def _groups_alike(setup: Setup) -> Iterator[list[int]]:
     ungrouped = np.ones(len(setup.a), dtype=np.bool_)
     for i in range(len(setup.a)):
         if ungrouped[i]:
-            same_a = np.abs(setup.a - setup.a[i]) <= ROBOTS_ALIKE * np.maximum(setup.a, setup.a[i])
-            same_heading = np.abs(wrap(heading - heading[i])) <= ROBOTS_ALIKE
+            same_a = np.abs(setup.a - setup.a[i]) <= SAME_WITHIN * np.maximum(setup.a, setup.a[i])
+            same_heading = np.abs(wrap(heading - heading[i])) <= SAME_WITHIN
             group = ungrouped & same_a & same_heading
             ungrouped &= ~group
             if group.sum() > 1:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from itertools import count
 
 from tetractl.core.clock import MILLISECOND, SECOND
-from tetractl.tools.worker import LOOK_S
+from tetractl.tools.worker import POLL_S
 
 Act = Callable[[], None]
 
@@ -94,8 +94,8 @@ class Loop:
                 self._on_lag(now - due)
         self.timeline.run_to(now)
         due = self.timeline.next_ns
-        wait_s = LOOK_S if due is None else (due - self.now()) / SECOND
-        wait_s = min(max(wait_s, 0.0), LOOK_S)
+        wait_s = POLL_S if due is None else (due - self.now()) / SECOND
+        wait_s = min(max(wait_s, 0.0), POLL_S)
         ready, _, _ = select.select(list(self._readers), [], [], wait_s)
         if ready:
             self.timeline.run_to(self.now())

@@ -63,7 +63,7 @@ UNITS = {"rad": RADIANS, "rad_s": RADIANS_S, "mm": METRES, "mm_s": METRES_S}
 """The units in which a column may be instead of that in FORMS."""
 AGAIN = 0.1
 """Fraction of the time so far, from its begin, within which a time that falls starts again."""
-COLUMNS_SAID = 8
+COLUMNS_SHOWN = 8
 """Largest number of columns that a message names."""
 BOTH_FILES = "name both files, such as poses.csv steps.csv of `tetractl export`"
 FORMAT = "the format is in docs/how-to/identify.md"
@@ -363,7 +363,7 @@ def _incomplete(path: Path, headers: Collection[str], present: dict[str, int]) -
 
     A column of a missing quantity whose unit is unknown is named, such as v_km_h.
     """
-    has = ", ".join(printable(header) for header in list(headers)[:COLUMNS_SAID])
+    has = ", ".join(printable(header) for header in list(headers)[:COLUMNS_SHOWN])
     likeliest = max(reversed(present), key=lambda form: present[form])
     named = {name_and_unit(header)[0] for header in headers}
     lacks = [] if named & set(TIME_NAMES) else ["time_s"]

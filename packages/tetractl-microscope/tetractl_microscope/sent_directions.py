@@ -235,7 +235,7 @@ def other_readings(
             sent=sent,
             delays_s=SHIFTS_S,
             response=towards,
-            said=f"{source}: {who} turn {WHEN} the times of its directions",
+            said=f"{source}: {who} turn {WHEN} its directions",
             hint="both files need times of one clock",
         ),
     ]

@@ -85,7 +85,7 @@ from tetractl.control.search.discs import Discs
 from tetractl.control.search.evaluate import compiled_foresee
 from tetractl.control.search.holding import CircleSearch
 from tetractl.control.search.margins import Margins
-from tetractl.control.search.near_targets import kept_apart, parted
+from tetractl.control.search.near_targets import kept_apart, spread_apart
 from tetractl.control.search.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Stop, Turn
@@ -310,7 +310,7 @@ class Mpc:
         last = len(legs) if self.setup.hold else len(legs) - 1
         stated = legs[min(index, len(legs) - 1), present]  # a hold is at the targets
         least = kept_apart(collision, self.setup.speed[present], self.section.period)
-        targets = parted(stated, least)
+        targets = spread_apart(stated, least)
         walls = self.setup.arena if collision.walls else None
         shapes = list(self.setup.obstacles)
         if collision.radius and self.setup.on_wheels:

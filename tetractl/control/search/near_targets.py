@@ -3,7 +3,8 @@
 However precisely its motion is known, a robot that misses a command leaves its course by up to
 `lost_way`, and two robots may do so towards each other. Where there is enough space, they keep
 `separation + 2 lost_way` apart (`tetractl.control.search.margins`). Targets that are closer
-together are replaced by points at that distance (`parted`), about equally far from each target.
+together are replaced by points at that distance (`spread_apart`), about equally far from each
+target.
 Robots end there, near their targets, and do not try again and again to reach what they cannot keep.
 """
 
@@ -47,7 +48,7 @@ def kept_apart(collision: Clearance, speed: Floats, heard_s: float) -> float:
     return collision.separation + 2 * float(lost_way(speed, heard_s).max())
 
 
-def parted(targets: Floats, least: float) -> Floats:
+def spread_apart(targets: Floats, least: float) -> Floats:
     """Move targets apart that are closer together than a minimum distance.
 
     Each of two targets is moved by half of what is missing. Targets at the same point stay, because

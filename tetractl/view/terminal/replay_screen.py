@@ -35,7 +35,7 @@ KEYS = {
     "q": "quit",
 }
 """What each key does, as the help shows it."""
-LOOK_S = 1 / 15
+KEY_WAIT_S = 1 / 15
 """How long a key is waited for before a picture is due again [s]."""
 
 
@@ -72,7 +72,7 @@ def play(
             if wanted != drawn:
                 screen.show(Help() if shows_help else dashboard(player, index, count))
                 drawn = wanted
-            for key in keyboard.read(LOOK_S):
+            for key in keyboard.read(KEY_WAIT_S):
                 next_index = index + TURNS.get(key, 0)
                 if turn_to and next_index != index and 0 <= next_index < count:
                     index = next_index

@@ -24,7 +24,7 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Grey
 from tetractl.core.protocols import EMULATED_NAME
-from tetractl.tools.worker import LOOK_S
+from tetractl.tools.worker import POLL_S
 from tetractl_emulator.faults import ActingFaults
 
 BOUNDARY = "emulated-by-tetractl"
@@ -136,7 +136,7 @@ class EmulatedNetworkCamera:
         self._server.daemon_threads = True
         self._threads = [
             threading.Thread(
-                target=self._server.serve_forever, args=(LOOK_S,), name="emulated-http", daemon=True
+                target=self._server.serve_forever, args=(POLL_S,), name="emulated-http", daemon=True
             ),
             threading.Thread(target=self._expose, name="emulated-camera", daemon=True),
         ]
@@ -201,12 +201,12 @@ class EmulatedNetworkCamera:
             answer.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
             if self._drips:
                 answer.flush_headers()
-            while self._drips and not self._closing.wait(LOOK_S):
+            while self._drips and not self._closing.wait(POLL_S):
                 answer.wfile.write(b"X")
             answer.end_headers()
             while not self._closing.is_set():
                 with suppress(queue.Empty):
-                    due = waiting.get(timeout=LOOK_S)
+                    due = waiting.get(timeout=POLL_S)
                     self._clock.sleep_until(due.due_ns)
                     with self._lock:
                         sent = self._stream.send(due.drawn)

@@ -61,7 +61,7 @@ class CellTrack:
 
     `path` holds its newest own blobs, `last` is the position of its last blob (2,) [um], `missed_s`
     the time since then [s]. A cell that has not swum far yet has a `start`, its first place (2,)
-    [um]; it began at `began_s`. `odd_in_turn` counts successive blobs far from where the filter
+    [um]; it began at `began_s`. `outliers_in_row` counts successive blobs far from where the filter
     expected them.
 
     The size of its blobs tells how many cells they show: a blob of its own last had the cell's size
@@ -82,7 +82,7 @@ class CellTrack:
     size_seen_s: float = 0.0
     start: Floats | None = None
     began_s: float = 0.0
-    odd_in_turn: int = 0
+    outliers_in_row: int = 0
     identity: int = 0
     certainty: float = 1.0
     meeting: "Meeting | None" = None

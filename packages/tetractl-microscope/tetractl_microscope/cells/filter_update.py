@@ -82,13 +82,13 @@ def check_state(
     """
     cell = reading.cell
     is_odd = squared_distance > ODD_DISTANCE
-    cell.odd_in_turn = cell.odd_in_turn + 1 if is_odd else 0
+    cell.outliers_in_row = cell.outliers_in_row + 1 if is_odd else 0
     if _is_astray(bank, reading, body_um):
         _move_to_blob(bank, reading)
-        cell.odd_in_turn = 0
-    elif cell.odd_in_turn >= ODD_RUN:
+        cell.outliers_in_row = 0
+    elif cell.outliers_in_row >= ODD_RUN:
         bank.loosen([cell.row])
-        cell.odd_in_turn = 0
+        cell.outliers_in_row = 0
 
 
 def _is_astray(bank: HelixFilter, reading: BlobReading, body_um: float) -> bool:

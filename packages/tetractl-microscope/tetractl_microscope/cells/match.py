@@ -214,7 +214,7 @@ def assigned(cells: CellCosts, specks: SpeckCosts) -> Assignment:
     return Assignment(of_cells, of_specks)
 
 
-def parted(owners: Sequence[CellTrack], expected: Floats, points: Floats) -> Floats:
+def centres_in_blob(owners: Sequence[CellTrack], expected: Floats, points: Floats) -> Floats:
     """Find the centres of K cells in a blob that they share, shape (K, 2) [um].
 
     A sample of the pixels is fitted, by expectation-maximisation, with a mixture of Gaussians that

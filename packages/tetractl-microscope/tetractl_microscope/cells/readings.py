@@ -107,7 +107,9 @@ def own_reading(
     if newest.is_large and not newest.blob.at_edge:
         opposite = (*(2 * newest.place[:2] - expected[:2]), axis)
         points = now.points_of(newest.blob)
-        x, y = match.parted([cell, cell], np.array([expected, opposite]), points)[0].tolist()
+        x, y = match.centres_in_blob([cell, cell], np.array([expected, opposite]), points)[
+            0
+        ].tolist()
         sd_um = MERGED[0] * body_um
     else:
         sd_um = max(ODD[0] * body_um, OFF_SHARE * (long - cell.size.long))
@@ -139,7 +141,7 @@ def shared_readings(
     length_sd, axis_sd = HIDDEN if is_as_one_cell else MERGED
     sd_um = length_sd * body_um
     points = now.points_of(newest.blob)
-    middles = match.parted(cells, expected, points).tolist()
+    middles = match.centres_in_blob(cells, expected, points).tolist()
     return [
         BlobReading(cell, newest, (x, y, axis), (sd_um, sd_um, axis_sd))
         for cell, axis, (x, y) in zip(cells, expected[:, 2].tolist(), middles, strict=True)

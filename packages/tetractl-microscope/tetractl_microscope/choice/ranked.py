@@ -95,9 +95,11 @@ def ranked(
     """
     choice = choice_of(experiment)
     able = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)
-    told_apart = [chosen for chosen in combinations(able, choice.choose) if not any(alike(chosen))]
+    distinguishable = [
+        chosen for chosen in combinations(able, choice.choose) if not any(alike(chosen))
+    ]
     by_worth = sorted(
-        told_apart,
+        distinguishable,
         key=lambda chosen: (all(cell.free for cell in chosen), worth(chosen, experiment)),
     )
     candidates = [

@@ -26,7 +26,7 @@ from tetractl.tools.table.quantities import (
     name_and_unit,
 )
 
-COLUMNS_SAID = 8
+COLUMNS_SHOWN = 8
 """Maximum number of columns that a message names."""
 POSES_MAX = 2_000_000
 """Maximum number of positions that are read."""
@@ -34,7 +34,7 @@ AXES = (("t", "time", "frame"), ("x",), ("y",))
 """Names of the axes of a graph of which no types are stated."""
 SPARSE = 10
 """Minimum common step of all image numbers that is reported: times in ms have such a step."""
-SAID_MAX = 200
+ERROR_CHARACTERS_MAX = 200
 """Maximum number of characters of an error of the library geff that are shown."""
 MICROMETRES = {"nm": 1e-3, "um": 1.0, "mm": 1e3, "cm": 1e4, "m": 1e6, "inch": 25400.0}
 """Units of lengths [um]."""
@@ -246,7 +246,7 @@ def _require_columns(path: Path, headers: Mapping[str, str], listed: Sequence[st
         missing.append("frame, t or time_s")
     missing += [axis for axis in ("x", "y") if not headers[axis]]
     if missing:
-        listed = ", ".join(printable(header) for header in listed[:COLUMNS_SAID])
+        listed = ", ".join(printable(header) for header in listed[:COLUMNS_SHOWN])
         said = (
             f"{path}: no column of tracks: {'; '.join(missing)} missing; its columns are {listed}"
         )
@@ -378,9 +378,11 @@ def _said(error: Exception) -> str:
     if callable(problems):
         first: Any = problems(include_url=False)[0]  # pyright: ignore[reportIndexIssue]
         place = ".".join(map(str, first["loc"]))
-        return printable(f"{place}: {first['msg']}" if place else str(first["msg"]), SAID_MAX)
+        return printable(
+            f"{place}: {first['msg']}" if place else str(first["msg"]), ERROR_CHARACTERS_MAX
+        )
     words = f"{type(error).__name__}: {error}".split()
-    return printable(" ".join(words), SAID_MAX)
+    return printable(" ".join(words), ERROR_CHARACTERS_MAX)
 
 
 def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:

@@ -7,7 +7,7 @@ from support.trials import THREE_M3PI, experiment
 
 from tetractl.control.methods.mpc import Mpc
 from tetractl.control.methods.mpc_section import Collision
-from tetractl.control.search.near_targets import LOST_SHARE, kept_apart, parted
+from tetractl.control.search.near_targets import LOST_SHARE, kept_apart, spread_apart
 
 FAR = np.array([[100.0, 100], [100, 300], [700, 100]])
 
@@ -19,19 +19,19 @@ def nearest(points):
 
 
 def test_targets_that_are_far_enough_apart_stay():
-    np.testing.assert_array_equal(parted(FAR, 200.0), FAR)
+    np.testing.assert_array_equal(spread_apart(FAR, 200.0), FAR)
 
 
 def test_of_two_near_targets_each_is_moved_by_half_of_what_is_missing():
     near = np.array([[100.0, 100], [100, 160], [700, 100]])
-    places = parted(near, 100.0)
+    places = spread_apart(near, 100.0)
     np.testing.assert_allclose(places, [[100, 80], [100, 180], [700, 100]])
     np.testing.assert_array_equal(near[0], [100, 100])  # those given are not changed
 
 
 def test_targets_at_one_point_and_those_of_robots_that_may_meet_stay():
     same = np.array([[100.0, 100], [100, 100]])
-    np.testing.assert_array_equal(parted(same, 50.0), same)
+    np.testing.assert_array_equal(spread_apart(same, 50.0), same)
     speed = np.array([100.0, 200])
     assert kept_apart(Collision(radius=10, separation=0), speed, 0.1) == 0
     assert kept_apart(Collision(radius=10, adaptive=False), speed, 0.1) == 0

@@ -69,8 +69,8 @@ def field_at_times(tmp_path, times):
         (lambda t: 1e6 * t, "cells turn at its times if these are microseconds"),
         (lambda t: 1e9 * t, "cells turn at its times if these are nanoseconds"),
         (lambda t: t / 60, "cells turn at its times if these are minutes"),
-        (lambda t: t + 1.2, "cells turn 1.2 s before the times of its directions"),
-        (lambda t: t - 1.5, "cells turn 1.5 s after the times of its directions"),
+        (lambda t: t + 1.2, "cells turn 1.2 s before its directions"),
+        (lambda t: t - 1.5, "cells turn 1.5 s after its directions"),
     ],
 )
 def test_a_field_whose_times_are_not_the_tracks_is_refused(tmp_path, stated, says):

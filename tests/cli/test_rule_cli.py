@@ -39,6 +39,7 @@ def test_options_of_one_meaning_have_one_name():
         takes_spec = any(p.name in ("spec", "specs") for p in command.params)
         takes_spec |= words == ("rerun",)  # of the spec that its log holds
         takes_spec |= words == ("kinds",)  # of the section that is checked
+        takes_spec |= words == ("lab", "guard")  # of the guard's limits
         assert ("--set" in options) == takes_spec, words
     assert {"--out", "--json", "--set", "--yes"} <= all_options
     assert "--output" not in all_options
@@ -52,7 +53,7 @@ def test_without_a_command_the_help_is_printed_and_no_error(tmp_path, words):
 
 
 LOG_COMMANDS = ["replay", "plot", "info", "recover", "verify", "stats", "rerun"]
-LOG_COMMANDS += ["open", "report"]
+LOG_COMMANDS += ["open", "report", "lab guard"]
 SPEC_COMMANDS = ["validate", "run", "lab check", "lab stop", "lab calibrate", "lab emulate"]
 
 

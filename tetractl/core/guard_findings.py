@@ -10,11 +10,31 @@ from tetractl.core.poses import Pose
 
 
 @dataclass(frozen=True, slots=True)
+class Excess:
+    """A measured value that is beyond its limit.
+
+    Attributes:
+        check: Name of the check or rule, such as "drift".
+        value: The measured value, in `unit`.
+        limit: The limit, in `unit`. The value is above it, or below it if it is a minimum.
+        unit: Unit of both. Empty for a number without one.
+        robot: Index of the robot. None if it is about none, or about all.
+    """
+
+    check: str
+    value: float
+    limit: float
+    unit: str = ""
+    robot: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Refuse:
     """The newest pose of a robot is rejected, because the robot cannot have come there."""
 
     robot: int
     text: str
+    excess: Excess | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +54,7 @@ class Lose:
 
     robot: int
     text: str
+    excess: Excess | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +78,7 @@ class Abort:
     text: str
     false: tuple[int, ...] = ()
     suspect: int | None = None
+    excess: Excess | None = None
 
 
 Finding = Refuse | Moved | Lose | Warn | Abort

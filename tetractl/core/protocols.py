@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, Self
+from typing import ClassVar, Protocol, Self
 
 from tetractl.core.commands import Action, Command, Steer, Transmission, Turn
 from tetractl.core.guard_findings import Finding, RobotPlace
@@ -249,6 +249,10 @@ class GuardCheck(Protocol):
     Findings take effect in the order in which they are yielded. Lengths are in the spec's length
     unit, times in ns.
 
+    Attributes:
+        statistical: Whether its limits rest on how well robots follow their commands. Such a check
+            only reports in a run with `lab.limits.observe`.
+
     Example:
         >>> from tetractl.core.guard_findings import Abort
         >>> class Fence(tetractl.core.protocols.GuardCheck):
@@ -256,6 +260,8 @@ class GuardCheck(Protocol):
         ...         if pose.x > 1000:
         ...             yield Abort(f"robot {robot} crossed the fence", suspect=robot)
     """
+
+    statistical: ClassVar[bool] = False
 
     def start(self) -> None:
         """Forget everything from earlier runs: the robots start from standstill."""

@@ -174,6 +174,7 @@ LAB_COMMANDS = Registry(
         "check": "tetractl.cli.lab:check",
         "stop": "tetractl.cli.lab:stop",
         "calibrate": "tetractl.cli.lab:calibrate",
+        "guard": "tetractl.cli.lab_guard:guard",
     },
 )
 """The commands, and the subcommands of `tetractl lab`, in the order of the help."""

@@ -31,19 +31,18 @@ import numpy as np
 
 from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
-from tetractl.core.guard_findings import Abort
+from tetractl.core.guard_findings import Abort, Excess
 from tetractl.core.linear import inverse, product, solve
 from tetractl.core.poses import Floats, Pose
 from tetractl.core.protocols import GuardCheck
+from tetractl.core.robot_step import PARTS, RobotStep
 from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import (
     ANOTHER,
-    KINDS,
     WATCHDOG_NS,
     CommandHistory,
     MotionCheck,
-    motion,
 )
 from tetractl.model.motion.rolling import rolled
 
@@ -112,10 +111,6 @@ SPACING = 5
 """Blocks between two moments of the grid."""
 MOMENTS_MAX = 32
 """Maximum number of moments of the grid."""
-LIMIT = 16.0
-"""Statistic above which a pose is false. Good trials of the emulated lab reach 13
-(docs/decisions/safety.md).
-"""
 STEADY = 0.25
 """Maximum error of wheels with a constant error, as a fraction of their speed.
 
@@ -152,17 +147,6 @@ class MeasuredPose:
 
 
 @dataclass(frozen=True, slots=True)
-class MotionBlock:
-    """The motion (3,) [mm, mm, rad] of a robot from a pose on, over `dt_ns` until a time."""
-
-    robot: int
-    before: Pose
-    motion: Floats
-    until_ns: int
-    dt_ns: int
-
-
-@dataclass(frozen=True, slots=True)
 class Changes:
     """The motion since each of G moments of the grid that the constants do not explain.
 
@@ -184,14 +168,18 @@ class DriftCheck(GuardCheck):
     moment of the grid, `blocks` the number of fitted blocks.
     """
 
+    statistical = True
+
     def __init__(self, rules: GuardRules, motion: MotionCheck) -> None:
         robots = len(rules.names)
         self._names = rules.names
         self._mm = rules.mm
         self._share = rules.limits.wheel_error
+        self._limit = rules.limits.drift
         self._motion = motion
         self._radius = rules.wheel_radius * rules.mm
-        self._noise = elementwise.hypot(NOISE, rules.sight.spread)
+        # of a step between two poses, each part
+        self._variance = 2 * np.square(elementwise.hypot(NOISE, rules.sight.spread))
         self._coarse = rules.sight.coarse
         self.commands = CommandHistory(2, robots)  # speeds [mm/s] and turning rates [rad/s]
         self.worst = 0.0
@@ -249,7 +237,7 @@ class DriftCheck(GuardCheck):
             else:
                 ends.append(MeasuredPose(pose, times[i], ways[i]))
         if dt_ns < WATCHDOG_NS:
-            self._add(ended_blocks(self._starts, ends))
+            self._add(ended_blocks(self._starts, ends, self._variance))
             self.blocks += 1
         self._began_ns = now_ns
         self._starts = ends
@@ -321,12 +309,13 @@ class DriftCheck(GuardCheck):
             image (3, 4) [mm/s, mm/s, rad/s, 1/s].
         """
         total = np.zeros((3, At.width))
-        variance = 2 * np.square(self._noise)
+        variance = self._variance
         for then, now in pairwise(poses):
-            way = motion(then.pose, now.pose) * (self._mm, self._mm, 1.0)
             dt_ns = now.exposed_ns - then.exposed_ns
-            block = MotionBlock(i, then.pose, way, now.exposed_ns, dt_ns)
-            x, walk = self._regressors([block], way[None])
+            step = RobotStep.between(
+                then.pose, now.pose, variance, dt_ns=dt_ns, until_ns=now.exposed_ns, robot=i
+            )
+            x, walk = self._regressors([step], step.way[None] * (self._mm, self._mm, 1.0))
             total = total + x[0]
             variance = variance + walk[0]
         regressors = total[:, At.constants]
@@ -337,7 +326,7 @@ class DriftCheck(GuardCheck):
 
     # ---- the fit ----
 
-    def _commanded(self, block: MotionBlock) -> Floats:
+    def _commanded(self, block: RobotStep) -> Floats:
         """Return speed and turning rate commanded over a block, for each delay of BEFORE_NS.
 
         The shape is (5, 2).
@@ -345,7 +334,7 @@ class DriftCheck(GuardCheck):
         means = [self.commands.mean(block.until_ns - tap_ns, block.dt_ns) for tap_ns in BEFORE_NS]
         return np.array(means)[:, :, block.robot]
 
-    def _regressors(self, blocks: Sequence[MotionBlock], motions: Floats) -> tuple[Floats, Floats]:
+    def _regressors(self, blocks: Sequence[RobotStep], motions: Floats) -> tuple[Floats, Floats]:
         """Return residuals and regressors of blocks, and the variances of their motions.
 
         The blocks have the `motions` (K, 3). The results have the shapes (K, 3, 20) and (K, 3).
@@ -382,12 +371,12 @@ class DriftCheck(GuardCheck):
         walk = SLIP * SLIP * dt_s[:, None] + (LOST * unlike) ** 2 + (LAGS * before) ** 2
         return x, walk
 
-    def _picture_moves(self, poses: Sequence[Pose], dt_s: Floats) -> Floats:
+    def _picture_moves(self, poses: Sequence[Pose | None], dt_s: Floats) -> Floats:
         """Return how poses move if the image shifts, turns and grows, shape (K, 2, 4).
 
         The motion is given along and across the headings.
         """
-        px, py, heading = np.array([(pose.x, pose.y, pose.heading) for pose in poses]).T
+        px, py, heading = np.array([(pose.x, pose.y, pose.heading) for pose in poses if pose]).T
         px = px * self._mm
         py = py * self._mm
         cos = elementwise.cos(heading)
@@ -398,14 +387,14 @@ class DriftCheck(GuardCheck):
         axes = np.array([[cos, sin], [-sin, cos]]).transpose(2, 0, 1)
         return product(axes, moves.transpose(2, 0, 1)) * dt_s[:, None, None]
 
-    def _add(self, blocks: Sequence[MotionBlock]) -> None:
+    def _add(self, blocks: Sequence[RobotStep]) -> None:
         """Add blocks of different robots to the sums. Each is clipped to what is expected of it."""
         if not blocks:
             return
         robots = [block.robot for block in blocks]
-        motions = np.array([block.motion for block in blocks]) + self._carried[robots]
+        motions = np.array([block.way for block in blocks]) + self._carried[robots]
         x, walk = self._regressors(blocks, motions)
-        spread = np.sqrt(2 * np.square(self._noise) + walk)
+        spread = np.sqrt(np.array([block.variance for block in blocks]) + walk)
         x /= spread[:, :, None]
         regressors = x[:, :, At.constants]
         expected = product(regressors, self._fit[robots, :, None])[..., 0]
@@ -428,7 +417,7 @@ class DriftCheck(GuardCheck):
             if len(self._grid) > MOMENTS_MAX:  # old moments are kept less densely
                 for moment in list(self._grid)[1 : 3 * MOMENTS_MAX // 4 : 2]:
                     del self._grid[moment]
-        return change if self.worst > LIMIT else self._wrong_wheels()
+        return change if self.worst > self._limit else self._wrong_wheels()
 
     # ---- changes ----
 
@@ -457,15 +446,17 @@ class DriftCheck(GuardCheck):
         gain_alone = gain.max(axis=1)
         g = int(np.maximum(gain_alone, gain_together).argmax())
         self.worst = float(max(gain_alone[g], gain_together[g]))
+        excess = Excess("drift", self.worst, self._limit)
         i = int(gain[g].argmax())
         if gain_together[g] > gain_alone[g]:
             gains = self._gains_of_shift(changes, g, shift[g])
             i = int(gains.argmax())
-            if gains.sum() - gains[i] > LIMIT / 4:  # it explains the others' motion as well
+            if gains.sum() - gains[i] > self._limit / 4:  # it explains the others' motion as well
                 everybody = range(len(self._names))
-                return Abort(TOGETHER, tuple(everybody))
-        kind = KINDS[int((pulls[g, i] * velocity[g, i]).argmax())]  # in which it moves most
-        return Abort(f"{self._names[i]} {ANOTHER.format(kind)}", (i,), suspect=i)
+                return Abort(TOGETHER, tuple(everybody), excess=excess)
+        part = PARTS[int((pulls[g, i] * velocity[g, i]).argmax())]  # in which it moves most
+        text = f"{self._names[i]} {ANOTHER.format(part)}"
+        return Abort(text, (i,), suspect=i, excess=replace(excess, robot=i))
 
     def _changes(self, old: Floats, squares: Floats, count: float) -> Changes:
         """Return the unexplained motion since moments with the sums `old` (G, N, ...).
@@ -508,25 +499,35 @@ class DriftCheck(GuardCheck):
         """Return which robot's wheels or heading are wrong by more than allowed."""
         errors = product(self._fit, ERRORS.T)  # (N, 3)
         variances = np.einsum("ep,npq,eq->ne", ERRORS, self._spread, ERRORS)
-        beyond = np.abs(errors) - SURE_ERRORS * np.sqrt(variances) > self._share
+        sure = np.abs(errors) - SURE_ERRORS * np.sqrt(variances)
+        beyond = sure > self._share
         for i, name in enumerate(self._names):
             left_is_wrong, right_is_wrong, heading_is_wrong = beyond[i]
+            excess = Excess("wheels", float(sure[i].max()), self._share, robot=i)
             if heading_is_wrong:
-                return Abort(f"{name} {ANOTHER.format(KINDS[1])}")
+                return Abort(f"{name} {ANOTHER.format(PARTS[1])}", excess=excess)
             if left_is_wrong or right_is_wrong:
                 left_error, right_error, _ = errors[i]
-                return Abort(WRONG.format(name, left_error, right_error))
+                return Abort(WRONG.format(name, left_error, right_error), excess=excess)
         return None
 
 
 def ended_blocks(
-    starts: Sequence[MeasuredPose | None], ends: Sequence[MeasuredPose | None]
-) -> list[MotionBlock]:
-    """Return the blocks of the robots (N,) that have poses at both ends."""
-    blocks: list[MotionBlock] = []
+    starts: Sequence[MeasuredPose | None],
+    ends: Sequence[MeasuredPose | None],
+    variance: Floats,
+) -> list[RobotStep]:
+    """Return the steps of the robots that have poses at both ends of a block.
+
+    Args:
+        starts: Poses at the beginning of the block, shape (N,).
+        ends: Poses at its end, shape (N,).
+        variance: Variance of each part of a step, shape (3,) [mm, mm, rad, squared].
+    """
+    blocks: list[RobotStep] = []
     for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
         if start is not None and end is not None and end.exposed_ns > start.exposed_ns:
             way = end.travelled - start.travelled
             dt_ns = end.exposed_ns - start.exposed_ns
-            blocks.append(MotionBlock(i, start.pose, way, end.exposed_ns, dt_ns))
+            blocks.append(RobotStep(way, variance, dt_ns, end.exposed_ns, i, start.pose))
     return blocks

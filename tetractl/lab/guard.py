@@ -17,7 +17,8 @@ and of each robot, at the newest frame:
 
 A *ghost* is a robot whose poses are refused for good, as what the camera shows is another body.
 Robots drive *ahead*, or turn on the spot and wait for a plan. The *rules* are the limits of the
-spec; the *checks* depend on what robots a device has.
+spec; the *checks* depend on what robots a device has. The kernel (`lab.kernel`) has the rules that
+hold in every run, whatever the checks find.
 
 Its states, and the calls that change them:
 
@@ -86,8 +87,16 @@ from enum import StrEnum
 from itertools import chain
 
 from tetractl.core.clock import SECOND
-from tetractl.core.guard_findings import Abort, Finding, Lose, Moved, Refuse, RobotPlace, Warn
-from tetractl.core.plan import PAUSE_S
+from tetractl.core.guard_findings import (
+    Abort,
+    Excess,
+    Finding,
+    Lose,
+    Moved,
+    Refuse,
+    RobotPlace,
+    Warn,
+)
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.camera_stream import CameraStream
 from tetractl.lab.culprit import RECENT_NS, Culprit
@@ -96,8 +105,9 @@ from tetractl.lab.frame_buffer import FrameBuffer
 from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_rules import GuardRules
+from tetractl.lab.kernel import Pace, asleep, frameless, may_move, overdue, undirected, untracked
 from tetractl.lab.motion_check import COMPARED_NS, DOES_NOT_MOVE, PUSHED, REPEATS
-from tetractl.lab.robot_track import MISSING, PoseDecision, RobotTrack
+from tetractl.lab.robot_track import JUMPED, MISSING, PoseDecision, RobotTrack
 
 DAMAGED_MAX = 20
 """Maximum number of images or datagrams per second that may be damaged."""
@@ -131,18 +141,6 @@ class Ruling:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(slots=True)
-class Pace:
-    """When program and controller did something last."""
-
-    ticked_ns: int | None = None
-    directed_ns: int = 0
-    ahead: bool = True
-    late_steps: int = 0  # in a row
-    late_ns: int | None = None  # the last control step that was late
-    driven: bool = False  # whether a run has begun, after which no robot is carried
-
-
 class Guard:
     """Decides by `rules` which of N robots may move, from all camera frames, at frequent ticks.
 
@@ -162,6 +160,7 @@ class Guard:
         self.refusals = 0  # number of poses that were refused so far
         self.state = GuardState.PREFLIGHT
         self.reason = ""
+        self.excess: Excess | None = None  # the value that led to the abort, if it has a number
         self.emergency = False
         self._state_lock = threading.Lock()
         self._suspect: int | None = None  # the robot that seems to be at fault for an abort
@@ -181,6 +180,20 @@ class Guard:
     def refused(self) -> tuple[str, ...]:
         """The reason why each robot's newest pose was refused (N,); "" if it was not refused."""
         return tuple(robot.decision.refused for robot in self._robots)
+
+    @property
+    def tracks_all(self) -> bool:
+        """Whether every robot has a recent pose that was accepted."""
+        return all(robot.tracked for robot in self._robots)
+
+    def hides(self, i: int) -> bool:
+        """Return whether a robot has to stop, since no pose of it was accepted for so long."""
+        return self._robots[i].hidden
+
+    def refusal_excess(self, i: int) -> Excess | None:
+        """Return the value that led to the refusal of a robot's newest pose; None if there is no
+        such value, or if the pose was not refused."""
+        return self._robots[i].decision.excess
 
     @property
     def lost(self) -> dict[int, int]:
@@ -240,7 +253,13 @@ class Guard:
         if self._in_run:
             self._enter(GuardState.READY)
 
-    def abort(self, reason: str, emergency: bool = False, suspect: int | None = None) -> None:
+    def abort(
+        self,
+        reason: str,
+        emergency: bool = False,
+        suspect: int | None = None,
+        excess: Excess | None = None,
+    ) -> None:
         """Abort for good. Later calls do not change the reason.
 
         Robots that are hidden because their poses are refused are refused for good from now on.
@@ -249,12 +268,14 @@ class Guard:
             reason: Why.
             emergency: Whether robots must latch the stops.
             suspect: Index of the robot that seems to have failed. None if it is not a single robot.
+            excess: The value that is beyond its limit. None if the reason has no number.
         """
         with self._state_lock:
             self.emergency |= emergency
             if self.state is GuardState.ABORT:
                 return
             self.reason = reason
+            self.excess = excess
             self._suspect = suspect
             self.state = GuardState.ABORT
         for robot in self._robots:
@@ -276,14 +297,14 @@ class Guard:
         reason = culprit.why(suspect, self.reason) or self.reason
         self.reason = self._with_cause(reason, recent[-1].received_ns)
 
-    def lose_robot(self, i: int, reason: str) -> None:
+    def lose_robot(self, i: int, reason: str, excess: Excess | None = None) -> None:
         """Continue without a robot; abort if the rules forbid that or no other robot is left."""
         robot = self._robots[i]
         if robot.lost or (self.rules.goes_on and self.state is GuardState.PREFLIGHT):
             return
         others = [track for track in self._robots if track is not robot and not track.lost]
         if not self.rules.goes_on or not others:
-            self.abort(self._with_cause(reason, self._pace.ticked_ns or 0))
+            self.abort(self._with_cause(reason, self._pace.ticked_ns or 0), excess=excess)
             return
         robot.lost_ns = robot.last_ns
         self._warnings.append(f"{reason}: the run goes on without this robot")
@@ -309,7 +330,8 @@ class Guard:
         pace.late_steps = pace.late_steps + 1 if missed and pace.ahead else 0
         pace.late_ns = pace.ticked_ns if missed else pace.late_ns
         if pace.late_steps >= self.rules.limits.late_steps and self._in_run:
-            self.abort(f"{pace.late_steps} control steps in a row were late")
+            excess = Excess("late steps", pace.late_steps, self.rules.limits.late_steps)
+            self.abort(f"{pace.late_steps} control steps in a row were late", excess=excess)
 
     def note_transmission(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
@@ -331,10 +353,9 @@ class Guard:
 
         It must be called before frames are checked that waited in the meantime.
         """
-        ticked_ns = self._pace.ticked_ns
-        asleep_ns = 0 if ticked_ns is None else now_ns - ticked_ns
-        if self._in_run and asleep_ns >= self.rules.limits.stream_lost * SECOND:
-            self.abort(f"this program stood still for {asleep_ns / SECOND:.1f} s")
+        excess = asleep(self.rules, self._pace, now_ns)
+        if self._in_run and excess is not None:
+            self.abort(f"this program stood still for {excess.value:.1f} s", excess=excess)
         self._pace.ticked_ns = now_ns
 
     def check_frame(self, frame: CameraFrame) -> AcceptedFrame | None:
@@ -364,10 +385,10 @@ class Guard:
             for robot in self._robots:
                 robot.count_absence(self.rules.limits.stale * SECOND)
         if self.rules.goes_on:  # what a frame shows after so long may be another body
-            limit_ns = self.rules.limits.untracked_abort * SECOND
             for i, robot in enumerate(self._robots):
-                if robot.untracked_ns >= limit_ns:
-                    self.lose_robot(i, robot.untracked_text)
+                excess = untracked(self.rules, i, robot.untracked_ns)
+                if excess is not None:
+                    self.lose_robot(i, robot.untracked_text, excess)
         decisions = [self._decide_pose(i, pose, in_run) for i, pose in enumerate(frame.poses)]
         self._record_poses(decisions)
         accepted = self._accepted(frame)
@@ -444,7 +465,8 @@ class Guard:
         if not fault and self._stream.repeats:
             fault = FROZEN
         if fault:
-            return PoseDecision(refused=fault)
+            jump = robot.jump(pose, robot.read_ns) if fault == JUMPED else None
+            return PoseDecision(refused=fault, excess=jump)
         if last is None or not self._pace.driven:
             return PoseDecision(pose)
         checks = self._checks
@@ -453,12 +475,12 @@ class Guard:
             return PoseDecision(pose, findings=tuple(chain(*findings)))
         repeats = pose == last
         if repeats and robot.decision.refused == REPEATS:
-            return PoseDecision(refused=REPEATS)
+            return PoseDecision(refused=REPEATS, excess=robot.decision.excess)
         by_check = [check.repeat(i) if repeats else check.pose(i, last, pose) for check in checks]
         findings = tuple(chain(*by_check))
         for finding in findings:  # the first that refuses gives the reason, all have seen the pose
             if isinstance(finding, Refuse):
-                return PoseDecision(None, finding.text, not repeats, findings)
+                return PoseDecision(None, finding.text, not repeats, findings, finding.excess)
         return PoseDecision(pose, findings=findings)
 
     def _record_poses(self, decisions: Sequence[PoseDecision | None]) -> None:
@@ -510,16 +532,18 @@ class Guard:
         direction, or if no frame has arrived for `stream_lost`. No robot is to blame then.
         """
         rules = self.rules
-        undirected_ns = now_ns - self._pace.directed_ns
-        frameless_ns = now_ns - self._stream.newest_ns
+        no_direction = undirected(rules, self._pace, now_ns)
+        no_frame = frameless(rules, self._stream.newest_ns, now_ns)
         if damaged > DAMAGED_MAX:
-            self.abort(f"{damaged} damaged camera frames within a second")
-        elif self._pace.ahead and undirected_ns >= rules.silence_ns:
+            excess = Excess("damaged frames", damaged, DAMAGED_MAX)
+            self.abort(f"{damaged} damaged camera frames within a second", excess=excess)
+        elif no_direction is not None:
             late = f"{rules.limits.late_steps} control steps in a row were late"
-            silent_s = undirected_ns / SECOND
-            self.abort(f"{late}: the controller gave no direction for {silent_s:.1f} s")
-        elif frameless_ns >= rules.limits.stream_lost * SECOND:
-            self.abort(self._with_cause(self._stream.frameless_text(frameless_ns), now_ns))
+            silent = f"the controller gave no direction for {no_direction.value:.1f} s"
+            self.abort(f"{late}: {silent}", excess=no_direction)
+        elif no_frame is not None:
+            text = self._stream.frameless_text(now_ns - self._stream.newest_ns)
+            self.abort(self._with_cause(text, now_ns), excess=no_frame)
 
     def _check_tracking(self) -> None:
         """Abort or lose each robot that disobeys or is not tracked.
@@ -528,18 +552,22 @@ class Guard:
         untracked for `untracked_abort`, or is seen too rarely, is lost. A run that may lose robots
         also loses one that does not move.
         """
-        limit_ns = self.rules.limits.untracked_abort * SECOND
+        rarely_ns = RARELY * self.rules.limits.untracked_abort * SECOND
         for i, robot in enumerate(self._robots):
             if robot.lost:
                 continue
-            may_stand = self.rules.goes_on and robot.decision.refused == DOES_NOT_MOVE
-            if robot.decision.disobeys and robot.hidden and not may_stand:
-                self.abort(f"{robot.name} {robot.decision.refused}", suspect=i)
-            elif robot.untracked_ns >= limit_ns:
-                self.lose_robot(i, robot.untracked_text)
-            elif robot.unseen_ns >= RARELY * limit_ns:
+            refusal = robot.decision
+            may_stand = self.rules.goes_on and refusal.refused == DOES_NOT_MOVE
+            too_long = untracked(self.rules, i, robot.untracked_ns)
+            if refusal.disobeys and robot.hidden and not may_stand:
+                text = f"{robot.name} {refusal.refused}"
+                self.abort(text, suspect=i, excess=refusal.excess)
+            elif too_long is not None:
+                self.lose_robot(i, robot.untracked_text, refusal.excess or too_long)
+            elif robot.unseen_ns >= rarely_ns:
                 rarely = "is seen too rarely: it, or frames, are missing too often"
-                self.lose_robot(i, f"{robot.name} {rarely}")
+                excess = overdue("tracking", round(robot.unseen_ns), rarely_ns, i)
+                self.lose_robot(i, f"{robot.name} {rarely}", excess)
             if self.state is GuardState.ABORT:
                 return
 
@@ -568,11 +596,7 @@ class Guard:
 
     def _moving(self, now_ns: int) -> tuple[bool, ...]:
         """Return which robots may move in a run (N,)."""
-        fresh = now_ns - self._stream.newest_ns <= self.rules.limits.stale * SECOND
-        # a plan for robots that turn on the spot may take long: they wait for it, as in a pause
-        turn_ns = round(PAUSE_S * SECOND) + self.rules.silence_ns
-        directed = self._pace.ahead or now_ns - self._pace.directed_ns < turn_ns
-        may = fresh and directed
+        may = may_move(self.rules, self._pace, self._stream.newest_ns, now_ns)
         if self.together:
             return (may,) * len(self._robots)
         return tuple(may and robot.tracked for robot in self._robots)
@@ -591,11 +615,11 @@ class Guard:
                     robot = self._robots[finding.robot]
                     robot.strayed = robot.strayed or finding.text
                 case Lose():
-                    self.lose_robot(finding.robot, finding.text)
+                    self.lose_robot(finding.robot, finding.text, finding.excess)
                 case Warn():
                     self._warn_once(finding.text)
                 case Abort():
-                    self.abort(finding.text, suspect=finding.suspect)
+                    self.abort(finding.text, suspect=finding.suspect, excess=finding.excess)
                     for i in finding.false:
                         self._robots[i].ghost = finding.text
 

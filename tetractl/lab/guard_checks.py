@@ -4,9 +4,10 @@ A device for other robots brings its own list.
 
     MotionCheck   may a pose be its robot's, by the commands of the last 0.3 s?   Refuse, Moved
     DriftCheck    may the motion over the whole trial be that of its wheels?      Abort
-    Keeps         does a robot leave the arena, enter an obstacle, touch another? Abort
+    Places        does a robot leave the arena, enter an obstacle, touch another? Abort
 
-The guard itself checks with its `RobotTrack` whether a body is lifted, or jumps.
+`Places` belongs to the guard's kernel (`lab.kernel`), the other two are statistical. The guard itself
+checks with its `RobotTrack` whether a body is lifted, or jumps.
 """
 
 from collections.abc import Callable
@@ -15,8 +16,8 @@ from dataclasses import dataclass
 from tetractl.core.protocols import GuardCheck
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_rules import GuardRules
+from tetractl.lab.kernel import Places
 from tetractl.lab.motion_check import MotionCheck
-from tetractl.lab.places import Keeps
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,4 +45,4 @@ def robot_checks(rules: GuardRules) -> GuardChecks:
     """Return the checks of robots that stand still when they are stopped."""
     motion = MotionCheck(rules, rules.largest_error, rules.limits.wheel_error)
     drift = DriftCheck(rules, motion)
-    return GuardChecks((motion, drift, Keeps(rules)), drift)
+    return GuardChecks((motion, drift, Places(rules)), drift)

@@ -42,6 +42,7 @@ from tetractl.core.protocols import Actuator, Camera
 from tetractl.lab.device_abilities import HearsDirections
 from tetractl.lab.frame_buffer import FrameBuffer
 from tetractl.lab.guard import Guard, GuardState, Ruling
+from tetractl.lab.guard_observer import build_guard
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
 from tetractl.tools.worker import WAITING_MAX, drained
@@ -168,7 +169,7 @@ class InnerLoop:
             AbortError: If the loop stays within a step for too long.
         """
         with self.between_steps():
-            self.guard = Guard(rules, self.guard.checks_of)
+            self.guard = build_guard(rules, self.guard.checks_of)
             self.frames = FrameBuffer()
             self._abort_stops_begun = False  # this guard has not aborted
             self._operator_obeyed = False

@@ -52,14 +52,16 @@ import math
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.guard_findings import Finding, Moved, Refuse
+from tetractl.core.guard_findings import Excess, Finding, Moved, Refuse
 from tetractl.core.poses import Bools, Floats, Pose
 from tetractl.core.protocols import GuardCheck
+from tetractl.core.robot_step import PARTS, RobotStep
 from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.spec.lab_section import UNTRACKED_STOP_S
@@ -67,7 +69,7 @@ from tetractl.spec.lab_section import UNTRACKED_STOP_S
 ROOM = 256
 """Transmissions for which a history has room at first."""
 DELAY_NS = 3 * SECOND // 10
-"""Longest delay by radio, wheels and some lost commands."""
+"""Longest delay by radio, wheels and some lost commands: the default of `limits.delay`."""
 WATCHDOG_NS = SECOND // 4
 """Robots that received nothing for this time have stopped themselves."""
 SLACK_S = 0.03
@@ -102,9 +104,20 @@ OF_CELLS = {
 AS_NO_COMMAND = "as no command does"
 PUSHED = ": was it pushed, or does the camera track another body as this robot?"
 ANOTHER = f"moves {{}} {AS_NO_COMMAND}{PUSHED}"
-"""The text for a motion without a command; the placeholder is for one of KINDS."""
-KINDS = ("along its heading", "sideways", "around")
-"""The names of a motion's three parts."""
+"""The text for a motion without a command; the placeholder is for one of PARTS."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contradiction:
+    """How a robot's motion contradicts its commands.
+
+    Attributes:
+        text: What the motion is like, for people.
+        excess: The part of the motion that is beyond its bound, in mm or rad.
+    """
+
+    text: str
+    excess: Excess
 
 
 class CommandHistory:
@@ -183,8 +196,12 @@ class MotionCheck(GuardCheck):
     although a motion has the errors of two positions.
     """
 
+    statistical = True
+
     def __init__(self, rules: GuardRules, noise: float, share: float) -> None:
         robots = len(rules.speeds)
+        self._mm = rules.mm
+        self._delay_ns = round(rules.limits.delay * SECOND)
         self._radius = rules.wheel_radius
         self._share = share
         self._coarse = rules.sight.coarse
@@ -278,7 +295,7 @@ class MotionCheck(GuardCheck):
 
         Gaps are gaps between transmissions. Whether a robot received these is not known.
         """
-        earliest_ns = since_ns - DELAY_NS
+        earliest_ns = since_ns - self._delay_ns
         times, rates = self._commanded.acting(earliest_ns, until_ns)
         gaps = (after - before for before, after in pairwise([*times, until_ns]))
         if not times or times[0] > earliest_ns or max(gaps) > WATCHDOG_NS:
@@ -311,33 +328,34 @@ class MotionCheck(GuardCheck):
         do not exclude zero although each command moves the robot.
         """
         moves_now = bool(exclude_zero(self._bounds[:, robot]))
-        moved_long = bool(self._driven_s[robot] > DELAY_NS / SECOND)
+        moved_long = bool(self._driven_s[robot] > self._delay_ns / SECOND)
         if not moves_now and not moved_long:
             return
         since_rest = self._since_rest
         least, most = (since_rest.integrals - since_rest.integrals_at_change)[:, robot]
         unseen = self._unseen[robot]
         if not self._coarse or np.any((least > unseen) | (most < -unseen)):
-            yield Refuse(robot, REPEATS)
+            driven_s = float(self._driven_s[robot])
+            yield Refuse(robot, REPEATS, Excess("frozen", driven_s, 0.0, "s", robot))
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
         """Refuse a pose that contradicts the commands; see `GuardCheck.pose`."""
         fault = self.take_pose(robot, before, pose)
-        if fault:
-            yield Refuse(robot, fault)
+        if fault is not None:
+            yield Refuse(robot, fault.text, fault.excess)
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
         """Note a robot that keeps moving although it should stand still; see `GuardCheck.pause`."""
         stood = self._straying.get(robot, TimedPose(now_ns, before))
         fault = self.take_pose(robot, stood.pose, pose)
-        if not fault:
+        if fault is None:
             self._straying.pop(robot, None)
             return
         self._straying[robot] = stood
         if now_ns - stood.exposed_ns > UNTRACKED_STOP_S * SECOND:
-            yield Moved(robot, fault)
+            yield Moved(robot, fault.text)
 
-    def take_pose(self, i: int, before: Pose, pose: Pose) -> str:
+    def take_pose(self, i: int, before: Pose, pose: Pose) -> Contradiction | None:
         """Compare a new pose of a robot with the commands.
 
         The first pose after `start` or `replace` counts as consistent, and the motion up to it is
@@ -349,7 +367,7 @@ class MotionCheck(GuardCheck):
             pose: Its new pose.
 
         Returns:
-            How the pose contradicts the commands. Empty if it is consistent.
+            How the pose contradicts the commands. None if it is consistent.
         """
         since_rest = self._since_rest
         moments = since_rest.moments[i]
@@ -358,18 +376,20 @@ class MotionCheck(GuardCheck):
         self._driven_s[i] = 0.0
         travelled = since_rest.travelled[i].copy()
         if moments:
-            travelled += motion(before, pose)
+            travelled += RobotStep.between(before, pose).way
         now = np.array([travelled, *integrals])
         contradiction = self._contradiction(i, now)
         if contradiction is not None:
-            return fault_of(contradiction, self._slack[i], has_wheels=self._radius > 0)
+            slack = self._slack[i]
+            text = fault_of(contradiction, slack, has_wheels=self._radius > 0)
+            return Contradiction(text, excess_of(contradiction, slack, self._mm, i))
         since_rest.travelled[i] = travelled
         now_ns = self._times[i]
         if not moments or now_ns - moments[-1][0] >= SPACING_NS:
             moments.append((now_ns, now))
         while now_ns - moments[0][0] > COMPARED_NS:  # the newest is younger: it stays
             moments.popleft()
-        return ""
+        return None
 
     def _contradiction(self, i: int, now: Floats) -> Floats | None:
         """Find the newest moment since which robot i is out of its bounds by more than the slack.
@@ -405,27 +425,6 @@ def out_of_bounds(motion: Floats, slack: Floats) -> Bools:
     return (travelled < motion[..., 1, :] - slack) | (travelled > motion[..., 2, :] + slack)
 
 
-def motion(before: Pose, pose: Pose) -> Floats:
-    """Compute the motion (3,) between two poses, on an arc.
-
-    The parts are the arc's length, the displacement across the heading halfway, and the angle
-    turned. For more than half a turn, which is possible during a long gap, the shorter way round is
-    returned, which is wrong.
-
-    The displacement along the heading halfway is the chord of the arc: sin(h) / h of its length,
-    where h is half the angle turned.
-    """
-    turned = math.remainder(pose.heading - before.heading, math.tau)
-    middle = before.heading + turned / 2
-    dx = pose.x - before.x
-    dy = pose.y - before.y
-    along = dx * math.cos(middle) + dy * math.sin(middle)
-    across = dy * math.cos(middle) - dx * math.sin(middle)
-    half = math.pi * (turned / math.tau)  # in this order, as numpy.sinc did for earlier logs
-    chord = math.sin(half) / half if half else 1.0
-    return np.array([along / chord, across, turned])
-
-
 def fault_of(motion: Floats, slack: Floats, has_wheels: bool) -> str:
     """Describe a motion that has a part out of its bounds.
 
@@ -459,8 +458,26 @@ def fault_of(motion: Floats, slack: Floats, has_wheels: bool) -> str:
     if around and is_against[2]:
         return of_kind(WRONG_WAY, has_wheels)
     if along:
-        return ANOTHER.format(KINDS[0])
-    return ANOTHER.format(KINDS[1] if across else KINDS[2])
+        return ANOTHER.format(PARTS[0])
+    return ANOTHER.format(PARTS[1] if across else PARTS[2])
+
+
+def excess_of(motion: Floats, slack: Floats, mm: float, robot: int) -> Excess:
+    """Return the part of a motion that is furthest out of its bounds, and the nearer bound.
+
+    Args:
+        motion: The motion and its bounds, shape (3, 3).
+        slack: How much a part may exceed its bounds, shape (3,). Parts are compared by it.
+        mm: Millimetres per length unit.
+        robot: Index of the robot.
+    """
+    travelled, least, most = motion
+    low = least - slack
+    high = most + slack
+    k = int((np.maximum(low - travelled, travelled - high) / slack).argmax())
+    limit = low[k] if travelled[k] < low[k] else high[k]
+    unit, scale = ("rad", 1.0) if k == 2 else ("mm", mm)
+    return Excess("motion", float(travelled[k]) * scale, float(limit) * scale, unit, robot)
 
 
 def of_kind(fault: str, has_wheels: bool) -> str:

@@ -11,8 +11,8 @@ from tetractl.core.clock import Clock, wait_for
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import Actuator, Camera, Health
 from tetractl.core.setup import MM, Setup
-from tetractl.lab.guard import Guard
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
+from tetractl.lab.guard_observer import build_guard
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.inner_loop import InnerLoop
 from tetractl.spec.lab_section import LabLimits, LabSection
@@ -49,7 +49,7 @@ class Rig:
         self.loop = InnerLoop(
             camera,
             actuator,
-            Guard(GuardRules.of(setup, limits), checks_of),
+            build_guard(GuardRules.of(setup, limits), checks_of),
             clock,
             wake or threading.Event(),
             emergency or threading.Event(),

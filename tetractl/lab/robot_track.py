@@ -2,39 +2,33 @@
 
 A pose is wrong if the body is not upright on the floor. Once a run has begun, it is also wrong if
 the body is not as high as when the run began, within LIFTED_MM: somebody has lifted the robot, or
-set it down. And it is wrong if the robot cannot have come there: after a time dt since each pose
-that is remembered, which are the last one and some of the last second,
-
-    distance <= FASTER speed dt + jump,    angle <= FASTER turning dt + JUMP_HEADING.
+set it down. And it is wrong if the robot cannot have come there from a pose that is remembered: the
+last one and some of the last second (`lab.kernel.too_fast`).
 
 Lengths are in the spec's length unit, times ns on the run's clock.
 """
 
-import math
 import statistics
 from collections import deque
 from dataclasses import dataclass, field
 
 from tetractl.core.clock import SECOND
-from tetractl.core.guard_findings import Finding
+from tetractl.core.guard_findings import Excess, Finding
 from tetractl.core.poses import Pose
 from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
+from tetractl.lab.kernel import too_fast
 from tetractl.spec.lab_section import UNTRACKED_STOP_S
 
 FORGIVEN = 0.25
 """Fraction of the time a robot is seen that is subtracted from the time it was not seen."""
-JUMP_HEADING = 0.7
-"""How far a heading may jump at once [rad], as `jump_mm` in the limits for a position."""
-FASTER = 2.0
-"""Multiple of a robot's speed and turning limits above which its pose jumped."""
 REMEMBERED_NS = SECOND
 """Largest age of the accepted poses with which a new one is compared."""
 JUMP_SPACING_NS = SECOND // 50
 """Minimum time between two remembered poses.
 
-A pose may additionally jump by FASTER times the robot's path in this time, because a new pose may
-be this much later than the one remembered.
+A pose may additionally jump by `kernel.FASTER` times the robot's path in this time, because a new
+pose may be this much later than the one remembered.
 """
 JUMPED = "its pose jumped"
 LIFTED_MM = 40.0
@@ -56,12 +50,14 @@ class PoseDecision:
         refused: Why it is refused. Empty if it is accepted, or if there is no pose.
         disobeys: Whether it is refused because the robot disobeys.
         findings: What checks found in addition.
+        excess: The value that led to the refusal. None if the reason has no number.
     """
 
     accepted: Pose | None = None
     refused: str = ""
     disobeys: bool = False
     findings: tuple[Finding, ...] = ()
+    excess: Excess | None = None
 
 
 MISSING = PoseDecision()
@@ -202,7 +198,7 @@ class RobotTrack:
         fault = self._off_the_floor(pose)
         if fault or not driving:
             return fault
-        return self._lifted(pose) or (JUMPED if self._jumps(pose, exposed_ns) else "")
+        return self._lifted(pose) or (JUMPED if self.jump(pose, exposed_ns) else "")
 
     def _off_the_floor(self, pose: Pose) -> str:
         """Explain why a body's height or tilt is wrong for a robot on the floor.
@@ -231,18 +227,13 @@ class RobotTrack:
             return f"its body is {-higher_mm:.0f} mm lower than at the start: was it set down?"
         return ""
 
-    def _jumps(self, pose: Pose, exposed_ns: int) -> bool:
-        """Return whether the robot cannot have come to `pose` from a pose that is remembered."""
+    def jump(self, pose: Pose, exposed_ns: int) -> Excess | None:
+        """Check that the robot can have come to `pose` from each pose that is remembered."""
         if self.last is None:
-            return False
-        jump = self.rules.limits.jump_mm / self.rules.mm
-        fastest = FASTER * self.rules.speeds[self.i]
-        fastest_turning = FASTER * self.rules.turning[self.i]
+            return None
         for earlier in (*self._remembered, TimedPose(self.last_ns, self.last)):
-            dt_s = (exposed_ns - earlier.exposed_ns) / SECOND
-            if pose.distance_to(earlier.pose) > fastest * dt_s + jump:
-                return True
-            angle = abs(math.remainder(pose.heading - earlier.pose.heading, math.tau))
-            if angle > fastest_turning * dt_s + JUMP_HEADING:
-                return True
-        return False
+            dt_ns = exposed_ns - earlier.exposed_ns
+            excess = too_fast(self.rules, self.i, earlier.pose, pose, dt_ns)
+            if excess is not None:
+                return excess
+        return None

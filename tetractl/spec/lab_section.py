@@ -236,6 +236,21 @@ class LabLimits(Model):
 
     A larger error ends the run.
     """
+    delay: float = Field(default=0.3, gt=0, le=1)
+    """Longest time after which a robot obeys a command [s]: by the radio, by wheels that speed up
+    slowly, and by lost commands. With more, a pose that moves against the commands is noticed
+    later.
+    """
+    drift: Positive = 16.0
+    """The drift check's statistic at which a pose counts as false: good trials of the emulated lab
+    reach 13. With more, a pose that leaves its robot slowly is noticed later.
+    """
+    observe: bool = False
+    """Let the guard's checks of motion and drift only report what they would have done, as
+    warnings, and stop no robot: for tuning `wheel_error`, `delay` and `drift` on a lab's own runs.
+    Without these checks no false pose and no robot that disobeys is noticed, so keep the emergency
+    stop at hand.
+    """
     late_steps: int = Field(default=5, ge=1, le=100_000)
     """The run aborts after this many control steps in a row that missed their deadline."""
     latency: Positive = 0.1
@@ -322,6 +337,7 @@ class LabSection(PlantSection):
                 f"after a robot was last tracked, or {limits.late_steps} late control steps in "
                 "a row"
             ),
+            **({"motion and drift checks": "only report"} if limits.observe else {}),
         }
 
 

@@ -8,14 +8,13 @@ signature protects against that (docs/reference/durability.md).
 """
 
 from collections.abc import Iterator
-from pkgutil import resolve_name
 
 import numpy as np
 
-from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import EMULATED_NAME
 from tetractl.core.trial import EMULATED_DEVICES, EMULATED_PLANT, HALTS, Result
-from tetractl.lab.guard import Guard, GuardState
+from tetractl.lab.guard import GuardState
+from tetractl.lab.guard_observer import build_guard
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.log.provenance import CODE
 from tetractl.log.read.reader import trial_path
@@ -25,6 +24,7 @@ from tetractl.model.wheels import body_velocity
 from tetractl.run.task import code_of
 from tetractl.spec.lab_section import LabSection
 from tetractl.verification.comparison import Difference, first_difference
+from tetractl.verification.guard_replay import camera_frame, checks_of_lab, events_of
 
 TURN_ERRORS = 1.0
 """Largest difference between a stated turn and the one computed again, in standard errors.
@@ -126,33 +126,18 @@ def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
     radius = setup.wheel_radius
     if not isinstance(lab, LabSection) or radius is None:
         return (), ()
-    guard = Guard(GuardRules.of(setup, lab.limits), resolve_name(lab.actuator.checks))
+    guard = build_guard(GuardRules.of(setup, lab.limits), checks_of_lab(log.experiment))
     guard.pass_preflight()
-    # the inner loop first takes the frames that have come, and then sends
-    events = [(int(t_ns), False, i) for i, t_ns in enumerate(log.received_ns)]
-    events += [(command.sent_ns, True, i) for i, command in enumerate(log.commands)]
-    for t_ns, is_command, i in sorted(events):
-        if not is_command:
-            guard.check_frame(_camera_frame(log, i))
+    for event in events_of(log):
+        if not event.is_command:
+            guard.check_frame(camera_frame(log, event.row))
             continue
-        command = log.commands[i]
+        command = log.commands[event.row]
         if command.stops:
             guard.end_run()
         elif guard.state is GuardState.READY:
-            guard.start_run(t_ns)
+            guard.start_run(event.t_ns)
         if command.left is not None and command.right is not None:
             speed, turning = body_velocity(command.left, command.right, radius)
-            guard.note_transmission(t_ns, speed.tolist(), turning.tolist())
+            guard.note_transmission(event.t_ns, speed.tolist(), turning.tolist())
     return guard.drift.turning()
-
-
-def _camera_frame(log: TrialLog, i: int) -> CameraFrame:
-    """Return the camera frame of row i."""
-    poses = tuple(
-        Pose(*row) if valid else None
-        for row, valid in zip(log.mocap[i].tolist(), log.valid[i], strict=True)
-    )
-    seen = log.sample(i).observation
-    return CameraFrame(
-        seen.frame, seen.sampled_ns, seen.received_ns, poses, exposed_ns=seen.exposed_ns
-    )

@@ -23,8 +23,8 @@ from tetractl.core.protocols import GuardCheck
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_checks import GuardChecks
 from tetractl.lab.guard_rules import GuardRules
+from tetractl.lab.kernel import beyond_edge, driven, outside, too_close
 from tetractl.lab.motion_check import MotionCheck
-from tetractl.lab.places import driven, outside, too_close
 from tetractl.model.swimmers import DIPOLE_SD_RAD
 
 WANDERS = 0.7
@@ -65,9 +65,9 @@ class Swims(MotionCheck):
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
         """Check a new pose during a run; see `GuardCheck.pose`."""
         fault = self.take_pose(robot, before, pose)
-        if fault:
+        if fault is not None:
             self.replace(robot)
-            yield Warn(f"{self._names[robot]} {fault}")
+            yield Warn(f"{self._names[robot]} {fault.text}")
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> tuple[Finding, ...]:
         """Find nothing, because cells swim on; see `GuardCheck.pause`."""
@@ -106,5 +106,6 @@ class Stays(GuardCheck):
             now[name] = robot.pose
             then[name] = driven(robot.pose, robot.way)
             if outside(self._rules.arena, then[name]) > outside(self._rules.arena, robot.pose):
-                yield Lose(i, f"{name} is about to leave the arena")
+                excess = beyond_edge(self._rules, i, then[name])
+                yield Lose(i, f"{name} is about to leave the arena", excess)
         yield from too_close(now, then, self._rules)

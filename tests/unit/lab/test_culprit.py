@@ -7,11 +7,12 @@ import pytest
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.robot_step import RobotStep
 from tetractl.core.setup import Bounds
 from tetractl.lab.culprit import CAMERA, RADIO, RECENT_NS, SWAPPED, Culprit
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.motion_check import ANOTHER, DOES_NOT_MOVE, WRONG_WAY, motion
+from tetractl.lab.motion_check import ANOTHER, DOES_NOT_MOVE, WRONG_WAY
 from tetractl.spec.lab_section import LabLimits
 
 NAMES = ("green", "blue", "red")
@@ -131,7 +132,8 @@ def accused(
         times_ns = tuple(now_ns - age * FRAME_NS for age in camera.ages)
         frames.append(CameraFrame(len(frames), now_ns, now_ns, poses, exposed_ns=times_ns))
         if before is not None and seconds_left(now_ns) > learnt_until_s:
-            motions.travelled += [motion(*pair) for pair in zip(before, poses, strict=True)]
+            pairs = zip(before, poses, strict=True)
+            motions.travelled += [RobotStep.between(*pair).way for pair in pairs]
             drift.frame(now_ns, times_ns, poses)
         before = poses
     shown = [frame for frame in frames if now_ns - frame.sampled_ns <= RECENT_NS]

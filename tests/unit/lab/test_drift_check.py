@@ -1,6 +1,8 @@
 """Poses that leave their robots slowly, of three robots that drive as commanded, at 120 Hz."""
 
 import re
+import sys
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -9,11 +11,10 @@ import pytest
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
+from tetractl.core.robot_step import RobotStep
 from tetractl.core.setup import Bounds
-from tetractl.lab import drift_check
 from tetractl.lab.drift_check import TOGETHER, DriftCheck
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.motion_check import motion
 from tetractl.spec.lab_section import LabLimits
 
 NAMES = ("green", "blue", "red")
@@ -89,7 +90,7 @@ class Watched:
         if before is None:
             return ""
         pairs = zip(before, poses, strict=True)
-        self.motions.travelled += [motion(then, pose) for then, pose in pairs]
+        self.motions.travelled += [RobotStep.between(then, pose).way for then, pose in pairs]
         aborts = self.check.frame(now_ns, [now_ns] * len(poses), poses)
         return aborts[0].text if aborts else ""
 
@@ -229,7 +230,8 @@ def test_robots_with_slow_wheels_that_are_turned_to_and_fro_are_let(rate_hz, lim
     """Regression: what is left of a reversal 0.2 s later was taken for a pose that turns; in 14
     trials the statistic reached 13, it reaches 9; if it lasted for 50 ms, 13.3, it reaches 12.2.
     """
-    monkeypatch.setattr(drift_check, "LIMIT", limit)
+    rules = replace(RULES, limits=LabLimits(drift=limit))
+    monkeypatch.setattr(sys.modules[__name__], "RULES", rules)
     settings = {"seconds": 60 / rate_hz, "rate_hz": rate_hz, "lag_s": 0.08, "most": 8.0}
     texts = [drifting(seed=seed, **settings).text for seed in range(14)]
     assert texts == [""] * 14

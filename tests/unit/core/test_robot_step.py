@@ -1,0 +1,46 @@
+"""The record of a robot's step."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tetractl.core.poses import Pose
+from tetractl.core.robot_step import RobotStep
+
+
+def test_a_robot_on_an_arc_has_gone_the_arc_and_nothing_across():
+    """A quarter circle of radius 100: the arc is 157.1 long, the chord 141.4."""
+    step = RobotStep.between(Pose(0.0, 0.0, 0.0), Pose(100.0, 100.0, math.pi / 2))
+    assert step.along == pytest.approx(100 * math.pi / 2)
+    assert step.across == pytest.approx(0.0, abs=1e-9)
+    assert step.turned == pytest.approx(math.pi / 2)
+
+
+def test_a_shift_to_the_left_of_the_heading_is_positive_across():
+    step = RobotStep.between(Pose(5.0, 5.0, math.pi / 2), Pose(2.0, 5.0, math.pi / 2))
+    assert step.way.tolist() == pytest.approx([0.0, 3.0, 0.0])
+
+
+def test_a_heading_that_passes_half_a_turn_turns_the_shorter_way():
+    step = RobotStep.between(Pose(0.0, 0.0, 3.1), Pose(0.0, 0.0, -3.1))
+    assert step.turned == pytest.approx(2 * math.pi - 6.2)
+
+
+def test_a_fitted_step_is_the_speed_with_the_error_of_its_slope():
+    """Noise e at n times over T gives a slope the error e sqrt(12 / n) / T."""
+    rng = np.random.default_rng(620601)
+    times_s = np.linspace(0, 1, 400)
+    places = np.outer(times_s, [3.0, 0.0, 0.1]) + rng.normal(0, [0.5, 0.5, 0.01], (400, 3))
+    step = RobotStep.fitted(times_s, places)
+    assert step.std == pytest.approx(np.array([0.5, 0.5, 0.01]) * math.sqrt(12 / 400), rel=0.15)
+    assert np.all(abs(step.way - [3.0, 0.0, 0.1]) < 4 * step.std)
+
+
+def test_a_step_of_means_has_the_error_of_both():
+    rng = np.random.default_rng(620602)
+    times_s = np.arange(200) / 100
+    positions = rng.normal(0, 1.0, (200, 2))
+    step = RobotStep.of_means(times_s, positions)
+    assert step.dt_ns == 1_000_000_000
+    assert step.std[:2] == pytest.approx(math.sqrt(2 / 100), rel=0.2)

@@ -1,0 +1,96 @@
+"""The kernel: the rules under which robots may move."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Pose
+from tetractl.core.setup import Bounds
+from tetractl.core.shape import Shape
+from tetractl.lab.guard_rules import GuardRules
+from tetractl.lab.kernel import Pace, Places, asleep, may_move, too_fast, undirected, untracked
+from tetractl.spec.lab_section import LabLimits
+
+DISC = Shape(np.array([[500.0, 500.0]]), 100.0)
+
+
+RULES = GuardRules(
+    names=("green",),
+    speeds=(200.0,),
+    turning=(math.pi,),
+    arena=Bounds(0.0, 0.0, 1000.0, 1000.0),
+    limits=LabLimits(reaction=0.5),
+    obstacles=(DISC,),
+)
+
+
+def places(speed=0.0, turning=0.0):
+    checked_places = Places(RULES)
+    checked_places.sent(0, (speed,), (turning,))
+    return checked_places
+
+
+def test_a_robot_in_an_obstacle_is_found_there_whatever_it_is_commanded():
+    checked_places = places()
+    assert not checked_places.enters(0, Pose(395.0, 500.0, 0.0))
+    assert checked_places.enters(0, Pose(401.0, 500.0, 0.0))
+
+
+def test_a_robot_is_predicted_on_the_arc_that_it_is_commanded():
+    """By 100 mm ahead in half a second, or round an eighth of a circle."""
+    assert places(speed=200.0).enters(0, Pose(310.0, 500.0, 0.0))
+    assert not places(speed=200.0).enters(0, Pose(290.0, 500.0, 0.0))
+    assert not places(speed=200.0, turning=math.pi).enters(0, Pose(330.0, 500.0, 0.0))
+    assert not places(speed=200.0).enters(0, Pose(310.0, 500.0, math.pi))
+
+
+def test_a_robot_that_touches_an_obstacle_at_the_start_may_leave_but_not_go_deeper_again():
+    checked_places = places(speed=200.0)
+    assert not checked_places.enters(0, Pose(410.0, 500.0, 0.0))
+    assert not checked_places.enters(0, Pose(405.0, 500.0, 0.0))
+    assert checked_places.enters(0, Pose(408.0, 500.0, 0.0))
+    checked_places.start()
+    assert not checked_places.enters(0, Pose(408.0, 500.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("pose", "dt_s", "excess"),
+    [
+        (Pose(130.0, 0.0, 0.0), 0.25, None),  # twice 200 mm/s for 0.25 s, and 30 mm
+        (Pose(131.0, 0.0, 0.0), 0.25, (131.0, 130.0, "mm")),
+        (Pose(0.0, 0.0, 0.7 + 0.5 * math.pi), 0.25, None),  # twice pi for 0.25 s, and 0.7
+        (Pose(0.0, 0.0, -2.3), 0.25, (2.3, 0.7 + 0.5 * math.pi, "rad")),
+    ],
+)
+def test_a_pose_is_too_fast_beyond_twice_the_robots_speed(pose, dt_s, excess):
+    found = too_fast(RULES, 0, Pose(0.0, 0.0, 0.0), pose, round(dt_s * SECOND))
+    if excess is None:
+        assert found is None
+    else:
+        value, limit, unit = excess
+        assert (found.value, found.limit) == (pytest.approx(value), pytest.approx(limit))
+        assert (found.check, found.unit, found.robot) == ("speed", unit, 0)
+
+
+def test_nobody_moves_by_a_frame_that_is_older_than_stale():
+    assert may_move(RULES, Pace(), frame_ns=0, now_ns=SECOND // 10)
+    assert not may_move(RULES, Pace(), frame_ns=0, now_ns=SECOND // 10 + 1)
+
+
+def test_robots_that_turn_wait_for_a_direction_longer_than_robots_that_drive_but_not_for_ever():
+    """Driving, the limit is `silence_ns`, 2 s; turning, half a second comes on top."""
+    ahead = Pace(ahead=True)
+    turning = Pace(ahead=False)
+    assert undirected(RULES, ahead, 2 * SECOND) is not None
+    assert undirected(RULES, turning, 9 * SECOND) is None
+    still_ns = RULES.silence_ns + SECOND
+    assert not may_move(RULES, turning, frame_ns=still_ns, now_ns=still_ns)
+
+
+def test_an_age_at_its_limit_counts_as_too_old():
+    assert untracked(RULES, 0, 299_999_999) is None
+    assert untracked(RULES, 0, 300_000_000).value == 0.3
+    assert asleep(RULES, Pace(ticked_ns=None), 9 * SECOND) is None  # nothing was decided yet
+    assert asleep(RULES, Pace(ticked_ns=0), SECOND // 2).limit == 0.5

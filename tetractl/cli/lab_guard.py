@@ -1,0 +1,163 @@
+"""`tetractl lab guard`: reports what the guard would have done in logged trials."""
+
+from collections import Counter
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tetractl.cli import ui
+from tetractl.cli.options import AsJson, Logs, Sets, option
+from tetractl.core.errors import Exit, UsageError
+from tetractl.log.read.find import find_logs
+from tetractl.tools.table.table import Column, Table, plural
+
+if TYPE_CHECKING:
+    from tetractl.lab.guard_observer import Intervention
+    from tetractl.log.read.trial_log import TrialLog
+    from tetractl.spec.lab_section import LabLimits
+    from tetractl.verification.guard_replay import GuardReport
+
+SHOWN_MAX = 20
+"""Maximum number of interventions that are listed for a log."""
+LIMITS = "lab.limits."
+
+
+def guard(
+    logs: Logs,
+    sets: Sets = None,
+    most: Annotated[
+        int,
+        option("N", "Interventions to list for each log; the rest are counted.", "--most", min=0),
+    ] = SHOWN_MAX,
+    as_json: AsJson = False,
+) -> int:
+    """Report what the guard would have done in logged trials, without acting.
+
+    The guard sees the poses and commands of each log again. For everything that it would have done,
+    a row states when, which check, which robot, and the value with its limit. A table at the end
+    counts, for each check, the refused poses, stopped robots and ended runs, and the hours for
+    which it watched. Try other limits with --set lab.limits.wheel_error=0.2.
+
+    A log holds only poses that the guard accepted in the trial: what it refused then counts as an
+    untracked robot. If a log has no wheel speeds, motion and drift are not checked.
+
+    Example: tetractl lab guard logs/batch --set lab.limits.wheel_error=0.15
+    """
+    from tetractl.verification.guard_replay import observe_log
+
+    watched: list[tuple[str, GuardReport]] = []
+    for path in find_logs(logs):
+        log = ui.open_trial(path)
+        watched.append((str(path), observe_log(log, _limits(log, sets or []))))
+    items = {
+        "logs": [_as_item(name, seen) for name, seen in watched],
+        "checks": _counts([seen for _, seen in watched]),
+    }
+    rows = [_events(name, seen, most) for name, seen in watched if seen.interventions and most]
+    ui.show(as_json, items, [*rows, _totals([seen for _, seen in watched])])
+    return Exit.DONE
+
+
+def _limits(log: "TrialLog", sets: list[str]) -> "LabLimits":
+    """Return the limits of a log's lab, or the defaults if it has none, with the given changes.
+
+    Raises:
+        UsageError: If something else than a limit is to be changed, or a value is wrong.
+    """
+    from pydantic import ValidationError
+
+    from tetractl.spec.explain_errors import words
+    from tetractl.spec.lab_section import LabLimits, LabSection
+    from tetractl.spec.yaml.document import parse_value
+
+    plant = log.experiment.plant
+    limits = plant.limits if isinstance(plant, LabSection) else LabLimits()
+    values = limits.model_dump()
+    for setting in sets:
+        path, equals, text = setting.partition("=")
+        if not path.startswith(LIMITS) or not equals:
+            raise UsageError(f"--set {setting}: this command takes `{LIMITS}NAME=VALUE` only")
+        values[path.removeprefix(LIMITS)] = parse_value(text, f"--set {setting}")
+    try:
+        return LabLimits.model_validate(values)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        path = ".".join(["lab", "limits", *(str(step) for step in problem["loc"])])
+        message = words(problem, problem["input"])
+        raise UsageError(f"--set {path}: {message}") from None
+
+
+def _as_item(name: str, seen: "GuardReport") -> dict[str, Any]:
+    return {
+        "log": name,
+        "watched_s": seen.watched_s,
+        "interventions": [{**asdict(it), "t_s": _seconds(seen, it)} for it in seen.interventions],
+    }
+
+
+def _seconds(seen: "GuardReport", it: "Intervention") -> float:
+    return (it.t_ns - seen.began_ns) / 1e9
+
+
+def _events(name: str, seen: "GuardReport", most: int) -> Table:
+    """Return a row for each intervention in a log, the first `most`."""
+    shown = seen.interventions[:most]
+    columns = (
+        Column("time s", [f"{_seconds(seen, it):.2f}" for it in shown]),
+        Column("check", [it.check for it in shown], words=True),
+        Column("robot", [it.robot for it in shown], words=True),
+        Column("would have", [it.act.value for it in shown], words=True),
+        Column("value", [_number(it, "value") for it in shown]),
+        Column("limit", [_number(it, "limit") for it in shown]),
+        Column("reason", [it.text for it in shown], words=True),
+    )
+    left_out = len(seen.interventions) - len(shown)
+    note = f"and {left_out} more" if left_out else ""
+    return Table(f"{name}: watched for {seen.watched_s:.1f} s", columns, note)
+
+
+def _number(it: "Intervention", which: str) -> str:
+    """Return the value or the limit of an intervention with its unit."""
+    if it.excess is None:
+        return ""
+    value = it.excess.value if which == "value" else it.excess.limit
+    return f"{value:.3g} {it.excess.unit}".rstrip()
+
+
+def _counts(seen: "list[GuardReport]") -> list[dict[str, Any]]:
+    """Return the numbers of interventions by check, with the hours for which it watched."""
+    from tetractl.lab.guard_observer import Act
+    from tetractl.verification.guard_replay import KERNEL_CHECKS, WHEEL_CHECKS
+
+    by_check = Counter((it.check, it.act) for one in seen for it in one.interventions)
+    names = dict.fromkeys((*KERNEL_CHECKS, *WHEEL_CHECKS, *(check for check, _ in by_check)))
+    rows: list[dict[str, Any]] = []
+    for name in names:
+        is_special = name not in KERNEL_CHECKS + WHEEL_CHECKS
+        watched = [one.watched_s for one in seen if is_special or name in one.checks]
+        rows.append(
+            {
+                "check": name,
+                "poses_refused": by_check[name, Act.REFUSES],
+                "robots_stopped": by_check[name, Act.STOPS],
+                "runs_ended": by_check[name, Act.ENDS],
+                "hours": sum(watched) / 3600,
+            }
+        )
+    return rows
+
+
+def _totals(seen: "list[GuardReport]") -> Table:
+    """Return a table of how often each check would have acted."""
+    counts = _counts(seen)
+    columns = (
+        Column("check", [row["check"] for row in counts], words=True),
+        Column("poses refused", [row["poses_refused"] for row in counts]),
+        Column("robots stopped", [row["robots_stopped"] for row in counts]),
+        Column("runs ended", [row["runs_ended"] for row in counts]),
+        Column("hours", [f"{row['hours']:.4f}" for row in counts]),
+    )
+    idle = [row["check"] for row in counts if not row["hours"]]
+    note = f"not observed, as no log has wheel speeds: {', '.join(idle)}" if idle else ""
+    logs = f"{len(seen)} {plural('log', len(seen))}"
+    title = f"What the guard would have done in {logs}"
+    return Table(title, columns, note)

@@ -1,0 +1,136 @@
+"""How far a robot moved in a time: the one record by which the program asks whether it obeys.
+
+A step has three parts, in the robot's own axes: the way along its heading, the way across it
+(positive to the left), and the angle that it turned (positive anticlockwise). Each has a variance.
+
+    step = RobotStep.between(before, pose, variance)
+    step.way / step.std                     how many standard deviations each part is from no motion
+
+Lengths are in the caller's unit, angles in rad, times in ns.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats, Pose
+
+PARTS = ("along its heading", "sideways", "around")
+"""Names of the three parts, as messages use them."""
+EXACT = np.zeros(3)
+"""The variance of a step between poses without noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotStep:
+    """The motion of a robot from one time to another.
+
+    Attributes:
+        way: Shape (3,): along, across [length unit], turned [rad].
+        variance: Shape (3,): the variance of each part.
+        dt_ns: Duration [ns]. 0 if it does not matter.
+        until_ns: When the step ended [ns].
+        robot: Index of the robot.
+        before: The pose at which the step began. None if it was not one pose.
+    """
+
+    way: Floats
+    variance: Floats
+    dt_ns: int = 0
+    until_ns: int = 0
+    robot: int = 0
+    before: Pose | None = None
+
+    @classmethod
+    def between(
+        cls,
+        before: Pose,
+        pose: Pose,
+        variance: Floats = EXACT,
+        *,
+        dt_ns: int = 0,
+        until_ns: int = 0,
+        robot: int = 0,
+    ) -> "RobotStep":
+        """Compute the step between two poses, on an arc.
+
+        `along` is the length of the arc, `across` the displacement across the heading halfway. The
+        displacement along the heading halfway is the chord of the arc: sin(h) / h of its length,
+        where h is half the angle turned. If the robot turned by more than half a turn, as may
+        happen in a long gap, `turned` is the shorter way round, which is wrong.
+
+        Args:
+            before: The earlier pose.
+            pose: The later pose.
+            variance: Variance of each part, shape (3,).
+            dt_ns: Time between the poses [ns].
+            until_ns: Time of the later pose [ns].
+            robot: Index of the robot.
+        """
+        turned = math.remainder(pose.heading - before.heading, math.tau)
+        middle = before.heading + turned / 2
+        dx = pose.x - before.x
+        dy = pose.y - before.y
+        along = dx * math.cos(middle) + dy * math.sin(middle)
+        across = dy * math.cos(middle) - dx * math.sin(middle)
+        half = math.pi * (turned / math.tau)  # in this order, as numpy.sinc did for earlier logs
+        chord = math.sin(half) / half if half else 1.0
+        way = np.array([along / chord, across, turned])
+        return cls(way, variance, dt_ns, until_ns, robot, before)
+
+    @classmethod
+    def fitted(cls, times_s: Floats, places: Floats) -> "RobotStep":
+        """Compute the step of one second by straight lines through many places over time.
+
+        Args:
+            times_s: Times, shape (n,) [s]. At least three.
+            places: x, y [length unit] and heading [rad, not wrapped], shape (n, 3).
+
+        Returns:
+            A step along and across the x axis. Its variance follows from the scatter of the places
+            about the lines.
+        """
+        (slope, _), covariance = np.polyfit(times_s, places, 1, cov=True)
+        return cls(slope, covariance[0, 0], dt_ns=SECOND)
+
+    @classmethod
+    def of_means(cls, times_s: Floats, positions: Floats) -> "RobotStep":
+        """Compute the step from the mean position of the first half of a time to the second's.
+
+        Args:
+            times_s: Times, shape (n,) [s]. At least four.
+            positions: x and y, shape (n, 2) [length unit].
+
+        Returns:
+            A step along and across the x axis; the angle is not compared.
+        """
+        half = len(times_s) // 2
+        first = positions[:half]
+        second = positions[half:]
+        way = np.array([*(second.mean(axis=0) - first.mean(axis=0)), 0.0])
+        variance = first.var(axis=0, ddof=1) / len(first)
+        variance = variance + second.var(axis=0, ddof=1) / len(second)
+        seconds = times_s[half:].mean() - times_s[:half].mean()
+        return cls(way, np.array([*variance, 0.0]), round(seconds * SECOND))
+
+    @property
+    def along(self) -> float:
+        """The way along the heading [length unit]."""
+        return float(self.way[0])
+
+    @property
+    def across(self) -> float:
+        """The way across the heading, positive to the left [length unit]."""
+        return float(self.way[1])
+
+    @property
+    def turned(self) -> float:
+        """The angle turned, positive anticlockwise [rad]."""
+        return float(self.way[2])
+
+    @property
+    def std(self) -> Floats:
+        """The standard deviation of each part, shape (3,)."""
+        return np.sqrt(self.variance)

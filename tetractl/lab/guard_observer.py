@@ -1,0 +1,331 @@
+"""Reports what a guard would have done, without acting.
+
+A `GuardObserver` is told all that a guard is told. It lets a guard of its own decide, writes down
+each pose that this guard refuses, each robot that it stops and each run that it ends, and goes on
+with a new guard after each end. So checks can be tuned on recordings, and in a run.
+
+An `ObservingGuard` is the guard of a run with `lab.limits.observe`. Its kernel (`lab.kernel`) acts
+as always, and its statistical checks only report. These are the checks of motion and drift: their
+limits rest on how well wheels follow commands, which differs from lab to lab. Times are ns on the
+run's clock.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from tetractl.core.clock import SECOND
+from tetractl.core.guard_findings import Excess, Finding, Warn
+from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.protocols import GuardCheck
+from tetractl.lab.frames import AcceptedFrame
+from tetractl.lab.guard import FROZEN, Guard, GuardState, Ruling
+from tetractl.lab.guard_checks import ChecksOf, GuardChecks, robot_checks
+from tetractl.lab.guard_rules import GuardRules
+
+STATISTICAL = ("motion", "drift", "wheels")
+"""Names of the checks whose limits rest on how well robots follow their commands."""
+REMEMBERED_NS = 2 * SECOND
+"""Time for which transmissions are kept for a new guard: as long as checks look back."""
+
+
+class Act(StrEnum):
+    """What a guard does, from the mildest."""
+
+    REFUSES = "refuses a pose"
+    STOPS = "stops the robot"
+    ENDS = "ends the run"
+
+
+@dataclass(frozen=True, slots=True)
+class Intervention:
+    """One thing that the guard would have done.
+
+    Attributes:
+        t_ns: When [ns].
+        act: What it would have done.
+        check: Name of the check or the kernel's rule.
+        robot: Name of the robot. Empty if it concerns none, or all.
+        text: The guard's reason.
+        excess: The value and its limit. None if the reason has no number.
+    """
+
+    t_ns: int
+    act: Act
+    check: str
+    robot: str
+    text: str
+    excess: Excess | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Sent:
+    """A transmission: its time, and the robots' speeds and turning rates."""
+
+    sent_ns: int
+    speed: Sequence[float]
+    turning: Sequence[float]
+
+
+class GuardObserver:
+    """Watches a run as a guard of its own would, and keeps its interventions.
+
+    Call it as the inner loop calls a guard. After its guard has ended the run, a new one begins as
+    soon as it has seen all robots. A refused pose, or a stopped robot, counts once until it passes.
+
+    Attributes:
+        interventions: All interventions so far, the oldest first.
+        watched_ns: For how long a guard has watched a run [ns].
+    """
+
+    def __init__(self, rules: GuardRules, checks_of: ChecksOf = robot_checks) -> None:
+        self.rules = rules
+        self.interventions: list[Intervention] = []
+        self.watched_ns = 0
+        self._checks_of = checks_of
+        self._in_run = False
+        self._watched_until_ns = 0
+        self._recent: deque[_Sent] = deque()
+        self._ahead = True
+        self._directed_ns = 0
+        self._renew()
+
+    def _renew(self) -> None:
+        """Continue with a new guard, which has not seen any robot yet."""
+        robots = len(self.rules.names)
+        self._guard = Guard(self.rules, self._checks_of)
+        self._guard.pass_preflight()
+        for sent in self._recent:
+            self._guard.note_transmission(sent.sent_ns, sent.speed, sent.turning)
+        self._refused = ("",) * robots
+        self._moving = (True,) * robots
+
+    def start_run(self, now_ns: int) -> None:
+        """Begin to watch, unless a run is watched already."""
+        if not self._in_run:
+            self._in_run = True
+            self._watched_until_ns = now_ns
+            self._guard.start_run(now_ns)
+
+    def end_run(self) -> None:
+        """Stop watching: the robots were stopped."""
+        self._in_run = False
+        self._guard.end_run()
+
+    def note_direction(self, now_ns: int, ahead: bool = True) -> None:
+        """Note that the controller gave a direction, see `Guard.note_direction`."""
+        self._directed_ns = now_ns
+        self._ahead = ahead
+        self._guard.note_direction(now_ns, ahead)
+
+    def note_step(self, now_ns: int, missed: bool) -> None:
+        """Note whether a control step missed its deadline."""
+        self._guard.note_step(missed)
+        self._record_end(now_ns)
+
+    def note_transmission(
+        self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
+    ) -> None:
+        """Note a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
+        self._recent.append(_Sent(now_ns, speed, turning))
+        while self._recent[0].sent_ns < now_ns - REMEMBERED_NS:
+            self._recent.popleft()
+        self._guard.note_transmission(now_ns, speed, turning)
+
+    def check_frame(self, now_ns: int, frame: CameraFrame) -> None:
+        """Take a camera frame."""
+        self._guard.check_frame(frame)
+        is_new = self._guard.state is GuardState.READY
+        if self._in_run and is_new and self._guard.tracks_all:
+            self._guard.start_run(now_ns)
+            self._guard.note_direction(self._directed_ns, self._ahead)
+            self._watched_until_ns = now_ns
+        if self._in_run:
+            self._record_refusals(now_ns)
+            self._record_end(now_ns)
+
+    def decide(self, now_ns: int) -> None:
+        """Let the guard decide."""
+        if not self._in_run or self._guard.state is GuardState.READY:
+            return
+        self.watched_ns += now_ns - self._watched_until_ns
+        self._watched_until_ns = now_ns
+        ruling = self._guard.decide(now_ns)
+        if ruling.state is GuardState.RUN or ruling.state is GuardState.HOLD:
+            self._record_stops(now_ns, ruling)
+        self._record_end(now_ns)
+
+    def _record_refusals(self, now_ns: int) -> None:
+        refused = self._guard.refused
+        for i, text in enumerate(refused):
+            if text and not self._refused[i]:
+                excess = self._guard.refusal_excess(i)
+                self._note(now_ns, Act.REFUSES, i, text, excess, check_of(text, excess))
+        self._refused = refused
+
+    def _record_stops(self, now_ns: int, ruling: Ruling) -> None:
+        for i, moves in enumerate(ruling.moving):
+            if self._moving[i] and not moves and i not in self._guard.lost:
+                text = self._refused[i]
+                if text:
+                    excess = self._guard.refusal_excess(i)
+                    self._note(now_ns, Act.STOPS, i, text, excess, check_of(text, excess))
+                elif self._guard.hides(i):
+                    self._note(now_ns, Act.STOPS, i, "it is not tracked", None, "tracking")
+                else:
+                    self._note(now_ns, Act.STOPS, i, "no new frame came", None, "frame")
+        self._moving = ruling.moving
+
+    def _record_end(self, now_ns: int) -> None:
+        guard = self._guard
+        if guard.state is not GuardState.ABORT:
+            return
+        excess = guard.excess
+        robot = excess.robot if excess is not None else None
+        self._note(now_ns, Act.ENDS, robot, guard.reason, excess, check_of(guard.reason, excess))
+        self._renew()
+
+    def _note(
+        self,
+        t_ns: int,
+        act: Act,
+        robot: int | None,
+        text: str,
+        excess: Excess | None,
+        check: str,
+    ) -> None:
+        name = "" if robot is None else self.rules.names[robot]
+        self.interventions.append(Intervention(t_ns, act, check, name, text, excess))
+
+
+def check_of(text: str, excess: Excess | None) -> str:
+    """Return the name of the check that gave a reason. If it has no number, the text says it."""
+    if excess is not None:
+        return excess.check
+    return "frozen" if text == FROZEN else "height"
+
+
+# ---- in a run ----
+
+
+class Unheeded(GuardCheck):
+    """Runs a statistical check, and drops what it finds in a run, but for warnings.
+
+    What it finds in a pause counts, as robots have to stand then, and so does a pose that repeats
+    to the last bit, as it is not a new measurement.
+    """
+
+    def __init__(self, check: GuardCheck) -> None:
+        self._check = check
+
+    def start(self) -> None:
+        """Forget what was seen before."""
+        self._check.start()
+
+    def replace(self, robot: int) -> None:
+        """Forget a lost robot."""
+        self._check.replace(robot)
+
+    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
+        """Take a transmission."""
+        self._check.sent(now_ns, speed, turning)
+
+    def exposed(self, times: tuple[int, ...]) -> None:
+        """Take the times of a frame."""
+        self._check.exposed(times)
+
+    def repeat(self, robot: int) -> Iterable[Finding]:
+        """Check a robot whose pose repeats."""
+        return self._check.repeat(robot)
+
+    def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
+        """Check a pose in a pause."""
+        return self._check.pause(robot, before, pose, now_ns)
+
+    def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
+        """Pass on warnings. After any other finding, let the check start again with this pose."""
+        for finding in self._check.pose(robot, before, pose):
+            if isinstance(finding, Warn):
+                yield finding
+            else:
+                self._check.replace(robot)
+
+    def frame(
+        self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
+    ) -> Iterator[Finding]:
+        """Pass on warnings."""
+        for finding in self._check.frame(now_ns, times, poses):
+            if isinstance(finding, Warn):
+                yield finding
+
+
+def unheeded(checks: GuardChecks) -> GuardChecks:
+    """Return checks of which the statistical ones only watch."""
+    acting = [Unheeded(check) if check.statistical else check for check in checks.checks]
+    return replace(checks, checks=tuple(acting))
+
+
+class ObservingGuard(Guard):
+    """A guard whose statistical checks warn of what they would have done, and stop no robot."""
+
+    def __init__(self, rules: GuardRules, checks_of: ChecksOf = robot_checks) -> None:
+        super().__init__(rules, lambda rules: unheeded(checks_of(rules)))
+        self.checks_of = checks_of
+        self._observer = GuardObserver(rules, checks_of)
+        self._reported = 0  # number of interventions that were looked at
+
+    def start_run(self, now_ns: int) -> None:
+        """Enter `run`."""
+        super().start_run(now_ns)
+        self._observer.start_run(now_ns)
+
+    def end_run(self) -> None:
+        """Return to `ready`."""
+        super().end_run()
+        self._observer.end_run()
+
+    def note_direction(self, now_ns: int, ahead: bool = True) -> None:
+        """Note that the controller gave a direction."""
+        super().note_direction(now_ns, ahead)
+        self._observer.note_direction(now_ns, ahead)
+
+    def note_transmission(
+        self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
+    ) -> None:
+        """Note a transmission."""
+        super().note_transmission(now_ns, speed, turning)
+        self._observer.note_transmission(now_ns, speed, turning)
+
+    def check_frame(self, frame: CameraFrame) -> AcceptedFrame | None:
+        """Check one camera frame."""
+        self._observer.check_frame(frame.received_ns, frame)
+        return super().check_frame(frame)
+
+    def decide(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
+        """Decide which robots may move now."""
+        ruling = super().decide(now_ns, damaged, failure)
+        self._observer.decide(now_ns)
+        new = self._observer.interventions[self._reported :]
+        self._reported += len(new)
+        warnings = [
+            f"observed: {describe(it)}"
+            for it in new
+            if it.act is Act.ENDS and it.check in STATISTICAL
+        ]
+        return replace(ruling, warnings=(*ruling.warnings, *warnings))
+
+
+def build_guard(rules: GuardRules, checks_of: ChecksOf = robot_checks) -> Guard:
+    """Return the guard of a run; with `lab.limits.observe`, one that observes."""
+    return (ObservingGuard if rules.limits.observe else Guard)(rules, checks_of)
+
+
+def describe(intervention: Intervention) -> str:
+    """Describe what a check would have done, with its value and limit."""
+    excess = intervention.excess
+    text = f"the {intervention.check} check would have ended the run: {intervention.text}"
+    if excess is None:
+        return text
+    unit = f" {excess.unit}" if excess.unit else ""
+    return f"{text} ({excess.value:.3g}{unit}, limit {excess.limit:.3g}{unit})"

@@ -1,0 +1,237 @@
+"""The guard's kernel: the rules under which robots may move, whatever else the guard checks.
+
+    rule        value                                      limit                what happens beyond
+    program     time since this program's last step        `stream_lost`        the run ends
+    direction   time since the controller's last one       `silence_ns`         the run ends
+    frame       age of the newest camera frame             `stale`              all robots stop
+                                                           `stream_lost`        the run ends
+    tracking    age of a robot's last accepted pose        UNTRACKED_STOP_S     the robot stops
+                                                           `untracked_abort`    the run ends
+    speed       distance from an earlier pose              FASTER times the     the pose is refused
+                                                           robot's speed
+    arena       place after `reaction`, outside            0, if it increases   the run ends
+    obstacle    depth now or after `reaction`              0, or the least one  the run ends
+    separation  distance of two robots after `reaction`    `separation_mm`      the run ends
+
+Each rule compares a measured value with a limit of the spec. None fits or estimates anything, and
+no option switches one off. `lab.guard` asks them in each step of the inner loop; what ends a run
+stops all robots for good. The other checks, such as `lab.motion_check` and `lab.drift_check`, only
+add reasons to stop. Obstacles are grown by the radius of a body, so that they are compared with
+centres. Lengths are in the spec's length unit, times ns on the run's clock.
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.guard_findings import Abort, Excess, Finding, RobotPlace
+from tetractl.core.plan import PAUSE_S
+from tetractl.core.poses import Pose
+from tetractl.core.protocols import GuardCheck
+from tetractl.core.setup import Bounds
+from tetractl.lab.guard_rules import GuardRules
+from tetractl.model.motion.rolling import rolled
+
+FASTER = 2.0
+"""Multiple of a robot's speed and turning limits above which its pose jumped."""
+JUMP_HEADING = 0.7
+"""A heading may differ by this much in no time [rad], as a position may by `jump_mm`."""
+
+
+# ---- fresh: program, direction, frame, tracking ----
+
+
+@dataclass(slots=True)
+class Pace:
+    """When program and controller did something last."""
+
+    ticked_ns: int | None = None
+    directed_ns: int = 0
+    ahead: bool = True  # whether robots drive; otherwise they turn on the spot
+    late_steps: int = 0  # in a row
+    late_ns: int | None = None  # the last control step that was late
+    driven: bool = False  # whether a run has begun, after which no robot is carried
+
+
+def overdue(rule: str, age_ns: int, limit_ns: float, robot: int | None = None) -> Excess | None:
+    """Return by how much an age has reached its limit, None if it has not."""
+    if age_ns < limit_ns:
+        return None
+    return Excess(rule, age_ns / SECOND, limit_ns / SECOND, "s", robot)
+
+
+def asleep(rules: GuardRules, pace: Pace, now_ns: int) -> Excess | None:
+    """Check that this program goes on deciding."""
+    age_ns = 0 if pace.ticked_ns is None else now_ns - pace.ticked_ns
+    return overdue("program", age_ns, rules.limits.stream_lost * SECOND)
+
+
+def undirected(rules: GuardRules, pace: Pace, now_ns: int) -> Excess | None:
+    """Check that robots which drive ahead get directions."""
+    if not pace.ahead:
+        return None
+    return overdue("direction", now_ns - pace.directed_ns, rules.silence_ns)
+
+
+def frameless(rules: GuardRules, frame_ns: int, now_ns: int) -> Excess | None:
+    """Check that frames come; `frame_ns` is when the newest was exposed."""
+    return overdue("frame", now_ns - frame_ns, rules.limits.stream_lost * SECOND)
+
+
+def untracked(rules: GuardRules, robot: int, age_ns: int) -> Excess | None:
+    """Check that poses of a robot come; `age_ns` is the age of its last accepted one."""
+    return overdue("tracking", age_ns, rules.limits.untracked_abort * SECOND, robot)
+
+
+def may_move(rules: GuardRules, pace: Pace, frame_ns: int, now_ns: int) -> bool:
+    """Return whether any robot may move in a run: frames and directions are fresh enough.
+
+    A plan for robots that turn on the spot may take long: they wait for it, as in a pause.
+    """
+    is_filmed = now_ns - frame_ns <= rules.limits.stale * SECOND
+    turn_ns = round(PAUSE_S * SECOND) + rules.silence_ns
+    return is_filmed and (pace.ahead or now_ns - pace.directed_ns < turn_ns)
+
+
+# ---- speed ----
+
+
+def too_fast(rules: GuardRules, robot: int, earlier: Pose, pose: Pose, dt_ns: int) -> Excess | None:
+    """Check that a robot can have come from an earlier pose to a pose within a time."""
+    dt_s = dt_ns / SECOND
+    reach = FASTER * rules.speeds[robot] * dt_s + rules.limits.jump_mm / rules.mm
+    distance = pose.distance_to(earlier)
+    if distance > reach:
+        return Excess("speed", distance * rules.mm, reach * rules.mm, "mm", robot)
+    reach_rad = FASTER * rules.turning[robot] * dt_s + JUMP_HEADING
+    angle = abs(math.remainder(pose.heading - earlier.heading, math.tau))
+    if angle > reach_rad:
+        return Excess("speed", angle, reach_rad, "rad", robot)
+    return None
+
+
+# ---- arena, obstacle, separation ----
+
+
+class Places(GuardCheck):
+    """Aborts a run before a robot leaves the arena, enters an obstacle or touches another robot.
+
+    A robot that was lost stands at its last pose.
+    """
+
+    def __init__(self, rules: GuardRules) -> None:
+        self._rules = rules
+        self._largest_error = rules.largest_error
+        self._speeds: Sequence[float] = (0.0,) * len(rules.names)  # of the last transmission
+        self._turning: Sequence[float] = (0.0,) * len(rules.names)
+        self._least: dict[int, float] = {}  # each robot's least depth in obstacles so far
+
+    def start(self) -> None:
+        """Forget where the robots were."""
+        self._least.clear()
+
+    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
+        """Take note of a transmission; see `GuardCheck.sent`."""
+        self._speeds = speed
+        self._turning = turning
+
+    def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
+        """Check where the robots are."""
+        arena = self._rules.arena
+        now: dict[str, Pose] = {}
+        then: dict[str, Pose] = {}
+        for i, robot in enumerate(robots):
+            name = self._rules.names[i]
+            pose = robot.pose
+            if pose is None:
+                continue
+            now[name] = pose
+            then[name] = driven(pose, robot.way)
+            if outside(arena, then[name]) > outside(arena, pose):
+                excess = beyond_edge(self._rules, i, then[name])
+                yield Abort(f"{name} is about to leave the arena", excess=excess)
+            if self.enters(i, pose):
+                depth_mm = self._depth_then(i, pose) * self._rules.mm
+                excess = Excess("obstacle", depth_mm, 0.0, "mm", i)
+                yield Abort(f"{name} is about to enter an obstacle", excess=excess)
+        yield from too_close(now, then, self._rules)
+
+    def enters(self, i: int, pose: Pose) -> bool:
+        """Check whether robot i is in an obstacle, or will be after its reaction time.
+
+        The prediction uses the rates of the last transmission. A robot that has touched an obstacle
+        since the run started may leave it, but not go deeper.
+        """
+        noise = self._largest_error
+        depth = self._depth(pose.x, pose.y)
+        least = self._least[i] = min(depth, self._least.get(i, depth))
+        if least > -noise:
+            return depth > max(least, 0.0) + noise
+        return depth > 0.0 or self._depth_then(i, pose) > 0.0
+
+    def _depth_then(self, i: int, pose: Pose) -> float:
+        """Return how deep robot i will be in an obstacle after its reaction."""
+        reaction_s = self._rules.limits.reaction
+        turned = self._turning[i] * reaction_s
+        dx, dy = rolled(pose.heading, turned, self._speeds[i] * reaction_s)
+        return self._depth(pose.x + dx, pose.y + dy)
+
+    def _depth(self, x: float, y: float) -> float:
+        """Return how deep a centre is in an obstacle, negative outside; -inf if none is near."""
+        deepest = -math.inf
+        near = self._largest_error
+        for shape in self._rules.obstacles:
+            left, bottom, right, top = shape.box
+            if left - near <= x <= right + near and bottom - near <= y <= top + near:
+                distance = shape.distance(np.array(x), np.array(y))
+                deepest = max(deepest, -float(distance))
+        return deepest
+
+
+def outside(arena: Bounds, pose: Pose) -> float:
+    """Return a pose's distance from the arena, 0 inside."""
+    return math.hypot(
+        max(arena.left - pose.x, 0.0, pose.x - arena.right),
+        max(arena.bottom - pose.y, 0.0, pose.y - arena.top),
+    )
+
+
+def beyond_edge(rules: GuardRules, robot: int, then: Pose) -> Excess:
+    """Return by how much a robot will be outside the arena."""
+    return Excess("arena", outside(rules.arena, then) * rules.mm, 0.0, "mm", robot)
+
+
+def driven(pose: Pose, way: float) -> Pose:
+    """Return a pose moved along its heading by `way`."""
+    dx = way * math.cos(pose.heading)
+    dy = way * math.sin(pose.heading)
+    return Pose(pose.x + dx, pose.y + dy, pose.heading)
+
+
+def too_close(
+    now: Mapping[str, Pose], then: Mapping[str, Pose], rules: GuardRules
+) -> Iterator[Finding]:
+    """Find pairs of robots that come closer than the minimum distance.
+
+    Args:
+        now: Present poses, by robot.
+        then: Poses when the robots could be stopped, by robot.
+        rules: The limits.
+
+    Yields:
+        An abort for each pair.
+    """
+    least_mm = rules.limits.separation_mm
+    names = list(now)
+    for i, name in enumerate(names):
+        for neighbour in names[:i]:
+            gap = now[name].distance_to(now[neighbour])
+            gap_then = then[name].distance_to(then[neighbour])
+            if gap_then <= gap and gap_then * rules.mm < least_mm:
+                robot = rules.names.index(name)
+                excess = Excess("separation", gap_then * rules.mm, least_mm, "mm", robot)
+                text = f"{neighbour} and {name} are too close: {gap * rules.mm:.0f} mm"
+                yield Abort(text, excess=excess)

@@ -1,0 +1,142 @@
+"""Shows the frames and commands of a log to a guard again.
+
+A log holds the poses that the guard of the trial accepted. A pose that it refused is in no log: the
+robot then counts as untracked. Heights, tilts and unknown bodies are not logged either.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pkgutil import resolve_name
+
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command, Steer, Stop
+from tetractl.core.poses import CameraFrame, Pose
+from tetractl.lab.guard_checks import ChecksOf, robot_checks
+from tetractl.lab.guard_observer import GuardObserver, Intervention
+from tetractl.lab.guard_rules import GuardRules
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.model.wheels import body_velocity
+from tetractl.spec.experiment import Experiment
+from tetractl.spec.lab_section import LabLimits, LabSection
+
+TICK_NS = SECOND // 100
+"""Time between two decisions of the guard if nothing else happens: that of the inner loop."""
+KERNEL_CHECKS = ("frame", "direction", "tracking", "speed", "arena", "obstacle", "separation")
+"""Checks of every log, in the order of a table."""
+WHEEL_CHECKS = ("frozen", "motion", "drift", "wheels")
+"""Checks that compare poses with logged wheel speeds."""
+
+
+@dataclass(frozen=True, slots=True)
+class GuardReport:
+    """What a guard would have done in a trial.
+
+    Attributes:
+        interventions: All that it would have done, the oldest first.
+        watched_s: Time in which robots were driven [s].
+        checks: Names of the checks that could find something in this log.
+        began_ns: Time 0 of what users see [ns].
+    """
+
+    interventions: tuple[Intervention, ...]
+    watched_s: float
+    checks: tuple[str, ...]
+    began_ns: int
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class LogEvent:
+    """A frame or command of a log, ordered as the inner loop met them: frames first."""
+
+    t_ns: int
+    is_command: bool
+    row: int
+
+
+def events_of(log: TrialLog) -> list[LogEvent]:
+    """List the frames and commands of a log in the order in which they reached the guard."""
+    events = [LogEvent(int(t_ns), False, i) for i, t_ns in enumerate(log.received_ns)]
+    events += [LogEvent(command.sent_ns, True, i) for i, command in enumerate(log.commands)]
+    return sorted(events)
+
+
+def camera_frame(log: TrialLog, row: int) -> CameraFrame:
+    """Build the camera frame of a row of the log, with the poses that were accepted."""
+    poses = tuple(
+        Pose(*pose) if valid else None
+        for pose, valid in zip(log.mocap[row].tolist(), log.valid[row], strict=True)
+    )
+    seen = log.sample(row).observation
+    return CameraFrame(
+        seen.frame, seen.sampled_ns, seen.received_ns, poses, exposed_ns=seen.exposed_ns
+    )
+
+
+def checks_of_lab(experiment: Experiment) -> ChecksOf:
+    """Return the checks that the guard of a spec's lab has.
+
+    If the spec has no lab, these are the checks of robots on wheels.
+    """
+    plant = experiment.plant
+    return resolve_name(plant.actuator.checks) if isinstance(plant, LabSection) else robot_checks
+
+
+def observe_log(log: TrialLog, limits: LabLimits | None = None) -> GuardReport:
+    """Let the guard watch a trial again, and report what it would have done.
+
+    Args:
+        log: A trial of a lab, an emulated lab, or a simulation.
+        limits: Limits to try. By default, those of the spec's lab; without a lab, the defaults.
+
+    Returns:
+        The guard's interventions, and the time for which it watched.
+    """
+    plant = log.experiment.plant
+    if limits is None:
+        limits = plant.limits if isinstance(plant, LabSection) else LabLimits()
+    rules = GuardRules.of(log.start.setup, limits)
+    observer = GuardObserver(rules, checks_of_lab(log.experiment))
+    steps = {step.command.sent_ns: step.deadline_missed for step in log.steps}
+    ticked_ns = 0
+    for event in events_of(log):
+        for tick_ns in _ticks(ticked_ns, event.t_ns):
+            observer.decide(tick_ns)
+        ticked_ns = event.t_ns
+        if event.is_command:
+            command = log.commands[event.row]
+            if not steps or command.sent_ns in steps:
+                observer.note_step(event.t_ns, steps.get(command.sent_ns, False))
+                _note_action(observer, command)
+            elif isinstance(command.action, Stop):
+                observer.end_run()
+            _note_speeds(observer, log, command)
+        else:
+            observer.check_frame(event.t_ns, camera_frame(log, event.row))
+        observer.decide(event.t_ns)
+    knows_speeds = any(command.left is not None for command in log.commands)
+    checks = KERNEL_CHECKS + (WHEEL_CHECKS if knows_speeds else ())
+    watched_s = observer.watched_ns / SECOND
+    return GuardReport(tuple(observer.interventions), watched_s, checks, log.began_ns)
+
+
+def _ticks(since_ns: int, until_ns: int) -> Iterator[int]:
+    """Yield the times of decisions between two events; few if nothing happened before."""
+    if since_ns:
+        yield from range(since_ns + TICK_NS, until_ns, TICK_NS)
+
+
+def _note_action(observer: GuardObserver, command: Command) -> None:
+    """Pass on what the controller decided."""
+    if isinstance(command.action, Stop):
+        observer.end_run()
+        return
+    observer.start_run(command.sent_ns)
+    observer.note_direction(command.sent_ns, isinstance(command.action, Steer))
+
+
+def _note_speeds(observer: GuardObserver, log: TrialLog, command: Command) -> None:
+    """Pass on the motion that was commanded, if the log has it."""
+    radius = log.start.setup.wheel_radius
+    if radius is not None and command.left is not None and command.right is not None:
+        speed, turning = body_velocity(command.left, command.right, radius)
+        observer.note_transmission(command.sent_ns, speed.tolist(), turning.tolist())

@@ -5,7 +5,7 @@
     python benchmarks/guard.py slow --plays 3     poses that leave slowly
     python benchmarks/guard.py slip --plays 6     a pose that turns only while its robot drives
     python benchmarks/guard.py culprits           what the reasons name
-    python benchmarks/guard.py alarms --plays 1000    the same trials with nothing wrong
+    python benchmarks/guard.py alarms --first 0 --plays 1000    the same trials with nothing wrong
 
 prints the figures of docs/reference/faults.md. Three m3pi robots drive by model predictive control
 in the emulated lab, in virtual time, before a camera with noise of 0.3 mm and 4 mrad; each wheel is
@@ -184,9 +184,15 @@ PARTS = {
 }
 
 
-def alarms(trials: int, rate_hz: float) -> None:
+def alarms(first: int, trials: int, rate_hz: float) -> None:
     """Print each trial that did not end by itself or in which a pose was refused, and counts with
-    the greatest statistic of the drift check."""
+    the greatest statistic of the drift check.
+
+    Args:
+        first: Index of the first trial, which determines its random draws.
+        trials: Number of trials.
+        rate_hz: Camera frames a second.
+    """
     peak = 0.0
     labs: list[VirtualLab] = []
     ended = Counter[str]()
@@ -199,24 +205,26 @@ def alarms(trials: int, rate_hz: float) -> None:
         nonlocal peak
         peak = max(peak, labs[-1].plant.rig.loop.guard.drift.worst)
 
-    for trial in range(trials):
+    for trial in range(first, first + trials):
         result = trial_of(watch, trial, rate_hz)
         refusals = labs[-1].plant.rig.loop.guard.refusals
         how = "complete" if result.outcome.complete else _first(ENDS, result.reason)
         ended[how] += 1
         if refusals or not result.outcome.complete:
             print(f"trial {trial}: {result.summary}, {refusals} poses refused", flush=True)
-    print(f"{trials} trials: {_counts(ended)}; greatest statistic {peak:.1f}")
+    last = first + trials - 1
+    print(f"trials {first} to {last}: {_counts(ended)}; greatest statistic {peak:.1f}")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("part", nargs="?", choices=[*PARTS, "alarms"], default="shown")
     parser.add_argument("--plays", type=int, default=2, metavar="N", help="of each row; trials")
+    parser.add_argument("--first", type=int, default=0, metavar="K", help="first trial of alarms")
     parser.add_argument("--rate", type=float, default=CAMERA_HZ, help="camera frames a second")
     chosen = parser.parse_args()
     if chosen.part == "alarms":
-        alarms(chosen.plays, chosen.rate)
+        alarms(chosen.first, chosen.plays, chosen.rate)
         return
     print("| shown | ended | named | off [mm] | stop [s] | rest [s] | driven [mm] | later |")
     print(f"|---|---|---{'|--:' * 5}|")

@@ -25,12 +25,18 @@ from tetractl.tools.table.table import Column, Table
 from tetractl.tools.table.terminal_table import print_tables
 
 
-def create(folder: Path, robot: int) -> tuple[Floats, Floats]:
-    """Return a run's poses (M, 4) of time, x, y, heading and commands (K, 3) of time, v, w; times
-    count from the first command."""
+def recorded(folder: Path, robot: int) -> tuple[Floats, Floats]:
+    """Return a robot's poses (M, 4) of time, x, y, heading and commands (K, 3) of time, v, w, with
+    the times of the files."""
     poses = np.loadtxt(folder / f"Robot{robot}_Groundtruth.dat", ndmin=2)
     sent = np.loadtxt(folder / f"Robot{robot}_Odometry.dat", ndmin=2)
     sent = sent[np.diff(sent[:, 0], prepend=-np.inf) > 0]  # some rows are twice in the files
+    return poses, sent
+
+
+def create(folder: Path, robot: int) -> tuple[Floats, Floats]:
+    """Return a run's poses and commands as `recorded`; times count from the first command."""
+    poses, sent = recorded(folder, robot)
     poses[:, 0] -= sent[0, 0]
     sent[:, 0] -= sent[0, 0]
     return poses, sent

@@ -191,8 +191,10 @@ class Guard:
         return self._robots[i].hidden
 
     def refusal_excess(self, i: int) -> Excess | None:
-        """Return the value that led to the refusal of a robot's newest pose; None if there is no
-        such value, or if the pose was not refused."""
+        """Return the value that led to the refusal of a robot's newest pose.
+
+        The result is None if the pose was not refused, or if the reason has no number.
+        """
         return self._robots[i].decision.excess
 
     @property

@@ -6,8 +6,8 @@ A device for other robots brings its own list.
     DriftCheck    may the motion over the whole trial be that of its wheels?      Abort
     Places        does a robot leave the arena, enter an obstacle, touch another? Abort
 
-`Places` belongs to the guard's kernel (`lab.kernel`), the other two are statistical. The guard itself
-checks with its `RobotTrack` whether a body is lifted, or jumps.
+`Places` belongs to the guard's kernel (`lab.kernel`), the other two are statistical. The guard
+itself checks with its `RobotTrack` whether a body is lifted, or jumps.
 """
 
 from collections.abc import Callable

@@ -35,7 +35,7 @@ def example_files(name: str) -> dict[str, str]:
     """
     from tetractl.spec.examples import FOLDER, examples
     from tetractl.spec.yaml.document import parse_document
-    from tetractl.spec.yaml.files import read_text
+    from tetractl.spec.yaml.spec_files import read_text
 
     files = examples()
     name = name.removesuffix(".yaml").removeprefix(f"{FOLDER}/")

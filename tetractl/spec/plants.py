@@ -24,9 +24,9 @@ from tetractl.spec.loaded_spec import LoadedSpec, attach
 from tetractl.spec.packages import not_installed
 from tetractl.spec.plant import PlantSection
 from tetractl.spec.yaml.document import Document, parse_document
-from tetractl.spec.yaml.files import file_of_spec, read_text
 from tetractl.spec.yaml.problems import InvalidSpecError, Loc, dotted
 from tetractl.spec.yaml.settings import make_way
+from tetractl.spec.yaml.spec_files import file_of_spec, read_text
 
 
 @dataclass(frozen=True, slots=True)

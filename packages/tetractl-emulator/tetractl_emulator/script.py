@@ -15,8 +15,8 @@ from tetractl.core.errors import AbortError, SpecError
 from tetractl.spec.base import Finite, Model, Name, Point, with_tuples
 from tetractl.spec.explain_errors import list_of, words
 from tetractl.spec.yaml.document import Document, parse_document
-from tetractl.spec.yaml.files import read_text
 from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem, did_you_mean
+from tetractl.spec.yaml.spec_files import read_text
 from tetractl_emulator.faults import MARK, Fault
 from tetractl_emulator.process import PROCESS_FAULTS
 from tetractl_emulator.registries import EMULATED_ACTUATORS, EMULATED_CAMERAS

@@ -71,7 +71,7 @@ class EmulatedPlantSection(RigSection):
     def with_files(self, folder: Path | None) -> Self:
         """Return the section with the script in place of its file's name."""
         from tetractl.spec.yaml.document import read_document
-        from tetractl.spec.yaml.files import file_of_spec
+        from tetractl.spec.yaml.spec_files import file_of_spec
         from tetractl_emulator.script import load_script
 
         if not isinstance(self.faults, str):

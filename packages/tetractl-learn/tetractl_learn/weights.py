@@ -17,8 +17,8 @@ from pydantic import Field, field_validator
 from tetractl.core.errors import printable
 from tetractl.core.poses import Floats
 from tetractl.spec.base import Model
-from tetractl.spec.yaml.files import read_text
 from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem
+from tetractl.spec.yaml.spec_files import read_text
 
 WIDTH_MAX = 1000
 """Largest number of inputs or outputs of a layer."""

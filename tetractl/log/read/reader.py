@@ -35,7 +35,7 @@ from tetractl.log.read.trial_log import Damage, Origin, ResultSummary, TrialLog
 from tetractl.model.path_check import check_path
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.load import parse_written
-from tetractl.spec.yaml.files import MAX_BYTES
+from tetractl.spec.yaml.spec_files import MAX_BYTES
 
 
 def read_trial(path: Path) -> TrialLog:

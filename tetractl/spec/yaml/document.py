@@ -21,7 +21,6 @@ from tetractl.spec.yaml.core_yaml import (
     short_tag,
     within_limits,
 )
-from tetractl.spec.yaml.files import read_text
 from tetractl.spec.yaml.problems import (
     SHOWN_LENGTH,
     InvalidSpecError,
@@ -29,6 +28,7 @@ from tetractl.spec.yaml.problems import (
     SpecProblem,
     dotted,
 )
+from tetractl.spec.yaml.spec_files import read_text
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.setup import Setup
-from tetractl.spec.yaml.files import read_text
+from tetractl.spec.yaml.spec_files import read_text
 from tetractl.tools.table.table import plural
 
 ARROWS = {"right": 0.0, "up": math.pi / 2, "left": math.pi, "down": -math.pi / 2}

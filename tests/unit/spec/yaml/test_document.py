@@ -1,8 +1,8 @@
 import pytest
 
 from tetractl.spec.yaml.document import parse_document
-from tetractl.spec.yaml.files import MAX_BYTES, read_text
 from tetractl.spec.yaml.problems import InvalidSpecError
+from tetractl.spec.yaml.spec_files import MAX_BYTES, read_text
 
 pytestmark = pytest.mark.slow
 

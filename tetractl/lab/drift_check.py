@@ -217,8 +217,8 @@ class DriftCheck(GuardCheck):
     ) -> tuple[Abort, ...]:
         """Check the motion up to a frame; see `GuardCheck.frame`.
 
-        Repeated poses are left out. Wheels that may be wrong by more than STEADY, as before a
-        calibration, would explain any drift.
+        Repeated poses are left out. Nothing is checked while wheels may be wrong by more than
+        STEADY, as before a calibration: such wheels would explain any drift.
         """
         poses_before = self._poses
         times_before = self._times

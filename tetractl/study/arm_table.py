@@ -121,9 +121,9 @@ def given_note(arms: Sequence[Arm]) -> str:
 def unsafe_columns(
     names: Iterable[str], trials: Iterable[tuple[Arm, ResultSummary]]
 ) -> list[Column]:
-    """Return a column for each thing in SAFETY that happened.
+    """Return one column for each kind of unsafe event in SAFETY that occurred.
 
-    It contains in how many trials of each arm it happened.
+    A column lists in how many trials of each arm the event occurred.
     """
     happened = {label: Counter[str]() for label in SAFETY}
     for arm, trial in trials:

@@ -114,7 +114,7 @@ def interval_width(tables_of_set: Mapping[str, Any]) -> float:
 
 
 def misses_slope(tables_of_set: Mapping[str, Any]) -> bool:
-    """Return whether the interval of a set of tables does not hold the slope that was put in."""
+    """Return whether the interval from a set of tables excludes the slope that was simulated."""
     _, low, high = _fitted_to(tables_of_set)
     return not low <= tables_of_set["put in"] <= high
 

@@ -118,7 +118,13 @@ class _Scan:
         self._schemas: dict[int, Schema] = {}
 
     def whole(self) -> RawLog:
-        """Read the file record by record, search it if it is damaged, and sort the records."""
+        """Read the file record by record, and return what could be read, sorted.
+
+        If the file is damaged, it is also searched for records.
+
+        Raises:
+            LogError: If the file is not an MCAP file.
+        """
         begins = self._data.startswith(MAGIC)
         if not begins:
             self._problems.append("the file does not begin as an MCAP file")

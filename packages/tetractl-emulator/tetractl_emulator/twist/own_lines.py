@@ -86,9 +86,15 @@ class ReadsMessages(Protocol):
 
 
 class OwnRadio(LineRadio):
-    """The connection to the robot in a row of the setup, at `baud` bits per second.
+    """The connection to one robot that has a port of its own.
 
-    The side's `read` reads its messages.
+    Args:
+        stage: What the emulated devices share.
+        port: Name of the port.
+        side: Reads the robot's messages.
+        row: Index of the robot in the setup.
+        loss: Probability that a message is lost.
+        baud: Speed of the port [bits/s].
     """
 
     end = b""

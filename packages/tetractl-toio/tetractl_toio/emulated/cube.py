@@ -137,9 +137,9 @@ class Connection(RobotRadio):
         self._written += [data] * self.times
 
     def notify(self, message: bytes, passed: Any) -> None:
-        """Pass on a reading of the cube at the next event.
+        """Queue a reading of the cube, which is sent at the connection's next event.
 
-        `passed` is called then, if the reading is the newest that is not lost.
+        `passed` is called then, if this reading is the newest of those that are not lost.
         """
         self._noted.append((message, passed))
 

@@ -40,7 +40,7 @@ def answered(content: bytes) -> tuple[int, bytes, bytes | None] | None:
 
 
 def encode(content: bytes) -> bytes:
-    """Return the frame for a content.
+    """Pack a message into an API frame.
 
     Raises:
         WireError: If the content is empty or too long.

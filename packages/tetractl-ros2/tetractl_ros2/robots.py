@@ -4,31 +4,45 @@ A twist v, w asks a robot on two wheels at the distance r from its centre for th
 
     left = v - r w,    right = v + r w.
 
-The counts of `WheeledActuator` are wheel speeds in units of UNIT_MM.
+The counts of `WheeledActuator` are wheel speeds in units of UNIT_MM. Robots that steer themselves
+are sent the direction instead of a twist. The wheel speeds are then what they make of it, by the
+spec's values and the pose that the camera has shown.
 """
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock, wait_for
-from tetractl.core.poses import Floats
+from tetractl.core.commands import Steer, Transmission, Turn
+from tetractl.core.poses import Floats, Pose
 from tetractl.core.protocols import EMULATED_NAME, Health, RobotStatus
 from tetractl.core.setup import Setup
 from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_speed
 from tetractl.lab.serial_port import PortGroup, Ports, SerialPort, stop_all_at
 from tetractl.model.wheels import CountArray
 from tetractl.spec.lab_section import entry
-from tetractl_ros2.messages import BatteryState, Bool, Header, Time, Twist, TwistStamped, Vector3
-from tetractl_ros2.section import UNIT_MM, Ros2Section
+from tetractl_ros2.messages import (
+    BatteryState,
+    Bool,
+    Header,
+    Time,
+    Twist,
+    TwistStamped,
+    Vector3,
+    Vector3Stamped,
+)
+from tetractl_ros2.section import DIRECTION, UNIT_MM, Ros2Section
 from tetractl_ros2.topics import battery_topics, command_topics, emergency_topic
 from tetractl_ros2.wire import TopicPort, ports_of
 
 BASE_FRAME = "base_link"
 """The frame of a TwistStamped: the robot's own."""
+WORLD = "world"
+"""The frame of a direction: the spec's axes."""
 EMPTY = 10.0
 """Charge below which a robot would soon stop [%]."""
 HINT = "is the robot's driver running, in the same ROS domain?"
@@ -59,6 +73,7 @@ class Ros2Robots(WheeledActuator):
     ) -> None:
         self.section = section
         self._unix_ns = unix_ns
+        self._vector = Vector3()  # of the newest direction
         robots = [entry(section.robots, name) for name in setup.names]
         self._batteries: list[BatteryState | None] = [None] * len(robots)
         commands = command_topics(section, setup)
@@ -142,30 +157,48 @@ class Ros2Robots(WheeledActuator):
         warns = charge is not None and EMPTY <= charge < self.section.battery_warn
         return RobotStatus(answers, volts, problems, (low,) * warns, charge)
 
-    def twist(self, row: int, left: float, right: float) -> bytes:
-        """Return the message that asks the robot in a row of the setup for wheel speeds.
+    def send(
+        self,
+        action: Steer | Turn,
+        poses: Sequence[Pose | None],
+        moving: Sequence[bool],
+        exposed_ns: int,
+    ) -> Transmission:
+        """Send each robot its command; robots not `moving` stand."""
+        self._vector = _vector(action)
+        return super().send(action, poses, moving, exposed_ns)
+
+    def command(self, row: int, left: float, right: float) -> bytes:
+        """Return the message to the robot in a row of the setup that asks for wheel speeds.
+
+        A robot that steers itself is sent the direction instead, if it is to move at all.
 
         Args:
             row: The robot's place in the setup.
             left: Speed of the left wheel [mm/s].
             right: Speed of the right wheel [mm/s].
         """
+        if self.section.message == DIRECTION:
+            vector = self._vector if left or right else Vector3()
+            return Vector3Stamped(header=self._header(WORLD), vector=vector).serialize()
         speed_m_s = (left + right) / 2000
         turning = (right - left) / (2 * float(self.radii[row]))
         message = Twist(linear=Vector3(x=speed_m_s), angular=Vector3(z=turning))
         if self.section.message == "Twist":
             return message.serialize()
+        return TwistStamped(header=self._header(BASE_FRAME), twist=message).serialize()
+
+    def _header(self, frame: str) -> Header:
         sec, nanosec = divmod(self._unix_ns(), SECOND)
-        header = Header(stamp=Time(sec, nanosec), frame_id=BASE_FRAME)
-        return TwistStamped(header=header, twist=message).serialize()
+        return Header(stamp=Time(sec, nanosec), frame_id=frame)
 
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
         asked = outputs * UNIT_MM
-        messages = [self.twist(row, *pair) for row, pair in enumerate(asked.T.tolist())]
+        messages = [self.command(row, *pair) for row, pair in enumerate(asked.T.tolist())]
         return self._send(self._command_ports, messages), outputs * self._gain
 
     def _halt(self, emergency: bool) -> int:
-        messages = [self.twist(row, 0.0, 0.0) for row in range(len(self.names))]
+        messages = [self.command(row, 0.0, 0.0) for row in range(len(self.names))]
         ports = self._command_ports
         if emergency and self._emergency_port is not None:
             ports = [*ports, self._emergency_port]
@@ -183,6 +216,13 @@ class Ros2Robots(WheeledActuator):
     def _hear(self, row: int, data: bytes, _at_ns: int) -> None:
         if data:
             self._batteries[row] = BatteryState.deserialize(data)
+
+
+def _vector(action: Steer | Turn) -> Vector3:
+    """Return the vector of a direction; z is 1 if robots are to turn on the spot."""
+    if isinstance(action, Steer):
+        return Vector3(math.cos(action.direction), math.sin(action.direction), 0.0)
+    return Vector3(math.cos(action.facing), math.sin(action.facing), 1.0)
 
 
 def stop_all(section: Ros2Section, setup: Setup, clock: Clock, alone: bool) -> str:

@@ -2,17 +2,21 @@
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, Field
 
+from tetractl.core.errors import UsageError
 from tetractl.core.setup import Setup
 from tetractl.lab.actuators.wheeled_section import Found, wheel_gains
 from tetractl.spec.base import Angle, NonNegative, Point, Positive
 from tetractl.spec.lab_section import (
     ActuatorSection,
     CameraSection,
+    LabLimits,
+    LabSection,
+    Measured,
     RobotPart,
     entry,
     mismatches,
@@ -24,6 +28,8 @@ from tetractl.spec.yaml.problems import Loc
 BODY = "{body}"
 """In the name of a topic: stands for each robot's `body`, so that each robot has its own topic."""
 NAME = re.compile(r"(/[A-Za-z_{][A-Za-z0-9_{}]*)+")
+DIRECTION = "Vector3Stamped"
+"""The message of robots that steer themselves by the common direction."""
 UNIT_MM = 0.1
 """The wheel speed that counts as 1 [mm/s]: a Twist holds numbers that are not whole."""
 RATE_PER_WATCHDOG = 3
@@ -144,7 +150,7 @@ class Ros2Robot(RobotPart):
 
 
 class Ros2Section(ActuatorSection):
-    """Robots of a ROS 2 graph that are driven by twists: a speed and a turning rate."""
+    """Robots of a ROS 2 graph that take twists, or the common direction."""
 
     device: ClassVar[str] = "tetractl_ros2.robots:Ros2Robots"
     calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
@@ -153,8 +159,10 @@ class Ros2Section(ActuatorSection):
     type: Literal["ros2"]
     domain: Domain = 0
     """The ROS domain: ROS_DOMAIN_ID of the robots."""
-    message: Literal["Twist", "TwistStamped"] = "Twist"
-    """The message of a command, of geometry_msgs."""
+    message: Literal["Twist", "TwistStamped", "Vector3Stamped"] = "Twist"
+    """The message of a command, of geometry_msgs. Robots that steer themselves take Vector3Stamped:
+    the common direction u as (cos u, sin u, 0), (0, 0, 0) to stand, and z = 1 to turn on the spot.
+    They turn towards u at a sin(u - heading) and drive at their speed, by the spec's values."""
     stops_after: float | None = Field(default=None, ge=0.1, le=5, allow_inf_nan=False)
     """Time without a command after which a robot's own program stops it [s]. ROS 2 has no such
     watchdog: the robot's driver must. None if it has none."""
@@ -193,6 +201,27 @@ class Ros2Section(ActuatorSection):
                 ("rate",),
                 f"must be {RATE_PER_WATCHDOG} commands in {self.stops_after:g} s or more",
             )
+
+    def beside(self, camera: CameraSection) -> Iterator[tuple[Loc, str]]:
+        """Yield that robots which steer themselves have other axes than the spec."""
+        rotated = isinstance(camera, Ros2CameraSection) and camera.rotation != 0
+        if self.message == DIRECTION and rotated:
+            text = "sends directions in the spec's axes, so camera.rotation must be 0"
+            yield ("message",), text
+
+    def calibrate(
+        self,
+        lab: LabSection,
+        make_rig: Callable[[LabLimits, Setup], Any],
+        setup: Setup,
+        names: Sequence[str],
+        limit: int,
+        report: Callable[[str], None],
+    ) -> Measured:
+        """Calibrate the robots as `ActuatorSection` does; those that steer themselves cannot be."""
+        if self.message == DIRECTION:
+            raise UsageError("robots that steer themselves cannot be calibrated")
+        return super().calibrate(lab, make_rig, setup, names, limit, report)
 
     def bounds(self) -> dict[str, str]:
         """Return topics, rate, watchdog and maximum wheel speed as {name: text}, for display."""

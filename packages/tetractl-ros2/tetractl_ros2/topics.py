@@ -13,6 +13,7 @@ from tetractl_ros2.messages import (
     TFMessage,
     Twist,
     TwistStamped,
+    Vector3Stamped,
 )
 from tetractl_ros2.section import Ros2CameraSection, Ros2Section
 from tetractl_ros2.wire import Topic
@@ -23,7 +24,11 @@ POSES: dict[str, type[IdlStruct]] = {
     "TFMessage": TFMessage,
     "NamedPoseArray": NamedPoseArray,
 }
-COMMANDS: dict[str, type[IdlStruct]] = {"Twist": Twist, "TwistStamped": TwistStamped}
+COMMANDS: dict[str, type[IdlStruct]] = {
+    "Twist": Twist,
+    "TwistStamped": TwistStamped,
+    "Vector3Stamped": Vector3Stamped,
+}
 EMULATED = "/tetractl/emulated"
 """The topic at which an emulated tracker says that it is not real."""
 

@@ -6,15 +6,16 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
 from tetractl_emulator.contract import check_lab
-from tetractl_ros2.messages import BatteryState, Bool, Twist, TwistStamped
+from tetractl_ros2.messages import BatteryState, Bool, Twist, TwistStamped, Vector3Stamped
 from tetractl_ros2.robots import Ros2Robots
 
 from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.core.commands import Steer
-from tetractl.core.errors import AbortError
+from tetractl.core.commands import Steer, Turn
+from tetractl.core.errors import AbortError, UsageError
 from tetractl.core.poses import Pose
 from tetractl.spec.lab_template import lab_template
 from tetractl.spec.load import parse_spec
+from tetractl.spec.yaml.problems import InvalidSpecError
 
 TEMPLATE = lab_template("ros2", "ros2").replace("@NAME@", "name: graph")
 NAMES = ("green", "blue", "red")
@@ -68,8 +69,9 @@ def robots_of(experiment, **options):
     return Ros2Robots(actuator, experiment.setup, VirtualClock(), ports.make, **options), ports
 
 
-def test_the_lab_relies_on_nothing_that_is_missing():
-    experiment = spec()
+@pytest.mark.parametrize("message", ["Twist", "TwistStamped", "Vector3Stamped"])
+def test_the_lab_relies_on_nothing_that_is_missing(message):
+    experiment = spec(("message: Twist ", f"message: {message} "))
     check_lab(experiment.lab, experiment.setup)
 
 
@@ -93,6 +95,33 @@ def test_a_stamped_twist_has_the_time_since_1970():
     message = TwistStamped.deserialize(ports.sent["/green/cmd_vel"][-1])
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (1_700_000_000, 5)
     assert message.twist == Twist()
+
+
+def vectors(ports, name):
+    sent = [Vector3Stamped.deserialize(data).vector for data in ports.sent[f"/{name}/cmd_vel"]]
+    return [(o.x, o.y, o.z) for o in sent]
+
+
+def test_robots_that_steer_themselves_are_sent_the_direction_and_stand_alone():
+    robots, ports = robots_of(spec(("message: Twist ", "message: Vector3Stamped ")))
+    poses = [Pose(0.0, 0.0, 0.0)] * 3
+    with robots:
+        robots.send(Steer(0.5), poses, (True, False, True), 0)
+        robots.send(Turn(0.5), poses, (True, True, True), 0)
+        robots.stop()
+    driving = (math.cos(0.5), math.sin(0.5), 0.0)
+    turning = (math.cos(0.5), math.sin(0.5), 1.0)
+    assert vectors(ports, "green") == [driving, turning, (0.0, 0.0, 0.0)]
+    assert vectors(ports, "blue") == [(0.0, 0.0, 0.0), turning, (0.0, 0.0, 0.0)]
+
+
+def test_robots_that_steer_themselves_need_the_axes_of_the_spec():
+    steered = ("message: Twist ", "message: Vector3Stamped ")
+    with pytest.raises(InvalidSpecError, match=r"so camera\.rotation must be 0"):
+        spec(steered, ("frame: world ", "frame: world\n    rotation: 0.1 "))
+    section = spec(steered).lab.actuator
+    with pytest.raises(UsageError, match="cannot be calibrated"):
+        section.calibrate(None, None, None, [], 1, print)
 
 
 def test_only_an_emergency_stop_is_sent_to_the_common_topic():

@@ -28,7 +28,7 @@ def spec(old="", new=""):
         ("stops_after: 0.5", "stops_after: 0.5\n    rate: 10\n    delay: -1", "delay"),
         ("stops_after: 0.5", "stops_after: 0.2\n    rate: 10", "must be 3 commands in 0.2 s"),
         ("stops_after: 0.5", "stops_after: null", "is missing, though wheels.watchdog says 0.5 s"),
-        ("speed_max_mm_s: 220", "speed_max_mm_s: 100", "is below the speed of"),
+        ("speed_max_mm_s: 320", "speed_max_mm_s: 100", "is below the speed of"),
         ("domain: 0 ", "domain: 233 ", "232"),
     ],
 )

@@ -1,5 +1,6 @@
 """The emulated actuator of type `ros2`: robots that follow twists, and publish their batteries."""
 
+import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, ClassVar
@@ -16,9 +17,9 @@ from tetractl.core.protocols import EMULATED_NAME
 from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.model.wheels import Counts
 from tetractl_ros2.emulated.plug import on_topics
-from tetractl_ros2.messages import BatteryState, Bool, Twist, TwistStamped
+from tetractl_ros2.messages import BatteryState, Bool, Twist, Vector3, Vector3Stamped
 from tetractl_ros2.section import UNIT_MM, Ros2Section
-from tetractl_ros2.topics import battery_topics, command_topics, emergency_topic
+from tetractl_ros2.topics import COMMANDS, battery_topics, command_topics, emergency_topic
 
 NETWORK_BAUD = 10_000_000
 """Speed of a slow wireless network [bits/s]."""
@@ -91,7 +92,8 @@ class EmulatedRos2Robots(PortedSide):
         domain = section.domain
         stage = on_topics(stage, domain, known)
         self._watchdog_s = section.stops_after or NO_WATCHDOG_S
-        self._message = Twist if section.message == "Twist" else TwistStamped
+        self._message = COMMANDS[section.message]
+        self._setup = stage.setup
         super().__init__(stage, settings, (section.speed_max_mm_s / UNIT_MM, UNIT_MM))
         self.radios = [
             OwnRadio(stage, topic.address(domain), self, row, settings.loss, NETWORK_BAUD)
@@ -108,10 +110,22 @@ class EmulatedRos2Robots(PortedSide):
     def read(self, message: bytes, row: int) -> Counts:
         """Return the wheel speeds left, right [UNIT_MM mm/s] that a message asks for."""
         decoded: Any = self._message.deserialize(message)
-        twist = decoded if isinstance(decoded, Twist) else decoded.twist
-        speed = twist.linear.x * 1000
-        rim = twist.angular.z * float(self.radii[row])
+        if isinstance(decoded, Vector3Stamped):
+            speed, turning = self._steered(decoded.vector, row)
+        else:
+            twist = decoded if isinstance(decoded, Twist) else decoded.twist
+            speed = twist.linear.x * 1000
+            turning = twist.angular.z
+        rim = turning * float(self.radii[row])
         return round((speed - rim) / UNIT_MM), round((speed + rim) / UNIT_MM)
+
+    def _steered(self, vector: Vector3, row: int) -> tuple[float, float]:
+        """Return the speed [mm/s] and the turning rate [rad/s] of a robot that steers itself."""
+        if not math.hypot(vector.x, vector.y):
+            return 0.0, 0.0
+        ahead = math.atan2(vector.y, vector.x) - self.robots[row].heading
+        speed = 0.0 if vector.z else float(self._setup.speed[row]) * self._setup.metres * 1000
+        return speed, float(self._setup.a[row]) * math.sin(ahead)
 
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults

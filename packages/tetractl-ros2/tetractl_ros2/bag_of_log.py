@@ -56,7 +56,7 @@ def write_bag(trial: TrialLog, folder: Path) -> int:
     if not folder.parent.is_dir():
         raise UsageError(f"{printable(str(folder))}: there is no folder {folder.parent}")
     store = get_typestore(Stores.ROS2_HUMBLE)
-    entries = sorted(Messages(trial, store).entries(), key=lambda entry: entry[0])
+    entries = sorted(BagMessages(trial, store).entries(), key=lambda entry: entry[0])
     try:
         with Writer(folder, version=VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
             connections: dict[str, Any] = {}
@@ -77,7 +77,7 @@ def topic_part(name: str, index: int) -> str:
     return part if re.match(r"[A-Za-z]", part) else f"robot_{index}_{part}"
 
 
-class Messages:
+class BagMessages:
     """Makes the messages of a trial, of the types in `store`, a type store of rosbags."""
 
     def __init__(self, trial: TrialLog, store: Any) -> None:

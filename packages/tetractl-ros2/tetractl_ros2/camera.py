@@ -21,11 +21,11 @@ from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
 from tetractl.lab.serial_port import UNREADABLE, Ports
 from tetractl.spec.lab_section import entry
 from tetractl.tools.worker import drained
-from tetractl_ros2.frame_group import FrameGroup, Reading, Readings
+from tetractl_ros2.body_readings import BodySighting, bare, sightings
+from tetractl_ros2.frame_group import FrameGroup, Readings, RobotReading
 from tetractl_ros2.section import Ros2CameraSection
-from tetractl_ros2.sightings import Sighting, bare, sightings
+from tetractl_ros2.topic_port import TopicPort, ports_of
 from tetractl_ros2.topics import POSES, emulated_topic, pose_topics
-from tetractl_ros2.wire import TopicPort, ports_of
 
 FIRST_S = 5.0
 """Maximum time until every robot has a pose [s]: nodes have to find each other first."""
@@ -256,7 +256,7 @@ class Ros2Camera:
             self.damaged += 1
             self._first_damaged = self._first_damaged or f"{text_of(error)}, in {data[:60]!r}"
             return
-        by_stamp: dict[int, dict[int, Reading]] = {}
+        by_stamp: dict[int, dict[int, RobotReading]] = {}
         for sighting in shown:
             row = self._row(topic, sighting)
             if row is not None:
@@ -270,7 +270,7 @@ class Ros2Camera:
         if complete:  # what came in one message is one frame, also with several stamps
             self._pass_on(complete[-1], at_ns)
 
-    def _row(self, topic: int, sighting: Sighting) -> int | None:
+    def _row(self, topic: int, sighting: BodySighting) -> int | None:
         """Return the place in the setup of the robot that is shown, None if it is none of ours."""
         if sighting.body is not None:
             self._bodies.add(sighting.body)
@@ -280,7 +280,9 @@ class Ros2Camera:
             return None
         return row
 
-    def _reading(self, topic: int, row: int, sighting: Sighting, at_ns: int) -> tuple[int, Reading]:
+    def _reading(
+        self, topic: int, row: int, sighting: BodySighting, at_ns: int
+    ) -> tuple[int, RobotReading]:
         """Return the stamp and the reading of a robot that a message shows."""
         late_ns = 0
         stamp = sighting.stamp_ns
@@ -292,14 +294,14 @@ class Ros2Camera:
         latency_ns = round(self.section.latency * SECOND)
         exposed_ns = max(0, at_ns - latency_ns - late_ns)
         pose = self._place.pose(sighting.rigid, UpAxis.Z, self._offsets[row])
-        return stamp, Reading(pose, exposed_ns)
+        return stamp, RobotReading(pose, exposed_ns)
 
-    def _add_untracked(self, by_stamp: dict[int, dict[int, Reading]]) -> None:
+    def _add_untracked(self, by_stamp: dict[int, dict[int, RobotReading]]) -> None:
         """Add the robots that a message of all bodies does not show: they are not tracked."""
         for readings in by_stamp.values():
             exposed_ns = next(iter(readings.values())).exposed_ns
             for row in range(len(self.setup.names)):
-                readings.setdefault(row, Reading(None, exposed_ns))
+                readings.setdefault(row, RobotReading(None, exposed_ns))
 
     def _pass_on(self, readings: Readings, at_ns: int) -> None:
         """Let the frame of these readings wait to be read, if it is newer than the last one."""

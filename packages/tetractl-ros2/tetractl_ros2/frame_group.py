@@ -5,7 +5,7 @@ once every robot that kept step before has come. Robots that localise themselves
 their own: each of their poses is a frame, in which the others keep their last poses and times.
 
     group = FrameGroup(robots=3)
-    group.add(stamp, {0: Reading(pose, exposed_ns)})     [] or the readings of all robots
+    group.add(stamp, {0: RobotReading(pose, exposed_ns)})     [] or the readings of all robots
 """
 
 from collections.abc import Mapping
@@ -15,16 +15,16 @@ from tetractl.core.poses import Pose
 
 
 @dataclass(frozen=True, slots=True)
-class Reading:
+class RobotReading:
     """The pose of a robot, None if it is not tracked, and when it was there [ns]."""
 
     pose: Pose | None
     exposed_ns: int
 
 
-NOTHING = Reading(None, 0)
+NOTHING = RobotReading(None, 0)
 """What is known of a robot before its first reading."""
-Readings = tuple[Reading, ...]
+Readings = tuple[RobotReading, ...]
 """The last readings of all robots, in the setup's order."""
 
 
@@ -49,7 +49,7 @@ class FrameGroup:
         """The last readings of all robots."""
         return tuple(self._last)
 
-    def add(self, stamp: int, readings: Mapping[int, Reading]) -> list[Readings]:
+    def add(self, stamp: int, readings: Mapping[int, RobotReading]) -> list[Readings]:
         """Take readings with one stamp.
 
         Args:

@@ -152,9 +152,9 @@ class Ros2Robot(RobotPart):
 class Ros2Section(ActuatorSection):
     """Robots of a ROS 2 graph that take twists, or the common direction."""
 
-    device: ClassVar[str] = "tetractl_ros2.robots:Ros2Robots"
+    device: ClassVar[str] = "tetractl_ros2.actuator:Ros2Robots"
     calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
-    stopping: ClassVar[str] = "tetractl_ros2.robots:stop_all"
+    stopping: ClassVar[str] = "tetractl_ros2.actuator:stop_all"
     dead_zone_max: ClassVar[int] = 0
     type: Literal["ros2"]
     domain: Domain = 0

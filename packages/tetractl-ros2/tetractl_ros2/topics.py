@@ -4,7 +4,7 @@ from cyclonedds.idl import IdlStruct
 
 from tetractl.core.setup import Setup
 from tetractl.spec.lab_section import entry
-from tetractl_ros2.messages import (
+from tetractl_ros2.ros2_messages import (
     BatteryState,
     Bool,
     NamedPoseArray,
@@ -16,7 +16,7 @@ from tetractl_ros2.messages import (
     Vector3Stamped,
 )
 from tetractl_ros2.section import Ros2CameraSection, Ros2Section
-from tetractl_ros2.wire import Topic
+from tetractl_ros2.topic_port import Topic
 
 POSES: dict[str, type[IdlStruct]] = {
     "PoseStamped": PoseStamped,

@@ -10,7 +10,7 @@ from tetractl_emulator.script import NOTHING
 from tetractl_emulator.sides import Options
 from tetractl_emulator.virtual_lab import LabClock, started
 from tetractl_ros2.camera import Ros2Camera
-from tetractl_ros2.messages import (
+from tetractl_ros2.ros2_messages import (
     Header,
     NamedPose,
     NamedPoseArray,

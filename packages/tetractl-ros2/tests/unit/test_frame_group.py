@@ -3,13 +3,13 @@
 import pytest
 
 pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
-from tetractl_ros2.frame_group import FrameGroup, Reading
+from tetractl_ros2.frame_group import FrameGroup, RobotReading
 
 from tetractl.core.poses import Pose
 
 
 def at(ns):
-    return Reading(Pose(float(ns), 0.0, 0.0), ns)
+    return RobotReading(Pose(float(ns), 0.0, 0.0), ns)
 
 
 def times(frames):

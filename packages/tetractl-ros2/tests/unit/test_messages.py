@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
 pytest.importorskip("rosbags", reason="rosbags is the independent reader and writer")
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from tetractl_ros2 import messages as m
+from tetractl_ros2 import ros2_messages as m
 
 NAMED = "motion_capture_tracking_interfaces/msg/"
 STORE = get_typestore(Stores.ROS2_HUMBLE)

@@ -18,7 +18,7 @@ from tetractl_emulator.port import PseudoPort
 from tetractl_emulator.sides import Stage
 
 from tetractl.core.errors import AbortError, TetractlError
-from tetractl_ros2.wire import Topic, TopicEnd, domain_of
+from tetractl_ros2.topic_port import Topic, TopicEnd, domain_of
 
 
 class TopicPlug(PseudoPort):

@@ -13,7 +13,7 @@ from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack.natnet import RigidBody, UpAxis
 from tetractl.spec.lab_section import entry
 from tetractl_ros2.emulated.plug import on_topics
-from tetractl_ros2.messages import (
+from tetractl_ros2.ros2_messages import (
     Bool,
     Header,
     NamedPose,

@@ -17,7 +17,7 @@ from tetractl.core.protocols import EMULATED_NAME
 from tetractl.lab.actuators.wheel_commands import Status
 from tetractl.model.wheels import Counts
 from tetractl_ros2.emulated.plug import on_topics
-from tetractl_ros2.messages import BatteryState, Bool, Twist, Vector3, Vector3Stamped
+from tetractl_ros2.ros2_messages import BatteryState, Bool, Twist, Vector3, Vector3Stamped
 from tetractl_ros2.section import UNIT_MM, Ros2Section
 from tetractl_ros2.topics import COMMANDS, battery_topics, command_topics, emergency_topic
 

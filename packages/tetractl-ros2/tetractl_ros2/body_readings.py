@@ -5,7 +5,7 @@ from typing import Any
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
-from tetractl_ros2.messages import (
+from tetractl_ros2.ros2_messages import (
     Header,
     NamedPoseArray,
     Odometry,
@@ -17,7 +17,7 @@ from tetractl_ros2.messages import (
 
 
 @dataclass(frozen=True, slots=True)
-class Sighting:
+class BodySighting:
     """One body in a message.
 
     Attributes:
@@ -33,7 +33,7 @@ class Sighting:
     rigid: RigidBody
 
 
-def sightings(message: Any) -> list[Sighting]:
+def sightings(message: Any) -> list[BodySighting]:
     """Return the bodies in a message of one of the kinds of poses, in its order."""
     match message:
         case PoseStamped():
@@ -60,16 +60,18 @@ def bare(frame: str) -> str:
     return frame.removeprefix("/")
 
 
-def _sighting(body: str | None, header: Header, pose: PoseMessage) -> Sighting:
+def _sighting(body: str | None, header: Header, pose: PoseMessage) -> BodySighting:
     at = pose.position
     turn = pose.orientation
-    return Sighting(body, bare(header.frame_id), stamp_ns(header), _rigid(at, turn))
+    return BodySighting(body, bare(header.frame_id), stamp_ns(header), _rigid(at, turn))
 
 
-def _of_transform(stamped: TransformStamped) -> Sighting:
+def _of_transform(stamped: TransformStamped) -> BodySighting:
     rigid = _rigid(stamped.transform.translation, stamped.transform.rotation)
     header = stamped.header
-    return Sighting(bare(stamped.child_frame_id), bare(header.frame_id), stamp_ns(header), rigid)
+    return BodySighting(
+        bare(stamped.child_frame_id), bare(header.frame_id), stamp_ns(header), rigid
+    )
 
 
 def _rigid(at: Any, turn: Any) -> RigidBody:

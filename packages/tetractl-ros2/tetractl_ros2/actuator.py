@@ -25,7 +25,7 @@ from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_spe
 from tetractl.lab.serial_port import PortGroup, Ports, SerialPort, stop_all_at
 from tetractl.model.wheels import CountArray
 from tetractl.spec.lab_section import entry
-from tetractl_ros2.messages import (
+from tetractl_ros2.ros2_messages import (
     BatteryState,
     Bool,
     Header,
@@ -36,8 +36,8 @@ from tetractl_ros2.messages import (
     Vector3Stamped,
 )
 from tetractl_ros2.section import DIRECTION, UNIT_MM, Ros2Section
+from tetractl_ros2.topic_port import TopicPort, ports_of
 from tetractl_ros2.topics import battery_topics, command_topics, emergency_topic
-from tetractl_ros2.wire import TopicPort, ports_of
 
 BASE_FRAME = "base_link"
 """The frame of a TwistStamped: the robot's own."""

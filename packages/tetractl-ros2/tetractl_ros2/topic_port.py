@@ -87,7 +87,7 @@ class Topic:
 
     Attributes:
         name: Its name in ROS 2, such as `/green/cmd_vel`.
-        message: The class of its messages, one of `messages`.
+        message: The class of its messages, one of `ros2_messages`.
         publishes: Whether this process publishes to it. If not, it subscribes.
         latched: Whether a subscriber that comes later still receives the last message (QoS
             transient local).

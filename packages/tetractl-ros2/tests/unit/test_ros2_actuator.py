@@ -6,8 +6,8 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
 from tetractl_emulator.contract import check_lab
-from tetractl_ros2.messages import BatteryState, Bool, Twist, TwistStamped, Vector3Stamped
-from tetractl_ros2.robots import Ros2Robots
+from tetractl_ros2.actuator import Ros2Robots
+from tetractl_ros2.ros2_messages import BatteryState, Bool, Twist, TwistStamped, Vector3Stamped
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer, Turn

@@ -34,7 +34,7 @@ def test_robots_that_obey_are_not_accused_and_one_that_stands_is(recordings, tmp
     assert log.start.setup.names == ("r1", "r2", "r3", "r4", "r5")
     assert log.valid.all()
     seen = observe_log(log)
-    assert seen.watched_s == pytest.approx(6, abs=0.1)
+    assert 5.5 < seen.watched_s <= 6.0  # after an end, a new guard waits until it has seen all
     assert {it.robot for it in seen.interventions} == {"r5"}
     first = seen.interventions[0]
     assert 4.0 < (first.t_ns - seen.began_ns) / 1e9 < 5.0

@@ -300,7 +300,13 @@ class Guard:
         self.reason = self._with_cause(reason, recent[-1].received_ns)
 
     def lose_robot(self, i: int, reason: str, excess: Excess | None = None) -> None:
-        """Continue without a robot; abort if the rules forbid that or no other robot is left."""
+        """Continue without a robot; abort if the rules forbid that or no other robot is left.
+
+        Args:
+            i: Index of the robot.
+            reason: Why it is lost.
+            excess: The value and its limit. None if the reason has no number.
+        """
         robot = self._robots[i]
         if robot.lost or (self.rules.goes_on and self.state is GuardState.PREFLIGHT):
             return

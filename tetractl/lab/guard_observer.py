@@ -1,8 +1,9 @@
 """Reports what a guard would have done, without acting.
 
-A `GuardObserver` is told all that a guard is told. It lets a guard of its own decide, writes down
-each pose that this guard refuses, each robot that it stops and each run that it ends, and goes on
-with a new guard after each end. So checks can be tuned on recordings, and in a run.
+A `GuardObserver` gets the same frames, directions and transmissions as a guard. It lets a guard of
+its own decide, writes down each pose that this guard refuses, each robot that it stops and each run
+that it ends, and goes on with a new guard after each end. In this way, checks can be tuned on
+recordings and during a run.
 
 An `ObservingGuard` is the guard of a run with `lab.limits.observe`. Its kernel (`lab.kernel`) acts
 as always, and its statistical checks only report. These are the checks of motion and drift: their
@@ -127,7 +128,13 @@ class GuardObserver:
     def note_transmission(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
     ) -> None:
-        """Note a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
+        """Note a transmission.
+
+        Args:
+            now_ns: Time of the transmission [ns].
+            speed: The robots' speeds (N,) [length unit/s].
+            turning: Their turning rates (N,) [rad/s].
+        """
         self._recent.append(_Sent(now_ns, speed, turning))
         while self._recent[0].sent_ns < now_ns - REMEMBERED_NS:
             self._recent.popleft()
@@ -228,7 +235,7 @@ class Unheeded(GuardCheck):
         self._check.replace(robot)
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take a transmission."""
+        """Pass on a transmission; see `GuardCheck.sent`."""
         self._check.sent(now_ns, speed, turning)
 
     def exposed(self, times: tuple[int, ...]) -> None:
@@ -240,11 +247,11 @@ class Unheeded(GuardCheck):
         return self._check.repeat(robot)
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
-        """Check a pose in a pause."""
+        """Check a pose in a pause; see `GuardCheck.pause`."""
         return self._check.pause(robot, before, pose, now_ns)
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
-        """Pass on warnings. After any other finding, let the check start again with this pose."""
+        """Pass on warnings; see `GuardCheck.pose`. Any other finding restarts the check here."""
         for finding in self._check.pose(robot, before, pose):
             if isinstance(finding, Warn):
                 yield finding
@@ -254,7 +261,7 @@ class Unheeded(GuardCheck):
     def frame(
         self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
     ) -> Iterator[Finding]:
-        """Pass on warnings."""
+        """Pass on warnings; see `GuardCheck.frame`."""
         for finding in self._check.frame(now_ns, times, poses):
             if isinstance(finding, Warn):
                 yield finding
@@ -293,7 +300,7 @@ class ObservingGuard(Guard):
     def note_transmission(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
     ) -> None:
-        """Note a transmission."""
+        """Note a transmission; see `Guard.note_transmission`."""
         super().note_transmission(now_ns, speed, turning)
         self._observer.note_transmission(now_ns, speed, turning)
 
@@ -303,7 +310,7 @@ class ObservingGuard(Guard):
         return super().check_frame(frame)
 
     def decide(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
-        """Decide which robots may move now."""
+        """Decide which robots may move now; see `Guard.decide`."""
         ruling = super().decide(now_ns, damaged, failure)
         self._observer.decide(now_ns)
         new = self._observer.interventions[self._reported :]

@@ -57,32 +57,63 @@ class Pace:
 
 
 def overdue(rule: str, age_ns: int, limit_ns: float, robot: int | None = None) -> Excess | None:
-    """Return by how much an age has reached its limit, None if it has not."""
+    """Return by how much an age has reached its limit, None if it has not.
+
+    Args:
+        rule: Name of the rule.
+        age_ns: The age [ns].
+        limit_ns: The limit [ns].
+        robot: Index of the robot. None if the rule concerns all.
+    """
     if age_ns < limit_ns:
         return None
     return Excess(rule, age_ns / SECOND, limit_ns / SECOND, "s", robot)
 
 
 def asleep(rules: GuardRules, pace: Pace, now_ns: int) -> Excess | None:
-    """Check that this program goes on deciding."""
+    """Check that this program goes on deciding.
+
+    Args:
+        rules: The limits.
+        pace: When program and controller did something last.
+        now_ns: The present time [ns].
+    """
     age_ns = 0 if pace.ticked_ns is None else now_ns - pace.ticked_ns
     return overdue("program", age_ns, rules.limits.stream_lost * SECOND)
 
 
 def undirected(rules: GuardRules, pace: Pace, now_ns: int) -> Excess | None:
-    """Check that robots which drive ahead get directions."""
+    """Check that robots which drive ahead get directions.
+
+    Args:
+        rules: The limits.
+        pace: When program and controller did something last.
+        now_ns: The present time [ns].
+    """
     if not pace.ahead:
         return None
     return overdue("direction", now_ns - pace.directed_ns, rules.silence_ns)
 
 
 def frameless(rules: GuardRules, frame_ns: int, now_ns: int) -> Excess | None:
-    """Check that frames come; `frame_ns` is when the newest was exposed."""
+    """Check that frames come.
+
+    Args:
+        rules: The limits.
+        frame_ns: When the newest frame was exposed [ns].
+        now_ns: The present time [ns].
+    """
     return overdue("frame", now_ns - frame_ns, rules.limits.stream_lost * SECOND)
 
 
 def untracked(rules: GuardRules, robot: int, age_ns: int) -> Excess | None:
-    """Check that poses of a robot come; `age_ns` is the age of its last accepted one."""
+    """Check that poses of a robot come.
+
+    Args:
+        rules: The limits.
+        robot: Index of the robot.
+        age_ns: Age of its last accepted pose [ns].
+    """
     return overdue("tracking", age_ns, rules.limits.untracked_abort * SECOND, robot)
 
 
@@ -90,6 +121,12 @@ def may_move(rules: GuardRules, pace: Pace, frame_ns: int, now_ns: int) -> bool:
     """Return whether any robot may move in a run: frames and directions are fresh enough.
 
     A plan for robots that turn on the spot may take long: they wait for it, as in a pause.
+
+    Args:
+        rules: The limits.
+        pace: When program and controller did something last.
+        frame_ns: When the newest frame was exposed [ns].
+        now_ns: The present time [ns].
     """
     is_filmed = now_ns - frame_ns <= rules.limits.stale * SECOND
     turn_ns = round(PAUSE_S * SECOND) + rules.silence_ns
@@ -100,7 +137,18 @@ def may_move(rules: GuardRules, pace: Pace, frame_ns: int, now_ns: int) -> bool:
 
 
 def too_fast(rules: GuardRules, robot: int, earlier: Pose, pose: Pose, dt_ns: int) -> Excess | None:
-    """Check that a robot can have come from an earlier pose to a pose within a time."""
+    """Check that a robot can have come from an earlier pose to a pose within a time.
+
+    Args:
+        rules: The limits.
+        robot: Index of the robot.
+        earlier: The earlier pose.
+        pose: The pose.
+        dt_ns: Time between the two [ns].
+
+    Returns:
+        The distance or the angle that is too large, None if both are possible.
+    """
     dt_s = dt_ns / SECOND
     reach = FASTER * rules.speeds[robot] * dt_s + rules.limits.jump_mm / rules.mm
     distance = pose.distance_to(earlier)
@@ -200,7 +248,13 @@ def outside(arena: Bounds, pose: Pose) -> float:
 
 
 def beyond_edge(rules: GuardRules, robot: int, then: Pose) -> Excess:
-    """Return by how much a robot will be outside the arena."""
+    """Return by how much a robot will be outside the arena.
+
+    Args:
+        rules: The limits.
+        robot: Index of the robot.
+        then: Its pose after its reaction time.
+    """
     return Excess("arena", outside(rules.arena, then) * rules.mm, 0.0, "mm", robot)
 
 

@@ -33,8 +33,8 @@ from tetractl.core.poses import Floats, Integers
 from tetractl.tools.likelihood import NORMAL, SampleInterval, newton_step
 from tetractl_identify.passes import (
     WANDER_S,
-    Belief,
     Passed,
+    Prior,
     TrackFrames,
     intervals_used,
     position_noise,
@@ -183,14 +183,14 @@ def fit(
     return state.result(names, all_commands)
 
 
-def _searched(frames: TrackFrames, rows: np.ndarray, belief: Belief) -> float:
+def _searched(frames: TrackFrames, rows: np.ndarray, prior: Prior) -> float:
     """Return the most likely of the possible dead times [s].
 
     Robots `rows` (R,) are tried with each of RATES. If it is at an end of the range, nothing fits,
     and USUAL_S is returned.
     """
     taus = np.arange(SEARCHED_FROM_S, SEARCHED_UNTIL_S, SEARCHED_APART_S)
-    passed = run([frames], rows, belief, taus, SEARCHED_APART_S)
+    passed = run([frames], rows, prior, taus, SEARCHED_APART_S)
     best = _likeliest(passed)
     return USUAL_S if best in (0, len(taus) - 1) else float(taus[best])
 
@@ -242,14 +242,14 @@ class _Fit:
         """
         count = len(self.mean)
         rows = np.repeat(np.arange(count), len(RATES))
-        belief = self._belief(rows, self.noise[rows])
-        belief.mean[:, 0] += np.tile(np.log(RATES), count)
+        prior = self._prior(rows, self.noise[rows])
+        prior.mean[:, 0] += np.tile(np.log(RATES), count)
         longest = max(self.frames, key=lambda track: len(track.time))
         if dead_time is None:
-            dead_time = _searched(longest, rows, belief)
+            dead_time = _searched(longest, rows, prior)
         least = dead_time - REACH_S if dead_time < 0 else max(0.0, dead_time - REACH_S)
         taus = np.arange(least, dead_time + REACH_S, APART_S)
-        passed = run([longest], rows, belief, taus, APART_S)
+        passed = run([longest], rows, prior, taus, APART_S)
         best = _likeliest(passed)
         best_rates = passed.likelihood[best].reshape(count, len(RATES)).argmax(axis=1)
         best_rows = np.arange(count) * len(RATES) + best_rates
@@ -261,8 +261,8 @@ class _Fit:
         def likelihood(noise: Floats) -> Floats:
             """Return ln of the likelihoods (N, V) of variants of the noise (N, V, 4)."""
             rows = np.repeat(np.arange(len(noise)), noise.shape[1])
-            belief = self._belief(rows, noise.reshape(-1, 4))
-            passed = run(self.frames, rows, belief, np.array([self.tau]))
+            prior = self._prior(rows, noise.reshape(-1, 4))
+            passed = run(self.frames, rows, prior, np.array([self.tau]))
             return passed.likelihood.reshape(noise.shape[:2])
 
         self.noise, self.noise_std = newton_step(likelihood, self.noise, NOISE_PRIOR_STD)
@@ -278,9 +278,9 @@ class _Fit:
             The pass with dead times around the previous one.
         """
         rows = np.arange(len(self.mean))
-        belief = self._belief(rows, self.noise)
+        prior = self._prior(rows, self.noise)
         taus = self.tau + POINTS * self.tau_std
-        passed = run(self.frames, rows, belief, taus, watched=watched)
+        passed = run(self.frames, rows, prior, taus, watched=watched)
         likelihood = passed.likelihood.sum(axis=1)
         bend, slope, _ = np.polyfit(POINTS, likelihood, 2)
         best = -slope / (2 * bend) if bend < 0 else POINTS[likelihood.argmax()]
@@ -296,11 +296,11 @@ class _Fit:
         self.tau_std = tau_std
         return passed
 
-    def _belief(self, rows: np.ndarray, noise: Floats) -> Belief:
+    def _prior(self, rows: np.ndarray, noise: Floats) -> Prior:
         """Return what a pass assumes of robots `rows` (R,) with noise (R, 4)."""
         std = np.minimum(WIDER * self.std, MOST_STD)[rows]
         deviations = self._deviations(rows, noise)
-        return Belief(
+        return Prior(
             mean=self.mean[rows], std=std, noise=deviations[:, ::2], walk=deviations[:, 1::2]
         )
 
@@ -342,17 +342,17 @@ class _Fit:
         rows = np.repeat(np.arange(count), len(changes))
         changes = np.tile(changes, (count, 1))
         noise = self.noise[rows] + self.noise_std[rows] * changes[:, :4]
-        belief = self._belief(rows, noise)
-        belief.mean[...] += self.std[rows] * changes[:, 4:]
-        belief.std[...] = CERTAIN_STD
-        changed = run(self.frames, rows, belief, np.array([self.tau]), blocks=blocks)
+        prior = self._prior(rows, noise)
+        prior.mean[...] += self.std[rows] * changes[:, 4:]
+        prior.std[...] = CERTAIN_STD
+        changed = run(self.frames, rows, prior, np.array([self.tau]), blocks=blocks)
         by_parameter = changed.by_block.reshape(-1, count, 2 * DEAD_TIME)
 
-        belief = self._belief(np.arange(count), self.noise)
-        belief.std[...] = CERTAIN_STD
+        prior = self._prior(np.arange(count), self.noise)
+        prior.std[...] = CERTAIN_STD
         taus = self.tau + self.tau_std * np.array([0.0, 1.0, -1.0])
         base, later, sooner = run(
-            self.frames, np.arange(count), belief, taus, blocks=blocks
+            self.frames, np.arange(count), prior, taus, blocks=blocks
         ).by_block.transpose(1, 0, 2)[..., None]
         up = np.concatenate([by_parameter[..., :DEAD_TIME], later], axis=2)
         down = np.concatenate([by_parameter[..., DEAD_TIME:], sooner], axis=2)

@@ -65,7 +65,7 @@ MEDIAN_OFF = 0.826
 It is .6745 sqrt(1.5).
 """
 IDENTIFIED = [LN_A, LN_SPEED, TURN_BIAS]
-"""The filter's states of a `Belief`."""
+"""The filter's states of a `Prior`."""
 NO_COMMANDS = SentCommands(np.empty(0), np.empty(0))
 
 
@@ -250,7 +250,7 @@ def _usual(pace: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class Belief:
+class Prior:
     """What is assumed of R rows of the filter.
 
     Attributes:
@@ -273,7 +273,7 @@ class Passed:
 
     Attributes:
         by_block: ln of the likelihood of each block of time, up to a constant, shape (K, B, R).
-        mean: Means as in `Belief`, shape (B, R, 3).
+        mean: Means as in `Prior`, shape (B, R, 3).
         std: Their standard deviations, shape (B, R, 3).
         heading_residuals: Residuals of headings for the dead time in the middle of the bank [rad],
             shape (F, R), if watched. NaN where a pose is not used.
@@ -295,7 +295,7 @@ class Passed:
 def run(
     tracks: Sequence[TrackFrames],
     rows: NDArray[np.int64],
-    belief: Belief,
+    prior: Prior,
     tau: Floats,
     apart_s: float = 0.0,
     watched: bool = False,
@@ -306,15 +306,14 @@ def run(
     Args:
         tracks: The frames of each track.
         rows: The indices of the robots (R,).
-        belief: What is assumed about these robots.
+        prior: The assumed noise and random walks of these robots.
         tau: The dead times (B,) [s].
         apart_s: How far each dead time is uncertain [s].
         watched: Whether residuals of headings and lost robots are collected.
         blocks: For each track, the number of the block of each frame (F,). By default, all are in
-            block
-            0.
+            block 0.
     """
-    first_model, bank = _start(belief, tau)
+    first_model, bank = _start(prior, tau)
     blocks = blocks or [np.zeros(len(track.time), dtype=np.int64) for track in tracks]
     block_count = 1 + max(block[-1] for block in blocks)
     by_block = np.zeros((block_count, len(tau), len(rows)))
@@ -441,17 +440,17 @@ class _Watch:
         return self._missed[:-1].sum(axis=0)
 
 
-def _start(belief: Belief, tau: Floats) -> tuple[FilterModel, Bank]:
+def _start(prior: Prior, tau: Floats) -> tuple[FilterModel, Bank]:
     """Return the filter's model and its bank at the start."""
-    count = len(belief.mean)
+    count = len(prior.mean)
     # positions along and across have the same noise and walk
-    noise = np.repeat(belief.noise, (2, 1), axis=1).T
+    noise = np.repeat(prior.noise, (2, 1), axis=1).T
     walk = np.zeros((STATES_OF_WHEELS, count))
-    walk[:3] = np.repeat(belief.walk, (2, 1), axis=1).T
+    walk[:3] = np.repeat(prior.walk, (2, 1), axis=1).T
     mean = np.zeros((len(tau), count, STATES))
-    mean[..., IDENTIFIED] = belief.mean
+    mean[..., IDENTIFIED] = prior.mean
     std = np.zeros((count, STATES_OF_WHEELS))
-    std[:, IDENTIFIED] = belief.std
+    std[:, IDENTIFIED] = prior.std
     groups = np.zeros(len(tau), dtype=np.int64)
     bank = Bank.start(tau, mean, std, groups, LOG_FOLLOWS)
     ones = np.ones((count, len(PARAMETERS)))

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tetractl.core import elementary
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Pose
 
@@ -73,10 +74,12 @@ class RobotStep:
         middle = before.heading + turned / 2
         dx = pose.x - before.x
         dy = pose.y - before.y
-        along = dx * math.cos(middle) + dy * math.sin(middle)
-        across = dy * math.cos(middle) - dx * math.sin(middle)
+        cosine = elementary.cos(middle)
+        sine = elementary.sin(middle)
+        along = dx * cosine + dy * sine
+        across = dy * cosine - dx * sine
         half = math.pi * (turned / math.tau)  # in this order, as numpy.sinc did for earlier logs
-        chord = math.sin(half) / half if half else 1.0
+        chord = elementary.sin(half) / half if half else 1.0
         way = np.array([along / chord, across, turned])
         return cls(way, variance, dt_ns, until_ns, robot, before)
 
@@ -92,8 +95,12 @@ class RobotStep:
             A step along and across the x axis. Its variance follows from the scatter of the places
             about the lines.
         """
-        (slope, _), covariance = np.polyfit(times_s, places, 1, cov=True)
-        return cls(slope, covariance[0, 0], dt_ns=SECOND)
+        centred_s = times_s - times_s.mean()
+        spread = np.square(centred_s).sum()
+        slope = np.einsum("n,nk->k", centred_s, places) / spread
+        residuals = places - places.mean(axis=0) - centred_s[:, None] * slope
+        variance = np.square(residuals).sum(axis=0) / (len(times_s) - 2) / spread
+        return cls(slope, variance, dt_ns=SECOND)
 
     @classmethod
     def of_means(cls, times_s: Floats, positions: Floats) -> "RobotStep":

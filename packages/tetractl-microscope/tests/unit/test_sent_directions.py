@@ -55,8 +55,8 @@ def check(turned: list[TurnedCourse], sent: SentDirections, least: float = 0.0) 
 @pytest.mark.parametrize(
     ("clock_s", "says"),
     [
-        (1.2, "robots turn 1.2 s before the times"),
-        (-3.4, "robots turn 3.4 s after the times"),
+        (1.2, "robots turn 1.2 s before its directions"),
+        (-3.4, "robots turn 3.4 s after its directions"),
     ],
 )
 @pytest.mark.parametrize("sent", [RANDOM, EVEN_AT_FIRST], ids=["random", "even at first"])
@@ -71,7 +71,7 @@ def test_a_clock_within_a_regular_cycle_is_refused():
     """Regression: a warning that the field is rotated by 2 rad, and an a of -1.4 for 4."""
     turned = [course_by(REGULAR, late_s=-1.1)]
     readings = other_readings("c.csv", REGULAR, 1 / 30)
-    with pytest.raises(UsageError, match=r"robots turn 1\.1 s before the times"):
+    with pytest.raises(UsageError, match=r"robots turn 1\.1 s before its directions"):
         check_directions("p.csv", turned, REGULAR, AT_ONCE_S, readings)
 
 

@@ -38,7 +38,7 @@ def test_the_swarm_is_that_of_the_logged_search(log):
 def test_no_text_hides_another_and_the_plant_is_named(log):
     figure = draw("swarm", [log])
     assert overlapping(figure) == []
-    assert "undisturbed simulation" in words(figure)
+    assert log.origin.value in words(figure)
 
 
 def test_what_has_no_swarm_is_told(log):

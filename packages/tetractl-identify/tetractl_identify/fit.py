@@ -34,7 +34,7 @@ from tetractl.tools.likelihood import NORMAL, SampleInterval, newton_step
 from tetractl_identify.passes import (
     WANDER_S,
     Passed,
-    Prior,
+    PassPrior,
     TrackFrames,
     intervals_used,
     position_noise,
@@ -183,7 +183,7 @@ def fit(
     return state.result(names, all_commands)
 
 
-def _searched(frames: TrackFrames, rows: np.ndarray, prior: Prior) -> float:
+def _searched(frames: TrackFrames, rows: np.ndarray, prior: PassPrior) -> float:
     """Return the most likely of the possible dead times [s].
 
     Robots `rows` (R,) are tried with each of RATES. If it is at an end of the range, nothing fits,
@@ -296,11 +296,11 @@ class _Fit:
         self.tau_std = tau_std
         return passed
 
-    def _prior(self, rows: np.ndarray, noise: Floats) -> Prior:
+    def _prior(self, rows: np.ndarray, noise: Floats) -> PassPrior:
         """Return what a pass assumes of robots `rows` (R,) with noise (R, 4)."""
         std = np.minimum(WIDER * self.std, MOST_STD)[rows]
         deviations = self._deviations(rows, noise)
-        return Prior(
+        return PassPrior(
             mean=self.mean[rows], std=std, noise=deviations[:, ::2], walk=deviations[:, 1::2]
         )
 

@@ -65,7 +65,7 @@ MEDIAN_OFF = 0.826
 It is .6745 sqrt(1.5).
 """
 IDENTIFIED = [LN_A, LN_SPEED, TURN_BIAS]
-"""The filter's states of a `Prior`."""
+"""The filter's states of a `PassPrior`."""
 NO_COMMANDS = SentCommands(np.empty(0), np.empty(0))
 
 
@@ -250,7 +250,7 @@ def _usual(pace: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class Prior:
+class PassPrior:
     """What is assumed of R rows of the filter.
 
     Attributes:
@@ -273,7 +273,7 @@ class Passed:
 
     Attributes:
         by_block: ln of the likelihood of each block of time, up to a constant, shape (K, B, R).
-        mean: Means as in `Prior`, shape (B, R, 3).
+        mean: Means as in `PassPrior`, shape (B, R, 3).
         std: Their standard deviations, shape (B, R, 3).
         heading_residuals: Residuals of headings for the dead time in the middle of the bank [rad],
             shape (F, R), if watched. NaN where a pose is not used.
@@ -295,7 +295,7 @@ class Passed:
 def run(
     tracks: Sequence[TrackFrames],
     rows: NDArray[np.int64],
-    prior: Prior,
+    prior: PassPrior,
     tau: Floats,
     apart_s: float = 0.0,
     watched: bool = False,
@@ -440,7 +440,7 @@ class _Watch:
         return self._missed[:-1].sum(axis=0)
 
 
-def _start(prior: Prior, tau: Floats) -> tuple[FilterModel, Bank]:
+def _start(prior: PassPrior, tau: Floats) -> tuple[FilterModel, Bank]:
     """Return the filter's model and its bank at the start."""
     count = len(prior.mean)
     # positions along and across have the same noise and walk

@@ -1,6 +1,6 @@
 """Poses on topics of a ROS 2 graph as a `Camera`.
 
-Stamps come from the sender's clock. The message that came quickest, of the last STAMPS of a topic,
+Stamps come from the sender's clock. The message that came quickest, of the last 600 of a topic,
 took the section's `latency`; another one took so much longer as it came later. So the clocks need
 not agree. If they do, `check` compares `latency` with the true age of the stamps.
 """
@@ -14,10 +14,11 @@ from typing import Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.errors import AbortError, printable, text_of
-from tetractl.core.poses import CameraFrame
+from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
 from tetractl.lab.cameras.optitrack.natnet import Placement, UpAxis
+from tetractl.lab.cameras.stamp_clock import StampClock
 from tetractl.lab.serial_port import UNREADABLE, Ports
 from tetractl.spec.lab_section import entry
 from tetractl.tools.worker import drained
@@ -29,8 +30,6 @@ from tetractl_ros2.topics import POSES, emulated_topic, pose_topics
 
 FIRST_S = 5.0
 """Maximum time until every robot has a pose [s]: nodes have to find each other first."""
-STAMPS = 600
-"""Messages of a topic whose stamps are compared with their arrivals: 6 s at 100 Hz."""
 FRAMES_WAITING_MAX = 1000
 """Maximum number of frames that wait to be read."""
 SAME_CLOCK_NS = SECOND // 2
@@ -47,29 +46,11 @@ NAME_MAX = 60
 HINT = "is the node running, in the same ROS domain, and does it publish this topic?"
 
 
-class StampClock:
-    """How long the messages of a topic took from their stamps to their arrivals, on two clocks."""
-
-    def __init__(self) -> None:
-        self._gaps_ns = deque[int](maxlen=STAMPS)
-
-    def late_ns(self, stamp_ns: int, received_ns: int) -> int:
-        """Take a message; return by how much it came later than the quickest one [ns]."""
-        gap_ns = received_ns - stamp_ns
-        self._gaps_ns.append(gap_ns)
-        return gap_ns - min(self._gaps_ns)
-
-    @property
-    def quickest_ns(self) -> int | None:
-        """The least time from a stamp to an arrival [ns], None before the first message."""
-        return min(self._gaps_ns, default=None)
-
-
 class Ros2Camera:
     """Tracks the setup's robots by their poses in a ROS 2 graph.
 
-    It is a `tetractl.core.protocols.Camera`. Each topic has a thread that receives. The threads
-    share all fields below `_lock`, each of which is used under that lock.
+    It is a `tetractl.core.protocols.Camera`. Each topic has a thread that receives. These
+    threads take messages under `_lock`, and `check` reads under it what they have taken.
 
     Args:
         section: The camera's section of the spec.
@@ -102,6 +83,10 @@ class Ros2Camera:
         self._place = Placement(*section.origin, section.rotation, 1.0 / setup.metres)
         self._message = POSES[section.message]
         self._at_once = section.message == "NamedPoseArray"
+        self._not_shown: dict[int, Pose | None] = {}
+        """What a message tells of the robots that it does not show: they are not tracked."""
+        if self._at_once:
+            self._not_shown = dict.fromkeys(range(len(robots)))
         self._group = FrameGroup(len(robots))
         self._bodies = set[str]()  # names that were streamed
         self._frames_seen: dict[int, str] = {}  # other frames in which robots were shown, by row
@@ -256,17 +241,18 @@ class Ros2Camera:
             self.damaged += 1
             self._first_damaged = self._first_damaged or f"{text_of(error)}, in {data[:60]!r}"
             return
-        by_stamp: dict[int, dict[int, RobotReading]] = {}
+        by_stamp: dict[int, dict[int, Pose | None]] = {}
         for sighting in shown:
             row = self._row(topic, sighting)
             if row is not None:
-                stamp, reading = self._reading(topic, row, sighting, at_ns)
-                by_stamp.setdefault(stamp, {})[row] = reading
-        if self._at_once:
-            self._add_untracked(by_stamp)
+                pose = self._place.pose(sighting.rigid, UpAxis.Z, self._offsets[row])
+                by_stamp.setdefault(max(0, sighting.stamp_ns), {})[row] = pose
         complete: list[Readings] = []
-        for stamp in sorted(by_stamp):
-            complete += self._group.add(stamp, by_stamp[stamp])
+        for stamp_ns in sorted(by_stamp):
+            exposed_ns = self._exposed_ns(topic, stamp_ns, at_ns)
+            seen = self._not_shown | by_stamp[stamp_ns]
+            readings = {row: RobotReading(pose, exposed_ns) for row, pose in seen.items()}
+            complete += self._group.add(stamp_ns or at_ns, readings)
         if complete:  # what came in one message is one frame, also with several stamps
             self._pass_on(complete[-1], at_ns)
 
@@ -280,28 +266,17 @@ class Ros2Camera:
             return None
         return row
 
-    def _reading(
-        self, topic: int, row: int, sighting: BodySighting, at_ns: int
-    ) -> tuple[int, RobotReading]:
-        """Return the stamp and the reading of a robot that a message shows."""
+    def _exposed_ns(self, topic: int, stamp_ns: int, at_ns: int) -> int:
+        """Return when the bodies were there that a message shows with this stamp [ns].
+
+        The stamp counts once, however many bodies have it. A stamp of 0 means that there is none.
+        """
         late_ns = 0
-        stamp = sighting.stamp_ns
-        if stamp > 0:
-            late_ns = self._clocks[topic].late_ns(stamp, at_ns)
+        if stamp_ns > 0:
+            late_ns = self._clocks[topic].late_ns(stamp_ns, at_ns)
         else:
             self._unstamped = True
-            stamp = at_ns
-        latency_ns = round(self.section.latency * SECOND)
-        exposed_ns = max(0, at_ns - latency_ns - late_ns)
-        pose = self._place.pose(sighting.rigid, UpAxis.Z, self._offsets[row])
-        return stamp, RobotReading(pose, exposed_ns)
-
-    def _add_untracked(self, by_stamp: dict[int, dict[int, RobotReading]]) -> None:
-        """Add the robots that a message of all bodies does not show: they are not tracked."""
-        for readings in by_stamp.values():
-            exposed_ns = next(iter(readings.values())).exposed_ns
-            for row in range(len(self.setup.names)):
-                readings.setdefault(row, RobotReading(None, exposed_ns))
+        return max(0, at_ns - round(self.section.latency * SECOND) - late_ns)
 
     def _pass_on(self, readings: Readings, at_ns: int) -> None:
         """Let the frame of these readings wait to be read, if it is newer than the last one."""

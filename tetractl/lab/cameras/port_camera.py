@@ -10,6 +10,7 @@ from tetractl.core.errors import AbortError, text_of
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import Health
 from tetractl.core.setup import Setup
+from tetractl.lab.cameras.stamp_clock import StampClock
 from tetractl.lab.serial_port import UNREADABLE, Ports, SerialPort
 from tetractl.lab.udp_port import SCHEME, open_port
 from tetractl.spec.section_abilities import Addressed
@@ -18,7 +19,6 @@ from tetractl.tools.worker import drained
 ASKED = b"poses\n"
 FRAMES_WAITING_MAX = 1000  # frames
 PORT_BAUD = 115200  # of serial ports
-STAMPS = 600  # frames whose times on the camera's clock are compared with their arrivals
 
 
 class PortCamera(ABC):
@@ -49,7 +49,7 @@ class PortCamera(ABC):
         self._wake = wake
         self._came = 0  # number of frames so far
         self._waiting = deque[CameraFrame](maxlen=FRAMES_WAITING_MAX)
-        self._gaps = deque[int](maxlen=STAMPS)  # from exposures by stamps to arrivals [ns]
+        self._stamps = StampClock()
         make = ports or (open_port if section.address.startswith(SCHEME) else self.port)
         self._port = make(section.address, PORT_BAUD, "the camera", clock, self._heard, self.hint)
 
@@ -71,7 +71,7 @@ class PortCamera(ABC):
     def stamp_s(self, message: bytes) -> float | None:
         """Return when a message's image was exposed, on the camera's own clock with any zero [s].
 
-        None, the default, if the message does not say so. Among the last STAMPS messages with
+        None, the default, if the message does not say so. Among the last 600 messages with
         stamps, the fastest is assumed to have taken `latency`. The others took longer by as much as
         they arrived later.
         """
@@ -118,16 +118,10 @@ class PortCamera(ABC):
             self.damaged += 1
             self._first_damaged = self._first_damaged or f"{text_of(error)}, in {data[:60]!r}"
             return
-        late_ns = 0 if stamp_s is None else self._late_ns(at_ns - round(stamp_s * SECOND))
+        late_ns = 0
+        if stamp_s is not None:
+            late_ns = self._stamps.late_ns(round(stamp_s * SECOND), at_ns)
         exposed_ns = max(0, at_ns - round(self.section.latency * SECOND) - late_ns)
         self._came += 1
         self._waiting.append(CameraFrame(self._came, exposed_ns, at_ns, poses, fault=fault))
         self._wake()
-
-    def _late_ns(self, gap_ns: int) -> int:
-        """Compute how much later than the fastest of the last messages this one arrived [ns].
-
-        `gap_ns` is the time from its stamp to its arrival. The last STAMPS messages count.
-        """
-        self._gaps.append(gap_ns)
-        return gap_ns - min(self._gaps)

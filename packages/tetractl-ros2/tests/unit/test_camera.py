@@ -18,7 +18,10 @@ from tetractl_ros2.ros2_messages import (
     PoseMessage,
     PoseStamped,
     Quaternion,
+    TFMessage,
     Time,
+    Transform,
+    TransformStamped,
 )
 
 from tetractl.core.clock import MILLISECOND, SECOND, VirtualClock
@@ -159,6 +162,31 @@ def test_a_late_message_is_as_old_as_its_stamp_says():
     first, *_, late = camera.frames()
     assert first.received_ns - first.sampled_ns == 10 * MILLISECOND
     assert late.received_ns - late.sampled_ns == 70 * MILLISECOND - 1
+
+
+def array(stamp_ns):
+    return NamedPoseArray(header(stamp_ns), [NamedPose(name, pose(1.0)) for name in "GB"])
+
+
+def tree(stamp_ns):
+    return TFMessage([TransformStamped(header(stamp_ns), name, Transform()) for name in "GB"])
+
+
+@pytest.mark.parametrize(
+    ("kind", "topic", "make"), [("NamedPoseArray", "/poses", array), ("TFMessage", "/tf", tree)]
+)
+def test_late_messages_stay_old_however_many_bodies_each_shows(kind, topic, make):
+    """Of 600 messages that are compared, the first came quickly and the others 60 ms late."""
+    late_ns = 60 * MILLISECOND
+    sent = [(topic, make(50 * SECOND), 2 * SECOND)]
+    sent += [
+        (topic, make(50 * SECOND + step), 2 * SECOND + step + late_ns)
+        for step in range(10 * MILLISECOND, 4010 * MILLISECOND, 10 * MILLISECOND)
+    ]
+    camera, _ = camera_of(kind, sent)
+    frames = camera.frames()
+    assert len(sent) == 401 and len(frames) == 401
+    assert all(o.received_ns - o.sampled_ns == 70 * MILLISECOND for o in frames[1:])
 
 
 def warnings(age_ns):

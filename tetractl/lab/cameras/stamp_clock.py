@@ -1,0 +1,28 @@
+"""How late messages are, by stamps of a clock that need not agree with this computer's.
+
+The message that came quickest among the last STAMPS is not late. Another message is late by as much
+as it took longer from its stamp to its arrival.
+"""
+
+from collections import deque
+
+STAMPS = 600
+"""Number of messages whose stamps are compared with their arrivals: 6 s at 100 Hz."""
+
+
+class StampClock:
+    """Compares the stamps of messages, on the sender's clock, with their arrivals."""
+
+    def __init__(self) -> None:
+        self._gaps_ns = deque[int](maxlen=STAMPS)
+
+    def late_ns(self, stamp_ns: int, received_ns: int) -> int:
+        """Take a message; return how much later than the quickest one it came [ns]."""
+        gap_ns = received_ns - stamp_ns
+        self._gaps_ns.append(gap_ns)
+        return gap_ns - min(self._gaps_ns)
+
+    @property
+    def quickest_ns(self) -> int | None:
+        """The shortest time from a stamp to an arrival [ns], None before the first message."""
+        return min(self._gaps_ns, default=None)

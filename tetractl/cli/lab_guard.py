@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
 from tetractl.cli.options import AsJson, Logs, Sets, option
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import Exit, UsageError
 from tetractl.log.read.find import find_logs
 from tetractl.tools.table.table import Column, Table, plural
@@ -48,12 +49,10 @@ def guard(
     for path in find_logs(logs):
         log = ui.open_trial(path)
         watched.append((str(path), observe_log(log, _limits(log, sets or []))))
-    items = {
-        "logs": [_as_item(name, seen) for name, seen in watched],
-        "checks": _counts([seen for _, seen in watched]),
-    }
+    counts = _counts([seen for _, seen in watched])
+    items = {"logs": [_as_item(name, seen) for name, seen in watched], "checks": counts}
     rows = [_events(name, seen, most) for name, seen in watched if seen.interventions and most]
-    ui.show(as_json, items, [*rows, _totals([seen for _, seen in watched])])
+    ui.show(as_json, items, [*rows, _totals(counts, len(watched))])
     return Exit.DONE
 
 
@@ -66,12 +65,11 @@ def _limits(log: "TrialLog", sets: list[str]) -> "LabLimits":
     from pydantic import ValidationError
 
     from tetractl.spec.explain_errors import words
-    from tetractl.spec.lab_section import LabLimits, LabSection
+    from tetractl.spec.lab_section import LabLimits
     from tetractl.spec.yaml.document import parse_value
+    from tetractl.verification.guard_replay import limits_of
 
-    plant = log.experiment.plant
-    limits = plant.limits if isinstance(plant, LabSection) else LabLimits()
-    values = limits.model_dump()
+    values = limits_of(log).model_dump()
     for setting in sets:
         path, equals, text = setting.partition("=")
         if not path.startswith(LIMITS) or not equals:
@@ -95,7 +93,7 @@ def _as_item(name: str, seen: "GuardReport") -> dict[str, Any]:
 
 
 def _seconds(seen: "GuardReport", it: "Intervention") -> float:
-    return (it.t_ns - seen.began_ns) / 1e9
+    return (it.t_ns - seen.began_ns) / SECOND
 
 
 def _events(name: str, seen: "GuardReport", most: int) -> Table:
@@ -146,9 +144,8 @@ def _counts(seen: "list[GuardReport]") -> list[dict[str, Any]]:
     return rows
 
 
-def _totals(seen: "list[GuardReport]") -> Table:
-    """Return a table of how often each check would have acted."""
-    counts = _counts(seen)
+def _totals(counts: list[dict[str, Any]], logs: int) -> Table:
+    """Return a table of how often each check would have acted in a number of logs."""
     columns = (
         Column("check", [row["check"] for row in counts], words=True),
         Column("poses refused", [row["poses_refused"] for row in counts]),
@@ -158,6 +155,5 @@ def _totals(seen: "list[GuardReport]") -> Table:
     )
     idle = [row["check"] for row in counts if not row["hours"]]
     note = f"not observed, as no log has wheel speeds: {', '.join(idle)}" if idle else ""
-    logs = f"{len(seen)} {plural('log', len(seen))}"
-    title = f"What the guard would have done in {logs}"
+    title = f"What the guard would have done in {logs} {plural('log', logs)}"
     return Table(title, columns, note)

@@ -24,7 +24,7 @@ CONTROLLERS = Registry(
         "pso-mpc": "tetractl.control.methods.mpc_section:PsoMpc",
         "sequence": "tetractl.control.methods.sequence:SequenceSection",
     },
-    SECTION,
+    "tetractl.spec.controller:ControllerSection",
 )
 MOTIONS = Registry(
     "tetractl.motions",

@@ -1,9 +1,10 @@
-"""How far a robot moved in a time: the one record by which the program asks whether it obeys.
+"""How far a robot moved in a time, in its own axes.
 
 A step has three parts, in the robot's own axes: the way along its heading, the way across it
-(positive to the left), and the angle that it turned (positive anticlockwise). Each has a variance.
+(positive to the left), and the angle that it turned (positive anticlockwise). A step that was
+fitted to many places has a variance of each part.
 
-    step = RobotStep.between(before, pose, variance)
+    step = RobotStep.fitted(times_s, places)
     step.way / step.std                     how many standard deviations each part is from no motion
 
 Lengths are in the caller's unit, angles in rad, times in ns.
@@ -21,7 +22,7 @@ from tetractl.core.poses import Floats, Pose
 PARTS = ("along its heading", "sideways", "around")
 """Names of the three parts, as messages use them."""
 EXACT = np.zeros(3)
-"""The variance of a step between poses without noise."""
+"""The variance of a step whose noise is known to others, such as the check that made it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +50,6 @@ class RobotStep:
         cls,
         before: Pose,
         pose: Pose,
-        variance: Floats = EXACT,
         *,
         dt_ns: int = 0,
         until_ns: int = 0,
@@ -65,7 +65,6 @@ class RobotStep:
         Args:
             before: The earlier pose.
             pose: The later pose.
-            variance: Variance of each part, shape (3,).
             dt_ns: Time between the poses [ns].
             until_ns: Time of the later pose [ns].
             robot: Index of the robot.
@@ -81,7 +80,7 @@ class RobotStep:
         half = math.pi * (turned / math.tau)  # in this order, as numpy.sinc did for earlier logs
         chord = elementary.sin(half) / half if half else 1.0
         way = np.array([along / chord, across, turned])
-        return cls(way, variance, dt_ns, until_ns, robot, before)
+        return cls(way, EXACT, dt_ns, until_ns, robot, before)
 
     @classmethod
     def fitted(cls, times_s: Floats, places: Floats) -> "RobotStep":
@@ -101,41 +100,6 @@ class RobotStep:
         residuals = places - places.mean(axis=0) - centred_s[:, None] * slope
         variance = np.square(residuals).sum(axis=0) / (len(times_s) - 2) / spread
         return cls(slope, variance, dt_ns=SECOND)
-
-    @classmethod
-    def of_means(cls, times_s: Floats, positions: Floats) -> "RobotStep":
-        """Compute the step from the mean position of the first half of a time to the second's.
-
-        Args:
-            times_s: Times, shape (n,) [s]. At least four.
-            positions: x and y, shape (n, 2) [length unit].
-
-        Returns:
-            A step along and across the x axis; the angle is not compared.
-        """
-        half = len(times_s) // 2
-        first = positions[:half]
-        second = positions[half:]
-        way = np.array([*(second.mean(axis=0) - first.mean(axis=0)), 0.0])
-        variance = first.var(axis=0, ddof=1) / len(first)
-        variance = variance + second.var(axis=0, ddof=1) / len(second)
-        seconds = times_s[half:].mean() - times_s[:half].mean()
-        return cls(way, np.array([*variance, 0.0]), round(seconds * SECOND))
-
-    @property
-    def along(self) -> float:
-        """The way along the heading [length unit]."""
-        return float(self.way[0])
-
-    @property
-    def across(self) -> float:
-        """The way across the heading, positive to the left [length unit]."""
-        return float(self.way[1])
-
-    @property
-    def turned(self) -> float:
-        """The angle turned, positive anticlockwise [rad]."""
-        return float(self.way[2])
 
     @property
     def std(self) -> Floats:

@@ -15,12 +15,13 @@ below CLEAR for each robot, because a robot that is carried moves as it never wa
 below the first with usual delays, because the others are also late. G_j g is the motion of pose j
 if the image moves at g, over LIKELY_RATES. For the camera, motion is compared as in `drift_check`.
 For the radio, commands are integrated with each delay up to LATEST_NS, and the first explanation
-may have any delay up to DELAY_NS.
+may have any delay up to `limits.delay`.
 
 Robots i and j have exchanged numbers or bodies if each moves as the other is commanded: then
 |z_i|^2 + |z_j|^2 with exchanged commands is below CLEAR, and larger by CLEAR with their own
-commands. Each motion may have any delay up to DELAY_NS. Whether only i moves as j is commanded is
-not tested, because a push of a few millimetres explains that as well. Lengths are in mm.
+commands. Each motion may have any delay up to `limits.delay`. Whether only i moves as j is
+commanded is not tested, because a push of a few millimetres explains that as well. Lengths are in
+mm.
 """
 
 from collections.abc import Sequence
@@ -32,7 +33,7 @@ from tetractl.core.poses import Bools, CameraFrame, Floats, Pose
 from tetractl.lab.drift_check import BLOCK_NS, DriftCheck
 from tetractl.lab.frames import AcceptedFrame, TimedPose, as_shown, timed_poses
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.motion_check import AS_NO_COMMAND, DELAY_NS, DOES_NOT_MOVE
+from tetractl.lab.motion_check import AS_NO_COMMAND, DOES_NOT_MOVE
 
 RECENT_NS = SECOND // 2
 """Time over which motion is compared."""
@@ -68,6 +69,7 @@ class Culprit:
         self._rules = rules
         self._drift = drift
         self._frames = [as_shown(frame) for frame in frames]
+        self._usual_delays = round(rules.limits.delay * SECOND) // STEP_NS
 
     def why(self, suspect: int, reason: str) -> str:
         """Name the cause if it is the camera, the radio, or two swapped robot numbers.
@@ -115,9 +117,9 @@ class Culprit:
     def _misfits(self, robots: Sequence[int], commanded: Sequence[int]) -> Floats:
         """Return |z|^2 (K,) of robots with the commands of the robots `commanded` (K,).
 
-        Each is taken at the delay up to DELAY_NS that fits best.
+        Each is taken at the usual delay that fits best.
         """
-        return self._squares_by_delay(robots, commanded, DELAY_NS // STEP_NS).min(axis=0)
+        return self._squares_by_delay(robots, commanded, self._usual_delays).min(axis=0)
 
     def _camera(self, robots: Sequence[int], others: Bools) -> tuple[float, float]:
         """Return the sums of squares of the camera and of one robot."""
@@ -131,8 +133,9 @@ class Culprit:
 
     def _radio(self, robots: Sequence[int], others: Bools) -> tuple[float, float, int]:
         """Return the sums of squares of the radio and of one robot, and the radio's delay [ns]."""
-        squares = self._squares_by_delay(robots, robots, LATEST_NS // STEP_NS)
-        nominal = DELAY_NS // STEP_NS  # delays that are usual
+        nominal = self._usual_delays
+        delays = max(LATEST_NS // STEP_NS, nominal + 1)
+        squares = self._squares_by_delay(robots, robots, delays)
         radio = squares.sum(axis=1)
         delay = nominal + int(radio[nominal:].argmin())
         one_robot = squares[:nominal, others].sum(axis=1).min()

@@ -35,7 +35,7 @@ from tetractl.core.guard_findings import Abort, Excess
 from tetractl.core.linear import inverse, product, solve
 from tetractl.core.poses import Floats, Pose
 from tetractl.core.protocols import GuardCheck
-from tetractl.core.robot_step import PARTS, RobotStep
+from tetractl.core.robot_step import EXACT, PARTS, RobotStep
 from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import (
@@ -237,7 +237,7 @@ class DriftCheck(GuardCheck):
             else:
                 ends.append(MeasuredPose(pose, times[i], ways[i]))
         if dt_ns < WATCHDOG_NS:
-            self._add(ended_blocks(self._starts, ends, self._variance))
+            self._add(ended_blocks(self._starts, ends))
             self.blocks += 1
         self._began_ns = now_ns
         self._starts = ends
@@ -313,7 +313,7 @@ class DriftCheck(GuardCheck):
         for then, now in pairwise(poses):
             dt_ns = now.exposed_ns - then.exposed_ns
             step = RobotStep.between(
-                then.pose, now.pose, variance, dt_ns=dt_ns, until_ns=now.exposed_ns, robot=i
+                then.pose, now.pose, dt_ns=dt_ns, until_ns=now.exposed_ns, robot=i
             )
             x, walk = self._regressors([step], step.way[None] * (self._mm, self._mm, 1.0))
             total = total + x[0]
@@ -394,7 +394,7 @@ class DriftCheck(GuardCheck):
         robots = [block.robot for block in blocks]
         motions = np.array([block.way for block in blocks]) + self._carried[robots]
         x, walk = self._regressors(blocks, motions)
-        spread = np.sqrt(np.array([block.variance for block in blocks]) + walk)
+        spread = np.sqrt(self._variance + walk)
         x /= spread[:, :, None]
         regressors = x[:, :, At.constants]
         expected = product(regressors, self._fit[robots, :, None])[..., 0]
@@ -502,32 +502,30 @@ class DriftCheck(GuardCheck):
         sure = np.abs(errors) - SURE_ERRORS * np.sqrt(variances)
         beyond = sure > self._share
         for i, name in enumerate(self._names):
-            left_is_wrong, right_is_wrong, heading_is_wrong = beyond[i]
+            if not beyond[i].any():
+                continue
+            *_, heading_is_wrong = beyond[i]
             excess = Excess("wheels", float(sure[i].max()), self._share, robot=i)
             if heading_is_wrong:
                 return Abort(f"{name} {ANOTHER.format(PARTS[1])}", excess=excess)
-            if left_is_wrong or right_is_wrong:
-                left_error, right_error, _ = errors[i]
-                return Abort(WRONG.format(name, left_error, right_error), excess=excess)
+            left_error, right_error, _ = errors[i]
+            return Abort(WRONG.format(name, left_error, right_error), excess=excess)
         return None
 
 
 def ended_blocks(
-    starts: Sequence[MeasuredPose | None],
-    ends: Sequence[MeasuredPose | None],
-    variance: Floats,
+    starts: Sequence[MeasuredPose | None], ends: Sequence[MeasuredPose | None]
 ) -> list[RobotStep]:
     """Return the steps of the robots that have poses at both ends of a block.
 
     Args:
         starts: Poses at the beginning of the block, shape (N,).
         ends: Poses at its end, shape (N,).
-        variance: Variance of each part of a step, shape (3,) [mm, mm, rad, squared].
     """
     blocks: list[RobotStep] = []
     for i, (start, end) in enumerate(zip(starts, ends, strict=True)):
         if start is not None and end is not None and end.exposed_ns > start.exposed_ns:
             way = end.travelled - start.travelled
             dt_ns = end.exposed_ns - start.exposed_ns
-            blocks.append(RobotStep(way, variance, dt_ns, end.exposed_ns, i, start.pose))
+            blocks.append(RobotStep(way, EXACT, dt_ns, end.exposed_ns, i, start.pose))
     return blocks

@@ -48,7 +48,7 @@ What happens next, if
     no plan comes             robots go on by the last direction; the run is aborted after the
                               silence that the rules allow (8)
     a robot dies              on wheels it disobeys, as it does not move, once no command of the
-                              last 0.3 s explains it: the run is aborted as it is hidden (10), or
+                              last `delay` explains it: the run is aborted as it is hidden (10), or
                               after `untracked_abort` if its pose is the same to the bit. A run that
                               may lose robots (`on_lost` of the spec) goes on without it after
                               `untracked_abort` (3). A cell is warned of; its pose that is the same
@@ -567,15 +567,15 @@ class Guard:
             refusal = robot.decision
             may_stand = self.rules.goes_on and refusal.refused == DOES_NOT_MOVE
             too_long = untracked(self.rules, i, robot.untracked_ns)
+            rarely_seen = overdue("tracking", robot.unseen_ns, rarely_ns, i)
             if refusal.disobeys and robot.hidden and not may_stand:
                 text = f"{robot.name} {refusal.refused}"
                 self.abort(text, suspect=i, excess=refusal.excess)
             elif too_long is not None:
                 self.lose_robot(i, robot.untracked_text, refusal.excess or too_long)
-            elif robot.unseen_ns >= rarely_ns:
+            elif rarely_seen is not None:
                 rarely = "is seen too rarely: it, or frames, are missing too often"
-                excess = overdue("tracking", round(robot.unseen_ns), rarely_ns, i)
-                self.lose_robot(i, f"{robot.name} {rarely}", excess)
+                self.lose_robot(i, f"{robot.name} {rarely}", rarely_seen)
             if self.state is GuardState.ABORT:
                 return
 

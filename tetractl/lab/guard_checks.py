@@ -2,7 +2,7 @@
 
 A device for other robots brings its own list.
 
-    MotionCheck   may a pose be its robot's, by the commands of the last 0.3 s?   Refuse, Moved
+    MotionCheck   may a pose be its robot's, by the commands of the last `delay`?  Refuse, Moved
     DriftCheck    may the motion over the whole trial be that of its wheels?      Abort
     Places        does a robot leave the arena, enter an obstacle, touch another? Abort
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from tetractl.core.clock import SECOND
-from tetractl.core.guard_findings import Excess, Finding, Warn
+from tetractl.core.guard_findings import Excess, Finding, RobotPlace, Warn
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import GuardCheck
 from tetractl.lab.frames import AcceptedFrame
@@ -49,7 +49,7 @@ class Intervention:
         check: Name of the check or the kernel's rule.
         robot: Name of the robot. Empty if it concerns none, or all.
         text: The guard's reason.
-        excess: The value and its limit. None if the reason has no number.
+        excess: The value and its limit. None if the check does not state them.
     """
 
     t_ns: int
@@ -140,6 +140,10 @@ class GuardObserver:
             self._recent.popleft()
         self._guard.note_transmission(now_ns, speed, turning)
 
+    def replace_robot(self, i: int) -> None:
+        """Continue with another body in place of a lost robot."""
+        self._guard.replace_robot(i)
+
     def check_frame(self, now_ns: int, frame: CameraFrame) -> None:
         """Take a camera frame."""
         self._guard.check_frame(frame)
@@ -207,10 +211,12 @@ class GuardObserver:
 
 
 def check_of(text: str, excess: Excess | None) -> str:
-    """Return the name of the check that gave a reason. If it has no number, the text says it."""
+    """Return the name of the check that gave a reason. Without an excess, its text tells it."""
     if excess is not None:
         return excess.check
-    return "frozen" if text == FROZEN else "height"
+    if text == FROZEN:
+        return "frozen"
+    return "height" if text.startswith("its body ") else "other"
 
 
 # ---- in a run ----
@@ -266,6 +272,12 @@ class Unheeded(GuardCheck):
             if isinstance(finding, Warn):
                 yield finding
 
+    def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
+        """Pass on warnings; see `GuardCheck.tick`."""
+        for finding in self._check.tick(robots):
+            if isinstance(finding, Warn):
+                yield finding
+
 
 def unheeded(checks: GuardChecks) -> GuardChecks:
     """Return checks of which the statistical ones only watch."""
@@ -304,10 +316,16 @@ class ObservingGuard(Guard):
         super().note_transmission(now_ns, speed, turning)
         self._observer.note_transmission(now_ns, speed, turning)
 
+    def replace_robot(self, i: int) -> None:
+        """Continue with another body in place of a lost robot; see `Guard.replace_robot`."""
+        super().replace_robot(i)
+        self._observer.replace_robot(i)
+
     def check_frame(self, frame: CameraFrame) -> AcceptedFrame | None:
         """Check one camera frame."""
+        accepted = super().check_frame(frame)
         self._observer.check_frame(frame.received_ns, frame)
-        return super().check_frame(frame)
+        return accepted
 
     def decide(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
         """Decide which robots may move now; see `Guard.decide`."""

@@ -56,7 +56,7 @@ class Pace:
     driven: bool = False  # whether a run has begun, after which no robot is carried
 
 
-def overdue(rule: str, age_ns: int, limit_ns: float, robot: int | None = None) -> Excess | None:
+def overdue(rule: str, age_ns: float, limit_ns: float, robot: int | None = None) -> Excess | None:
     """Return by how much an age has reached its limit, None if it has not.
 
     Args:

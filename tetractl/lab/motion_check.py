@@ -15,11 +15,11 @@ max(|v|, |w| r), and w by up to e / r. So a command allows the rates
 For robots without wheels, r is 0: then e = g |v|, and g |w| replaces e/r.
 
 It is unknown which command a robot obeys: radio and wheels delay commands, and some are lost. From
-one frame to the next, it may be any command that was the newest one at some time between DELAY_NS
-before the first frame and the second frame. The robot may also be standing still, with the rates 0,
-if this time begins before the first transmission, or if a gap between two transmissions, or since
-the last, that reaches into it is longer than WATCHDOG_NS. The *bounds* from one frame to the next
-are the minimum and the maximum of all these rates.
+one frame to the next, it may be any command that was the newest one at some time between
+`limits.delay` before the first frame and the second frame. The robot may also be standing still,
+with the rates 0, if this time begins before the first transmission, or if a gap between two
+transmissions, or since the last, that reaches into it is longer than WATCHDOG_NS. The *bounds* from
+one frame to the next are the minimum and the maximum of all these rates.
 
 Comparison. The bounds are integrated over time, and the motion is added up from pose to pose; each
 robot's integrals end at the time of its own pose. When a pose arrives, each part of the motion must
@@ -34,8 +34,8 @@ bounds *exclude zero* if the rates along, or those around, are all positive or a
 robot must have moved
 
     1. if the bounds up to the newest frame exclude zero, or
-    2. if commands whose own bounds exclude zero have been in force for more than DELAY_NS in all
-       since its pose changed: each from its transmission to the next, for WATCHDOG_NS at most.
+    2. if commands whose own bounds exclude zero have been in force for more than `limits.delay` in
+       all since its pose changed: each from its transmission to the next, for WATCHDOG_NS at most.
 
 The second rule finds a frozen image even if robots are stopped so often that, by the first rule,
 they might always stand still. If the camera measures on a grid, a pose may repeat while its robot
@@ -52,7 +52,6 @@ import math
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -68,8 +67,6 @@ from tetractl.spec.lab_section import UNTRACKED_STOP_S
 
 ROOM = 256
 """Transmissions for which a history has room at first."""
-DELAY_NS = 3 * SECOND // 10
-"""Longest delay by radio, wheels and some lost commands: the default of `limits.delay`."""
 WATCHDOG_NS = SECOND // 4
 """Robots that received nothing for this time have stopped themselves."""
 SLACK_S = 0.03
@@ -105,19 +102,6 @@ AS_NO_COMMAND = "as no command does"
 PUSHED = ": was it pushed, or does the camera track another body as this robot?"
 ANOTHER = f"moves {{}} {AS_NO_COMMAND}{PUSHED}"
 """The text for a motion without a command; the placeholder is for one of PARTS."""
-
-
-@dataclass(frozen=True, slots=True)
-class Contradiction:
-    """How a robot's motion contradicts its commands.
-
-    Attributes:
-        text: What the motion is like, for people.
-        excess: The part of the motion that is beyond its bound, in mm or rad.
-    """
-
-    text: str
-    excess: Excess
 
 
 class CommandHistory:
@@ -188,7 +172,7 @@ class MotionSinceRest:
 
 
 class MotionCheck(GuardCheck):
-    """A check that refuses a pose if the robot moves as no command of the last 0.3 s does.
+    """A check that refuses a pose if the robot moves as no command of the last `limits.delay` does.
 
     During a pause, it reports which of the N robots of `rules` has moved in this way for
     UNTRACKED_STOP_S: a stop may be lost, and is sent again. `share` is the relative error g of the
@@ -269,9 +253,9 @@ class MotionCheck(GuardCheck):
 
         A robot that measures its own pose may have an earlier time than before: the time of its
         last accepted pose, if a later one was refused and none arrives now. Integrating backward
-        then takes back what was added while the commands did not change. More than DELAY_NS back,
-        it does not: no command is found, and what follows is counted twice, as it always is by rule
-        2.
+        then takes back what was added while the commands did not change. More than `limits.delay`
+        back, it does not: no command is found, and what follows is counted twice, as it always is
+        by rule 2.
         """
         intervals = list(zip(self._times, times, strict=True))
         distinct = set(intervals)
@@ -342,7 +326,7 @@ class MotionCheck(GuardCheck):
         """Refuse a pose that contradicts the commands; see `GuardCheck.pose`."""
         fault = self.take_pose(robot, before, pose)
         if fault is not None:
-            yield Refuse(robot, fault.text, fault.excess)
+            yield fault
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
         """Note a robot that keeps moving although it should stand still; see `GuardCheck.pause`."""
@@ -355,7 +339,7 @@ class MotionCheck(GuardCheck):
         if now_ns - stood.exposed_ns > UNTRACKED_STOP_S * SECOND:
             yield Moved(robot, fault.text)
 
-    def take_pose(self, i: int, before: Pose, pose: Pose) -> Contradiction | None:
+    def take_pose(self, i: int, before: Pose, pose: Pose) -> Refuse | None:
         """Compare a new pose of a robot with the commands.
 
         The first pose after `start` or `replace` counts as consistent, and the motion up to it is
@@ -382,7 +366,7 @@ class MotionCheck(GuardCheck):
         if contradiction is not None:
             slack = self._slack[i]
             text = fault_of(contradiction, slack, has_wheels=self._radius > 0)
-            return Contradiction(text, excess_of(contradiction, slack, self._mm, i))
+            return Refuse(i, text, excess_of(contradiction, slack, self._mm, i))
         since_rest.travelled[i] = travelled
         now_ns = self._times[i]
         if not moments or now_ns - moments[-1][0] >= SPACING_NS:

@@ -6,7 +6,6 @@ them again. The guard of a lab checks this as well; this check works on every pl
 WINDOW_S of a stop, it compares the mean position of the first half with that of the second half.
 """
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,7 +15,6 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop
 from tetractl.core.plan import Plan
 from tetractl.core.poses import Floats, Observation
-from tetractl.core.robot_step import RobotStep
 from tetractl.core.setup import Setup
 
 WINDOW_S = 0.15
@@ -47,18 +45,17 @@ def speeds_at_rest(frames: Sequence[Observation]) -> Floats:
     ]
     if len(window) < FRAMES_MIN:
         return np.zeros(robots)
+    half = len(window) // 2
     positions = np.array([frame.poses.xy for frame in window])  # (F, N, 2)
     times_s = np.array([frame.seconds for frame in window])
-    return np.array(
-        [_speed_of(RobotStep.of_means(times_s, positions[:, i])) for i in range(robots)]
-    )
-
-
-def _speed_of(step: RobotStep) -> float:
-    """Compute the speed of a step [length unit/s]; 0 if its motion is not significant."""
-    distance = float(elementwise.hypot(step.way[0], step.way[1]))
-    std = math.sqrt(float(step.variance.sum()))
-    return distance / (step.dt_ns / SECOND) if distance > DISTANCE_STDS * std else 0.0
+    first = positions[:half]
+    second = positions[half:]
+    distances = elementwise.hypot(*(second.mean(axis=0) - first.mean(axis=0)).T)
+    variance = first.var(axis=0, ddof=1) / len(first)
+    variance += second.var(axis=0, ddof=1) / len(second)
+    is_significant = distances > DISTANCE_STDS * np.sqrt(variance.sum(axis=1))
+    seconds = times_s[half:].mean() - times_s[:half].mean()
+    return np.where(is_significant, distances / seconds, 0.0)
 
 
 class RestMonitor:

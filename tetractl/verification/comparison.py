@@ -134,7 +134,7 @@ def _parts(record: Any) -> Mapping[Any, Any] | None:
 def _kind(record: Any) -> str:
     """Return the name of a record's class with its article, such as "a Plan"."""
     name = type(record).__name__
-    article = "an" if name[0] in "AEIOU" else "a"
+    article = "an" if name[0] in "AEIOUaeiou" else "a"
     return f"{article} {name}"
 
 

@@ -11,6 +11,7 @@ from pkgutil import resolve_name
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.lab.guard import Guard
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_observer import GuardObserver, Intervention
 from tetractl.lab.guard_rules import GuardRules
@@ -91,10 +92,7 @@ def observe_log(log: TrialLog, limits: LabLimits | None = None) -> GuardReport:
     Returns:
         The guard's interventions, and the time for which it watched.
     """
-    plant = log.experiment.plant
-    if limits is None:
-        limits = plant.limits if isinstance(plant, LabSection) else LabLimits()
-    rules = GuardRules.of(log.start.setup, limits)
+    rules = GuardRules.of(log.start.setup, limits or limits_of(log))
     observer = GuardObserver(rules, checks_of_lab(log.experiment))
     steps = {step.command.sent_ns: step.deadline_missed for step in log.steps}
     ticked_ns = 0
@@ -109,7 +107,7 @@ def observe_log(log: TrialLog, limits: LabLimits | None = None) -> GuardReport:
                 _note_action(observer, command)
             elif isinstance(command.action, Stop):
                 observer.end_run()
-            _note_speeds(observer, log, command)
+            note_speeds(observer, log, command)
         else:
             observer.check_frame(event.t_ns, camera_frame(log, event.row))
         observer.decide(event.t_ns)
@@ -117,6 +115,12 @@ def observe_log(log: TrialLog, limits: LabLimits | None = None) -> GuardReport:
     checks = KERNEL_CHECKS + (WHEEL_CHECKS if knows_speeds else ())
     watched_s = observer.watched_ns / SECOND
     return GuardReport(tuple(observer.interventions), watched_s, checks, log.began_ns)
+
+
+def limits_of(log: TrialLog) -> LabLimits:
+    """Return the limits of a log's lab, or the defaults if it has none."""
+    plant = log.experiment.plant
+    return plant.limits if isinstance(plant, LabSection) else LabLimits()
 
 
 def _ticks(since_ns: int, until_ns: int) -> Iterator[int]:
@@ -134,9 +138,15 @@ def _note_action(observer: GuardObserver, command: Command) -> None:
     observer.note_direction(command.sent_ns, isinstance(command.action, Steer))
 
 
-def _note_speeds(observer: GuardObserver, log: TrialLog, command: Command) -> None:
-    """Pass on the motion that was commanded, if the log has it."""
+def note_speeds(guard: Guard | GuardObserver, log: TrialLog, command: Command) -> None:
+    """Pass on the motion that was commanded, if the log has it.
+
+    Args:
+        guard: The guard that is to know it.
+        log: The command's trial.
+        command: The command.
+    """
     radius = log.start.setup.wheel_radius
     if radius is not None and command.left is not None and command.right is not None:
         speed, turning = body_velocity(command.left, command.right, radius)
-        observer.note_transmission(command.sent_ns, speed.tolist(), turning.tolist())
+        guard.note_transmission(command.sent_ns, speed.tolist(), turning.tolist())

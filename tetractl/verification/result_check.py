@@ -20,11 +20,10 @@ from tetractl.log.provenance import CODE
 from tetractl.log.read.reader import trial_path
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.model.path_check import check_path
-from tetractl.model.wheels import body_velocity
 from tetractl.run.task import code_of
 from tetractl.spec.lab_section import LabSection
 from tetractl.verification.comparison import Difference, first_difference
-from tetractl.verification.guard_replay import camera_frame, checks_of_lab, events_of
+from tetractl.verification.guard_replay import camera_frame, checks_of_lab, events_of, note_speeds
 
 TURN_ERRORS = 1.0
 """Largest difference between a stated turn and the one computed again, in standard errors.
@@ -123,8 +122,7 @@ def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """
     lab = log.experiment.plant
     setup = log.start.setup
-    radius = setup.wheel_radius
-    if not isinstance(lab, LabSection) or radius is None:
+    if not isinstance(lab, LabSection) or setup.wheel_radius is None:
         return (), ()
     guard = build_guard(GuardRules.of(setup, lab.limits), checks_of_lab(log.experiment))
     guard.pass_preflight()
@@ -137,7 +135,5 @@ def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
             guard.end_run()
         elif guard.state is GuardState.READY:
             guard.start_run(event.t_ns)
-        if command.left is not None and command.right is not None:
-            speed, turning = body_velocity(command.left, command.right, radius)
-            guard.note_transmission(event.t_ns, speed.tolist(), turning.tolist())
+        note_speeds(guard, log, command)
     return guard.drift.turning()

@@ -12,9 +12,8 @@ from tetractl.core.robot_step import RobotStep
 def test_a_robot_on_an_arc_has_gone_the_arc_and_nothing_across():
     """A quarter circle of radius 100: the arc is 157.1 long, the chord 141.4."""
     step = RobotStep.between(Pose(0.0, 0.0, 0.0), Pose(100.0, 100.0, math.pi / 2))
-    assert step.along == pytest.approx(100 * math.pi / 2)
-    assert step.across == pytest.approx(0.0, abs=1e-9)
-    assert step.turned == pytest.approx(math.pi / 2)
+    arc = 100 * math.pi / 2
+    assert step.way.tolist() == pytest.approx([arc, 0.0, math.pi / 2], abs=1e-9)
 
 
 def test_a_shift_to_the_left_of_the_heading_is_positive_across():
@@ -24,7 +23,7 @@ def test_a_shift_to_the_left_of_the_heading_is_positive_across():
 
 def test_a_heading_that_passes_half_a_turn_turns_the_shorter_way():
     step = RobotStep.between(Pose(0.0, 0.0, 3.1), Pose(0.0, 0.0, -3.1))
-    assert step.turned == pytest.approx(2 * math.pi - 6.2)
+    assert step.way[2] == pytest.approx(2 * math.pi - 6.2)
 
 
 def test_a_fitted_step_is_the_speed_with_the_error_of_its_slope():
@@ -35,12 +34,3 @@ def test_a_fitted_step_is_the_speed_with_the_error_of_its_slope():
     step = RobotStep.fitted(times_s, places)
     assert step.std == pytest.approx(np.array([0.5, 0.5, 0.01]) * math.sqrt(12 / 400), rel=0.15)
     assert np.all(abs(step.way - [3.0, 0.0, 0.1]) < 4 * step.std)
-
-
-def test_a_step_of_means_has_the_error_of_both():
-    rng = np.random.default_rng(620602)
-    times_s = np.arange(200) / 100
-    positions = rng.normal(0, 1.0, (200, 2))
-    step = RobotStep.of_means(times_s, positions)
-    assert step.dt_ns == 1_000_000_000
-    assert step.std[:2] == pytest.approx(math.sqrt(2 / 100), rel=0.2)

@@ -96,6 +96,8 @@ def test_words_of_the_glossary_are_met_by_users():
     met = " ".join(path.read_text("utf-8") for path in sources)
     assert len(words) >= 20
     assert [w for word in words for w in word.split(", ") if w not in met] == []
+    meanings = re.findall(r"^\| .+ \| (.+) \|$", glossary, re.M)
+    assert max(len(text.split()) for text in meanings) <= 30
 
 
 def test_every_file_that_the_page_for_contributors_names_exists():

@@ -105,13 +105,14 @@ def accused(
     ages=(0, 0, 0),
     obeys=None,
     reason=OTHERWISE,
+    usual_s=0.3,
 ):
     """What is named at the end. Robots of these names drive under one direction, which changes
     every STEP_NS, and the guard suspects one of them for this reason."""
     random = np.random.default_rng(seed)
     count = len(names)
     motions = SimpleNamespace(travelled=np.zeros((count, 3)))
-    limits = LabLimits(wheel_error=0.12)
+    limits = LabLimits(wheel_error=0.12, delay=usual_s)
     rules = GuardRules(names, SPEEDS[:count], TURNING[:count], ARENA, limits, wheel_radius=40.0)
     drift = DriftCheck(rules, motions)
     frames = []
@@ -187,6 +188,12 @@ def test_a_camera_that_turns_is_the_cameras():
 def test_a_slow_radio_is_named_with_its_delay(seed):
     """Regression: "does the camera track another body as this robot?"."""
     assert accused(delay_s=0.5, seed=seed) == RADIO.format(0.5)
+
+
+@pytest.mark.parametrize("usual_s", [0.6, 1.0])
+def test_a_delay_that_the_spec_allows_is_not_called_slow(usual_s):
+    """Regression: only the motion check knew of `limits.delay`."""
+    assert "radio" not in accused(delay_s=0.5, usual_s=usual_s)
 
 
 @pytest.mark.parametrize("seed", [0, 3, 4])  # in which they are commanded differently

@@ -5,10 +5,12 @@ from dataclasses import replace
 import pytest
 
 from tetractl.core.clock import SECOND
+from tetractl.core.guard_findings import Abort, Warn
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.protocols import GuardCheck
 from tetractl.core.setup import Bounds
 from tetractl.lab.guard import Guard, GuardState
-from tetractl.lab.guard_observer import Act, GuardObserver, build_guard
+from tetractl.lab.guard_observer import Act, GuardObserver, Unheeded, build_guard, check_of
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.spec.lab_section import LabLimits
 
@@ -155,3 +157,42 @@ def test_an_observer_names_check_robot_value_and_limit_and_goes_on():
 
 def test_without_observe_the_guard_is_the_plain_one():
     assert type(build_guard(ACTING)) is Guard
+
+
+class Ticks(GuardCheck):
+    """Stands for a plug-in's statistical check that looks at each decision."""
+
+    statistical = True
+
+    def tick(self, robots):
+        yield Warn("green is slow")
+        yield Abort("green is too slow")
+
+
+def test_a_statistical_check_of_decisions_is_asked_and_only_warns_in_observe_mode():
+    """Regression: it was never asked, so it saw nothing and could not warn."""
+    assert list(Unheeded(Ticks()).tick(())) == [Warn("green is slow")]
+
+
+def test_a_reason_of_a_plug_in_is_not_counted_as_one_of_the_guards_own():
+    """Regression: every reason without a number was counted as a wrong height."""
+    assert check_of("green left the carpet", None) == "other"
+    assert check_of("its body is tilted by 0.31 rad", None) == "height"
+
+
+def test_a_robot_that_was_replaced_is_watched_as_a_new_one():
+    """Regression: the observer compared it with the body that was lost."""
+    rules = replace(RULES, limits=LabLimits(observe=True, untracked_abort=10))
+    guard = build_guard(rules)
+
+    def elsewhere(t_s):
+        """Another body stands in for green, 300 mm to the side, from 0.5 s on."""
+        if t_s > 0.5 and not replaced:
+            replaced.append(t_s)
+            guard.replace_robot(0)
+        return course(t_s, y=800.0 if t_s > 0.5 else 500.0), course(t_s, y=1000.0)
+
+    replaced = []
+    play = Play(guard).run(elsewhere, 2)
+    assert play.guard.state is GuardState.RUN
+    assert play.warnings == []

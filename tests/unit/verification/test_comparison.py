@@ -13,6 +13,7 @@ from tetractl.verification.comparison import first_difference
         (1.5, "1.5", "logged '1.5', computed 1.5"),
         (np.zeros(2), "0 0", "logged str, computed ndarray"),
         ("0 0", np.zeros(2), "logged ndarray, computed str"),
+        ([1], 3, "logged an int, computed a list"),
         (np.zeros(2), np.zeros(3), "logged shape (3,), computed (2,)"),
     ],
 )

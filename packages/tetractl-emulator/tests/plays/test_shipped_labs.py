@@ -34,7 +34,9 @@ def test_no_trial_of_a_shipped_lab_is_flagged(tmp_path, name):
     """
     logs = flagged_trials(LABS[name], tmp_path / "logs")
     if name in ("three_m3pi_paper_lab", "tetrahymena_dish"):
-        logs = [log for log in logs if log.outcome != "aborted"]
+        aborted = [log for log in logs if log.outcome == "aborted"]
+        assert len(aborted) <= 2
+        logs = [log for log in logs if log not in aborted]
     assert logs == []
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import serial
 
-from tetractl.core.clock import Clock
+from tetractl.core.clock import MILLISECOND, Clock
 from tetractl.core.errors import AbortError
 from tetractl.lab.stop_all import send_stops
 from tetractl.spec.lab_section import STOPS
@@ -101,6 +101,18 @@ class SerialPort:
         except (serial.SerialException, OSError, ValueError) as error:
             raise _cannot_open(self._name, self._device, error) from error
         self._thread.start()
+
+    def is_ready(self) -> bool:
+        """Return whether the device is there, or the port does not wait for it any longer.
+
+        A serial port waits for no device.
+        """
+        return True
+
+    def settle(self) -> None:
+        """Wait until the open port is ready. The wait of several open ports is a common one."""
+        while not self.is_ready():
+            self._clock.sleep_until(self._clock.now() + 2 * MILLISECOND)
 
     def write(self, data: bytes) -> int:
         """Send bytes; return the time when the system accepted them [ns].
@@ -226,9 +238,11 @@ class PortGroup:
         return next((port.failure for port in self.ports if port.failure), None)
 
     def open(self) -> None:
-        """Open all ports, exclusively."""
+        """Open all ports, exclusively, then wait until they are ready."""
         for port in self.ports:
             port.open()
+        for port in self.ports:
+            port.settle()
 
     def send(self, messages: Iterable[bytes]) -> int:
         """Send each port its message, even if another port fails.
@@ -261,7 +275,9 @@ def stop_all_at(
 ) -> str:
     """Open the ports of robots, send stops, and close the ports.
 
-    If a port cannot be opened, or no device listens there, the other robots still get their stops.
+    The first stop is sent at once: robots at ports that are ready get more stops than STOPS while
+    others are waited for. If a port cannot be opened, or no device listens there, the other robots
+    still get their stops.
 
     Args:
         ports: The ports.
@@ -276,9 +292,13 @@ def stop_all_at(
         AbortError: If some robots were not reached. The error names them.
         PortHeldError: If `alone` is True and another process has a port open.
     """
+
+    def are_ready() -> bool:
+        return sum(port.is_ready() for port in ports) == len(ports)  # asks every port
+
     try:
         unreached = _open_reachable(ports, alone)
-        send_stops(stop, clock)  # which port has failed, the ports say below
+        send_stops(stop, clock, are_ready)  # which port has failed, the ports say below
     finally:
         for port in ports:
             port.close()

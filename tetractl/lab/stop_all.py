@@ -18,16 +18,26 @@ def stop_all(section: ActuatorSection, setup: Setup, clock: Clock, alone: bool) 
     return f"sent {STOPS} stops"
 
 
-def send_stops(stop: Callable[[], object], clock: Clock) -> AbortError | None:
-    """Send STOPS stops, STOP_GAP_NS apart, even after one that fails.
+def send_stops(
+    stop: Callable[[], object], clock: Clock, are_ready: Callable[[], bool] = lambda: True
+) -> AbortError | None:
+    """Send stops, STOP_GAP_NS apart, even after one that fails: STOPS once all robots are ready.
 
     A stop may fail for one robot while the others still need the following stops.
+
+    Args:
+        stop: Sends a stop to every robot.
+        clock: The clock for the gaps.
+        are_ready: Returns whether all robots receive stops. Until then, stops are sent to those
+            that do.
 
     Returns:
         The first failure. None if there was none.
     """
     failure: AbortError | None = None
-    for _ in range(STOPS):
+    remaining = STOPS
+    while remaining > 0:
+        remaining -= are_ready()
         try:
             stop()
         except AbortError as error:

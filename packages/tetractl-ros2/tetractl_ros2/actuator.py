@@ -228,6 +228,9 @@ def _vector(action: Steer | Turn) -> Vector3:
 def stop_all(section: Ros2Section, setup: Setup, clock: Clock, alone: bool) -> str:
     """Stop every robot by ten messages within 200 ms; return a summary.
 
+    While nobody subscribes to some of the topics, at most DISCOVERY_S, the other robots are sent
+    more of these messages.
+
     Raises:
         AbortError: If nobody subscribes to a robot's topic; the others are stopped.
     """

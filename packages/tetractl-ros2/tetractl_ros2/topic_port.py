@@ -8,6 +8,7 @@ bytes of one message, so that emulated devices can pass the same bytes in memory
     twist = Topic("/green/cmd_vel", Twist, publishes=True)
     port = TopicPort(twist, "ros2://0/green/cmd_vel", 0, "green", clock, hear, "is green on?")
     port.open()
+    port.settle()
     port.write(Twist(linear=Vector3(x=0.1)).serialize())
 """
 
@@ -35,7 +36,7 @@ from cyclonedds.idl import IdlStruct
 from cyclonedds.pub import DataWriter
 from cyclonedds.topic import Topic as DdsTopic
 
-from tetractl.core.clock import MILLISECOND, Clock, wait_for
+from tetractl.core.clock import MILLISECOND, SECOND, Clock
 from tetractl.core.errors import AbortError
 from tetractl.lab.client_port import ClientPort
 from tetractl.lab.serial_port import Heard, Ports
@@ -196,12 +197,13 @@ class TopicPort(ClientPort):
         super().__init__(name, baud, device, clock, heard, hint)
         self.end = TopicEnd(topic, domain_of(name))
         self._lock: int | None = None  # descriptor of the file that is locked
+        self._ready_ns = 0  # when it stops waiting for subscribers
 
     def open(self, alone: bool = True) -> None:
         """Join the topic.
 
-        A publisher waits until somebody subscribes, at most DISCOVERY_S. If nobody does, `refusal`
-        says so.
+        A publisher is ready once somebody subscribes, or DISCOVERY_S later. If nobody subscribes,
+        `refusal` says so.
 
         Raises:
             PortHeldError: If `alone` and another program of this computer publishes here.
@@ -211,10 +213,16 @@ class TopicPort(ClientPort):
             self._lock = hold(self._name)
         self.end.open()
         super().open(alone)
-        topic = self.end.topic
-        if topic.publishes:
-            wait_for(self._clock, lambda: self.end.partners > 0, DISCOVERY_S)
-            self.look_for_subscribers()
+        self._ready_ns = self._clock.now() + round(DISCOVERY_S * SECOND)
+
+    def is_ready(self) -> bool:
+        """Return whether any node subscribes, or there was time enough for it to appear.
+
+        A subscription is ready at once.
+        """
+        if not self.end.topic.publishes:
+            return True
+        return self.look_for_subscribers() or self._clock.now() >= self._ready_ns
 
     def look_for_subscribers(self) -> bool:
         """Return whether any node subscribes to the topic, and keep the answer in `refusal`."""

@@ -55,6 +55,9 @@ class Port:
             raise AbortError(f"{self._name}: there is no such port")
         self._ports.open.add(self._name)
 
+    def is_ready(self):
+        return True
+
     def write(self, data):
         if self._name not in self._ports.open:
             raise AbortError(f"{self._name} is not open")

@@ -51,6 +51,9 @@ class Ports:
             def open(self):
                 pass
 
+            def settle(self):
+                pass
+
             def close(self):
                 pass
 

@@ -30,6 +30,9 @@ class RobotsPort:
     def open(self, alone=True):
         pass
 
+    def settle(self):
+        pass
+
     def write(self, data):
         for reply in self.answer(decode_command(data[:-1]).sequence):
             self.heard(reply_line(reply), 0)

@@ -1,0 +1,103 @@
+"""Topics as ports, at ends whose partners a test plays."""
+
+import contextlib
+
+import pytest
+
+pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
+from tetractl_ros2.ros2_messages import Twist
+from tetractl_ros2.topic_port import DISCOVERY_S, Topic, TopicPort
+
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.errors import AbortError
+from tetractl.lab.serial_port import PortGroup, stop_all_at
+from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
+
+NAMES = ("green", "blue", "red")
+DISCOVERY_NS = round(DISCOVERY_S * SECOND)
+
+
+class PlayedEnd:
+    """An end of a topic to which somebody subscribes at a time of the clock [ns]; None: nobody."""
+
+    def __init__(self, topic, clock, appears_ns):
+        self.topic = topic
+        self.sent_ns = []
+        self._clock = clock
+        self._appears_ns = appears_ns
+
+    def open(self):
+        pass
+
+    def close(self):
+        pass
+
+    @property
+    def partners(self):
+        return int(self._appears_ns is not None and self._clock.now() >= self._appears_ns)
+
+    def publish(self, data):
+        if self.partners:
+            self.sent_ns.append(self._clock.now())
+
+
+@pytest.fixture
+def ports_to(monkeypatch):
+    """Make a port for each time at which a robot subscribes; at the end they are closed."""
+    monkeypatch.setattr("tetractl_ros2.topic_port.hold", lambda name: None)
+    with contextlib.ExitStack() as closing:
+
+        def make(*appear_ns):
+            clock = VirtualClock()
+            ports = []
+            for name, appears_ns in zip(NAMES, appear_ns, strict=True):
+                topic = Topic(f"/{name}/cmd_vel", Twist, publishes=True)
+                address = topic.address(0)
+                port = TopicPort(topic, address, 0, name, clock, lambda *_: None, "hint")
+                port.end = PlayedEnd(topic, clock, appears_ns)
+                closing.callback(port.close)
+                ports.append(port)
+            return clock, ports
+
+        yield make
+
+
+def test_topics_to_which_nobody_subscribes_are_waited_for_at_the_same_time(ports_to):
+    """Regression: each of them was waited for after the others."""
+    clock, ports = ports_to(None, SECOND, None)
+    PortGroup(ports).open()
+    assert clock.now() == DISCOVERY_NS
+    assert [port.refusal for port in ports] == [
+        "no node subscribes to /green/cmd_vel",
+        None,
+        "no node subscribes to /red/cmd_vel",
+    ]
+
+
+def test_robots_that_are_there_are_not_waited_for(ports_to):
+    clock, ports = ports_to(0, 0, 0)
+    PortGroup(ports).open()
+    assert clock.now() == 0
+
+
+def test_stops_are_sent_to_whoever_is_there_while_others_are_waited_for(ports_to):
+    """Regression: before the first stop, each silent topic was waited for."""
+    clock, ports = ports_to(None, SECOND, 0)
+    link = PortGroup(ports)
+    said = f"^sent {STOPS} stops, but not to all: no node subscribes to /green/cmd_vel$"
+    with pytest.raises(AbortError, match=said):
+        stop_all_at(ports, lambda: link.send([Twist().serialize()] * 3), clock, alone=True)
+    silent, late, prompt = (port.end.sent_ns for port in ports)
+    end_ns = DISCOVERY_NS + STOPS * STOP_GAP_NS
+    assert clock.now() == end_ns
+    assert silent == []
+    assert late == list(range(SECOND, end_ns, STOP_GAP_NS))
+    assert prompt == list(range(0, end_ns, STOP_GAP_NS))
+
+
+def test_robots_that_are_all_there_get_ten_stops(ports_to):
+    clock, ports = ports_to(0, 0, 0)
+    link = PortGroup(ports)
+    sent = stop_all_at(ports, lambda: link.send([Twist().serialize()] * 3), clock, alone=True)
+    assert sent == f"sent {STOPS} stops"
+    assert [len(port.end.sent_ns) for port in ports] == [STOPS] * 3

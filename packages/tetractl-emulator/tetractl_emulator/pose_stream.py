@@ -7,6 +7,7 @@ import random
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 from pydantic import Field
@@ -23,6 +24,7 @@ from tetractl_emulator.loop import Loop
 from tetractl_emulator.optitrack.pose_camera import PoseCamera, noise_of_day
 from tetractl_emulator.optitrack.scripted import FAULTS
 from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBody, View
+from tetractl_emulator.port import PseudoPort
 from tetractl_emulator.sides import Body, Facts, Stage
 
 OF_A_SERVER = (
@@ -109,9 +111,13 @@ class PoseStream(PoseCamera):
         super().__init__(stage, tracked, rate, latency, View(UpAxis.Z))
         self.names = [body.name for body in bodies]
         self.join = stage.wires.ports
-        self.port = stage.wires.port(section.address)
         self.frames = 0
         self._loop: Loop | None = None
+
+    @cached_property
+    def port(self) -> PseudoPort:
+        """The port at the section's address, which `open` makes unless a subclass replaces it."""
+        return self._stage.wires.port(self.section.address)
 
     @abstractmethod
     def packed(self, shot: Shot) -> bytes:

@@ -4,25 +4,24 @@ A twist v, w asks a robot on two wheels at the distance r from its centre for th
 
     left = v - r w,    right = v + r w.
 
-The counts of `WheeledActuator` are wheel speeds in units of UNIT_MM. Robots that steer themselves
-are sent the direction instead of a twist. The wheel speeds are then what they make of it, by the
-spec's values and the pose that the camera has shown.
+The counts of `WheeledActuator` are wheel speeds in units of the section's `unit_mm`. Robots that
+steer themselves are sent the direction instead of a twist. The wheel speeds are then what they make
+of it, by the spec's values and the pose that the camera has shown.
 """
 
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
-
-import numpy as np
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import Steer, Transmission, Turn
 from tetractl.core.poses import Floats, Pose
 from tetractl.core.protocols import EMULATED_NAME, Health, RobotStatus
 from tetractl.core.setup import Setup
-from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_speed
-from tetractl.lab.serial_port import PortGroup, Ports, SerialPort, stop_all_at
+from tetractl.lab.actuators.own_robots import SpeedRobots
+from tetractl.lab.serial_port import UNREADABLE, PortGroup, Ports, SerialPort, stop_all_at
 from tetractl.model.wheels import CountArray
 from tetractl.spec.lab_section import entry
 from tetractl_ros2.ros2_messages import (
@@ -35,7 +34,7 @@ from tetractl_ros2.ros2_messages import (
     Vector3,
     Vector3Stamped,
 )
-from tetractl_ros2.section import DIRECTION, UNIT_MM, Ros2Section
+from tetractl_ros2.section import DIRECTION, Ros2Section
 from tetractl_ros2.topic_port import TopicPort, ports_of
 from tetractl_ros2.topics import battery_topics, command_topics, emergency_topic
 
@@ -52,7 +51,7 @@ NO_WATCHDOG = (
 )
 
 
-class Ros2Robots(WheeledActuator):
+class Ros2Robots(SpeedRobots):
     """Drives the setup's robots; see `tetractl.core.protocols.Actuator`.
 
     Args:
@@ -74,8 +73,7 @@ class Ros2Robots(WheeledActuator):
         self.section = section
         self._unix_ns = unix_ns
         self._vector = Vector3()  # of the newest direction
-        robots = [entry(section.robots, name) for name in setup.names]
-        self._batteries: list[BatteryState | None] = [None] * len(robots)
+        self._batteries: list[BatteryState | None] = [None] * len(setup.names)
         commands = command_topics(section, setup)
         batteries = battery_topics(section, setup)
         emergency = emergency_topic(section)
@@ -98,18 +96,9 @@ class Ros2Robots(WheeledActuator):
                 address, 0, "the emergency stop", clock, lambda *_: None, HINT
             )
         stopping = [] if self._emergency_port is None else [self._emergency_port]
-        self.links = PortGroup([*self._command_ports, *stopping, *battery_ports])
-        gains = np.array([(robot.left_gain, robot.right_gain) for robot in robots]).T
-        self._gain = gains * UNIT_MM
-        super().__init__(
-            setup,
-            clock,
-            link=self.links,
-            stated_radii_mm=[robot.radius_mm for robot in robots],
-            drivetrains=wheels_by_speed(self._gain, section.speed_max_mm_s / UNIT_MM),
-            delay_ns=round(section.delay * SECOND),
-            rate=section.rate,
-        )
+        all_ports = PortGroup([*self._command_ports, *stopping, *battery_ports])
+        robots = [entry(section.robots, name) for name in setup.names]
+        super().__init__(section, robots, setup, clock, all_ports)
 
     @property
     def stopping_ports(self) -> list[SerialPort]:
@@ -118,16 +107,22 @@ class Ros2Robots(WheeledActuator):
         return [*self._command_ports, *emergency]
 
     def check(self) -> Health:
-        """Report other nodes that drive the robots, and ask whether they may lack a watchdog."""
-        problems = tuple(
+        """Report other nodes that drive the robots, and an emergency stop that nobody obeys.
+
+        It also asks whether robots may lack a watchdog.
+        """
+        problems = [
             f"{rivals} other publisher{'s' * (rivals > 1)} on {port.end.topic.name}: "
             "end what else drives this robot"
             for port in self._command_ports
             if isinstance(port, TopicPort) and (rivals := port.end.rivals()) > 0
-        )
+        ]
+        stopping = self._emergency_port
+        if isinstance(stopping, TopicPort) and not stopping.look_for_subscribers():
+            problems.append(f"the emergency stop reaches no robot: {stopping.refusal}: {HINT}")
         questions = () if self.section.stops_after is not None else (NO_WATCHDOG,)
         emulated = [b is not None and b.serial_number == EMULATED_NAME for b in self._batteries]
-        return Health(problems, questions=questions, emulated=any(emulated))
+        return Health(tuple(problems), questions=questions, emulated=any(emulated))
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Wait for the batteries' states, and report robots to whose topic nobody subscribes."""
@@ -193,9 +188,9 @@ class Ros2Robots(WheeledActuator):
         return Header(stamp=Time(sec, nanosec), frame_id=frame)
 
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
-        asked = outputs * UNIT_MM
+        asked = outputs * self.section.unit_mm
         messages = [self.command(row, *pair) for row, pair in enumerate(asked.T.tolist())]
-        return self._send(self._command_ports, messages), outputs * self._gain
+        return self._send(self._command_ports, messages), outputs * self.gain
 
     def _halt(self, emergency: bool) -> int:
         messages = [self.command(row, 0.0, 0.0) for row in range(len(self.names))]
@@ -214,8 +209,9 @@ class Ros2Robots(WheeledActuator):
         return PortGroup(ports).send(messages)
 
     def _hear(self, row: int, data: bytes, _at_ns: int) -> None:
-        if data:
-            self._batteries[row] = BatteryState.deserialize(data)
+        if data:  # otherwise the port has failed
+            with suppress(*UNREADABLE):
+                self._batteries[row] = BatteryState.deserialize(data)
 
 
 def _vector(action: Steer | Turn) -> Vector3:

@@ -13,8 +13,9 @@ from typing import Any
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import LogError, UsageError, printable
-from tetractl.lab.cameras.optitrack.natnet import RigidBody, UpAxis, planar_pose
+from tetractl.lab.cameras.optitrack.natnet import UpAxis, planar_pose
 from tetractl.tools.table.table import Column, Table
+from tetractl_ros2.body_readings import sightings, stamp_ns
 
 POSES = {
     "geometry_msgs/msg/PoseStamped": "PoseStamped",
@@ -140,49 +141,23 @@ def _message_store() -> Any:
 def _command(topic: str, time_ns: int, message: Any) -> BagCommand:
     header = getattr(message, "header", None)
     twist = message if header is None else message.twist
-    at_ns = time_ns if header is None else _stamp_ns(header) or time_ns
+    at_ns = time_ns if header is None else stamp_ns(header) or time_ns
     robot = _first_part(topic) if topic.count("/") > 1 else ""
     return BagCommand(topic, robot, at_ns, twist.linear.x, twist.angular.z)
 
 
 def _poses(topic: str, time_ns: int, message: Any, kind: str) -> Iterator[BagPose]:
     """Yield the poses in a message that are finite and have a rotation."""
-    for robot, header, position, turn in _bodies(topic, message, kind):
-        place = (position.x, position.y, position.z)
-        body = RigidBody(0, place, (turn.x, turn.y, turn.z, turn.w), True)
-        planar = planar_pose(body, UpAxis.Z)
+    for seen in sightings(POSES[kind], message):
+        planar = planar_pose(seen.rigid, UpAxis.Z)
         if planar is not None:
-            frame = header.frame_id.removeprefix("/")
-            at_ns = _stamp_ns(header) or time_ns
-            yield BagPose(topic, robot, frame, at_ns, planar.x, planar.y, planar.heading)
-
-
-def _bodies(topic: str, message: Any, kind: str) -> Iterator[tuple[str, Any, Any, Any]]:
-    """Yield robot, header, position and rotation of each body in a message."""
-    match POSES[kind]:
-        case "TFMessage":
-            for stamped in message.transforms:
-                moved = stamped.transform
-                name = _first_part(stamped.child_frame_id)
-                yield name, stamped.header, moved.translation, moved.rotation
-        case "NamedPoseArray":
-            for named in message.poses:
-                pose = named.pose
-                yield _first_part(named.name), message.header, pose.position, pose.orientation
-        case "PoseStamped":
-            pose = message.pose
-            yield _first_part(topic), message.header, pose.position, pose.orientation
-        case _:
-            pose = message.pose.pose
-            yield _first_part(topic), message.header, pose.position, pose.orientation
+            robot = _first_part(topic if seen.body is None else seen.body)
+            at_ns = seen.stamp_ns or time_ns
+            yield BagPose(topic, robot, seen.frame, at_ns, planar.x, planar.y, planar.heading)
 
 
 def _first_part(name: str) -> str:
     return name.strip("/").partition("/")[0]
-
-
-def _stamp_ns(header: Any) -> int:
-    return header.stamp.sec * SECOND + header.stamp.nanosec
 
 
 def pose_table(contents: BagContents, topic: str | None, frame: str | None) -> Table:

@@ -5,15 +5,6 @@ from typing import Any
 
 from tetractl.core.clock import SECOND
 from tetractl.lab.cameras.optitrack.natnet import RigidBody
-from tetractl_ros2.ros2_messages import (
-    Header,
-    NamedPoseArray,
-    Odometry,
-    PoseMessage,
-    PoseStamped,
-    TFMessage,
-    TransformStamped,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,24 +24,31 @@ class BodySighting:
     rigid: RigidBody
 
 
-def sightings(message: Any) -> list[BodySighting]:
-    """Return the bodies in a message of one of the kinds of poses, in its order."""
-    match message:
-        case PoseStamped():
+def sightings(kind: str, message: Any) -> list[BodySighting]:
+    """Return the bodies in a message, in its order.
+
+    Args:
+        kind: The message's type in ROS 2, without its package, such as PoseStamped.
+        message: The message. Its class may come from any library that names the fields as ROS 2
+            does.
+
+    Raises:
+        TypeError: If messages of this kind hold no poses.
+    """
+    match kind:
+        case "PoseStamped":
             return [_sighting(None, message.header, message.pose)]
-        case Odometry():
+        case "Odometry" | "PoseWithCovarianceStamped":
             return [_sighting(None, message.header, message.pose.pose)]
-        case NamedPoseArray():
-            poses: Any = message.poses
-            return [_sighting(named.name, message.header, named.pose) for named in poses]
-        case TFMessage():
-            transforms: Any = message.transforms
-            return [_of_transform(stamped) for stamped in transforms]
+        case "NamedPoseArray":
+            return [_sighting(named.name, message.header, named.pose) for named in message.poses]
+        case "TFMessage":
+            return [_of_transform(stamped) for stamped in message.transforms]
         case _:
-            raise TypeError(f"{type(message).__name__} holds no poses")
+            raise TypeError(f"a {kind} holds no poses")
 
 
-def stamp_ns(header: Header) -> int:
+def stamp_ns(header: Any) -> int:
     """Return the time in a header [ns]."""
     return header.stamp.sec * SECOND + header.stamp.nanosec
 
@@ -60,13 +58,13 @@ def bare(frame: str) -> str:
     return frame.removeprefix("/")
 
 
-def _sighting(body: str | None, header: Header, pose: PoseMessage) -> BodySighting:
+def _sighting(body: str | None, header: Any, pose: Any) -> BodySighting:
     at = pose.position
     turn = pose.orientation
     return BodySighting(body, bare(header.frame_id), stamp_ns(header), _rigid(at, turn))
 
 
-def _of_transform(stamped: TransformStamped) -> BodySighting:
+def _of_transform(stamped: Any) -> BodySighting:
     rigid = _rigid(stamped.transform.translation, stamped.transform.rotation)
     header = stamped.header
     return BodySighting(

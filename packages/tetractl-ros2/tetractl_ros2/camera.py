@@ -9,6 +9,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import partial
 from typing import Self
 
@@ -24,6 +25,7 @@ from tetractl.spec.lab_section import entry
 from tetractl.tools.worker import drained
 from tetractl_ros2.body_readings import BodySighting, bare, sightings
 from tetractl_ros2.frame_group import FrameGroup, Readings, RobotReading
+from tetractl_ros2.ros2_messages import Bool
 from tetractl_ros2.section import Ros2CameraSection
 from tetractl_ros2.topic_port import TopicPort, ports_of
 from tetractl_ros2.topics import POSES, emulated_topic, pose_topics
@@ -71,7 +73,7 @@ class Ros2Camera:
         unix_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.section = section
-        self.setup = setup
+        self._setup = setup
         self.damaged = 0
         self._clock = clock
         self._wake = wake
@@ -154,7 +156,9 @@ class Ros2Camera:
     def _missing(self) -> tuple[str, ...]:
         """Describe each robot that no message has shown."""
         lines: list[str] = []
-        for row, (name, reading) in enumerate(zip(self.setup.names, self._group.last, strict=True)):
+        for row, (name, reading) in enumerate(
+            zip(self._setup.names, self._group.last, strict=True)
+        ):
             if reading.pose is not None:
                 continue
             body = entry(self.section.robots, name).body
@@ -163,7 +167,7 @@ class Ros2Camera:
                 shown = printable(other, NAME_MAX) or '""'
                 lines.append(f"{name}'s poses are in the frame {shown}, not {self.section.frame}")
             elif len(self._ports) > 1:
-                topic = self.section.topics(self.setup)[row]
+                topic = self.section.topics(self._setup)[row]
                 lines.append(f"{name} has no pose: no message came on {topic}")
             else:
                 where = f"{self.section.topic_pattern}; bodies there: {self._body_list()}"
@@ -217,7 +221,9 @@ class Ros2Camera:
             )
 
     def _hear_marker(self, data: bytes, _at_ns: int) -> None:
-        self._emulated = self._emulated or bool(data)
+        if data:  # otherwise the port has failed
+            with suppress(*UNREADABLE):
+                self._emulated = self._emulated or Bool.deserialize(data).data
 
     def _hear(self, topic: int, data: bytes, at_ns: int) -> None:
         """Take a message of a topic; without data, its port has failed."""
@@ -231,12 +237,12 @@ class Ros2Camera:
     def _take_failure(self, topic: int, at_ns: int) -> None:
         fault = self._ports[topic].failure or f"the topic {self.section.address} has failed"
         self._number += 1
-        none = (None,) * len(self.setup.names)
+        none = (None,) * len(self._setup.names)
         self._waiting.append(CameraFrame(self._number, at_ns, at_ns, none, fault=fault))
 
     def _take_message(self, topic: int, data: bytes, at_ns: int) -> None:
         try:
-            shown = sightings(self._message.deserialize(data))
+            shown = sightings(self.section.message, self._message.deserialize(data))
         except UNREADABLE as error:
             self.damaged += 1
             self._first_damaged = self._first_damaged or f"{text_of(error)}, in {data[:60]!r}"

@@ -9,10 +9,9 @@ from pydantic import AfterValidator, Field
 
 from tetractl.core.errors import UsageError
 from tetractl.core.setup import Setup
-from tetractl.lab.actuators.wheeled_section import Found, wheel_gains
-from tetractl.spec.base import Angle, NonNegative, Point, Positive
+from tetractl.lab.actuators.wheeled_section import SpeedRobot, SpeedSection
+from tetractl.spec.base import Angle, NonNegative, Point
 from tetractl.spec.lab_section import (
-    ActuatorSection,
     CameraSection,
     LabLimits,
     LabSection,
@@ -20,8 +19,6 @@ from tetractl.spec.lab_section import (
     RobotPart,
     entry,
     mismatches,
-    too_fast,
-    unknown_radii,
 )
 from tetractl.spec.yaml.problems import Loc
 
@@ -30,8 +27,6 @@ BODY = "{body}"
 NAME = re.compile(r"(/[A-Za-z_{][A-Za-z0-9_{}]*)+")
 DIRECTION = "Vector3Stamped"
 """The message of robots that steer themselves by the common direction."""
-UNIT_MM = 0.1
-"""The wheel speed that counts as 1 [mm/s]: a Twist holds numbers that are not whole."""
 RATE_PER_WATCHDOG = 3
 """Minimum number of commands within `stops_after`, because some may be lost."""
 
@@ -134,28 +129,22 @@ class Ros2CameraSection(CameraSection):
         return entry(self.robots, name).heading_offset
 
 
-class Ros2Robot(RobotPart):
+class Ros2Robot(SpeedRobot):
     """A robot's entry in the actuator's section."""
 
     topic: TopicName
     """The topic of its commands, such as /green/cmd_vel."""
     battery: TopicName | None = None
     """The topic of its sensor_msgs/BatteryState; None if it has none."""
-    radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
-    """Distance r from a wheel to its centre [mm]; by default the spec's."""
-    left_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
-    """True speed of the left wheel over the speed that it was sent."""
-    right_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
-    """True speed of the right wheel over the speed that it was sent."""
 
 
-class Ros2Section(ActuatorSection):
+class Ros2Section(SpeedSection):
     """Robots of a ROS 2 graph that take twists, or the common direction."""
 
     device: ClassVar[str] = "tetractl_ros2.actuator:Ros2Robots"
-    calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
     stopping: ClassVar[str] = "tetractl_ros2.actuator:stop_all"
-    dead_zone_max: ClassVar[int] = 0
+    unit_mm: ClassVar[float] = 0.1
+    """The wheel speed that counts as 1 [mm/s]: a Twist holds numbers that are not whole."""
     type: Literal["ros2"]
     domain: Domain = 0
     """The ROS domain: ROS_DOMAIN_ID of the robots."""
@@ -169,12 +158,6 @@ class Ros2Section(ActuatorSection):
     emergency_stop: TopicName | None = None
     """A topic of std_msgs/Bool at which true stops the robots until they are released by hand; None
     if there is none."""
-    rate: float = Field(default=20.0, ge=10, le=200, allow_inf_nan=False)
-    """Commands to each robot per second [Hz]."""
-    delay: float = Field(default=0.01, ge=0, le=0.2, allow_inf_nan=False)
-    """Time from the sending of a command until the wheels follow it [s]."""
-    speed_max_mm_s: Positive = Field(default=400.0, le=5000)
-    """Maximum wheel speed that is sent [mm/s]."""
     battery_warn: float = Field(default=20.0, ge=0, le=100, allow_inf_nan=False)
     """A warning is printed for a robot whose battery is below this charge [%]."""
     robots: tuple[Ros2Robot, ...] = Field(min_length=1, max_length=32)
@@ -183,8 +166,7 @@ class Ros2Section(ActuatorSection):
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield place and text of each problem with robots, topics, wheels, speeds and rate."""
         yield from mismatches(self.robots, setup.names, ("topic", "battery"))
-        yield from too_fast(setup, self.speed_max_mm_s)
-        yield from unknown_radii(setup, [robot.radius_mm for robot in self.robots])
+        yield from self.wheel_contradictions(setup, self.robots)
         for i, robot in enumerate(self.robots):
             for key in ("topic", "battery"):
                 if "{" in (getattr(robot, key) or ""):
@@ -234,12 +216,3 @@ class Ros2Section(ActuatorSection):
             "robots without commands stop": ends,
             "wheel speeds": f"at most {self.speed_max_mm_s:g} mm/s",
         }
-
-    def outputs(self, name: str, limit: int) -> tuple[float, int]:
-        """Return what is sent for a 127th of the maximum wheel speed, and for `limit` of them."""
-        unit = self.speed_max_mm_s / UNIT_MM / 127
-        return unit, int(unit * limit)
-
-    def measured(self, calibrated: Found) -> dict[str, Any]:
-        """Return a robot's r and gains."""
-        return wheel_gains(calibrated, UNIT_MM)

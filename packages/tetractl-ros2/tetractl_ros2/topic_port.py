@@ -39,7 +39,7 @@ from cyclonedds.topic import Topic as DdsTopic
 from tetractl.core.clock import MILLISECOND, SECOND, Clock
 from tetractl.core.errors import AbortError
 from tetractl.lab.client_port import ClientPort
-from tetractl.lab.serial_port import Heard, Ports
+from tetractl.lab.serial_port import UNREADABLE, Heard, Ports
 from tetractl.lab.udp_port import hold
 
 SCHEME = "ros2://"
@@ -57,6 +57,9 @@ PUBLISHERS_MAX = 1000
 """Maximum number of publishers of a graph that are looked at."""
 BLOCKING_NS = 20 * MILLISECOND
 """Maximum time for which a write may wait for a slow subscriber [ns]."""
+UNDECODABLE = b"\xff"
+"""What a subscription passes on for a message that is not of the topic's type. It cannot be decoded
+either, so whoever takes it counts it as unreadable."""
 
 _participants: WeakValueDictionary[int, DomainParticipant] = WeakValueDictionary()
 _participants_lock = threading.Lock()
@@ -158,19 +161,37 @@ class TopicEnd:
         self._writer = None
 
     def publish(self, data: bytes) -> None:
-        """Publish the message with these bytes; DDSException if that fails."""
-        assert self._writer is not None, "the end is open, and publishes"
+        """Publish the message with these bytes.
+
+        Raises:
+            DDSException: If DDS does not take the message.
+            AbortError: If the end is not open.
+        """
+        if self._writer is None:
+            raise AbortError(f"{self.topic.name} is not open")
         self._writer.write(self.topic.message.deserialize(data))
 
     def wait(self) -> list[bytes]:
-        """Wait for messages, at most WAIT_NS, and return the bytes of those that have come."""
+        """Wait for messages, at most WAIT_NS, and return the bytes of those that have come.
+
+        For a message that cannot be decoded, UNDECODABLE is returned.
+        """
         arrivals = self._arrivals
         reader = self._reader
         if arrivals is None or reader is None:
             return []
         arrivals.wait(WAIT_NS)
-        samples = reader.take(MESSAGES_MAX)
-        return [sample.serialize() for sample in samples if isinstance(sample, IdlStruct)]
+        messages: list[bytes] = []
+        for _ in range(MESSAGES_MAX):
+            try:
+                samples = reader.take(1)  # only one, because a message that is no good loses all
+            except UNREADABLE:
+                messages.append(UNDECODABLE)
+                continue
+            if not samples:
+                break
+            messages += [sample.serialize() for sample in samples if isinstance(sample, IdlStruct)]
+        return messages
 
     @property
     def partners(self) -> int:
@@ -231,13 +252,17 @@ class TopicPort(ClientPort):
         return is_received
 
     def write(self, data: bytes) -> int:
-        """Publish a message, given by its bytes; return the time [ns]."""
+        """Publish a message, given by its bytes; return the time [ns].
+
+        Raises:
+            AbortError: If the topic is not open, or DDS does not take the message.
+        """
         with self._sending:
             if self.failure:
                 raise AbortError(self.failure, self._hint)
             try:
                 self.end.publish(data)
-            except (core.DDSException, AssertionError) as error:
+            except core.DDSException as error:
                 raise self._fail(f"takes no message: {error}") from None
             return self._clock.now()
 

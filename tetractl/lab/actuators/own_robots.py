@@ -1,6 +1,7 @@
 """The base of actuators for robots of another make: two wheels, and a port for each robot."""
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from functools import partial
 from pkgutil import resolve_name
 
@@ -9,8 +10,9 @@ import numpy as np
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
-from tetractl.lab.actuators.own_section import OwnSection
+from tetractl.lab.actuators.own_section import OwnRobot, OwnSection
 from tetractl.lab.actuators.wheel_commands import WheeledActuator, wheels_by_speed
+from tetractl.lab.actuators.wheeled_section import SpeedRobot, SpeedSection
 from tetractl.lab.serial_port import PortGroup, Ports, stop_all_at
 from tetractl.lab.udp_port import open_port
 from tetractl.model.wheels import CountArray
@@ -20,7 +22,41 @@ ROBOT_BAUD = 57600  # of serial ports
 SILENT_ROBOT_HINT = "is the robot on, and in this computer's network?"
 
 
-class OwnRobots(WheeledActuator):
+class SpeedRobots(WheeledActuator):
+    """The base of actuators that send each robot the speeds of its wheels.
+
+    Args:
+        section: The actuator's section of the spec.
+        robots: The entries of the robots in the section, in the setup's order.
+        setup: The robots.
+        clock: The run's clock.
+        ports: The robots' ports, not yet open.
+    """
+
+    def __init__(
+        self,
+        section: SpeedSection,
+        robots: Sequence[SpeedRobot],
+        setup: Setup,
+        clock: Clock,
+        ports: PortGroup,
+    ) -> None:
+        self.links = ports
+        gains = np.array([(robot.left_gain, robot.right_gain) for robot in robots]).T
+        self.gain = gains * section.unit_mm
+        """True speed per unit sent [mm/s], shape (2, N): left and right wheels."""
+        super().__init__(
+            setup,
+            clock,
+            link=self.links,
+            stated_radii_mm=[robot.radius_mm for robot in robots],
+            drivetrains=wheels_by_speed(self.gain, section.speed_max_mm_s / section.unit_mm),
+            delay_ns=round(section.delay * SECOND),
+            rate=section.rate,
+        )
+
+
+class OwnRobots(SpeedRobots):
     """The actuator for robots that do not answer. A subclass packs the speeds of their wheels.
 
     See `tetractl.core.protocols.Actuator`. `robots` are their entries in the section, and `radii`
@@ -31,23 +67,13 @@ class OwnRobots(WheeledActuator):
     def __init__(
         self, section: OwnSection, setup: Setup, clock: Clock, ports: Ports | None = None
     ) -> None:
-        self.robots = [entry(section.robots, name) for name in setup.names]
+        self.robots: list[OwnRobot] = [entry(section.robots, name) for name in setup.names]
         make = ports or open_port
-        self.links = PortGroup(
+        ports_of_robots = PortGroup(
             make(robot.address, ROBOT_BAUD, robot.name, clock, lambda *_: None, SILENT_ROBOT_HINT)
             for robot in self.robots
         )
-        gains = np.array([(robot.left_gain, robot.right_gain) for robot in self.robots]).T
-        self._gain = gains * section.unit_mm
-        super().__init__(
-            setup,
-            clock,
-            link=self.links,
-            stated_radii_mm=[robot.radius_mm for robot in self.robots],
-            drivetrains=wheels_by_speed(self._gain, section.speed_max_mm_s / section.unit_mm),
-            delay_ns=round(section.delay * SECOND),
-            rate=section.rate,
-        )
+        super().__init__(section, self.robots, setup, clock, ports_of_robots)
 
     @abstractmethod
     def packed(self, row: int, left: int, right: int) -> bytes:
@@ -73,7 +99,7 @@ class OwnRobots(WheeledActuator):
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
         pairs = enumerate(outputs.T.tolist())
         sent_ns = self.links.send(self.packed(row, *pair) for row, pair in pairs)
-        return sent_ns, outputs * self._gain
+        return sent_ns, outputs * self.gain
 
 
 def stop_all(section: OwnSection, setup: Setup, clock: Clock, alone: bool) -> str:

@@ -1,9 +1,16 @@
 """What calibration measures of a robot on two wheels, and how an actuator's section states it."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol
 
+from pydantic import Field
+
 from tetractl.core.errors import AbortError
+from tetractl.core.setup import Setup
+from tetractl.spec.base import Positive
+from tetractl.spec.lab_section import ActuatorSection, RobotPart, too_fast, unknown_radii
+from tetractl.spec.yaml.problems import Loc
 
 
 class FoundWheel(NamedTuple):
@@ -79,3 +86,45 @@ class CalibratedSection(Protocol):
             AbortError: If the section cannot express what the calibration found.
         """
         ...
+
+
+class SpeedRobot(RobotPart):
+    """The entry of a robot that is sent the speeds of its wheels, in the actuator's section."""
+
+    radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
+    """Distance r from a wheel to its centre [mm], as in its program. Default: the spec's."""
+    left_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
+    """True speed of the left wheel over the speed that it was sent."""
+    right_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
+    """True speed of the right wheel over the speed that it was sent."""
+
+
+class SpeedSection(ActuatorSection):
+    """The base of sections for robots on two wheels that are sent the speeds of their wheels."""
+
+    calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
+    dead_zone_max: ClassVar[int] = 0
+    unit_mm: ClassVar[float] = 1.0
+    """The speed of a wheel that receives 1 [mm/s]."""
+    rate: float = Field(default=20.0, ge=10, le=200, allow_inf_nan=False)
+    """Commands to each robot per second [Hz]."""
+    delay: float = Field(default=0.01, ge=0, le=0.2, allow_inf_nan=False)
+    """Time from sending a command until the wheels follow it [s]."""
+    speed_max_mm_s: Positive = Field(default=400.0, le=5000)
+    """Maximum wheel speed that is sent [mm/s]."""
+
+    def wheel_contradictions(
+        self, setup: Setup, robots: Iterable[SpeedRobot]
+    ) -> Iterator[tuple[Loc, str]]:
+        """Yield the place and text of each problem with the wheels' speeds and radii."""
+        yield from too_fast(setup, self.speed_max_mm_s)
+        yield from unknown_radii(setup, [robot.radius_mm for robot in robots])
+
+    def outputs(self, name: str, limit: int) -> tuple[float, int]:
+        """Return the output for a 127th of the maximum wheel speed, and for `limit` of these."""
+        unit = self.speed_max_mm_s / self.unit_mm / 127
+        return unit, int(unit * limit)
+
+    def measured(self, calibrated: Found) -> dict[str, Any]:
+        """Return a robot's r and gains."""
+        return wheel_gains(calibrated, self.unit_mm)

@@ -6,11 +6,13 @@ import pytest
 
 pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
 from support.lab_specs import SPEC
+from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.script import NOTHING
 from tetractl_emulator.sides import Options
 from tetractl_emulator.virtual_lab import LabClock, started
 from tetractl_ros2.camera import Ros2Camera
 from tetractl_ros2.ros2_messages import (
+    Bool,
     Header,
     NamedPose,
     NamedPoseArray,
@@ -23,6 +25,8 @@ from tetractl_ros2.ros2_messages import (
     Transform,
     TransformStamped,
 )
+from tetractl_ros2.topic_port import UNDECODABLE
+from tetractl_ros2.topics import EMULATED
 
 from tetractl.core.clock import MILLISECOND, SECOND, VirtualClock
 from tetractl.core.errors import AbortError
@@ -66,6 +70,17 @@ def test_poses_are_those_of_the_emulated_robots_whatever_message_holds_them(mess
             assert math.isclose(math.remainder(pose.heading - heading, math.tau), 0, abs_tol=1e-9)
             assert math.isclose(pose.tilt, 0, abs_tol=1e-6)
         assert 9 * MILLISECOND < frame.received_ns - frame.sampled_ns < 12 * MILLISECOND
+
+
+@pytest.mark.parametrize("topic", ["null", "/seen/{body}"])
+@pytest.mark.parametrize("message", KINDS)
+def test_a_lab_of_any_kind_of_poses_can_be_emulated_on_real_topics(message, topic):
+    """Regression: kinds with a topic for each robot ended in a KeyError."""
+    lab, setup = lab_of(f"{message}\n    topic: {topic}")
+    emulation = EmulatedLab(lab, setup, NOTHING, Options())
+    assert {port.name for port in emulation.camera._ports} == {
+        f"ros2://0{name}" for name in lab.camera.topics(setup)
+    }
 
 
 class Graph:
@@ -244,7 +259,17 @@ def test_a_body_that_a_message_of_all_bodies_lacks_is_untracked_at_once():
 def test_a_message_that_cannot_be_read_is_counted():
     camera, graph = camera_of("PoseStamped", both(SECOND, SECOND))
     graph.heard["/G/pose"](b"\x00\x01\x00\x00abc", 2 * SECOND)
-    assert camera.damaged == 1
+    graph.heard["/B/pose"](UNDECODABLE, 2 * SECOND)
+    assert camera.damaged == 2
+
+
+def test_only_a_message_that_says_so_makes_a_tracker_an_emulated_one():
+    camera, graph = camera_of("PoseStamped", both(SECOND, SECOND))
+    for data in (UNDECODABLE, b"", Bool(data=False).serialize()):
+        graph.heard[EMULATED](data, 2 * SECOND)
+    assert not camera.check().emulated
+    graph.heard[EMULATED](Bool(data=True).serialize(), 2 * SECOND)
+    assert camera.check().emulated
 
 
 def test_a_topic_that_fails_stops_the_robots():

@@ -8,6 +8,7 @@ pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
 from tetractl_emulator.contract import check_lab
 from tetractl_ros2.actuator import Ros2Robots
 from tetractl_ros2.ros2_messages import BatteryState, Bool, Twist, TwistStamped, Vector3Stamped
+from tetractl_ros2.topic_port import UNDECODABLE, TopicEnd
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer, Turn
@@ -149,6 +150,28 @@ def test_without_a_watchdog_the_operator_is_asked():
     assert robots_of(spec())[0].check().questions == ()
     (question,) = robots_of(spec(*NO_WATCHDOG))[0].check().questions
     assert "if this computer or its network fails, the robots drive on" in question
+
+
+@pytest.mark.parametrize(("partners", "count"), [(0, 1), (1, 0)])
+def test_an_emergency_stop_that_no_robot_receives_is_a_problem(monkeypatch, partners, count):
+    monkeypatch.setattr(TopicEnd, "partners", partners)
+    monkeypatch.setattr(TopicEnd, "rivals", lambda end: 0)
+    experiment = spec()
+    robots = Ros2Robots(experiment.lab.actuator, experiment.setup, VirtualClock())
+    problems = robots.check().problems
+    said = (
+        "the emergency stop reaches no robot: no node subscribes to /emergency_stop: "
+        "is the robot's driver running, in the same ROS domain?"
+    )
+    assert problems == (said,) * count
+
+
+def test_a_battery_state_that_cannot_be_read_changes_nothing():
+    robots, ports = robots_of(spec())
+    good = BatteryState(voltage=11.0, percentage=0.5).serialize()
+    for data in (good, UNDECODABLE, b""):
+        ports.heard["/green/battery_state"](data, 0)
+    assert robots.poll(0.1)[0].charge == 50
 
 
 def test_low_batteries_are_reported():

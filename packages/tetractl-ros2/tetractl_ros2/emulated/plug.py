@@ -26,7 +26,6 @@ class TopicPlug(PseudoPort):
 
     def __init__(self, topic: Topic, name: str) -> None:
         super().__init__(name)
-        self.name = name  # a path would lose one of the slashes
         self._end = TopicEnd(topic, domain_of(name))
         self._came = deque[bytes]()
         self._stalled = False

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any, ClassVar
 
@@ -15,10 +16,11 @@ from tetractl_emulator.twist.own_lines import OwnProgram, OwnRadio, Read
 from tetractl.core.clock import SECOND
 from tetractl.core.protocols import EMULATED_NAME
 from tetractl.lab.actuators.wheel_commands import Status
+from tetractl.lab.serial_port import UNREADABLE
 from tetractl.model.wheels import Counts
 from tetractl_ros2.emulated.plug import on_topics
 from tetractl_ros2.ros2_messages import BatteryState, Bool, Twist, Vector3, Vector3Stamped
-from tetractl_ros2.section import UNIT_MM, Ros2Section
+from tetractl_ros2.section import Ros2Section
 from tetractl_ros2.topics import COMMANDS, battery_topics, command_topics, emergency_topic
 
 NETWORK_BAUD = 10_000_000
@@ -47,7 +49,7 @@ class TwistProgram(OwnProgram):
         self.is_emergency_stopped = False
 
     def wheels(self, now_ms: int) -> Counts:
-        """Return the wheel speeds that act now [UNIT_MM mm/s]."""
+        """Return the wheel speeds that act now [unit_mm mm/s]."""
         return (0, 0) if self.is_emergency_stopped else super().wheels(now_ms)
 
     def status(self, now_ms: int) -> Status:
@@ -66,7 +68,10 @@ class EmergencyStop(OwnRadio):
 
     def hear(self, data: bytes) -> None:
         """Take a message that has come."""
-        if Bool.deserialize(data).data:
+        asked = False
+        with suppress(*UNREADABLE):
+            asked = Bool.deserialize(data).data
+        if asked:
             for robot in self._side.robots:
                 assert isinstance(robot.core, TwistProgram), "all robots run a TwistProgram"
                 robot.core.is_emergency_stopped = robot.core.is_emergency_stopped or robot.powered
@@ -94,7 +99,9 @@ class EmulatedRos2Robots(PortedSide):
         self._watchdog_s = section.stops_after or NO_WATCHDOG_S
         self._message = COMMANDS[section.message]
         self._setup = stage.setup
-        super().__init__(stage, settings, (section.speed_max_mm_s / UNIT_MM, UNIT_MM))
+        super().__init__(
+            stage, settings, (section.speed_max_mm_s / section.unit_mm, section.unit_mm)
+        )
         self.radios = [
             OwnRadio(stage, topic.address(domain), self, row, settings.loss, NETWORK_BAUD)
             for row, topic in enumerate(commands)
@@ -108,7 +115,7 @@ class EmulatedRos2Robots(PortedSide):
         ]
 
     def read(self, message: bytes, row: int) -> Counts:
-        """Return the wheel speeds left, right [UNIT_MM mm/s] that a message asks for."""
+        """Return the wheel speeds left, right [unit_mm mm/s] that a message asks for."""
         decoded: Any = self._message.deserialize(message)
         if isinstance(decoded, Vector3Stamped):
             speed, turning = self._steered(decoded.vector, row)
@@ -117,7 +124,8 @@ class EmulatedRos2Robots(PortedSide):
             speed = twist.linear.x * 1000
             turning = twist.angular.z
         rim = turning * float(self.radii[row])
-        return round((speed - rim) / UNIT_MM), round((speed + rim) / UNIT_MM)
+        unit_mm = Ros2Section.unit_mm
+        return round((speed - rim) / unit_mm), round((speed + rim) / unit_mm)
 
     def _steered(self, vector: Vector3, row: int) -> tuple[float, float]:
         """Return the speed [mm/s] and the turning rate [rad/s] of a robot that steers itself."""

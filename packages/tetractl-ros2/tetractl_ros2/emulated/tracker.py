@@ -1,9 +1,8 @@
 """The emulated camera of type `ros2`: a motion-capture node that publishes poses."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
-from tetractl_emulator.faults import Fault
 from tetractl_emulator.loop import Loop
 from tetractl_emulator.optitrack.tracked_body import View
 from tetractl_emulator.pose_stream import PoseSettings, PoseStream, Shot
@@ -44,8 +43,6 @@ class EmulatedTracker(PoseStream):
 
     A body that is not tracked is left out.
     """
-
-    faults: ClassVar[Sequence[type[Fault]]] = PoseStream.faults
 
     def __init__(self, stage: Stage, settings: PoseSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera

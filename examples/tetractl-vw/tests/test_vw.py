@@ -37,6 +37,9 @@ class Wire:
     def open(self):
         pass
 
+    def settle(self):
+        pass
+
     def close(self):
         pass
 

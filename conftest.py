@@ -3,7 +3,7 @@
 import gc
 
 from hypothesis import settings
-from support.running import take_signals
+from testkit.running import take_signals
 
 # No deadline: a slow machine is no failure. The same cases every time: what passed here passes
 # there. New ones are looked for by `pytest --hypothesis-profile explore`.

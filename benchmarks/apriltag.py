@@ -22,8 +22,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-sys.path.extend(map(str, Path(__file__).parents[1].glob("packages/*/tests")))
-from support.tag_scene import FLOOR, MM, NAMES, scattered
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+from testkit.microscope.tag_scene import FLOOR, MM, NAMES, scattered
 from tetractl_emulator.pictures.apriltag.side import CARD, Optics, Renderer
 from tetractl_microscope.apriltag.camera import Tracker
 from tetractl_microscope.apriltag.detect import MODULES, refined

@@ -3,7 +3,7 @@
     python benchmarks/bench.py [--trials N]
 
 The emulated lab's radio, robots, firmware and our side of it run in virtual time here, so that a
-loaded host changes nothing; see the emulator's tests/support/bench_agreement.py for what both have
+loaded host changes nothing; see tests/testkit/emulator/bench_agreement.py for what both have
 alike. Prints Markdown.
 """
 
@@ -15,9 +15,8 @@ import numpy as np
 import scipy
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
-sys.path.extend(map(str, Path(__file__).parents[1].glob("packages/*/tests")))
 
-from support.bench_agreement import bench_spec, bench_trial, lab_spec, lab_trial
+from testkit.emulator.bench_agreement import bench_spec, bench_trial, lab_spec, lab_trial
 
 
 def main() -> None:

@@ -16,8 +16,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
-sys.path.extend(map(str, Path(__file__).parents[1].glob("packages/*/tests")))
-from support.virtual_lab import VirtualLab, virtual_dish
+from testkit.emulator.virtual_lab import VirtualLab, virtual_dish
 
 from tetractl.core.errors import TetractlError
 from tetractl.core.trial import Step

@@ -1,6 +1,6 @@
 """Hostile input for as long as you like: `python benchmarks/fuzz.py [--target T]... [--seconds S]`.
 
-Feeds each parser of what comes from outside (see tests/support/targets.py) for S seconds, 30 by
+Feeds each parser of what comes from outside (see tests/testkit/targets.py) for S seconds, 30 by
 default: with atheris, which looks for inputs that reach new code (`pip install -e '.[dev,fuzz]'`),
 and without it with random mutations of real packets and files from a seed. Prints Markdown. A
 crash is any exception that the parser does not document, any number it must not give, or an input
@@ -25,7 +25,6 @@ from typing import Any
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "tests"))
-sys.path.extend(map(str, ROOT.glob("packages/*/tests")))
 
 HANG_S = 120  # on a busy host a report takes half a minute
 FUZZED = [
@@ -33,18 +32,19 @@ FUZZED = [
     "tetractl.lab",
     "tetractl.log",
     "yaml",
-    "support.targets",
-    "support.wire_targets",
+    "testkit.targets",
+    "testkit.emulator.wire_targets",
 ]
 
 
 def known() -> dict[str, Any]:
     """The parsers of the core and of the packages that are installed."""
-    from support import targets, wire_targets
+    from testkit import targets
+    from testkit.emulator import wire_targets
 
     found_targets = {**targets.TARGETS, **wire_targets.TARGETS}
     if find_spec("cv2"):
-        from support import picture_targets
+        from testkit.microscope import picture_targets
 
         found_targets |= picture_targets.TARGETS
     return found_targets
@@ -95,7 +95,7 @@ def child(name: str, seconds: float, seed: int, keep: Path) -> None:
     if find_spec("atheris"):
         import atheris
     with atheris.instrument_imports(include=FUZZED) if atheris else nullcontext():
-        from support.targets import mutant
+        from testkit.targets import mutant
 
         target = known()[name]
     seeds = target.seeds()

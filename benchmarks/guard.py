@@ -10,7 +10,7 @@
 prints the figures of docs/reference/faults.md. Three m3pi robots drive by model predictive control
 in the emulated lab, in virtual time, before a camera with noise of 0.3 mm and 4 mrad; each wheel is
 up to 10 % off, and 5 % of the packets are lost. What a camera shows is that of the emulator's
-`tests/support/ghosts.py`.
+`tests/testkit/emulator/ghosts.py`.
 
 Worst of the plays: how far off its robot the pose shown was when that robot was commanded to stop
 [mm], how long after the fault that was and all robots stood [s], how far one drove until then
@@ -28,10 +28,10 @@ from functools import partial
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT / folder) for folder in ("tests", "packages/tetractl-emulator/tests")]
+sys.path.insert(0, str(ROOT / "tests"))
 
-from support.ghosts import CAMERA_HZ, NUMBERS, Ghost, slow_radio, trial_of  # noqa: E402
-from support.virtual_lab import VirtualLab  # noqa: E402
+from testkit.emulator.ghosts import CAMERA_HZ, NUMBERS, Ghost, slow_radio, trial_of  # noqa: E402
+from testkit.emulator.virtual_lab import VirtualLab  # noqa: E402
 
 from tetractl.core.errors import AbortError  # noqa: E402
 

@@ -15,11 +15,10 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "tests"))
-sys.path.extend(map(str, ROOT.glob("packages/*/tests")))
 
-from support.fuzz import Original, fuzz  # noqa: E402
-from support.lab_logs import dish_log, lab_log  # noqa: E402
-from support.tampering import score, sim_log  # noqa: E402
+from testkit.emulator.lab_logs import dish_log, lab_log  # noqa: E402
+from testkit.fuzz import Original, fuzz  # noqa: E402
+from testkit.tampering import score, sim_log  # noqa: E402
 
 from tetractl.run.interrupt import Interrupt  # noqa: E402
 from tetractl.run.spec_trial import log_path, run_logged  # noqa: E402

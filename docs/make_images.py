@@ -15,11 +15,10 @@ from rich.console import Console
 
 ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
-FOLDERS = (ROOT / "tests", ROOT / "benchmarks", *ROOT.glob("packages/*/tests"))
-sys.path[:0] = [str(folder) for folder in FOLDERS]
+sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "benchmarks")]
 
-from support.chromium import chromium  # noqa: E402
-from support.virtual_lab import virtual_dish  # noqa: E402
+from testkit.chromium import chromium  # noqa: E402
+from testkit.emulator.virtual_lab import virtual_dish  # noqa: E402
 
 from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.read.trial_log import TrialLog  # noqa: E402

@@ -3,7 +3,7 @@
 import pytest
 import yaml
 from instances import controllers, published, study_text
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.spec.load import load_spec
 from tetractl.spec.yaml.problems import InvalidSpecError

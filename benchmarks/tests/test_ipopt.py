@@ -4,7 +4,7 @@ import sys
 
 import pytest
 from solverbench.problems import printed
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.core.plan import Limits, StopReason
 

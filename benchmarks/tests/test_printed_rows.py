@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import disturbed
 import numpy as np
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.statistics.estimate import distributions
 
@@ -107,7 +107,7 @@ def test_the_instance_that_takes_the_least_time_is_as_printed(tmp_path, option, 
 
 @pytest.mark.release
 def test_the_bench_without_noise_is_as_printed():
-    from support.bench_agreement import bench_spec, bench_trial
+    from testkit.emulator.bench_agreement import bench_spec, bench_trial
 
     errors = [bench_trial(bench_spec(), trial).result.total_error for trial in range(20)]
     cells = line_of(BENCH.read_text("utf-8"), "bench without noise, slip and lost frames")

@@ -1,5 +1,5 @@
 """The folder of two short trials, for all tests here."""
 
-from support.quick_pair import folder
+from testkit.quick_pair import folder
 
 __all__ = ["folder"]

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from support import cli
+from testkit import cli
 
 TWO = """
 name: two

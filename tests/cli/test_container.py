@@ -7,7 +7,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 pytestmark = [
     pytest.mark.slow,

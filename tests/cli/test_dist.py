@@ -6,7 +6,7 @@ import subprocess
 import sys
 
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 pytestmark = [pytest.mark.slow, pytest.mark.system, pytest.mark.release]
 

@@ -11,8 +11,8 @@ import warnings
 import console
 import make_cli
 import pytest
-from support.paths import ROOT
-from support.running import TETRACTL
+from testkit.paths import ROOT
+from testkit.running import TETRACTL
 
 pytestmark = pytest.mark.slow
 

@@ -9,11 +9,11 @@ import shutil
 import subprocess
 
 import pytest
-from support import cli
-from support.durable import random_kill
-from support.lateness import lateness
-from support.paths import ROOT
-from support.running import QUICK
+from testkit import cli
+from testkit.durable import random_kill
+from testkit.lateness import lateness
+from testkit.paths import ROOT
+from testkit.running import QUICK
 
 from tetractl.log.read.reader import read_trial
 from tetractl.run.folder_lock import locked

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from support.cli import tetractl
+from testkit.cli import tetractl
 
 from tetractl.log.read.reader import read_trial
 

@@ -1,10 +1,10 @@
 """Tables, rows, specs and names from anybody: one line, within bounds, at every command."""
 
 import pytest
-from support import random_trials
-from support.cli import tetractl
-from support.mutate import rewrite, stating
-from support.running import QUICK
+from testkit import random_trials
+from testkit.cli import tetractl
+from testkit.mutate import rewrite, stating
+from testkit.running import QUICK
 
 from tetractl.log.format.channels import RUN
 from tetractl.log.format.tetractl_pb2 import Fact

@@ -8,10 +8,10 @@ from dataclasses import replace
 import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from mcap.records import Attachment
-from support.commands import COMMANDS, check
-from support.mutate import rewrite, stating
-from support.paths import ROOT
-from support.random_trials import trial, write
+from testkit.commands import COMMANDS, check
+from testkit.mutate import rewrite, stating
+from testkit.paths import ROOT
+from testkit.random_trials import trial, write
 
 from tetractl.log.format.channels import (
     CHANNELS,

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support import cli, random_trials
-from support.trials import SEED, three_robots, write_torn, write_trial
+from testkit import cli, random_trials
+from testkit.trials import SEED, three_robots, write_torn, write_trial
 
 from tetractl.log.read.reader import content_digest
 

@@ -6,8 +6,8 @@ import resource
 from functools import partial
 
 import pytest
-from support import cli
-from support.paths import ROOT
+from testkit import cli
+from testkit.paths import ROOT
 
 from tetractl.spec.examples import examples
 from tetractl.spec.load import load_spec

@@ -3,8 +3,8 @@
 import json
 
 import pytest
-from support.cli import tetractl
-from support.paths import ROOT
+from testkit.cli import tetractl
+from testkit.paths import ROOT
 
 GOLDEN = ROOT / "tests" / "golden"
 SIM = GOLDEN / "format-4-sim.mcap"

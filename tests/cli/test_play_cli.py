@@ -5,10 +5,10 @@ import sys
 from dataclasses import replace
 
 import pytest
-from support.cli import tetractl
-from support.running import TETRACTL
-from support.terminal import Terminal
-from support.trials import three_robots
+from testkit.cli import tetractl
+from testkit.running import TETRACTL
+from testkit.terminal import Terminal
+from testkit.trials import three_robots
 
 import tetractl as package
 from tetractl import load_spec

@@ -5,9 +5,9 @@ import re
 
 import numpy as np
 import pytest
-from support.chromium import chromium, needs_chromium
-from support.cli import tetractl
-from support.paths import ROOT
+from testkit.chromium import chromium, needs_chromium
+from testkit.cli import tetractl
+from testkit.paths import ROOT
 
 import tetractl as package
 from tetractl.report.play_page import play_page

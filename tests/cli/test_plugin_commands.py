@@ -4,9 +4,9 @@ import re
 import sys
 
 import pytest
-from support import cli
-from support.packages import install
-from support.paths import ROOT
+from testkit import cli
+from testkit.packages import install
+from testkit.paths import ROOT
 
 from tetractl.core.registries import COMMANDS, LAB_COMMANDS
 from tetractl.core.registry import Registry

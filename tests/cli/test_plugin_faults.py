@@ -1,8 +1,8 @@
 """An exception in a trial with plug-ins: the command names them in one line."""
 
 import pytest
-from support.cli import process
-from support.packages import install
+from testkit.cli import process
+from testkit.packages import install
 
 pytestmark = pytest.mark.system
 

@@ -5,8 +5,8 @@ import json
 import re
 
 import pytest
-from support.packages import install, python
-from support.paths import ROOT
+from testkit.packages import install, python
+from testkit.paths import ROOT
 
 pytestmark = pytest.mark.system
 

@@ -5,8 +5,8 @@ import subprocess
 import sys
 
 import pytest
-from support.packages import python
-from support.paths import ROOT
+from testkit.packages import python
+from testkit.paths import ROOT
 
 pytestmark = pytest.mark.system
 

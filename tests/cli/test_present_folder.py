@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.cli import PATIENCE_S, tetractl
+from testkit.cli import PATIENCE_S, tetractl
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 

@@ -7,8 +7,8 @@ older one: they then choose other code, as they do on such a computer.
 import sys
 
 import pytest
-from support.cli import process
-from support.paths import ROOT
+from testkit.cli import process
+from testkit.paths import ROOT
 
 from tetractl.log.provenance import machine
 from tetractl.log.read.reader import content_digest

@@ -10,10 +10,10 @@ import termios
 from pathlib import Path
 
 import pytest
-from support import cli
-from support.running import first_of
-from support.terminal import PATIENCE_S, Terminal
-from support.trials import three_robots, write_torn, write_trial
+from testkit import cli
+from testkit.running import first_of
+from testkit.terminal import PATIENCE_S, Terminal
+from testkit.trials import three_robots, write_torn, write_trial
 
 from tetractl.cli.plot import plot
 from tetractl.core.registries import FIGURES

@@ -4,8 +4,8 @@ import json
 import re
 
 import pytest
-from support.chromium import chromium, needs_chromium
-from support.cli import tetractl
+from testkit.chromium import chromium, needs_chromium
+from testkit.cli import tetractl
 
 from tetractl.log.read.reader import read_trial
 from tetractl.report.page import PLAYER_PX, player

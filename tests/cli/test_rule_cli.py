@@ -5,8 +5,8 @@ import os
 
 import pytest
 import typer.main
-from support.running import QUICK
-from support.studies import tetractl
+from testkit.running import QUICK
+from testkit.studies import tetractl
 
 from tetractl.cli.app import app
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import cli
-from support.paths import SPECS
-from support.running import (
+from testkit import cli
+from testkit.paths import SPECS
+from testkit.running import (
     ENDLESS,
     HEAVY,
     PATIENCE_S,
@@ -23,7 +23,7 @@ from support.running import (
     environment,
     first_of,
 )
-from support.studies import tetractl
+from testkit.studies import tetractl
 
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.spec.load import load_spec

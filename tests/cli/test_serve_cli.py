@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support import random_trials as made
-from support.running import QUICK, TETRACTL, Started
-from support.viewer import PATIENCE_S, Viewer, deaf
+from testkit import random_trials as made
+from testkit.running import QUICK, TETRACTL, Started
+from testkit.viewer import PATIENCE_S, Viewer, deaf
 
 from tetractl.log.format.channels import CHANNELS, SCENE, TRANSFORMS
 from tetractl.log.read.reader import read_result

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from support.running import (
+from testkit.running import (
     ENDLESS,
     HEAVY,
     PATIENCE_S,
@@ -24,7 +24,7 @@ from support.running import (
     first_of,
     is_worker,
 )
-from support.studies import SMALL, tetractl, write
+from testkit.studies import SMALL, tetractl, write
 
 from tetractl.log.read.reader import read_result
 

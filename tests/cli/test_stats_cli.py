@@ -9,8 +9,8 @@ import subprocess
 from dataclasses import replace
 
 import pytest
-from support import cli, random_trials
-from support.running import TETRACTL, first_of
+from testkit import cli, random_trials
+from testkit.running import TETRACTL, first_of
 
 pytestmark = pytest.mark.slow
 

@@ -4,7 +4,7 @@ import csv
 import signal
 
 import pytest
-from support.studies import FAILING, Running, logs, results, tetractl, write
+from testkit.studies import FAILING, Running, logs, results, tetractl, write
 
 from tetractl.api import run_study
 from tetractl.log.read.reader import read_result

@@ -8,9 +8,9 @@ from contextlib import ExitStack, contextmanager, suppress
 from importlib.util import find_spec
 
 import pytest
-from support.cli import process
-from support.running import PATIENCE_S, environment
-from support.studies import SMALL, STUDY, Running, logs, results, tetractl, write
+from testkit.cli import process
+from testkit.running import PATIENCE_S, environment
+from testkit.studies import SMALL, STUDY, Running, logs, results, tetractl, write
 
 from tetractl.log.read.reader import content_digest
 

@@ -9,11 +9,11 @@ import sys
 from unittest import mock
 
 import pytest
-from support.cli import tetractl
-from support.paths import ROOT
-from support.running import QUICK
-from support.studies import SMALL, write
-from support.usage import command_of, refused_in_one_line
+from testkit.cli import tetractl
+from testkit.paths import ROOT
+from testkit.running import QUICK
+from testkit.studies import SMALL, write
+from testkit.usage import command_of, refused_in_one_line
 
 from tetractl.cli.lab import save_calibration
 from tetractl.spec.lab_section import Measured

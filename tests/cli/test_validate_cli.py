@@ -4,8 +4,8 @@ import json
 from functools import partial
 
 import pytest
-from support import cli
-from support.paths import ROOT, SPECS
+from testkit import cli
+from testkit.paths import ROOT, SPECS
 
 pytestmark = pytest.mark.slow
 

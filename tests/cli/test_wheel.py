@@ -7,7 +7,7 @@ import zipfile
 from importlib.util import find_spec
 
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 pytestmark = pytest.mark.system
 

@@ -4,8 +4,8 @@ import subprocess
 import sys
 
 import pytest
-from support import without_unix
-from support.cli import PATIENCE_S
+from testkit import without_unix
+from testkit.cli import PATIENCE_S
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 

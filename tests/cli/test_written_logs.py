@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 from mcap.records import Attachment
-from support.cli import tetractl
-from support.mutate import rewrite
-from support.tampering import SIM
+from testkit.cli import tetractl
+from testkit.mutate import rewrite
+from testkit.tampering import SIM
 
 from tetractl.log.format.channels import RESOLVED_SPEC
 from tetractl.log.read.raw_log import RawLog

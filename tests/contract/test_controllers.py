@@ -1,8 +1,8 @@
 """What every controller of tetractl promises."""
 
 import pytest
-from support.controller_promises import ControllerPromises
-from support.controllers import CONTROLLERS
+from testkit.controller_promises import ControllerPromises
+from testkit.controllers import CONTROLLERS
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from support.plants import RIGS
+from testkit.plants import RIGS
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import FieldOff, Steer, Stop, Turn

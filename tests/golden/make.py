@@ -14,7 +14,7 @@ from pathlib import Path
 FOLDER = Path(__file__).parent
 sys.path.insert(0, str(FOLDER.parent))
 
-from support.random_trials import trial, write  # noqa: E402
+from testkit.random_trials import trial, write  # noqa: E402
 
 from tetractl.core.trial import Step  # noqa: E402
 from tetractl.log import provenance  # noqa: E402

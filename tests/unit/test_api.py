@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 import tetractl
 from tetractl.core.errors import SpecError, UsageError

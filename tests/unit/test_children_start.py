@@ -3,7 +3,7 @@
 import ast
 
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 HELPERS = {"tetractl/tools/children.py", "tetractl/tools/worker_pool.py"}
 FORKS = {  # a copy of this process, which imports what it has imported

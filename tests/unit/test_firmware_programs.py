@@ -5,7 +5,7 @@ import struct
 import subprocess
 
 import pytest
-from support.paths import FIRMWARE
+from testkit.paths import FIRMWARE
 
 pytestmark = pytest.mark.slow
 

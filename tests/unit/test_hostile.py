@@ -3,8 +3,8 @@
 from itertools import pairwise
 
 import pytest
-from support.bounded_work import bounded, withstands
-from support.targets import TARGETS
+from testkit.bounded_work import bounded, withstands
+from testkit.targets import TARGETS
 
 pytestmark = pytest.mark.long
 

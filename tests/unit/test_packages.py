@@ -6,14 +6,13 @@ import sys
 import tomllib
 
 import pytest
-from support.paths import EXAMPLES as MICROSCOPE_EXAMPLES
-from support.paths import ROOT
+from testkit.paths import EXAMPLES as MICROSCOPE_EXAMPLES
+from testkit.paths import ROOT
 
 from tetractl.core import __version__
 from tetractl.core.registries import EXAMPLES
 from tetractl.spec.packages import BRINGS
 
-TAKEN = re.compile(r"^ *from support\.(\w+) import", re.M)
 PROJECTS = sorted((ROOT / "packages").glob("*/pyproject.toml"))
 OURS = {path.parent.name for path in PROJECTS}
 HIDDEN = (
@@ -92,10 +91,11 @@ COMMAND = "from tetractl.cli.app import run_app\nsys.argv[1:] = {!r}\nsys.exit(r
 def test_tests_of_the_core_need_no_package():
     """So that `pytest tests/unit` runs where the core alone is installed."""
     files = [*ROOT.glob("tests/**/*.py")]
-    of_the_core = {path.stem for path in ROOT.glob("tests/support/*.py")}
-    for path in files:
-        assert set(TAKEN.findall(path.read_text("utf-8"))) <= of_the_core, path
-    imports = re.compile(r"^ *(from|import) (tetractl_|cv2|tifffile)", re.M)
+    for_packages = ("tests/testkit/emulator/", "tests/testkit/microscope/")
+    files = [path for path in files if not str(path.relative_to(ROOT)).startswith(for_packages)]
+    needs = r"tetractl_|cv2|tifffile|testkit\.(emulator|microscope)"
+    imports = re.compile(rf"^ *(from|import) ({needs})", re.M)
+    assert files
     assert [path for path in files if imports.search(path.read_text("utf-8"))] == []
 
 

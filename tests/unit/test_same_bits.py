@@ -3,7 +3,7 @@
 import ast
 
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.log.provenance import TRIAL_CODE
 

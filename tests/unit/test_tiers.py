@@ -6,19 +6,19 @@ import subprocess
 import sys
 
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 PLACES = ("tests", "packages/*/tests", "benchmarks/tests")
 FILES = sorted(path for place in PLACES for path in ROOT.glob(f"{place}/**/test_*.py"))
-TAKEN = re.compile(r"^from support\.(\w+ import (?:\([^)]*\)|.*))", re.M)
-STARTS = {  # what a file takes from `support`: the marks of which it needs one
+TAKEN = re.compile(r"^from testkit\.([\w.]+ import (?:\([^)]*\)|.*))", re.M)
+STARTS = {  # what a file takes from `testkit`: the marks of which it needs one
     "lab_processes import.*(Emulator|play)": "system",  # the lab in real time
     "import.*(Killed|Running|Started|TETRACTL|chromium)": "slow|system",
 }
 CHILD = """
 import signal, subprocess, sys
 sys.path.insert(0, {!r})
-from support.running import take_signals
+from testkit.running import take_signals
 take_signals()
 ask = "import signal; print([signal.getsignal(n) == signal.SIG_IGN for n in ({}, {}, {})])"
 subprocess.run([sys.executable, "-c", ask], check=True)

@@ -3,7 +3,7 @@
 import tomllib
 
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 from tetractl_emulator.registries import EMULATED_ACTUATORS, EMULATED_CAMERAS
 
 from tetractl.core.registries import ACTUATORS, CAMERAS

@@ -1,7 +1,7 @@
 """The template runs silently in its emulated lab: nothing goes wrong in it."""
 
 import pytest
-from support.silent_labs import flagged_trials
+from testkit.emulator.silent_labs import flagged_trials
 from tetractl_vw import TEMPLATES
 
 

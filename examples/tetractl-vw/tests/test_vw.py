@@ -8,8 +8,8 @@ import subprocess
 import sys
 
 import pytest
-from support.packages import python
-from support.paths import ROOT
+from testkit.packages import python
+from testkit.paths import ROOT
 from tetractl_vw.actuator import VwSection
 from tetractl_vw.camera import JsonPoses, JsonPosesSection
 

@@ -3,7 +3,7 @@
 import os
 
 import pytest
-from support.cli import tetractl
+from testkit.cli import tetractl
 from tetractl_identify import csv_tracks, passes
 
 from tetractl.tools.table import csv_rows

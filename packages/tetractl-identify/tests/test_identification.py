@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 from tetractl_identify import fit
 from tetractl_identify.fit import WANDERS, FittedRobot
 from tetractl_identify.identify import (

@@ -4,8 +4,8 @@ import json
 
 import pytest
 import yaml
-from support.cli import tetractl
-from support.usage import command_of, refused_in_one_line
+from testkit.cli import tetractl
+from testkit.usage import command_of, refused_in_one_line
 
 pytestmark = pytest.mark.slow
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 from tetractl_identify.identify import identify
 from tetractl_identify.tracks import track_of
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.controller_promises import ControllerPromises
-from support.trials import experiment
+from testkit.controller_promises import ControllerPromises
+from testkit.trials import experiment
 from tetractl_learn.policy import PolicySection
 from tetractl_testing import check_controller
 

@@ -1,7 +1,7 @@
 """Every kind of tetractl passes the checks of `tetractl_testing`, as those of plug-ins should."""
 
 import pytest
-from support.controllers import CONTROLLERS, SMALL
+from testkit.controllers import CONTROLLERS, SMALL
 from tetractl_testing import (
     check_controller,
     check_disturbance,

@@ -14,9 +14,9 @@ from typing import Literal
 import numpy as np
 import pytest
 from pydantic import PrivateAttr, model_validator
-from support.cli import tetractl
-from support.paths import ROOT
-from support.usage import command_of, refused_in_one_line
+from testkit.cli import tetractl
+from testkit.paths import ROOT
+from testkit.usage import command_of, refused_in_one_line
 from tetractl_testing import (
     check_actuator,
     check_camera,

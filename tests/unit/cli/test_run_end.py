@@ -6,7 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from support.batches import result
+from testkit.batches import result
 
 from tetractl.cli import trials
 from tetractl.core.errors import Exit

@@ -3,8 +3,8 @@
 import json
 import re
 
-from support.paths import ROOT
-from support.trials import experiment
+from testkit.paths import ROOT
+from testkit.trials import experiment
 
 from tetractl.core.colors import (
     ALARM,

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from support import batches
-from support.geometry import gap
-from support.shapes import circles, rectangles
+from testkit import batches
+from testkit.geometry import gap
+from testkit.shapes import circles, rectangles
 
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Poses

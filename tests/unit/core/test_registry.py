@@ -1,7 +1,7 @@
 """Kinds by name: built in, installed with other packages, and broken ones."""
 
 import pytest
-from support.packages import install
+from testkit.packages import install
 
 from tetractl.core.registry import Kind, PluginError, Registry
 

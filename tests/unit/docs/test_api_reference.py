@@ -3,7 +3,7 @@
 import re
 from types import FunctionType
 
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 import tetractl
 

@@ -3,7 +3,7 @@
 import re
 import shlex
 
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 
 def commands(text):

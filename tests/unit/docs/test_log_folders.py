@@ -7,7 +7,7 @@ other: the lesson failed in front of the class after the tutorial.
 import re
 from collections import defaultdict
 
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 WRITTEN = re.compile(
     r"^\$? ?tetractl (?:run|play|rerun|study) (?:[^\n]|\\\n)*?(?:--out|-o)[ =](logs/[\w/-]+)"

@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 import pytest
-from support.paths import ROOT, SOURCE_FOLDERS
+from testkit.paths import ROOT, SOURCE_FOLDERS
 
 ENDS = frozenset({".c", ".h", ".html", ".js", ".json", ".proto", ".py", ".toml", ".yaml"})
 NAMED = re.compile(

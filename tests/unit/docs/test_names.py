@@ -6,7 +6,7 @@ import tomllib
 from collections import defaultdict
 
 import pytest
-from support.paths import ROOT, SOURCE_FOLDERS
+from testkit.paths import ROOT, SOURCE_FOLDERS
 
 PACKAGES = (ROOT / "tetractl", *(ROOT / "packages").glob("*/tetractl_*"))
 NAMED_AFTER = (

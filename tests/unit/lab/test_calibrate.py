@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import pytest
-from support.lab_specs import SPEC
+from testkit.lab_specs import SPEC
 
 from tetractl.core.errors import AbortError
 from tetractl.spec.load import parse_spec

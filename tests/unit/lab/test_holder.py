@@ -7,7 +7,7 @@ import sys
 import tty
 
 import pytest
-from support.running import PATIENCE_S, TETRACTL, environment
+from testkit.running import PATIENCE_S, TETRACTL, environment
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError

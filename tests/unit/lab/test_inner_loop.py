@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from support.labs import STEP_NS, fake_lab
-from support.trials import experiment
+from testkit.labs import STEP_NS, fake_lab
+from testkit.trials import experiment
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer

@@ -4,8 +4,8 @@ import math
 from dataclasses import replace
 
 import pytest
-from support.labs import fake_lab
-from support.trials import experiment
+from testkit.labs import fake_lab
+from testkit.trials import experiment
 
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
@@ -112,7 +112,7 @@ def test_a_silent_camera_is_a_problem():
     ("age_ms", "said"), [(90, ()), (110, ("frames are 110 ms old on arrival",))]
 )
 def test_frames_that_are_old_on_arrival_are_a_problem(age_ms, said, monkeypatch):
-    monkeypatch.setattr("support.labs.LATENCY_NS", age_ms * 1_000_000)
+    monkeypatch.setattr("testkit.labs.LATENCY_NS", age_ms * 1_000_000)
     assert looked_over().problems == said
 
 

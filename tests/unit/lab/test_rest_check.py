@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from support.labs import fake_lab
-from support.trials import experiment
+from testkit.labs import fake_lab
+from testkit.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
@@ -61,7 +61,7 @@ def show_drift(lab, rates, who, noise=NO_NOISE, seed=1):
 def at_rest(camera, rates=STILL, who=(), seed=1):
     """What is said of robots that stand before a camera."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("support.labs.CAMERA_HZ", camera.rate_hz)
+        patch.setattr("testkit.labs.CAMERA_HZ", camera.rate_hz)
         lab = fake_lab(SETUP)
         show_drift(lab, rates, who, camera.noise, seed)
         with lab.plant.rig as rig:
@@ -202,7 +202,7 @@ def test_what_noise_says_in_a_quarter_second_is_looked_at_for_longer(monkeypatch
 
     Noise 509 of 3,000 is the first that says it of one of three robots that stand.
     """
-    monkeypatch.setattr("support.labs.CAMERA_HZ", MOTIVE.rate_hz)
+    monkeypatch.setattr("testkit.labs.CAMERA_HZ", MOTIVE.rate_hz)
     lab = fake_lab(SETUP)
     show_drift(lab, STILL, (), MOTIVE.noise, seed=509)
     with lab.plant.rig as rig:

@@ -5,9 +5,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import pytest
-from support.labs import fake_lab
-from support.paths import ROOT
-from support.trials import experiment
+from testkit.labs import fake_lab
+from testkit.paths import ROOT
+from testkit.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose, Sight

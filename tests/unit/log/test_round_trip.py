@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.random_trials import trial, write
+from testkit.random_trials import trial, write
 
 from tetractl.core.commands import Command, Steer
 from tetractl.core.plan import Outcome

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.random_trials import trial, write
-from support.trials import three_robots
+from testkit.random_trials import trial, write
+from testkit.trials import three_robots
 
 from tetractl.core.trial import Note
 from tetractl.log.read.reader import read_trial

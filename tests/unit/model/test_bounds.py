@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.bounded import best_plan, seconds_of, spec
+from testkit.bounded import best_plan, seconds_of, spec
 
 from tetractl.model.bounds import drift, least_total_error
 

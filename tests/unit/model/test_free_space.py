@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import label
-from support.bounded import shapes, spec
+from testkit.bounded import shapes, spec
 
 from tetractl.core.obstacles import Obstacles
 from tetractl.core.poses import Poses

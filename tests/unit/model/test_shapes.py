@@ -8,8 +8,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from numba import njit
 from pydantic import ValidationError
-from support.geometry import gap, meets, to_segment
-from support.shapes import GRID, L_SHAPE, SHAPES
+from testkit.geometry import gap, meets, to_segment
+from testkit.shapes import GRID, L_SHAPE, SHAPES
 
 from tetractl.control.search.kernels import obstacles as kernel
 from tetractl.core.registries import SHAPES as REGISTRY

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.wheels import train
+from testkit.wheels import train
 
 pytestmark = pytest.mark.slow
 

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 import scipy
-from support.paths import ROOT
-from support.plants import PAIR, PERIOD, sim
-from support.trials import experiment
+from testkit.paths import ROOT
+from testkit.plants import PAIR, PERIOD, sim
+from testkit.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.built_disturbance import BuiltSection
-from support.plants import PAIR, PERIOD, driven, sim
-from support.trials import experiment
+from testkit.built_disturbance import BuiltSection
+from testkit.plants import PAIR, PERIOD, driven, sim
+from testkit.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer

@@ -1,8 +1,8 @@
 """Trials in the lab that send given directions, in virtual time: what ends them."""
 
 import pytest
-from support.labs import fake_lab
-from support.trials import experiment
+from testkit.labs import fake_lab
+from testkit.trials import experiment
 
 from tetractl.control.methods.sequence import SequenceSection
 from tetractl.core.clock import SECOND

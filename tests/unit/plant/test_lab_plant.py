@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import pytest
-from support.labs import fake_lab
-from support.trials import experiment
+from testkit.labs import fake_lab
+from testkit.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Steer, Stop

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import scipy
 from scipy.integrate import solve_ivp
-from support.plants import DIRECTIONS, PERIOD, driven, sim, truths
-from support.trials import experiment
+from testkit.plants import DIRECTIONS, PERIOD, driven, sim, truths
+from testkit.trials import experiment
 
 from tetractl.control.search.cost import predict
 from tetractl.core.clock import SECOND

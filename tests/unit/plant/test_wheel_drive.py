@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from support.plants import driven, sim, truths
-from support.trials import experiment
+from testkit.plants import driven, sim, truths
+from testkit.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from support.built_disturbance import BuiltSection
-from support.plants import sim
-from support.trials import experiment
+from testkit.built_disturbance import BuiltSection
+from testkit.plants import sim
+from testkit.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer

@@ -4,7 +4,7 @@ import sys
 from collections import Counter
 
 import pytest
-from support.trials import THREE_M3PI, experiment
+from testkit.trials import THREE_M3PI, experiment
 
 from tetractl.core import elementary
 from tetractl.reach.facts import facts_items, facts_table, most_similar

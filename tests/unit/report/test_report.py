@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import random_trials
-from support.trials import three_robots
+from testkit import random_trials
+from testkit.trials import three_robots
 
 from tetractl.core.commands import Stop
 from tetractl.core.plan import Outcome, State

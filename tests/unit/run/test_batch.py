@@ -2,9 +2,9 @@ from dataclasses import replace
 from unittest import mock
 
 import pytest
-from support import random_trials as made
-from support import studies
-from support.running import QUICK
+from testkit import random_trials as made
+from testkit import studies
+from testkit.running import QUICK
 
 from tetractl.control.search.rng import mix
 from tetractl.core.errors import AbortError

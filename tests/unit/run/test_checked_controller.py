@@ -6,8 +6,8 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from support.random_trials import trial, write
-from support.trials import experiment
+from testkit.random_trials import trial, write
+from testkit.trials import experiment
 
 from tetractl.control.search.optimizers.pso import Pso
 from tetractl.core.clock import SECOND

@@ -3,7 +3,7 @@
 from importlib.util import find_spec
 
 import pytest
-from support.studies import Watcher
+from testkit.studies import Watcher
 
 from tetractl.run import cluster
 from tetractl.run.cluster import Cluster

@@ -6,8 +6,8 @@ from contextlib import nullcontext, suppress
 from functools import partial
 
 import pytest
-from support.fakes import bench
-from support.hand_clock import HandClock
+from testkit.fakes import bench
+from testkit.hand_clock import HandClock
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Turn

@@ -5,7 +5,7 @@ import sys
 from contextlib import contextmanager
 
 import pytest
-from support.running import PATIENCE_S
+from testkit.running import PATIENCE_S
 
 from tetractl.run.interrupt import STOP_SIGNALS, Interrupt, interrupted_once
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from support.marked_robots import install
-from support.mutate import with_entry
-from support.paths import ROOT
-from support.trials import experiment
+from testkit.marked_robots import install
+from testkit.mutate import with_entry
+from testkit.paths import ROOT
+from testkit.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError

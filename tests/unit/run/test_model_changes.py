@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.paths import ROOT
-from support.trials import experiment
+from testkit.paths import ROOT
+from testkit.trials import experiment
 
 from tetractl.core.motion_estimate import Estimate
 from tetractl.run.model_changes import (

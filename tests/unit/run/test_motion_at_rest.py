@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.trials import experiment
+from testkit.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 import tetractl
 from tetractl.core.errors import SpecError, UsageError

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.core.commands import Turn
 from tetractl.core.plan import PAUSE_S, Outcome

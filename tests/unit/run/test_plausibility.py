@@ -6,8 +6,8 @@ from copy import deepcopy
 import numpy as np
 import pytest
 import yaml
-from support.bounded import best_plan, spec
-from support.paths import ROOT
+from testkit.bounded import best_plan, spec
+from testkit.paths import ROOT
 
 from tetractl.core.registries import REGISTRIES
 from tetractl.run.plausibility import CheckContext, beyond_the_plan, find_warnings, out_of_reach

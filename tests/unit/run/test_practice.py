@@ -1,7 +1,7 @@
 """`lab check` practises control steps: a slow or busy computer is a problem before robots move."""
 
 import pytest
-from support.running import QUICK
+from testkit.running import QUICK
 
 from tetractl.core.clock import MILLISECOND, SECOND, VirtualClock
 from tetractl.lab.preflight import Preflight

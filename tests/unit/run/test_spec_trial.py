@@ -1,5 +1,5 @@
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.plant.sim_section import SimSection
 from tetractl.run import spec_trial

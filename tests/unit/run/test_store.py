@@ -1,7 +1,7 @@
 from dataclasses import replace
 
 import pytest
-from support import random_trials as made
+from testkit import random_trials as made
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Outcome

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.mutate import with_entry
+from testkit.mutate import with_entry
 
 from tetractl.core.errors import SpecError
 from tetractl.core.plan import Outcome

@@ -1,7 +1,7 @@
 """A package can bring a rule by which each trial finds its robots."""
 
 import pytest
-from support.marked_robots import MarkedRobots, install
+from testkit.marked_robots import MarkedRobots, install
 
 from tetractl.log.read.reader import read_trial
 from tetractl.run.spec_trial import run_logged

@@ -1,7 +1,7 @@
 """What a run that is served sends to viewers, and when."""
 
 import pytest
-from support import random_trials
+from testkit import random_trials
 
 from tetractl.core.commands import Command, Steer
 from tetractl.core.trial import Note

@@ -6,8 +6,8 @@ from urllib.parse import urlsplit
 
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from support import random_trials
-from support.viewer import PATIENCE_S, PROTOCOL, SUBSCRIPTIONS_FROM, Viewer, deaf
+from testkit import random_trials
+from testkit.viewer import PATIENCE_S, PROTOCOL, SUBSCRIPTIONS_FROM, Viewer, deaf
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
 

@@ -5,8 +5,8 @@ import copy
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from support.paths import ROOT
-from support.targets import spec_text
+from testkit.paths import ROOT
+from testkit.targets import spec_text
 
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.load import parse_spec

@@ -1,7 +1,7 @@
 import re
 
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.core.errors import SpecError
 from tetractl.plant.sim_section import SimSection

@@ -4,7 +4,7 @@ import subprocess
 import sys
 
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 CHECK = """
 import sys

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from support.paths import ROOT, SPECS
-from support.trials import experiment
+from testkit.paths import ROOT, SPECS
+from testkit.trials import experiment
 
 from tetractl.core.errors import Exit, SpecError
 from tetractl.core.trial import OWN_FILES

@@ -1,7 +1,7 @@
 """Whatever pydantic may find wrong is said in tetractl's words, not in pydantic's."""
 
 import pytest
-from support.schema_errors import without_words
+from testkit.schema_errors import without_words
 
 from tetractl.core.registries import SPEC_REGISTRIES
 from tetractl.spec.experiment import Experiment

@@ -4,8 +4,8 @@ from functools import cache
 
 import pytest
 import yaml
-from support.paths import ROOT
-from support.paths import SPECS as FILES
+from testkit.paths import ROOT
+from testkit.paths import SPECS as FILES
 
 from tetractl.cli.specs import template
 from tetractl.run.model_changes import stated_model

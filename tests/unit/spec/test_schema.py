@@ -3,7 +3,7 @@ from functools import cache
 
 import jsonschema
 import pytest
-from support.paths import ROOT, SPECS
+from testkit.paths import ROOT, SPECS
 
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.load import load_spec

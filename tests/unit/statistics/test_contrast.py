@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
-from support.batches import DISTURBED, batch, experiment, group
+from testkit.batches import DISTURBED, batch, experiment, group
 
 from tetractl.core.errors import UsageError
 from tetractl.log.read.trial_log import Origin

@@ -8,7 +8,7 @@ import pytest
 import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.batches import DISTURBED, REFERENCE, batch, experiment, group, result, trial
+from testkit.batches import DISTURBED, REFERENCE, batch, experiment, group, result, trial
 
 from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.api import read_batch, read_log, run_batch, to_arrays
 from tetractl.spec.load import load_spec

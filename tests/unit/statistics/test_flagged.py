@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
-from support.batches import batch, experiment, group
+from testkit.batches import batch, experiment, group
 
 from tetractl.log.read.trial_log import Origin
 from tetractl.statistics.as_json import batch_items

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from support.batches import DISTURBED, REFERENCE, batch, experiment, group, result, trial
+from testkit.batches import DISTURBED, REFERENCE, batch, experiment, group, result, trial
 
 from tetractl.core.plan import Outcome
 from tetractl.statistics.as_json import comparison_items

@@ -1,7 +1,7 @@
 """Trials of studies, read from their logs: each once, whatever is in the folder."""
 
 import pytest
-from support.studies import FAILING, SMALL, run
+from testkit.studies import FAILING, SMALL, run
 
 from tetractl.core.errors import UsageError
 from tetractl.run import store

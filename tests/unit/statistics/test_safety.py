@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
-from support.batches import batch, experiment, group
+from testkit.batches import batch, experiment, group
 
 from tetractl.core.poses import Poses
 from tetractl.core.trial import Verdict

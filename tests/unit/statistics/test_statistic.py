@@ -1,7 +1,7 @@
 """Every kind of figure has one text, one brief text, and its items in JSON."""
 
 import numpy as np
-from support.batches import batch
+from testkit.batches import batch
 
 from tetractl.core.plan import Outcome
 from tetractl.statistics import built_in_statistics

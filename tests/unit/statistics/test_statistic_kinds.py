@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from support.batches import batch, group
+from testkit.batches import batch, group
 
 from tetractl.core.registries import STATISTICS
 from tetractl.statistics.as_json import comparison_items, data_table

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
-from support.batches import DISTURBED, REFERENCE, batch, experiment, group, result
+from testkit.batches import DISTURBED, REFERENCE, batch, experiment, group, result
 
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses

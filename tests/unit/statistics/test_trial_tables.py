@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from support.mutate import rewrite
-from support.random_trials import trial, write
+from testkit.mutate import rewrite
+from testkit.random_trials import trial, write
 
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import STEP

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.studies import STUDY, run
+from testkit.studies import STUDY, run
 
 from tetractl.statistics.estimate import distributions
 from tetractl.statistics.flagged import SAFETY

@@ -5,9 +5,9 @@
 import json
 
 import pytest
-from support.paths import ROOT
-from support.running import QUICK
-from support.studies import STUDY, write
+from testkit.paths import ROOT
+from testkit.running import QUICK
+from testkit.studies import STUDY, write
 
 from tetractl.core.registries import SWEEPS
 from tetractl.spec.schema import schema_of

@@ -3,7 +3,7 @@
 import shutil
 
 import pytest
-from support.studies import FAILING, SMALL, Watcher, run
+from testkit.studies import FAILING, SMALL, Watcher, run
 
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.run import spec_trial, store

@@ -9,7 +9,7 @@ import re
 import numpy as np
 import pytest
 from rich.console import Console
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.core.errors import UsageError
 from tetractl.tools.table.csv_rows import read_csv

@@ -1,8 +1,8 @@
 """What `verify` notices of a log tampered with in any channel, record or field."""
 
 import pytest
-from support.mutate import rewrite, rewritten, stating
-from support.tampering import missed, sim_log
+from testkit.mutate import rewrite, rewritten, stating
+from testkit.tampering import missed, sim_log
 
 from tetractl.log.format.channels import RUN
 from tetractl.log.read.salvage import scan

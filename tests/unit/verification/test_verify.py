@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from numba import njit
-from support import mutate, random_trials
-from support.made_labs import lab_log, lost
-from support.mutate import of_host, rewrite, stating, with_entry
-from support.trials import three_robots
+from testkit import mutate, random_trials
+from testkit.made_labs import lab_log, lost
+from testkit.mutate import of_host, rewrite, stating, with_entry
+from testkit.trials import three_robots
 
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Outcome, Plan

@@ -6,7 +6,7 @@ from html import unescape
 from types import SimpleNamespace
 
 import pytest
-from support import trials
+from testkit import trials
 
 import tetractl
 from tetractl.core.errors import UsageError

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.hand_clock import HandClock
-from support.trials import three_robots
+from testkit.hand_clock import HandClock
+from testkit.trials import three_robots
 
 from tetractl.core.trial import Note
 from tetractl.view.player import Playback, Player, Recording, span

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from support.trials import cut_short, three_robots
+from testkit.trials import cut_short, three_robots
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.view.video import HOLD_S, VideoFrames, check_file, write_video

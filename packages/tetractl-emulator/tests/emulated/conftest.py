@@ -3,8 +3,8 @@
 import os
 
 import pytest
-from support.lab_processes import SMALL, SPEC
-from support.lateness import lateness
+from testkit.emulator.lab_processes import SMALL, SPEC
+from testkit.lateness import lateness
 
 from tetractl.control.methods.build import warm_up
 from tetractl.spec.load import load_spec

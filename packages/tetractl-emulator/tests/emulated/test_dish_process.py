@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.lab_processes import PATIENCE_S
-from support.needs_opencv import cv2
-from support.paths import EXAMPLES
+from testkit.emulator.lab_processes import PATIENCE_S
+from testkit.microscope.needs_opencv import cv2
+from testkit.paths import EXAMPLES
 from tetractl_emulator import firmware
 
 pytestmark = pytest.mark.system

@@ -4,7 +4,7 @@ import signal
 import subprocess
 
 import pytest
-from support.lab_processes import PATIENCE_S, SPEC, TETRACTL
+from testkit.emulator.lab_processes import PATIENCE_S, SPEC, TETRACTL
 
 pytestmark = pytest.mark.system
 

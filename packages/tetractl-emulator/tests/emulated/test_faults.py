@@ -6,9 +6,9 @@ emulator's own record, not from the runner's log.
 """
 
 import pytest
-from support.fault_checks import SCRIPTS, check
-from support.lab_processes import camera_of, play
-from support.scripts import load_script
+from testkit.emulator.fault_checks import SCRIPTS, check
+from testkit.emulator.lab_processes import camera_of, play
+from testkit.emulator.scripts import load_script
 
 pytestmark = pytest.mark.system
 

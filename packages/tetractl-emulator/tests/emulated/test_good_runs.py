@@ -1,9 +1,9 @@
 """Runs in an emulated lab in which nothing goes wrong, on real wires."""
 
 import pytest
-from support.good_runs import RUNS, check, script_of
-from support.lab_processes import play
-from support.scripts import load_script
+from testkit.emulator.good_runs import RUNS, check, script_of
+from testkit.emulator.lab_processes import play
+from testkit.emulator.scripts import load_script
 
 pytestmark = pytest.mark.system
 

@@ -5,9 +5,9 @@ import signal
 import subprocess
 
 import pytest
-from support.cli import process
-from support.lab_processes import PATIENCE_S, SMALL, SPEC, TETRACTL, Emulator, flags
-from support.terminal import Terminal
+from testkit.cli import process
+from testkit.emulator.lab_processes import PATIENCE_S, SMALL, SPEC, TETRACTL, Emulator, flags
+from testkit.terminal import Terminal
 
 from tetractl.lab.cobs import Flag
 from tetractl.log.read.reader import read_trial

@@ -5,7 +5,7 @@ faults.
 from random import Random
 
 import pytest
-from support.lab_processes import SPEC
+from testkit.emulator.lab_processes import SPEC
 from tetractl_emulator.lab_rehearse import rehearsed
 from tetractl_emulator.rehearsal import day_plan
 

@@ -3,10 +3,10 @@
 import re
 
 import pytest
-from support.cli import tetractl
-from support.lab_processes import SPEC
-from support.running import TETRACTL
-from support.terminal import Terminal
+from testkit.cli import tetractl
+from testkit.emulator.lab_processes import SPEC
+from testkit.running import TETRACTL
+from testkit.terminal import Terminal
 from tetractl_emulator import firmware
 
 from tetractl.log.read.reader import read_trial

@@ -6,9 +6,9 @@ import re
 
 import numpy as np
 import pytest
-from support.cli import tetractl
-from support.lab_processes import flags
-from support.virtual_lab import DISH, virtual_dish
+from testkit.cli import tetractl
+from testkit.emulator.lab_processes import flags
+from testkit.emulator.virtual_lab import DISH, virtual_dish
 from tetractl_emulator import firmware
 from tetractl_microscope.coils.driver import DriverStatus
 

@@ -7,10 +7,10 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from support.cli import tetractl
-from support.lab_processes import SMALL as FEW_STEPS
-from support.lab_processes import SPEC, flags
-from support.paths import EXAMPLES, ROOT
+from testkit.cli import tetractl
+from testkit.emulator.lab_processes import SMALL as FEW_STEPS
+from testkit.emulator.lab_processes import SPEC, flags
+from testkit.paths import EXAMPLES, ROOT
 from tetractl_emulator import firmware
 
 from tetractl.core.commands import Steer, Stop

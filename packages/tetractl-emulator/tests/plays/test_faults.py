@@ -1,10 +1,10 @@
 """The rows of the fault table in virtual time: plant `emulated` plays every script."""
 
 import pytest
-from support.fault_checks import SCRIPTS, check
-from support.lab_processes import camera_of
-from support.scripts import load_script
-from support.virtual_lab import play_faults
+from testkit.emulator.fault_checks import SCRIPTS, check
+from testkit.emulator.lab_processes import camera_of
+from testkit.emulator.scripts import load_script
+from testkit.emulator.virtual_lab import play_faults
 
 pytestmark = pytest.mark.slow
 

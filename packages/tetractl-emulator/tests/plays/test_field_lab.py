@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from support.device_specs import FIELD_SPEC
-from support.virtual_lab import virtual_lab
+from testkit.emulator.device_specs import FIELD_SPEC
+from testkit.emulator.virtual_lab import virtual_lab
 from tetractl_emulator import firmware
 
 from tetractl.core.clock import SECOND

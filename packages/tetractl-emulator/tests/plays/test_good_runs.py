@@ -1,11 +1,11 @@
 """Runs in an emulated lab in which nothing goes wrong, over every kind of wire, in virtual time."""
 
 import pytest
-from support.cli import tetractl
-from support.good_runs import RUNS, check, script_of
-from support.paths import ROOT
-from support.scripts import load_script
-from support.virtual_lab import play
+from testkit.cli import tetractl
+from testkit.emulator.good_runs import RUNS, check, script_of
+from testkit.emulator.scripts import load_script
+from testkit.emulator.virtual_lab import play
+from testkit.paths import ROOT
 
 pytestmark = pytest.mark.slow
 

@@ -4,11 +4,11 @@ emulated lab's, on wires in memory."""
 from unittest import mock
 
 import pytest
-from support.cli import tetractl
-from support.half_real import check_mix, words_of
-from support.lab_processes import SMALL
-from support.lab_processes import SPEC as THREE
-from support.virtual_lab import virtual_lab
+from testkit.cli import tetractl
+from testkit.emulator.half_real import check_mix, words_of
+from testkit.emulator.lab_processes import SMALL
+from testkit.emulator.lab_processes import SPEC as THREE
+from testkit.emulator.virtual_lab import virtual_lab
 from tetractl_emulator.virtual_plant import EmulatedPlantSection
 
 pytestmark = pytest.mark.slow

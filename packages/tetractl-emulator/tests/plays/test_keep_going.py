@@ -3,11 +3,11 @@
 import json
 
 import pytest
-from support.cli import tetractl
-from support.fault_checks import SCRIPTS
-from support.lab_processes import SMALL, SPEC, flags
-from support.scripts import load_script
-from support.virtual_lab import virtual_lab
+from testkit.cli import tetractl
+from testkit.emulator.fault_checks import SCRIPTS
+from testkit.emulator.lab_processes import SMALL, SPEC, flags
+from testkit.emulator.scripts import load_script
+from testkit.emulator.virtual_lab import virtual_lab
 
 from tetractl.log.read.reader import read_result
 

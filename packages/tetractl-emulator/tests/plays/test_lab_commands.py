@@ -5,9 +5,9 @@ import contextlib
 import json
 
 import pytest
-from support.cli import tetractl
-from support.lab_processes import SMALL, SPEC, flags
-from support.virtual_lab import virtual_lab
+from testkit.cli import tetractl
+from testkit.emulator.lab_processes import SMALL, SPEC, flags
+from testkit.emulator.virtual_lab import virtual_lab
 from tetractl_emulator.script import parse_script
 
 from tetractl.core.clock import SECOND

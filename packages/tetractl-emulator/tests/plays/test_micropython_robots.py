@@ -1,8 +1,8 @@
 """Robots whose program MicroPython runs drive as those with the program in C do."""
 
 import pytest
-from support.cli import tetractl
-from support.micropython_robots import MISSING, micropython_robots
+from testkit.cli import tetractl
+from testkit.emulator.micropython_robots import MISSING, micropython_robots
 
 from tetractl.log.read.reader import read_trial
 

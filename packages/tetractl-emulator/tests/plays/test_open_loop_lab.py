@@ -3,9 +3,9 @@
 import json
 
 import pytest
-from support.cli import tetractl
-from support.lab_processes import SMALL, SPEC, flags
-from support.virtual_lab import virtual_lab
+from testkit.cli import tetractl
+from testkit.emulator.lab_processes import SMALL, SPEC, flags
+from testkit.emulator.virtual_lab import virtual_lab
 
 from tetractl.log.read.reader import read_trial
 

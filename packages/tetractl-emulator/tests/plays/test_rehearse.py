@@ -3,10 +3,10 @@
 import json
 
 import pytest
-from support.cli import tetractl
-from support.lab_processes import APRILTAG, SMALL, SPEC, flags
-from support.paths import EXAMPLES
-from support.virtual_lab import virtual_lab
+from testkit.cli import tetractl
+from testkit.emulator.lab_processes import APRILTAG, SMALL, SPEC, flags
+from testkit.emulator.virtual_lab import virtual_lab
+from testkit.paths import EXAMPLES
 from tetractl_emulator.fault_rows import SEEN, SIGHT
 from tetractl_emulator.lab_rehearse import rehearsed
 from tetractl_emulator.rehearsal import day_plan

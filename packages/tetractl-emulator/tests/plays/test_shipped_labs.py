@@ -4,8 +4,8 @@ packages have such a test in those packages.
 """
 
 import pytest
-from support.cli import tetractl
-from support.silent_labs import flagged_trials
+from testkit.cli import tetractl
+from testkit.emulator.silent_labs import flagged_trials
 
 from tetractl.spec.examples import examples
 from tetractl.spec.yaml.document import read_document

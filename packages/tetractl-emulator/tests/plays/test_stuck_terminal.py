@@ -7,7 +7,7 @@ from unittest import mock
 
 import pytest
 from rich.console import Console
-from support.virtual_lab import virtual_lab
+from testkit.emulator.virtual_lab import virtual_lab
 
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Observer

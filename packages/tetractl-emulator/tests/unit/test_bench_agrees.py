@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import scipy
 from scipy.optimize import least_squares
-from support.bench_agreement import bench_spec, bench_trial, lab_spec, lab_trial
-from support.virtual_lab import virtual_lab
+from testkit.emulator.bench_agreement import bench_spec, bench_trial, lab_spec, lab_trial
+from testkit.emulator.virtual_lab import virtual_lab
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer

@@ -9,11 +9,11 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from support.acting import act
-from support.device_specs import APRILTAG_SPEC, FIELD_SPEC, TWIST_SPEC
-from support.lab_processes import emulated
-from support.lab_specs import SPEC
-from support.virtual_lab import virtual_lab
+from testkit.emulator.acting import act
+from testkit.emulator.device_specs import APRILTAG_SPEC, FIELD_SPEC, TWIST_SPEC
+from testkit.emulator.lab_processes import emulated
+from testkit.emulator.virtual_lab import virtual_lab
+from testkit.lab_specs import SPEC
 from tetractl_testing import MovedRobots, SeenRobots, check_actuator, check_camera
 
 from tetractl.core.clock import MonotonicClock

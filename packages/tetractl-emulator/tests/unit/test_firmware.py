@@ -4,7 +4,7 @@ import contextlib
 import random
 
 import pytest
-from support.device_replies import packed_reply
+from testkit.device_replies import packed_reply
 from tetractl_emulator import firmware
 from tetractl_emulator.firmware import CoreEvent, RobotCore
 

@@ -4,7 +4,7 @@ Frames are noisy, each wheel is up to 10 % off, and 5 % of the packets are lost.
 """
 
 import pytest
-from support.ghosts import CAMERA, Ghost, trial_of
+from testkit.emulator.ghosts import CAMERA, Ghost, trial_of
 
 pytestmark = pytest.mark.long
 

@@ -2,8 +2,8 @@
 
 import threading
 
-from support.labs import FakeActuator, fake_lab
-from support.trials import experiment
+from testkit.labs import FakeActuator, fake_lab
+from testkit.trials import experiment
 from tetractl_emulator.half_real import TwinActuator
 
 from tetractl.lab.inner_loop import InnerLoop

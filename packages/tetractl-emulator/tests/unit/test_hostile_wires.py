@@ -1,9 +1,9 @@
 """Whatever a camera server may send, and whatever stands in a script."""
 
 import pytest
-from support import wire_targets
-from support.bounded_work import withstands
-from support.wire_targets import TARGETS
+from testkit.bounded_work import withstands
+from testkit.emulator import wire_targets
+from testkit.emulator.wire_targets import TARGETS
 
 pytestmark = pytest.mark.slow
 

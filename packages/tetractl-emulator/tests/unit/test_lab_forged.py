@@ -4,7 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from support.lab_logs import lab_log
+from testkit.emulator.lab_logs import lab_log
 
 from tetractl.log.format.channels import RUN, Entry
 from tetractl.log.format.tetractl_pb2 import Run

@@ -8,8 +8,8 @@ digests alone, and the digests are made to fit here.
 from dataclasses import replace
 
 import pytest
-from support.lab_logs import lab_log
-from support.tampering import score
+from testkit.emulator.lab_logs import lab_log
+from testkit.tampering import score
 
 from tetractl.log.format import channels
 from tetractl.log.read.reader import read_trial

@@ -1,7 +1,7 @@
 """What the specs that `tetractl init --lab` writes say of the emulated lab."""
 
 import pytest
-from support.cli import tetractl
+from testkit.cli import tetractl
 from tetractl_emulator.m3pi.wheeled_side import TrueWheels
 
 from tetractl.core.errors import SpecError

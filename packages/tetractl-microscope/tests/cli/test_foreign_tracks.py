@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from support.cli import tetractl
+from testkit.cli import tetractl
 
 from tetractl.core.errors import AbortError
 

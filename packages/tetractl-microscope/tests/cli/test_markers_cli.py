@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from support.cli import tetractl
+from testkit.cli import tetractl
 from tetractl_microscope.apriltag.detect import Detector
 from tetractl_microscope.markers import INCH_MM, PAPERS, Card, arranged, drawn
 

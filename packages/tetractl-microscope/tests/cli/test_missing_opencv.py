@@ -4,7 +4,7 @@ import subprocess
 import sys
 
 import pytest
-from support.paths import EXAMPLES
+from testkit.paths import EXAMPLES
 
 pytestmark = pytest.mark.long
 

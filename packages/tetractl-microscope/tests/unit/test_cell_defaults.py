@@ -1,6 +1,6 @@
 """What the recommended controller does by default for cells, which cannot stand still."""
 
-from support.paths import EXAMPLES
+from testkit.paths import EXAMPLES
 
 from tetractl.spec.load import load_spec
 

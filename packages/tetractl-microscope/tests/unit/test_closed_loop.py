@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from support.plants import sim
-from support.problems import problem, world
-from support.trials import experiment
+from testkit.plants import sim
+from testkit.problems import problem, world
+from testkit.trials import experiment
 from tetractl_microscope.choice.closed_loop import (
     Linear,
     Noise,

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from support.dish_films import film
-from support.film_logs import write_film
+from testkit.microscope.dish_films import film
+from testkit.microscope.film_logs import write_film
 
 from tetractl.log.read.reader import read_trial
 from tetractl.report.trial_data import trial_data

@@ -1,7 +1,7 @@
 """The plans along which choices of cells are compared."""
 
 import pytest
-from support.trials import experiment
+from testkit.trials import experiment
 from tetractl_microscope.choice.first_plans import planner, plans
 
 from tetractl.control.methods.mpc_section import RecommendedMpc

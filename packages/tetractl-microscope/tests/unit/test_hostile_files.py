@@ -3,9 +3,9 @@
 import random
 
 import pytest
-from support.bounded_work import withstands
-from support.picture_targets import TARGETS
-from support.targets import mutant, only
+from testkit.bounded_work import withstands
+from testkit.microscope.picture_targets import TARGETS
+from testkit.targets import mutant, only
 from tetractl_microscope.tracks.field_file import read_field
 
 from tetractl.core.errors import TetractlError

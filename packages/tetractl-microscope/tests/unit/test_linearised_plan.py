@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.problems import problem, world
+from testkit.problems import problem, world
 from tetractl_microscope.choice.closed_loop import Linear, linearise
 
 from tetractl.control.search.cost import predict

@@ -1,8 +1,8 @@
 """The pictures in a log: what the camera adds to its frames is logged as it is."""
 
 import pytest
-from support.dish_films import film
-from support.film_logs import write_film
+from testkit.microscope.dish_films import film
+from testkit.microscope.film_logs import write_film
 
 from tetractl.log.format import channels
 from tetractl.log.read.salvage import scan

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.paths import EXAMPLES
+from testkit.paths import EXAMPLES
 from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl_microscope.choice.choosing import chosen_from
 from tetractl_microscope.choice.closed_loop import Noise

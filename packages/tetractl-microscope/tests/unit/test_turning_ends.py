@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.labs import FakeCamera, fake_lab
-from support.paths import EXAMPLES
+from testkit.labs import FakeCamera, fake_lab
+from testkit.paths import EXAMPLES
 from tetractl_microscope.choice.prepare import prepare
 from tetractl_microscope.choice.section import choice_of
 from tetractl_microscope.handedness import watch_turning

@@ -1,8 +1,8 @@
 """An emulated motion-capture system: a run in which nothing goes wrong, and its process's end."""
 
 import pytest
-from support.cli import tetractl
-from support.silent_labs import flagged_trials
+from testkit.cli import tetractl
+from testkit.emulator.silent_labs import flagged_trials
 from tetractl_emulator.lab_rehearse import rehearsed
 
 pytestmark = pytest.mark.slow

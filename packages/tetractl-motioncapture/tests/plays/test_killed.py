@@ -9,8 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.cli import tetractl
-from support.running import child_of
+from testkit.cli import tetractl
+from testkit.running import child_of
 
 from tetractl.core.clock import SECOND, MonotonicClock, wait_for
 from tetractl.core.commands import Stop

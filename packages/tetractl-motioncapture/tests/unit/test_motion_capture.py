@@ -8,7 +8,7 @@ import signal
 import types
 
 import pytest
-from support.lab_specs import SPEC
+from testkit.lab_specs import SPEC
 from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.script import NOTHING
 from tetractl_emulator.sides import Options

@@ -1,7 +1,7 @@
 """The papers' controllers keep the promises of a controller, and pass the checks of plug-ins."""
 
 import pytest
-from support.controller_promises import ControllerPromises, experiment_of
+from testkit.controller_promises import ControllerPromises, experiment_of
 from tetractl_testing import check_controller
 
 pytestmark = pytest.mark.slow

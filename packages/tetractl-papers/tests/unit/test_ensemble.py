@@ -3,9 +3,9 @@ off."""
 
 import numpy as np
 import pytest
-from support.paths import ROOT
-from support.plants import sim
-from support.trials import experiment
+from testkit.paths import ROOT
+from testkit.plants import sim
+from testkit.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import FieldOff

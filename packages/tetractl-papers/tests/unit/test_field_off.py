@@ -4,7 +4,7 @@ step has to have a direction."""
 import json
 
 import pytest
-from support.trials import THREE_M3PI
+from testkit.trials import THREE_M3PI
 
 from tetractl.core.commands import FieldOff
 from tetractl.log.read.reader import read_trial

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.plants import sim
-from support.trials import THREE_M3PI, experiment
+from testkit.plants import sim
+from testkit.trials import THREE_M3PI, experiment
 from tetractl_papers.rrt import grow
 
 from tetractl.control.search.rng import uniform

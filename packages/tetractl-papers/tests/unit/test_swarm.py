@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.drawn import overlapping, words
-from support.trials import cut_short, experiment, three_robots
+from testkit.drawn import overlapping, words
+from testkit.trials import cut_short, experiment, three_robots
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.view.figures.draw import draw

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
-from support.cli import tetractl
-from support.running import TETRACTL, environment
+from testkit.cli import tetractl
+from testkit.running import TETRACTL, environment
 
 from tetractl.core.clock import SECOND, MonotonicClock, host_ns, wait_for
 

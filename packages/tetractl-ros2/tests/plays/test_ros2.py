@@ -3,8 +3,8 @@
 import pytest
 
 pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
-from support.cli import tetractl
-from support.silent_labs import flagged_trials
+from testkit.cli import tetractl
+from testkit.emulator.silent_labs import flagged_trials
 
 pytestmark = pytest.mark.slow
 RUN = ("run", "graph.yaml", "--plant", "emulated", "--trials", "1")

@@ -13,8 +13,8 @@ pytest.importorskip("rosbags", reason="recordings are read by rosbags")
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from support.cli import tetractl
-from support.paths import ROOT
+from testkit.cli import tetractl
+from testkit.paths import ROOT
 from tetractl_ros2 import ros2_messages as m
 from tetractl_ros2.bag_of_log import topic_part, write_bag
 from tetractl_ros2.bag_tables import read_bag

@@ -5,7 +5,7 @@ import math
 import pytest
 
 pytest.importorskip("cyclonedds", reason="tetractl-ros2 needs cyclonedds")
-from support.lab_specs import SPEC
+from testkit.lab_specs import SPEC
 from tetractl_emulator.emulated_lab import EmulatedLab
 from tetractl_emulator.script import NOTHING
 from tetractl_emulator.sides import Options

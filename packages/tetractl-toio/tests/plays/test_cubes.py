@@ -5,9 +5,9 @@ import socket
 
 import pytest
 import yaml
-from support.cli import tetractl
-from support.silent_labs import flagged_trials
-from support.virtual_lab import virtual_lab
+from testkit.cli import tetractl
+from testkit.emulator.silent_labs import flagged_trials
+from testkit.emulator.virtual_lab import virtual_lab
 from tetractl_emulator.fault_rows import SIGHT
 from tetractl_emulator.rehearsal import day_plan
 from tetractl_toio.camera import ToioCamera

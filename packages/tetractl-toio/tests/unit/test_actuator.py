@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.cli import tetractl
+from testkit.cli import tetractl
 from tetractl_toio.messages import SPEED_MIN, WHEEL_MM_S, Characteristic, Unpacker, decode_motor
 
 from tetractl.core.clock import VirtualClock

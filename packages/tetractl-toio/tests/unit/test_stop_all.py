@@ -1,7 +1,7 @@
 """`lab stop` of cubes, on ports in memory: one that is off keeps no other from its stops."""
 
 import pytest
-from support.cli import tetractl
+from testkit.cli import tetractl
 from tetractl_toio import actuator
 from tetractl_toio.messages import Characteristic, Unpacker, decode_motor
 

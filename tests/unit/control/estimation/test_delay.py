@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.control.estimation.estimator import StateEstimator
 from tetractl.control.estimation.prior import nothing

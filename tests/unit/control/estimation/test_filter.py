@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from oracles import bank as oracle
-from support.built_disturbance import BuiltSection
-from support.paths import ROOT
+from testkit.built_disturbance import BuiltSection
+from testkit.paths import ROOT
+from testkit.references import bank as oracle
 
 from tetractl.control.estimation.estimator import StateEstimator
 from tetractl.control.estimation.filter import FilterBank

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.control.estimation.filter import FilterBank
 from tetractl.control.estimation.filter_start import first_std, reopened_bank

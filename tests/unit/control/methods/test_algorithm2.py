@@ -1,7 +1,7 @@
 """Algorithm 2 as published, line by line."""
 
-from support.scripted import TARGETS, Scripted, mpc, observation_of
-from support.trials import experiment
+from testkit.scripted import TARGETS, Scripted, mpc, observation_of
+from testkit.trials import experiment
 
 from tetractl.control.search.rng import mix
 from tetractl.core.commands import Command, Steer

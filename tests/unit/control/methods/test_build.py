@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 from numba import njit
-from support.running import QUICK
+from testkit.running import QUICK
 
 from tetractl.control.methods import build
 from tetractl.spec.load import parse_spec

@@ -9,9 +9,9 @@ import math
 
 import numpy as np
 import pytest
-from support.hand_clock import HandClock
-from support.scripted import STARTS, TARGETS, Scripted, mpc, observation_of
-from support.trials import THREE_M3PI, experiment
+from testkit.hand_clock import HandClock
+from testkit.scripted import STARTS, TARGETS, Scripted, mpc, observation_of
+from testkit.trials import THREE_M3PI, experiment
 
 from tetractl.control.methods.fixed_sequence import given_plan
 from tetractl.control.methods.lengths import CUT, SIGNALS_PER_ROBOT, SPREAD, TRIES

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.paths import ROOT
-from support.trials import experiment
+from testkit.paths import ROOT
+from testkit.trials import experiment
 
 from tetractl.control.methods import passage
 from tetractl.control.methods.passage import Squares, ways

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.trials import experiment
+from testkit.trials import experiment
 
 from tetractl.control.methods.turns import (
     FACINGS,

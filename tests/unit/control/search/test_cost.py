@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support import oracle, problems
-from support.trials import experiment
+from testkit import problems
+from testkit.references import paper as oracle
+from testkit.trials import experiment
 
 from tetractl.control.search.cost import evaluate
 from tetractl.core.errors import ControlError

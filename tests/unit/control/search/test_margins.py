@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.trials import experiment
+from testkit.trials import experiment
 
 from tetractl.control.methods.mpc_section import Collision
 from tetractl.control.search.margins import Margins, off_course

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from support.scripted import mpc
-from support.trials import THREE_M3PI, experiment
+from testkit.scripted import mpc
+from testkit.trials import THREE_M3PI, experiment
 
 from tetractl.control.methods.mpc import Mpc
 from tetractl.control.methods.mpc_section import Collision

@@ -3,7 +3,7 @@ import pytest
 import scipy
 from hypothesis import given
 from hypothesis import strategies as st
-from support.oracle import split_mix
+from testkit.references.paper import split_mix
 
 from tetractl.control.search.rng import bits, mix, normal, uniform, uniform_pair
 

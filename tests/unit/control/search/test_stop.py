@@ -1,7 +1,7 @@
 import math
 
 import numpy as np
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.control.search.stop import (
     BudgetStop,

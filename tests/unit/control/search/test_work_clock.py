@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.control.search.kernels.multistart import BETWEEN_LOOKS
 from tetractl.control.search.work_clock import ROBOT_STEP_NS, SEARCH_NS, WorkClock

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.codec_checks import ANY_BYTES, check_any_bytes, check_round_trip
-from support.device_replies import packed_reply
-from support.lab_specs import SPEC
-from support.paths import ROOT
+from testkit.codec_checks import ANY_BYTES, check_any_bytes, check_round_trip
+from testkit.device_replies import packed_reply
+from testkit.lab_specs import SPEC
+from testkit.paths import ROOT
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer

@@ -3,7 +3,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.device_replies import reply_line
+from testkit.device_replies import reply_line
 
 from tetractl.core.errors import WireError
 from tetractl.lab.actuators.twist.lines import (

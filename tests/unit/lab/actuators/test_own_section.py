@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.trials import experiment
+from testkit.trials import experiment
 
 from tetractl.lab.actuators.own_section import OwnSection
 

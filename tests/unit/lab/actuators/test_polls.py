@@ -2,7 +2,7 @@
 
 from collections import deque
 
-from support.device_replies import reply_line
+from testkit.device_replies import reply_line
 
 from tetractl.core.clock import VirtualClock
 from tetractl.lab.actuators.twist.line_ports import TwistLink

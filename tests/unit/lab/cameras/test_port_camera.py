@@ -4,7 +4,7 @@ import threading
 import types
 
 import pytest
-from support.running import PATIENCE_S
+from testkit.running import PATIENCE_S
 
 from tetractl.cli.specs import template
 from tetractl.core.clock import VirtualClock

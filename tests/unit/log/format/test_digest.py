@@ -2,7 +2,7 @@
 
 import pytest
 from mcap.records import Attachment
-from support.random_trials import trial, write
+from testkit.random_trials import trial, write
 
 from tetractl.log import provenance
 from tetractl.log.format.channels import DIGESTS, HOST_RECORDS, Entry

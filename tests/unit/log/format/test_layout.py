@@ -7,8 +7,8 @@ import subprocess
 
 import make_layouts
 import pytest
-from support.random_trials import trial, write
-from support.trials import experiment
+from testkit.random_trials import trial, write
+from testkit.trials import experiment
 
 from tetractl.log.format import channels
 from tetractl.log.format.layout import layout

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from support.paths import ROOT
-from support.random_trials import trial, write
+from testkit.paths import ROOT
+from testkit.random_trials import trial, write
 
 from tetractl.log.format.channels import CHANNELS
 from tetractl.log.format.codec import (

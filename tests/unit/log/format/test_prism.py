@@ -2,7 +2,7 @@
 
 import numpy as np
 from hypothesis import given
-from support.shapes import SHAPES
+from testkit.shapes import SHAPES
 
 from tetractl.log.format.scene import prism, triangulate
 

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from support.random_trials import experiment, trial, write
+from testkit.random_trials import experiment, trial, write
 
 from tetractl.core import elementwise
 from tetractl.core.trial import EPOCH_NS

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 from mcap.records import Attachment
-from support.paths import ROOT
-from support.random_trials import trial, write
+from testkit.paths import ROOT
+from testkit.random_trials import trial, write
 
 import tetractl.log.format
 from tetractl.log.format import tetractl_pb2

@@ -1,7 +1,7 @@
 """A log is whole or says what it lacks: by its file, its source, its result and its digests."""
 
-from support.mutate import rewritten
-from support.paths import ROOT
+from testkit.mutate import rewritten
+from testkit.paths import ROOT
 
 from tetractl.log.format.channels import FRAMES, RESULT, STEP
 from tetractl.log.read.overview import overview

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import pytest
 from mcap.records import Attachment
-from support.mutate import rewrite
-from support.paths import ROOT
+from testkit.mutate import rewrite
+from testkit.paths import ROOT
 
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import RESOLVED_SPEC

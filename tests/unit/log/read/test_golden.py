@@ -4,7 +4,7 @@ import json
 import sys
 
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.log.format.channels import FORMAT_VERSION
 from tetractl.log.read.reader import content_digest, read_result, read_trial

@@ -10,9 +10,9 @@ import pytest
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import Attachment
-from support.fuzz import Original, fuzz
-from support.mutate import chunk, rewrite, stating
-from support.random_trials import trial, write
+from testkit.fuzz import Original, fuzz
+from testkit.mutate import chunk, rewrite, stating
+from testkit.random_trials import trial, write
 
 from tetractl.core.errors import LogError, TetractlError
 from tetractl.log.format.channels import COMMANDS, FRAMES, HOST_END, RESULT, RUN, STEP

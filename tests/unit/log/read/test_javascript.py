@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.paths import ROOT
-from support.random_trials import trial, write
+from testkit.paths import ROOT
+from testkit.random_trials import trial, write
 
 from tetractl.log.format.packed_columns import unpack_columns
 

@@ -1,7 +1,7 @@
 """What a trial's robots were, from its log."""
 
 import pytest
-from support.batches import DISTURBED, experiment
+from testkit.batches import DISTURBED, experiment
 
 from tetractl.core.trial import PlantInfo
 from tetractl.log.read.trial_log import Origin

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 from mcap.records import Channel
-from support.durable import small_disk
-from support.mutate import rewrite
-from support.random_trials import trial, write
+from testkit.durable import small_disk
+from testkit.mutate import rewrite
+from testkit.random_trials import trial, write
 
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import HOST_TIMING, RECOVERED, Entry

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mcap.writer import CompressionType, IndexType, Writer
-from support.fuzz import Original
-from support.mutate import rewrite, rewritten, stating
-from support.random_trials import trial, write
+from testkit.fuzz import Original
+from testkit.mutate import rewrite, rewritten, stating
+from testkit.random_trials import trial, write
 
 from tetractl.core import elementwise
 from tetractl.core.errors import LogError

@@ -5,7 +5,7 @@ from io import BytesIO
 from mcap.reader import make_reader
 from mcap.records import Channel
 from mcap.writer import Writer
-from support.random_trials import trial, write
+from testkit.random_trials import trial, write
 
 from tetractl.log.format.channels import DIGESTS, LOG, NUMBERS, RESULT, RUN, Entry
 from tetractl.log.read.salvage import scan

@@ -4,7 +4,7 @@ import errno
 import threading
 
 import pytest
-from support.random_trials import trial, write
+from testkit.random_trials import trial, write
 
 from tetractl.core.errors import LogError
 from tetractl.log import provenance

@@ -2,7 +2,7 @@
 
 import pytest
 from mcap.reader import make_reader
-from support.random_trials import trial, write
+from testkit.random_trials import trial, write
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import LogError

@@ -6,8 +6,8 @@ import subprocess
 import sys
 
 import pytest
-from support.durable import small_disk
-from support.paths import ROOT
+from testkit.durable import small_disk
+from testkit.paths import ROOT
 
 from tetractl.tools.kernels import kernel_cache as cache
 

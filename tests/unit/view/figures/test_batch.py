@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from support.batches import REFERENCE, batch, experiment, group
+from testkit.batches import REFERENCE, batch, experiment, group
 
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome

@@ -6,9 +6,9 @@ from inspect import cleandoc
 import matplotlib
 import numpy as np
 import pytest
-from support.drawn import end_of, lines, overlapping, words
-from support.marked_robots import MarkedRobots
-from support.trials import THREE_M3PI, cut_short, experiment, three_robots
+from testkit.drawn import end_of, lines, overlapping, words
+from testkit.marked_robots import MarkedRobots
+from testkit.trials import THREE_M3PI, cut_short, experiment, three_robots
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import BLUE, GREEN, RED

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.style import Style
-from support.trials import experiment, three_robots
+from testkit.trials import experiment, three_robots
 
 from tetractl.core.setup import Bounds
 from tetractl.view.player import Moment, Recording

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.terminal import console as terminal
-from support.trials import three_robots
+from testkit.terminal import console as terminal
+from testkit.trials import three_robots
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Stop

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
-from support.terminal import console as terminal
-from support.trials import run_three_robots, three_robots
+from testkit.terminal import console as terminal
+from testkit.trials import run_three_robots, three_robots
 
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Outcome

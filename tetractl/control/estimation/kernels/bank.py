@@ -2,7 +2,8 @@
 
 `share` computes how likely each filter is; `select` finds which filters go on, and with which dead
 times; `forecast` predicts the robots by their likeliest filters, and says what is known of them.
-Numbers and shapes are those of `filter_state`; the readable twin is `tests/oracles/bank.py`.
+Numbers and shapes are those of `filter_state`; `tests/testkit/references/bank.py` is a readable
+reference.
 
 Let l(b, i) be the likelihood of filter b of robot i by the robot's own frames, exp(score), and
 n(t, b, i) the density of a common dead time t, given that filter's. The frames of robot i tell of t

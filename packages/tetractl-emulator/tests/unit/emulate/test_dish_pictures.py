@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.dish_films import film
+from testkit.microscope.dish_films import film
 from tetractl_emulator.pictures.dish.picture import DishPainter, PictureLook
 
 from tetractl.model.swimmers import Swimmers, bodies

@@ -12,12 +12,12 @@ from types import SimpleNamespace
 from typing import Any, get_args
 
 import pytest
-from support.acting import act
-from support.device_specs import APRILTAG_SPEC, FIELD_SPEC
-from support.lab_processes import emulated, turn_until
-from support.lab_specs import SPEC
-from support.paths import EXAMPLES, SCRIPTS
-from support.virtual_lab import virtual_lab
+from testkit.emulator.acting import act
+from testkit.emulator.device_specs import APRILTAG_SPEC, FIELD_SPEC
+from testkit.emulator.lab_processes import emulated, turn_until
+from testkit.emulator.virtual_lab import virtual_lab
+from testkit.lab_specs import SPEC
+from testkit.paths import EXAMPLES, SCRIPTS
 from tetractl_emulator.optitrack.scripted import FAULTS
 from tetractl_emulator.optitrack.tracked_body import Asset, PoseNoise, TrackedBody, View
 from tetractl_emulator.process import PROCESS_FAULTS

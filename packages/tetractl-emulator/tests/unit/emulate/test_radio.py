@@ -4,7 +4,7 @@ import os
 
 import pytest
 import serial
-from support.lab_processes import emulated, turn_until
+from testkit.emulator.lab_processes import emulated, turn_until
 from tetractl_emulator.m3pi.emulated_radio import at_response
 from tetractl_emulator.port import PseudoPort
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.acting import act
-from support.wheels import train
+from testkit.emulator.acting import act
+from testkit.wheels import train
 from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots
 
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command

@@ -1,10 +1,10 @@
 """Fault scripts: a small, strict schema; every shipped one is valid."""
 
 import pytest
-from support.lab_processes import camera_of, emulated
-from support.paths import SCRIPTS
-from support.schema_errors import without_words
-from support.scripts import load_script
+from testkit.emulator.lab_processes import camera_of, emulated
+from testkit.emulator.scripts import load_script
+from testkit.paths import SCRIPTS
+from testkit.schema_errors import without_words
 from tetractl_emulator.script import Script, Sides, parse_script
 
 from tetractl.core.errors import SpecError

@@ -4,9 +4,9 @@ import shlex
 import shutil
 
 import pytest
-from support.cli import tetractl
-from support.paths import ROOT
-from support.running import QUICK
+from testkit.cli import tetractl
+from testkit.paths import ROOT
+from testkit.running import QUICK
 
 pytestmark = pytest.mark.slow
 

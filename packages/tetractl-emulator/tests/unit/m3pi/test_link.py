@@ -1,8 +1,8 @@
 """The link to an XBee module played by the test, on the emulated lab's wires in memory."""
 
 import pytest
-from support.device_replies import packed_reply
-from support.heard_port import HeardPort
+from testkit.device_replies import packed_reply
+from testkit.emulator.heard_port import HeardPort
 from tetractl_emulator.m3pi.emulated_radio import at_response
 from tetractl_emulator.memory_wires import MemoryNetwork
 from tetractl_emulator.virtual_lab import LabClock

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.plants import DIRECTIONS, driven, sim
-from support.trials import experiment
+from testkit.plants import DIRECTIONS, driven, sim
+from testkit.trials import experiment
 from tetractl_emulator.m3pi.robot import EmulatedRobot, EmulatedRobots
 
 from tetractl.core.clock import SECOND

@@ -1,7 +1,7 @@
 """The public `natnet` client reads what we pack, and reads it as we do."""
 
 import pytest
-from support.natnet_samples import every_version, full_frame
+from testkit.emulator.natnet_samples import every_version, full_frame
 
 from tetractl.lab.cameras.optitrack.wire import HEADER, parse
 

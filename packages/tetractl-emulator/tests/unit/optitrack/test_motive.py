@@ -4,8 +4,8 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from support.lab_specs import SPEC
-from support.virtual_lab import virtual_lab
+from testkit.emulator.virtual_lab import virtual_lab
+from testkit.lab_specs import SPEC
 from tetractl_emulator.loop import Loop, Timeline
 from tetractl_emulator.optitrack.scripted import OptitrackSettings
 from tetractl_emulator.optitrack.side import EmulatedOptitrack

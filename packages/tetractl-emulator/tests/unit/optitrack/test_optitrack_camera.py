@@ -4,9 +4,9 @@ import re
 from contextlib import contextmanager
 
 import pytest
-from support.acting import act
-from support.lab_specs import SPEC
-from support.virtual_lab import Joined, virtual_lab
+from testkit.emulator.acting import act
+from testkit.emulator.virtual_lab import Joined, virtual_lab
+from testkit.lab_specs import SPEC
 from tetractl_emulator.optitrack.natnet_server import pack_answer
 
 from tetractl.core.clock import SECOND

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.natnet_samples import VERSIONS, every_version, full_frame, full_modeldef
+from testkit.emulator.natnet_samples import VERSIONS, every_version, full_frame, full_modeldef
 from tetractl_emulator.optitrack.natnet_server import pack_answer, pack_modeldef, parse_request
 
 from tetractl.core.errors import WireError

@@ -1,8 +1,8 @@
 """A day of cells is judged by its exit code and its reason, and not by what swims on."""
 
 import pytest
-from support.made_days import at
-from support.paths import EXAMPLES
+from testkit.emulator.made_days import at
+from testkit.paths import EXAMPLES
 from tetractl_emulator.rehearsal.day import Day
 from tetractl_emulator.rehearsal.day_plan import DayPlan
 from tetractl_emulator.rehearsal.outcome_sentences import outcome_violations

@@ -1,9 +1,9 @@
 """What a lab is rehearsed against: the faults of its sides."""
 
 import pytest
-from support.device_specs import APRILTAG_SPEC, TWIST_SPEC
-from support.lab_specs import SPEC
-from support.paths import EXAMPLES
+from testkit.emulator.device_specs import APRILTAG_SPEC, TWIST_SPEC
+from testkit.lab_specs import SPEC
+from testkit.paths import EXAMPLES
 from tetractl_emulator.fault_rows import FaultRow
 from tetractl_emulator.faults import fault_kind
 from tetractl_emulator.rehearsal.day_plan import plan_of_day, rows_of

@@ -5,7 +5,7 @@ from collections import Counter
 from random import Random
 
 import pytest
-from support.paths import ROOT
+from testkit.paths import ROOT
 from tetractl_emulator.rehearsal.day_plan import (
     BLIND_S,
     BLIND_SHARE,

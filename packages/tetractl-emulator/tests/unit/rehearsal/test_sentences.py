@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.made_days import at, give_log
-from support.paths import ROOT
+from testkit.emulator.made_days import at, give_log
+from testkit.paths import ROOT
 from tetractl_emulator.rehearsal.day import Day
 from tetractl_emulator.rehearsal.day_plan import DayPlan
 from tetractl_emulator.rehearsal.sentences import SENTENCES, violations

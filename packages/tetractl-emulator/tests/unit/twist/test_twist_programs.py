@@ -9,7 +9,7 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
-from support.paths import FIRMWARE
+from testkit.paths import FIRMWARE
 from tetractl_emulator import firmware
 from tetractl_emulator.firmware import CoreEvent, TwistCore
 

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.acting import act
-from support.tag_scene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered, section
+from testkit.emulator.acting import act
+from testkit.microscope.tag_scene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered, section
 from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
 from tetractl_emulator.pictures.network_camera import (

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.tag_scene import LARGE, ROBOTS, SMALL, STANDING, rendered
+from testkit.microscope.tag_scene import LARGE, ROBOTS, SMALL, STANDING, rendered
 from tetractl_emulator.pictures.apriltag.side import CARD
 from tetractl_microscope.apriltag.detect import MODULES, Detector, tag_picture
 

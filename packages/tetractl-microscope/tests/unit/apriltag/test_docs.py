@@ -4,8 +4,8 @@ import re
 
 import pytest
 import yaml
-from support.needs_opencv import cv2
-from support.paths import MICROSCOPE
+from testkit.microscope.needs_opencv import cv2
+from testkit.paths import MICROSCOPE
 from tetractl_microscope.apriltag.detect import Detector
 from tetractl_microscope.apriltag.section import AprilTagSection
 

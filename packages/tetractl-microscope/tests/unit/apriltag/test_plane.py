@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from support.tag_scene import FLOOR, LARGE, MM, ROBOTS, SMALL, look, rendered, tracker
+from testkit.microscope.tag_scene import FLOOR, LARGE, MM, ROBOTS, SMALL, look, rendered, tracker
 from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
 from tetractl_microscope.apriltag.floor import SQUARE, Plane
 

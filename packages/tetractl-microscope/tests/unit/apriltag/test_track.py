@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from support.needs_opencv import finds_small_tags
-from support.tag_scene import (
+from testkit.microscope.needs_opencv import finds_small_tags
+from testkit.microscope.tag_scene import (
     FLOOR,
     LARGE,
     SMALL,

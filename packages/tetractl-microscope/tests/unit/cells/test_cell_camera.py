@@ -6,8 +6,8 @@ import threading
 
 import numpy as np
 import pytest
-from support.dish_films import film
-from support.needs_opencv import video
+from testkit.microscope.dish_films import film
+from testkit.microscope.needs_opencv import video
 from tetractl_microscope.cell_checks import cell_checks
 from tetractl_microscope.pictures.feed import Picture
 

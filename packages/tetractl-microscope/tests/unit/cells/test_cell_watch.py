@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from support.labs import fake_lab
-from support.trials import experiment
+from testkit.labs import fake_lab
+from testkit.trials import experiment
 from tetractl_microscope.cells.cell_watch import CellWatch, Identities
 from tetractl_microscope.choice.candidate import RobotCandidate
 

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from oracles import helix_steps as oracle
-from support.dish_films import film, record
+from testkit.microscope import helix_steps as oracle
+from testkit.microscope.dish_films import film, record
 from tetractl_microscope.cells.helix import (
     WALL_UM,
     HelixFilter,

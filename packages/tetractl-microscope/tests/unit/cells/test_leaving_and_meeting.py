@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.needs_opencv import cv2
+from testkit.microscope.needs_opencv import cv2
 from tetractl_microscope.cells.identity_watch import SURE
 from tetractl_microscope.cells.tracking import CellTracker
 from tetractl_microscope.tracks.field_file import no_field

@@ -3,8 +3,8 @@
 import math
 
 import pytest
-from support.cli import tetractl
-from support.virtual_lab import DISH
+from testkit.cli import tetractl
+from testkit.emulator.virtual_lab import DISH
 
 from tetractl.spec.load import load_spec
 from tetractl.spec.plants import calibrated, on_plant

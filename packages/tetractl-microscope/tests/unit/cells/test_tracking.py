@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.dish_films import film, followed, scored
+from testkit.microscope.dish_films import film, followed, scored
 from tetractl_emulator.pictures.dish.picture import PictureLook
 from tetractl_microscope.cells.cell import BodySize, PathBlob
 from tetractl_microscope.cells.cell_tracks import CellTrack

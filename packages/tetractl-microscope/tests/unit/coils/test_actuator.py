@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.acting import act
-from support.field_bench import LIMITS, Bench, Wire, section
+from testkit.emulator.acting import act
+from testkit.microscope.field_bench import LIMITS, Bench, Wire, section
 from tetractl_emulator import firmware
 from tetractl_emulator.pictures.driver_core import DriverLimits
 from tetractl_microscope.coils.actuator import FieldActuator

@@ -3,7 +3,7 @@
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.device_replies import packed_reply
+from testkit.device_replies import packed_reply
 from tetractl_emulator import firmware
 from tetractl_emulator.firmware import CoreEvent
 from tetractl_emulator.pictures.driver_core import DriverCore, DriverLimits

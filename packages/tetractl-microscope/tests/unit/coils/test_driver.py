@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.codec_checks import ANY_BYTES, check_any_bytes, check_round_trip
-from support.device_replies import packed_reply
-from support.paths import ROOT
+from testkit.codec_checks import ANY_BYTES, check_any_bytes, check_round_trip
+from testkit.device_replies import packed_reply
+from testkit.paths import ROOT
 from tetractl_emulator.virtual_lab import LabClock
 from tetractl_microscope.coils import driver
 from tetractl_microscope.coils.driver import DriverStatus, FieldCommand, FieldReply

@@ -1,6 +1,6 @@
 import pytest
 from pydantic import ValidationError
-from support.field_bench import section
+from testkit.microscope.field_bench import section
 
 
 @pytest.mark.parametrize(

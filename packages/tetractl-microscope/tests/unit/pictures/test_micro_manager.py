@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.paths import EXAMPLES
+from testkit.paths import EXAMPLES
 
 pytest.importorskip("cv2")
 

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL.JpegImagePlugin import JpegImageFile
 from pydantic import TypeAdapter, ValidationError
-from support.needs_opencv import cv2
-from support.tag_scene import film, jpeg
+from testkit.microscope.needs_opencv import cv2
+from testkit.microscope.tag_scene import film, jpeg
 from tetractl_microscope.pictures.feed import Picture, SourceEndedError
 from tetractl_microscope.pictures.picture_section import (
     DeviceSource,
@@ -255,7 +255,7 @@ def test_exposure_and_gain_of_a_device_are_set_or_refused(monkeypatch):
 
 
 def test_a_source_of_another_package_is_found_by_its_name(monkeypatch):
-    monkeypatch.setitem(PICTURE_SOURCES.builtin, "still", "support.still_source:Still")
+    monkeypatch.setitem(PICTURE_SOURCES.builtin, "still", "testkit.microscope.still_source:Still")
     mark = next(m for m in PictureSection.model_fields["source"].metadata)
     source = TypeAdapter(Annotated[PictureSource, mark]).validate_python(
         {"type": "still", "grey": 9}

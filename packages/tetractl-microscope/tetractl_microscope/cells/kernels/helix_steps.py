@@ -1,7 +1,7 @@
 """The compiled steps of the filter in `cells.helix`, for one cell.
 
 State and covariance move over pieces of constant field, and are updated with measurements.
-`tests/oracles/helix_steps.py` computes the same with whole matrices.
+`tests/testkit/microscope/helix_steps.py` computes the same with whole matrices.
 """
 
 import math

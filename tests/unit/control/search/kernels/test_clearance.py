@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.shapes import SHAPES
+from testkit.shapes import SHAPES
 
 from tetractl.control.search.kernels import clearance
 from tetractl.control.search.kernels.obstacles import arrays_of

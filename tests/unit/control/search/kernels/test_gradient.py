@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support import problems
+from testkit import problems
 
 from tetractl.control.search.cost import predict
 from tetractl.control.search.kernels import gradient

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support import problems
-from support.curves import bearing, interpolate
+from testkit import problems
+from testkit.curves import bearing, interpolate
 
 from tetractl.control.search.cost import evaluate
 from tetractl.control.search.kernels import multistart as kernel

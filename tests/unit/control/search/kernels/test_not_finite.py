@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support import problems
-from support.running import PATIENCE_S
+from testkit import problems
+from testkit.running import PATIENCE_S
 
 from tetractl.control.estimation.kernels.filter import follow
 from tetractl.control.estimation.kernels.filter_state import (

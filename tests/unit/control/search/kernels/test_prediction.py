@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from support import problems
+from testkit import problems
 
 from tetractl.control.search.cost import evaluate, foresee, predict
 from tetractl.control.search.evaluate import (

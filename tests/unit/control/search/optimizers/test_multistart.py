@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support import problems
-from support.paths import ROOT
+from testkit import problems
+from testkit.paths import ROOT
 
 from tetractl.control.search.optimizers.multistart import Multistart
 from tetractl.core.obstacles import Obstacles

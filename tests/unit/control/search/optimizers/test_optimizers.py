@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support import problems
+from testkit import problems
 
 from tetractl.control.search.cost import evaluate
 from tetractl.control.search.optimizers.multistart import Multistart

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
-from support import oracle, problems
+from testkit import problems
+from testkit.references import paper as oracle
 
 from tetractl.control.search.cost import evaluate
 from tetractl.control.search.optimizers.pso import Pso

@@ -5,7 +5,7 @@ import itertools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.targets import at_response
+from testkit.targets import at_response
 
 from tetractl.core.errors import WireError
 from tetractl.lab.actuators.xbee.api_frames import (

@@ -1,0 +1,1 @@
+"""What tests share that need tetractl-microscope."""

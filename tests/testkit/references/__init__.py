@@ -1,0 +1,1 @@
+"""Slow implementations of what the product computes, to compare it with."""

@@ -234,7 +234,7 @@ def _estimate(rng: np.random.Generator, k: int, robots: int) -> Estimate | None:
         return Estimate(*sure)
     bias = rng.normal(0, 0.1, robots)
     bias_std = rng.uniform(0, 0.1, robots)
-    names = ("side", "side_std", "saturation", "stands")
+    names = ("side", "side_std", "saturation", "stands", "lag", "lag_std")
     others = {name: rng.uniform(0, 1, robots) for name in names}
     others["misfit"] = rng.uniform(0, 2, (robots, len(INNOVATIONS)))
     dead_time_std = float(rng.random())

@@ -132,6 +132,8 @@ def _estimate(log: "Overview") -> dict[str, str]:
         ]
         if bias is not None and bias_std is not None:
             parts.append(f"heading bias {_deviating(bias[robot], bias_std[robot])} rad")
+        if estimate.lag is not None and estimate.lag_std is not None:
+            parts.append(f"lag {_deviating(estimate.lag[robot], estimate.lag_std[robot])} s")
         turns = describe_turning(estimate, robot)
         if turns:
             parts.append(turns)

@@ -8,9 +8,14 @@ from tetractl.core.poses import Floats
 
 @dataclass(frozen=True, slots=True)
 class Steer:
-    """All robots drive and turn towards the common direction u [rad]."""
+    """All robots drive and turn towards the common direction u [rad].
+
+    `lag_s` is the lag of the wheels that the host assumes, starting with this command [s]. If it
+    is None, the host keeps the lag that it has, at first the spec's.
+    """
 
     direction: float
+    lag_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

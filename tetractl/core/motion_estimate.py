@@ -24,6 +24,9 @@ INNOVATIONS = "along-track motion", "cross-track motion", "heading"
 OF_TURNING = INNOVATIONS[2:]
 OF_PLACES = INNOVATIONS[:2]
 """Those that a turning rate determines, and the others."""
+LAG_ERROR_S = 0.02
+"""Minimum error of the spec's lag of the wheels that is reported [s]. What such an error costs is
+in docs/decisions/plant.md."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +49,7 @@ class Estimate:
         saturation: Maximum turning rate, divided by the larger of these two rates, shape (N,).
         stands: Probability that a robot stands still although it receives a direction, shape (N,).
             It may be stuck; a cell may also rest, or back off and turn.
+        lag: Time constant with which the wheels of each robot follow commands [s], shape (N,).
         own_dead_time: Dead time of each robot [s], shape (N,). Logs do not contain it.
 
     To add a quantity to the filters, add a field here and to `Forecast`
@@ -67,8 +71,18 @@ class Estimate:
     side_std: Floats | None = None
     saturation: Floats | None = None
     stands: Floats | None = None
+    lag: Floats | None = None
+    lag_std: Floats | None = None
     own_dead_time: Floats | None = field(default=None, compare=False)
     own_dead_time_std: Floats | None = field(default=None, compare=False)
+
+    @property
+    def common_lag(self) -> float | None:
+        """Lag of the wheels that a host should assume for all robots [s].
+
+        It is the mean of the robots' lags. None if the lag is not estimated.
+        """
+        return None if self.lag is None else float(self.lag.mean())
 
     def standing(self, names: Sequence[str]) -> list[str]:
         """List the robots that almost certainly stand still although they should drive.

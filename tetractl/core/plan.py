@@ -225,7 +225,8 @@ class Plan:
     @property
     def action(self) -> Action:
         """The action to send in this step."""
-        return self.instead or Steer(float(self.signals[0]))
+        lag_s = None if self.estimate is None else self.estimate.common_lag
+        return self.instead or Steer(float(self.signals[0]), lag_s)
 
     @property
     def direction(self) -> float | None:

@@ -126,6 +126,7 @@ STATISTICS = Registry(  # in the order in which tables show them
         "time_inside": "tetractl.statistics.built_in_statistics:TIME_INSIDE",
         "disc": "tetractl.statistics.built_in_statistics:DISC",
         "lost": "tetractl.statistics.built_in_statistics:LOST",
+        "wheel_lag": "tetractl.statistics.built_in_statistics:WHEEL_LAG",
         "turn": "tetractl.statistics.built_in_statistics:TURN",
         "recovered": "tetractl.statistics.built_in_statistics:RECOVERED",
         "solve_ms": "tetractl.statistics.built_in_statistics:SOLVE_MS",

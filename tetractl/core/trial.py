@@ -9,6 +9,7 @@ from typing import Self
 import numpy as np
 
 from tetractl.core.commands import Command
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Outcome, Plan
 from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses, Sample
 from tetractl.core.setup import Setup
@@ -190,6 +191,8 @@ class Result:
         inside: Fraction of a hold's time that each robot was near its target, as `TourMeasure`
             defines it. Empty without a hold.
         lost: How often each robot was lost. Empty if no robot was.
+        wheel_lag_s: Lag of the wheels that the controller has found [s], the mean of the robots.
+            None if it does not estimate the lag.
 
     To add a number, add a field here and compute it in `of` from the arguments of its callers
     (`run/control_loop.py`, and `verification/result_check.py`, which checks it). Then add a field
@@ -210,6 +213,7 @@ class Result:
     passed: tuple[float, ...] = ()
     inside: tuple[float, ...] = ()
     lost: tuple[int, ...] = ()
+    wheel_lag_s: float | None = None
 
     @classmethod
     def of(
@@ -224,6 +228,7 @@ class Result:
         deadline_misses: int,
         tour: TourMeasure,
         drove: tuple[bool, ...] = (),
+        estimate: Estimate | None = None,
     ) -> Self:
         """Compute the result of a trial from its verdict and the record of its steps.
 
@@ -237,6 +242,7 @@ class Result:
             deadline_misses: Number of steps that took longer than the control period.
             tour: The measurement of way-points, hold and lost robots.
             drove: Whether robots drove while each step was planned.
+            estimate: The controller's last estimate of the motion. None if it makes none.
         """
         errors = verdict.final.distances(setup.targets)
         return cls(
@@ -253,6 +259,7 @@ class Result:
             passed=tour.passed,
             inside=tour.inside,
             lost=tour.lost,
+            wheel_lag_s=None if estimate is None else estimate.common_lag,
         )
 
     @property

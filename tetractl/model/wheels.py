@@ -145,6 +145,10 @@ class WheelHost:
         robots = self._known if drives else self._known.turning()
         return wish(heading, np.full(heading.shape, u), since_ns, acts_ns, robots, self._sent)
 
+    def assume_lag(self, lag_s: float) -> None:
+        """Assume this lag of the wheels [s], starting with the next command."""
+        self._known = self._known._replace(lag_s=lag_s)
+
     def counts(self, wished: Floats) -> CountArray:
         """Return the counts (2, N) to send for wheel speeds (2, N)."""
         counts, self._owed = self.drivetrains.counts(wished, self._owed)

@@ -89,6 +89,8 @@ class SimHost:
             measured_ns = acts_ns
         headings = frame.poses.heading.copy()  # a read-only array is another type to the kernel
         self._sent = self._sent.with_room()
+        if isinstance(action, Steer) and action.lag_s is not None:
+            self._known = self._known._replace(lag_s=action.lag_s)
         self._speeds = self._answer(
             heading=headings,
             u=aim(action, headings),

@@ -72,6 +72,7 @@ from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.commands import Command, Stop, Turn
 from tetractl.core.errors import TetractlError, text_of
 from tetractl.core.losses import describe_dead
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import PAUSE_S, Decision, End, Outcome, Plan
 from tetractl.core.poses import Observation, Sample
 from tetractl.core.protocols import Controller, Observer, Plant
@@ -168,6 +169,7 @@ class StepCounts:
     drove: list[bool] = field(default_factory=list)  # whether robots drove meanwhile
     misses: int = 0  # plans that took longer than a period while robots drove
     first_sent_ns: int | None = None  # when the first direction was sent
+    last_estimate: Estimate | None = None  # of the motion, by the controller
 
 
 class RobotMotion(Enum):
@@ -361,6 +363,7 @@ class Trial:
         self._report(command.sent_ns, begun_leg)
         self._counts.solve_ns.append(solve_ns)
         self._counts.drove.append(before is RobotMotion.DRIVE)
+        self._counts.last_estimate = plan.estimate
         if missed:
             self._counts.misses += 1
         self._report_frames()
@@ -507,6 +510,7 @@ class Trial:
             deadline_misses=self._counts.misses,
             drove=tuple(self._counts.drove),
             tour=self._measure,
+            estimate=self._counts.last_estimate,
         )
 
     def _notify_of_the_end(

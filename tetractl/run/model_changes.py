@@ -3,7 +3,8 @@
 A controller estimates how the robots move (`tetractl.core.motion_estimate`). `ModelMonitor` reads
 each estimate and reports, once a trial each: robots that stand although they are driven, motion
 that the model does not explain, robots on which commands act late, and values of the spec that the
-estimates contradict. When the model fits again, it reports what has changed in the meantime.
+estimates contradict, such as the lag of the wheels. When the model fits again, it reports what has
+changed in the meantime.
 """
 
 from collections.abc import Iterator
@@ -12,7 +13,8 @@ from typing import Literal, NamedTuple
 
 from tetractl.core.clock import SECOND
 from tetractl.core.elementary import exp, expm1, hypot
-from tetractl.core.motion_estimate import OF_PLACES, OF_TURNING, Estimate
+from tetractl.core.motion_estimate import LAG_ERROR_S, OF_PLACES, OF_TURNING, Estimate
+from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.lab_section import LabSection
@@ -103,6 +105,25 @@ def describe_dead_time_error(estimate: Estimate, stated: StatedModel) -> str:
     )
 
 
+def describe_lag_error(estimate: Estimate, setup: Setup) -> str:
+    """Describe by how much the estimated lag of the wheels contradicts the spec.
+
+    Returns:
+        The description, or "" if the two agree within LAG_ERROR_S and the uncertainty of each
+        robot's estimate, or if the lag is not estimated.
+    """
+    lag_s = estimate.common_lag
+    if lag_s is None or estimate.lag is None or estimate.lag_std is None:
+        return ""
+    errors_s = abs(estimate.lag - setup.lag_s)
+    if (errors_s <= max(LAG_ERROR_S, CHANGE_STDS * float(estimate.lag_std.max()))).any():
+        return ""
+    return (
+        f"the wheels follow with a lag of {lag_s:.2f} s, not {setup.lag_s:.2f} s: the controller "
+        "uses the lag that it has found; state it in the spec (wheels.lag, lab.lag)"
+    )
+
+
 def describe_turning(estimate: Estimate, robot: int) -> str:
     """Describe how a robot's turning differs from one rate a; "" if it does not."""
     parts = list[str]()
@@ -138,6 +159,11 @@ def differs(
     return abs(value - value_before) > CHANGE_STDS * hypot(std, std_before)
 
 
+def _of_robot(values: Floats | None, robot: int) -> float | None:
+    """Return the value of one robot, or None if the quantity is not estimated."""
+    return None if values is None else float(values[robot])
+
+
 def describe_changes(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
     """Describe each quantity of an estimate that has changed significantly.
 
@@ -156,6 +182,11 @@ def describe_changes(estimate: Estimate, before: Estimate, setup: Setup) -> Iter
         if differs(estimate.speed[i], estimate.speed_std[i], before.speed[i], before.speed_std[i]):
             speed = f"{estimate.speed[i]:.3g} {setup.unit}/s"
             yield f"speed of {name} is {speed}, not {before.speed[i]:.3g}"
+        lag = _of_robot(estimate.lag, i)
+        lag_before = _of_robot(before.lag, i)
+        lag_stds = _of_robot(estimate.lag_std, i), _of_robot(before.lag_std, i)
+        if differs(lag, lag_stds[0], lag_before, lag_stds[1]):
+            yield f"the wheels of {name} follow with a lag of {lag:.2f} s, not {lag_before:.2f} s"
         turning = describe_turning(estimate, i)
         if turning and turning != describe_turning(before, i):
             yield f"{name} {turning}"
@@ -208,6 +239,9 @@ class ModelMonitor:
         for part in sorted(estimate.unexplained(setup.names, OF_PLACES)):
             text = f"{part} is not as predicted, which says nothing of a"
             self._add_once(notices, Notice("info", text))
+        lag_error = describe_lag_error(estimate, setup)
+        if lag_error:
+            self._add_once(notices, Notice("info", lag_error), key="lag")
         for name, text in self._late_robots(estimate, setup, now_ns):
             self._add_once(notices, Notice("warning", text), key=f"late: {name}")
         unexplained = estimate.unexplained(setup.names, OF_TURNING)

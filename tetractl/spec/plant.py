@@ -121,5 +121,6 @@ class Wheels(Model):
     """Time constant with which the wheels follow a command [s].
 
     If it is not 0, the host computes wheel speeds for the headings that the robots will have by
-    then, and the controller predicts the poses in which the robots come to a standstill.
+    then, and the controller predicts the poses in which the robots come to a standstill. A
+    controller that estimates the lag starts from this value, and sends its estimate to the host.
     """

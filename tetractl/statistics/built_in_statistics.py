@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.clock import MILLISECOND, SECOND
+from tetractl.core.motion_estimate import LAG_ERROR_S
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
 from tetractl.core.trial import Verdict
@@ -379,6 +380,32 @@ DEADLINE_MISSES = total(
     lambda trial: trial.result.deadline_misses,
     matters=lambda trial: trial.experiment.plant.real_time,  # elsewhere they delayed no command
 )
+
+# ---- The lag of the wheels ----
+
+
+def _lag_columns(trial: ResultSummary) -> dict[str, Any]:
+    """Return the lag that the controller has found in a trial; None if it does not estimate it."""
+    on_wheels = trial.experiment.setup.on_wheels
+    return {"wheel_lag_s": trial.result.wheel_lag_s} if on_wheels else {}
+
+
+def _mean_lag(trials: Sequence[ResultSummary]) -> list[Figure]:
+    """Return the mean lag that the controller has found, which is unusual if the spec differs."""
+    found = [trial.result.wheel_lag_s for trial in trials if trial.result.wheel_lag_s is not None]
+    if not found:
+        return [Figure("", "", {"wheel_lag_s": None})]
+    (distribution,) = distributions(np.array([found]))
+    interval = ""
+    if distribution.ci95.known:
+        interval = f", 95 % interval {distribution.ci95.text('{:.3f}'.format)}"
+    stated_s = trials[0].experiment.setup.lag_s
+    text = f"{distribution.mean:.3f} found (n {len(found)}{interval}), {stated_s:.3f} in the spec"
+    is_wrong = abs(distribution.mean - stated_s) > LAG_ERROR_S
+    return [Figure("lag of the wheels [s]", text, {"wheel_lag_s": distribution.mean}, is_wrong)]
+
+
+WHEEL_LAG = Statistic(_mean_lag, _lag_columns)
 
 # ---- Robots that turn by themselves ----
 

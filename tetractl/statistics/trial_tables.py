@@ -95,7 +95,7 @@ def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[s
         "time_s": log.elapsed_s(sent.sent_ns),
         "observed_s": log.elapsed_s(step.observation.sampled_ns),
         "direction_rad": sent.direction if sent.HasField("direction") else None,
-        "lag_s": setup.lag_s,
+        "lag_s": sent.lag if sent.HasField("lag") else setup.lag_s,
         f"cost_{setup.unit}": step.cost,
         f"target_cost_{setup.unit}": step.target_cost,
         "obstacle_cost": step.obstacle_cost,
@@ -172,7 +172,13 @@ def estimates(log: TrialLog, contents: RawLog) -> Table:
         "time_s": np.repeat(sent_s, robots),
         "robot": np.tile(setup.names, len(steps)),
     }
-    units = {"a": "rad_s", "speed": f"{setup.unit}_s", "heading_bias": "rad", "dead_time": "s"}
+    units = {
+        "a": "rad_s",
+        "speed": f"{setup.unit}_s",
+        "heading_bias": "rad",
+        "dead_time": "s",
+        "lag": "s",
+    }
     for field in ESTIMATE_FIELDS:
         rows = [_of_each_robot(step.estimate, field, robots) for step in steps]
         unit = units.get(field.removesuffix("_std"))

@@ -57,6 +57,7 @@ def result_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
         deadline_misses=result.deadline_misses,
         drove=result.drove,
         tour=log.tour,
+        estimate=log.last_estimate,
     )
     difference = first_difference(again, result, name="result")
     if difference is not None:

@@ -18,12 +18,14 @@ from tetractl_identify.identify import (
     without_unsure_intervals,
 )
 from tetractl_identify.passes import TrackFrames, speed_wander
-from tetractl_identify.tracks import Track
+from tetractl_identify.tracks import Track, track_of
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
 from tetractl.core.errors import UsageError
+from tetractl.log.read.reader import read_trial
 from tetractl.plant.simulation import SimPlant
+from tetractl.run.spec_trial import log_path, run_logged
 from tetractl.spec.load import load_spec
 from tetractl.tools.likelihood import SampleInterval
 from tetractl.tools.table.table_files import json_text
@@ -507,3 +509,16 @@ def test_the_speed_of_a_robot_that_does_not_slip_does_not_wander(name):
     most = np.maximum(WANDERS, 2 * np.sqrt(2) * noise_mm / 150.0)
     assert (wander < most).all()
     assert speed_wander([TrackFrames.of(slips(track, 1))])[1] > most
+
+
+@pytest.mark.long
+def test_the_lag_that_the_controller_found_counts_in_a_log(tmp_path):
+    """The spec states 0.04 s, and the host has assumed the lag that the controller sent."""
+    bench = ROOT / "experiments" / "three_m3pi_bench.yaml"
+    run_logged(load_spec(bench, ("plant.drive.lag=0.133", "trials.seed=88401")), tmp_path, 0)
+    log = read_trial(log_path(tmp_path, 0))
+    track = track_of(log)
+    assert track.lag == pytest.approx(0.133, abs=0.02)
+    true = json.loads(log.start.plant.facts["true_a"])
+    found = [robot.a.value for robot in identify([track], log.start.setup.a).robots]
+    assert found == pytest.approx(true, rel=0.1)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.control.estimation.kernels.filter_state import (
+    LAG,
     LN_A,
     LN_SPEED,
     LOG_FOLLOWS,
@@ -321,7 +322,9 @@ def run(
     residuals: list[Floats] = []
     for track, block in zip(tracks, blocks, strict=True):
         _begin_track(bank, track)
-        model = first_model._replace(watchdog_s=track.watchdog, lag_s=track.lag, hold=track.hold)
+        model = first_model._replace(
+            watchdog_s=track.watchdog, host_lag_s=track.lag, hold=track.hold
+        )
         watch = _Watch(track.u, len(rows)) if watched else None
         _run_track(bank, model, track, rows, apart_s, watch, by_block, block)
         if watch is not None:
@@ -345,6 +348,7 @@ def _begin_track(bank: Bank, track: TrackFrames) -> None:
     """Give each row one branch, at the beginning of a track."""
     bank.ln_weight[...] = -np.inf
     bank.ln_weight[..., 0] = 0.0
+    bank.state[..., LAG] = track.lag
     if track.lag > 0:  # the wheels stand until the first direction acts
         bank.direction[...] = np.nan
         bank.next_command[:] = 0

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import FieldOff
+from tetractl.core.commands import FieldOff, Steer
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, Integers
 from tetractl.log.read.trial_log import TrialLog
@@ -150,11 +150,21 @@ def track_of(log: TrialLog) -> Track:
         until=last_ns / SECOND,
         frame_age=float(np.median(ages_ns)) / SECOND if ages_ns else None,
         watchdog=setup.watchdog_s,
-        lag=setup.lag_s,
+        lag=_lag_assumed(log),
         on_wheels=setup.on_wheels,
         strength=setup.strength,
         strength_unit=setup.strength_unit,
     )
+
+
+def _lag_assumed(log: TrialLog) -> float:
+    """Return the lag of the wheels that their host assumed at the end of a trial [s].
+
+    It is the lag that the controller has found and sent with its directions, or the spec's.
+    """
+    actions = (step.command.action for step in reversed(log.steps))
+    sent = (action.lag_s for action in actions if isinstance(action, Steer))
+    return next((lag_s for lag_s in sent if lag_s is not None), log.start.setup.lag_s)
 
 
 def wheels_of(log: TrialLog) -> Track:

@@ -6,8 +6,10 @@ import math
 import numpy as np
 
 from tetractl.control.estimation.filter import FilterBank
+from tetractl.control.estimation.filter_start import LAG_STEP_S
 from tetractl.control.estimation.kernels.filter_state import (
     FINEST_STEP_S,
+    LAG,
     LEAST_BLOCKS,
     LN_A,
     LN_SPEED,
@@ -25,7 +27,7 @@ from tetractl.core.poses import Floats
 def share(filters: FilterBank) -> tuple[Floats, Floats, Floats]:
     """Return the ln of each filter's probability (B, N), up to a constant, by its own frames and by
     what those of the other robots tell of the common dead time; and each robot's dead time and its
-    standard deviation (N,) [s].
+    standard deviation (N,) [s], by the filters with the lag of its likeliest one.
     """
     bank = filters.bank
     prior = filters.prior
@@ -43,6 +45,9 @@ def share(filters: FilterBank) -> tuple[Floats, Floats, Floats]:
     by_others = (near * np.exp(ln_others - ln_others.max(axis=0))[:, None]).sum(axis=0)
     score = bank.score + np.log(by_others + 1e-300)
     weight = np.exp(score - score.max(axis=0))
+    lag = bank.state[:, :, 0, LAG]
+    best = score.argmax(axis=0)
+    weight *= lag == lag[best, np.arange(len(best))]  # of filters with the likeliest one's lag
     weight /= weight.sum(axis=0)
     mean = (weight * bank.dead_time_s).sum(axis=0)
     spread = (weight * (bank.dead_time_s - mean) ** 2).sum(axis=0)
@@ -69,6 +74,13 @@ def estimate(filters: FilterBank) -> Estimate:
     speed = prior.speed * np.exp(z[:, LN_SPEED])
     of_bias = cov[:, [TURN_BIAS, MARKER_BIAS]][:, :, [TURN_BIAS, MARKER_BIAS]].sum(axis=(1, 2))
     part = 2 / (9 * blocks)
+    lag = lag_std = None
+    if prior.lag_is_learnt:
+        probability = np.exp(score - score.max(axis=0))
+        probability /= probability.sum(axis=0)
+        lags = bank.state[:, :, 0, LAG]
+        lag = z[:, LAG]
+        lag_std = np.sqrt((probability * (lags - lag) ** 2).sum(axis=0) + (LAG_STEP_S / 4) ** 2)
     return Estimate(
         a=a,
         a_std=a * std[:, LN_A],
@@ -80,6 +92,8 @@ def estimate(filters: FilterBank) -> Estimate:
         side_std=std[:, SIDE],
         saturation=np.ones(len(a)),
         stands=weights[:, -1] / weights.sum(axis=1),
+        lag=lag,
+        lag_std=lag_std,
         dead_time=float(tau.mean()),
         dead_time_std=math.sqrt(np.mean((tau_std * more) ** 2) + np.var(tau)),
         own_dead_time=tau,

@@ -139,6 +139,22 @@ def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
         assert speeds[1].tolist() == true.speeds(counts).tolist()
 
 
+def test_a_host_that_is_told_a_lag_computes_what_one_does_that_knows_it():
+    a = np.array([4.0, 5.0])
+    speed = np.array([150.0, 200.0])
+    radius = np.full(2, 40.0)
+    wheels = uneven_wheels(np.random.default_rng(5), 2)
+    hosts = [WheelHost(a, speed, radius, lag_s, wheels) for lag_s in (0.133, 0.04, 0.04)]
+    hosts[1].assume_lag(0.133)
+    wished = []
+    for host in hosts:
+        host.sent(0, np.array([[10.0, 20.0], [60.0, 90.0]]))
+        heading = np.array([0.2, -1.0])
+        wished.append(host.wished(heading, 1.0, SECOND // 10, SECOND // 5).tolist())
+    assert wished[1] == wished[0]
+    assert wished[1] != wished[2]
+
+
 LAG_S = 0.04
 RADIUS = np.full(3, 40.0)
 DRIVE_S = 0.2

@@ -26,6 +26,7 @@ NAME = SETUP.names[0]
 EACH = np.ones(ROBOTS)
 FITS = Estimate(4 * EACH, 0.1 * EACH, 200 * EACH, EACH, dead_time=0.11, dead_time_std=0.002)
 FITS = replace(FITS, misfit=np.zeros((ROBOTS, 3)), side=0 * EACH, side_std=0.02 * EACH)
+FITS = replace(FITS, lag=0 * EACH, lag_std=0.0125 * EACH)
 UNFIT = replace(FITS, misfit=np.eye(ROBOTS, 3, 2) * 2)
 STRAYS = replace(FITS, misfit=np.array([[2.0, 2.0, 0.0], *np.zeros((ROBOTS - 1, 3))]))
 
@@ -71,6 +72,7 @@ def test_what_was_learnt_is_said_with_numbers():
         "commands act 0.210 s after they are sent, not 0.110 s": {"dead_time": 0.21},
         f"a of {NAME} is 3 rad/s, not 4": {"a": FITS.a - first},
         f"speed of {NAME} is 190 {SETUP.unit}/s, not 200": {"speed": FITS.speed - 10 * first},
+        f"the wheels of {NAME} follow with a lag of 0.10 s, not 0.00 s": {"lag": 0.1 * first},
         f"{NAME} turns 22 % faster to the left": {"side": 0.1 * first},
         f"{NAME} turns 22 % faster to the right": {"side": -0.1 * first},
         f"{NAME} turns at 2 rad/s at most": {"saturation": np.where(first, 0.5, 1.0)},
@@ -78,6 +80,32 @@ def test_what_was_learnt_is_said_with_numbers():
     for text, changed in cases.items():
         texts = said((1, UNFIT), (1 + FITS_AGAIN_AFTER_S, replace(FITS, **changed)))[1:]
         assert texts == [f"the model fits again: {text}"]
+
+
+def with_lags(*lags_s, std_s=0.0125):
+    """Make an estimate that fits, of robots whose wheels have lags of their own [s]."""
+    return replace(FITS, lag=np.array(lags_s), lag_std=np.full(ROBOTS, std_s))
+
+
+def test_a_lag_that_the_spec_states_wrongly_is_reported_once():
+    found = with_lags(0.14, 0.14, 0.13)
+    assert said((0, FITS), (1, found), (2, found)) == [
+        "the wheels follow with a lag of 0.14 s, not 0.00 s: the controller uses the lag that it "
+        "has found; state it in the spec (wheels.lag, lab.lag)"
+    ]
+
+
+@pytest.mark.parametrize(
+    "estimate",
+    [
+        with_lags(0.0, 0.0, 0.0),
+        with_lags(0.14, 0.14, 0.0),  # not the same for all: no value of the spec fits them
+        with_lags(0.14, 0.14, 0.14, std_s=0.08),  # not known well enough
+        with_lags(0.019, 0.019, 0.019, std_s=0.001),
+    ],
+)
+def test_a_lag_that_the_spec_may_have_right_is_not_reported(estimate):
+    assert said((1, estimate)) == []
 
 
 @pytest.mark.parametrize(

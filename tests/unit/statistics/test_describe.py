@@ -91,6 +91,31 @@ def test_solve_times_are_of_all_trials_while_robots_drove():
     assert items["deadline_misses"] == 1
 
 
+@pytest.mark.parametrize(
+    ("found_s", "text", "unusual"),
+    [
+        ((0.1, 0.2, 0.15), "0.150 found (n 3, 95 % interval 0.", True),
+        ((0.14, 0.14), "0.140 found (n 2), 0.000 in the spec", True),  # equal: no interval
+        ((0.01, 0.01), "0.010 found (n 2), 0.000 in the spec", False),
+    ],
+)
+def test_a_found_lag_of_the_wheels_stands_next_to_that_of_the_spec(found_s, text, unusual):
+    trials = batch(ERRORS[: len(found_s)])
+    lags = zip(trials, found_s, strict=True)
+    found = group([replace(t, result=replace(t.result, wheel_lag_s=lag_s)) for t, lag_s in lags])
+    (figure,) = (one for one in found.figures if one.label == "lag of the wheels [s]")
+    assert figure.text.startswith(text)
+    assert figure.text.endswith(", 0.000 in the spec")
+    assert figure.unusual == unusual
+    assert batch_items(found)["wheel_lag_s"] == pytest.approx(np.mean(found_s))
+
+
+def test_of_robots_whose_controller_finds_no_lag_none_is_said():
+    described = group(batch(ERRORS[:2]))
+    assert "lag of the wheels [s]" not in [figure.label for figure in described.figures]
+    assert batch_items(described)["wheel_lag_s"] is None
+
+
 def test_the_published_result_is_compared_by_welch():
     spec = experiment(reference=REFERENCE)
     described = group(of_origin(Origin.LAB, batch(ERRORS, spec)))

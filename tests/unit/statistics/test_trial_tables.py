@@ -46,7 +46,9 @@ def test_the_table_of_steps_has_the_search_of_each(log, columns):
     steps = columns["steps"]
     plans = [step.plan for step in log.steps]
     iterations = [len(plan.search.history) - 1 for plan in plans]  # the first is the start
-    assert list(steps["lag_s"]) == [log.start.setup.lag_s] * len(log.steps)
+    sent = [getattr(step.command.action, "lag_s", None) for step in log.steps]
+    stated = log.start.setup.lag_s
+    assert list(steps["lag_s"]) == [stated if lag_s is None else lag_s for lag_s in sent]
     assert list(steps["iterations"]) == iterations
     assert list(steps["evaluations"]) == [plan.evaluations for plan in plans]
     assert list(steps["stopped"]) == [str(plan.search.stopped) for plan in plans]

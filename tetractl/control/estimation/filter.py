@@ -70,14 +70,17 @@ import numpy as np
 
 from tetractl.control.estimation.filter_start import (
     GROUPS_MAX,
+    LAG_STEP_S,
     SATURATION_WALK,
+    TRIED_SATURATIONS,
     bank_with_replaced,
     filter_model,
     first_bank,
+    first_tried,
     reopened_bank,
-    tried_state,
 )
 from tetractl.control.estimation.kernels.filter_state import (
+    LAG,
     LEAST_BLOCKS,
     LN_SATURATION,
     REFINED,
@@ -91,10 +94,11 @@ from tetractl.control.estimation.kernels.filter_state import (
 )
 from tetractl.control.estimation.prior import Prior
 from tetractl.control.estimation.reception import Reception
+from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command, FieldOff, Stop, Turn
+from tetractl.core.commands import Command, FieldOff, Steer, Stop, Turn
 from tetractl.core.motion_estimate import INNOVATIONS
-from tetractl.core.poses import Bools, Integers, Observation, Poses
+from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses
 
 SPACING_NS = round(0.03 * SECOND)
 """Minimum time between two frames used [ns]; docs/decisions/filter.md has errors with others."""
@@ -143,7 +147,7 @@ class FilterBank:
         """The filters, B of each robot. Frames change its arrays in place."""
         self._common_times = CommonTimes.of(self.bank, prior)
         """Dead times that the robots of this bank may have in common."""
-        self._tried_state = tried_state(prior)
+        self._tried = first_tried(prior)
         if not prior.certain:
             self._share_scores()
 
@@ -185,17 +189,26 @@ class FilterBank:
             sent_ns / SECOND,
             forecast,
         )
-        return forecast._replace(dead_time_s=dead_time_s, dead_time_std_s=dead_time_std_s)
+        lag_s, lag_std_s = self._lags() if self.prior.lag_is_learnt else (None, None)
+        return forecast._replace(
+            dead_time_s=dead_time_s,
+            dead_time_std_s=dead_time_std_s,
+            lag=lag_s,
+            lag_std=lag_std_s,
+        )
 
     def add_command(self, command: Command) -> None:
         """Add a command with the time at which it was sent.
 
-        It is a direction, or a stop or a turn on the spot, which have none.
+        It is a direction, or a stop or a turn on the spot, which have none. A direction may state
+        the lag of the wheels that the host assumes, starting with this command.
         """
         if isinstance(command.action, FieldOff):
             return  # it turns no robot
         if not isinstance(command.action, Stop):
             self.turns_on_the_spot = isinstance(command.action, Turn)
+        if isinstance(command.action, Steer) and command.action.lag_s is not None:
+            self.model = self.model._replace(host_lag_s=command.action.lag_s)
         direction = np.nan if command.direction is None else command.direction
         self.commands = SentCommands(
             sent_s=np.append(self.commands.sent_s, command.sent_ns / SECOND),
@@ -209,6 +222,7 @@ class FilterBank:
         assert self.last_frame is not None, "a robot can be replaced only after a frame"
         replaced = np.zeros(len(self.prior.a), dtype=np.bool_)
         replaced[robots] = True
+        self._tried = first_tried(self.prior)
         self._go_on_with(bank_with_replaced(self.bank, self.prior, replaced))
         self._place(self.last_frame, replaced)
 
@@ -225,6 +239,20 @@ class FilterBank:
         robots = np.arange(len(self.prior.a))
         slots = self.bank.ln_weight[filters, robots].argmax(axis=1)
         return filters, robots, slots
+
+    def _lags(self) -> tuple[Floats, Floats]:
+        """Return the lag of each robot's wheels and its standard deviation [s], (N,) each.
+
+        It is the lag of the likeliest filter. The true lag lies between the lags that are tried, so
+        the deviation is at least a quarter of their distance.
+        """
+        score = self.bank.shared_score
+        probability = elementwise.exp(score - score.max(axis=0))
+        probability /= probability.sum(axis=0)
+        lags_s = self.bank.state[:, :, 0, LAG]
+        lag_s = lags_s[self._likeliest_filters(), np.arange(len(self.prior.a))]
+        variance = (probability * np.square(lags_s - lag_s)).sum(axis=0)
+        return lag_s, np.sqrt(variance + np.square(LAG_STEP_S / 4))
 
     def _likeliest_filters(self) -> Integers:
         """Return each robot's likeliest filter (N,)."""
@@ -342,7 +370,7 @@ class FilterBank:
         most = max(len(self.bank.score), REFINED * GROUPS_MAX)
         going_on = NextFilters.room_for(most, self.bank)  # filled by `select`
         commanded = len(self.commands.sent_s) > 0
-        if select(self.bank, self._tried_state, commanded, going_on):
+        if select(self.bank, *self._tried, commanded, going_on):
             self._go_on_with(going_on.taken_from(self.bank))
 
     def _go_on_with(self, bank: Bank) -> None:
@@ -375,6 +403,8 @@ class FilterBank:
         walk[LN_SATURATION] = SATURATION_WALK
         self.model = self.model._replace(walk=walk)
         self.reopened_ns = frame.sampled_ns
+        if not heading_fits:
+            self._tried = TRIED_SATURATIONS
         self._go_on_with(bank)
         self._place(frame, self._all_robots())
 

@@ -4,11 +4,13 @@ This module contains the assumptions about robots on wheels and cells, and the b
 first one, that of robots which were replaced, and that of robots on wheels whose model turns out
 not to fit.
 
-Both kinds of robots have states of their own, in addition to those of all robots. For one of these,
-no single starting value leads to the true one, and several are *tried*: filters are laid out in
-groups, which start from different values of it. For cells it is the frequency of the helix, which
-is tried from the start. For robots on wheels it is the saturation of the motors: there is one group
-at first, and one more for each saturation that is tried later, if the heading does not fit.
+Both kinds of robots have states of their own, in addition to the states of all robots. For some of
+these, no single starting value leads to the true one. Then several values are *tried*, for one
+state at a time: filters are laid out in groups, which start from different values of this state.
+For cells, the state is the frequency of the helix. For robots on wheels, it is first the lag of the
+wheels: 0, and lags LAG_STEP_S apart around the given one. Later, if the heading does not fit, it is
+the saturation of the motors: one group has none, and there is one more group for each saturation
+that is tried.
 
 In each group, a robot gets one filter for each dead time of a grid around the prior's,
 
@@ -20,6 +22,7 @@ Arrays are those of a `Bank`: B filters, group by group, of N robots.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +33,7 @@ from tetractl.control.estimation.kernels.filter_state import (
     HEADING,
     HELIX_COSINE,
     HELIX_SINE,
+    LAG,
     LN_A,
     LN_FREQUENCY,
     LN_SATURATION,
@@ -91,7 +95,13 @@ SATURATIONS = 0.8, 0.4
 """Saturations of motors to try where the heading does not fit."""
 SATURATION_STD = 0.3
 """Prior standard deviation of ln of each of SATURATIONS."""
-GROUPS_MAX = max(len(FREQUENCIES), 1 + len(SATURATIONS))
+LAG_STEP_S = 0.05
+"""Distance between the lags of the wheels to start from [s]."""
+LAG_MAX_S = 0.3
+"""Maximum lag of the wheels to start from [s]. A given lag may be longer."""
+LAG_PRIOR_STD_S = 0.1
+"""Standard deviation of the lag of the wheels around the given one [s]."""
+GROUPS_MAX = max(len(FREQUENCIES), 1 + len(SATURATIONS), 2 + round(LAG_MAX_S / LAG_STEP_S))
 """Greatest number of groups of filters that a robot has."""
 LN_SATURATES = -3.0
 """ln of the probability of motors that saturate, before frames show it: 5 %."""
@@ -104,9 +114,34 @@ FIRST_SLOT = 0
 # ---- what is assumed ----
 
 
-def tried_state(prior: Prior) -> int:
-    """Return the state that groups of filters start from different values of."""
-    return LN_FREQUENCY if prior.swims else LN_SATURATION
+class Tried(NamedTuple):
+    """A state for which each group of filters starts from a different value."""
+
+    state: int
+    """The index of the state."""
+    same: float
+    """Difference of the state below which two groups count as one."""
+
+
+TRIED_FREQUENCIES = Tried(LN_FREQUENCY, same=0.05)
+TRIED_SATURATIONS = Tried(LN_SATURATION, same=0.05)
+TRIED_LAGS = Tried(LAG, same=0.0)
+"""A filter's lag never changes, so two groups never become one."""
+
+
+def first_tried(prior: Prior) -> Tried:
+    """Return the state that is tried from the start of a trial."""
+    return TRIED_FREQUENCIES if prior.swims else TRIED_LAGS
+
+
+def first_lags(prior: Prior) -> list[float]:
+    """Return the lags of the wheels to start from [s]: only the given one if it is not learnt."""
+    if not prior.lag_is_learnt:
+        return [prior.lag]
+    fewer = math.floor(prior.lag / LAG_STEP_S + 1e-9)
+    more = max(0, math.floor((LAG_MAX_S - prior.lag) / LAG_STEP_S + 1e-9))
+    lags_s = [prior.lag + LAG_STEP_S * k for k in range(-fewer, more + 1)]
+    return lags_s if lags_s[0] < LAG_STEP_S / 2 else [0.0, *lags_s]
 
 
 def filter_model(prior: Prior) -> FilterModel:
@@ -123,7 +158,7 @@ def filter_model(prior: Prior) -> FilterModel:
         noise=_noise(prior),
         walk=walk,
         helix_rad_s=2 * math.pi * prior.helix_frequency if prior.swims else 0.0,
-        lag_s=prior.lag,
+        host_lag_s=prior.lag,
         watchdog_s=prior.watchdog,
         sticks=prior.sticks,
         coarse=prior.coarse,
@@ -188,13 +223,16 @@ def first_bank(prior: Prior) -> Bank:
     """Return the filters from which a trial begins: of robots that stand, in unknown poses."""
     dead_times_s = _dead_times(prior)
     std = first_std(prior)
-    tried = tried_state(prior)
-    first_values = [log(f) for f in FREQUENCIES] if prior.swims else [0.0]
+    tried = first_tried(prior)
+    first_values = [log(f) for f in FREQUENCIES] if prior.swims else first_lags(prior)
     groups: list[Bank] = []
     for number, value in enumerate(first_values):
         mean = np.zeros((len(dead_times_s), len(prior.a), STATES))
-        mean[..., tried] = value
-        groups.append(Bank.start(dead_times_s, mean, std, _numbers(number, dead_times_s)))
+        mean[..., LAG] = prior.lag
+        mean[..., tried.state] = value
+        group = Bank.start(dead_times_s, mean, std, _numbers(number, dead_times_s))
+        group.score[:] = -np.square((mean[:, :, LAG] - prior.lag) / LAG_PRIOR_STD_S) / 2
+        groups.append(group)
     return Bank.joined(groups)
 
 
@@ -232,8 +270,7 @@ def reopened_bank(
     Args:
         bank: The filters so far.
         likeliest: Where each robot's likeliest hypothesis is in the bank: its filter, robot and
-            slot,
-            (N,) each.
+            slot, (N,) each.
         heading_fits: Whether the heading of every robot fits the model.
         prior: The prior of all robots.
     """

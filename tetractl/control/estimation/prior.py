@@ -31,10 +31,11 @@ class Prior(NamedTuple):
     0. `position_noise` [length unit] and `heading_noise` [rad] are standard deviations of one
     measurement, 0 if unknown. The helix has a usual frequency [Hz] and radius [length unit]; the
     radius is 0 if there is no helix. Wheels follow commands with a time constant `lag` [s], 0 for
-    robots without wheels. A robot that receives nothing for `watchdog` [s] stops. Now and then a
-    robot does not do what it is sent: it `sticks`. The mean `side` is 0
-    (`tetractl.model.motion.turn_rate`). `spread` are what camera's grid and noise add to the
-    deviations of x, y [length unit] and heading [rad]; the poses of a `coarse` camera may repeat.
+    robots without wheels. If `lag_is_learnt`, the filters try other lags too. A robot that receives
+    nothing for `watchdog` [s] stops. Now and then a robot does not do what it is sent: it `sticks`.
+    The mean `side` is 0 (`tetractl.model.motion.turn_rate`). `spread` are what camera's grid and
+    noise add to the deviations of x, y [length unit] and heading [rad]; the poses of a `coarse`
+    camera may repeat.
     """
 
     a: Floats
@@ -51,6 +52,7 @@ class Prior(NamedTuple):
     helix_frequency: float = 0.0
     helix_radius: float = 0.0
     lag: float = 0.0
+    lag_is_learnt: bool = False
     watchdog: float = math.inf
     side_std: float = 0.0
     sticks: Sticks = Sticks()
@@ -79,6 +81,7 @@ class Prior(NamedTuple):
             heading_bias_std=np.full_like(self.a, std),
             dead_time=self.dead_time,
             dead_time_std=self.dead_time_std,
+            lag=np.full_like(self.a, self.lag) if self.lag_is_learnt else None,
         )
 
 

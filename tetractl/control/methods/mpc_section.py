@@ -141,6 +141,7 @@ class PriorSection(Model):
             helix_frequency=HELIX_HZ[0],
             helix_radius=helix_by_default if self.helix is None else self.helix,
             lag=setup.lag_s,
+            lag_is_learnt=setup.on_wheels,
             watchdog=setup.watchdog_s,
             side_std=0.0 if is_cell else self.side,
             sticks=Sticks(*RESTS_S, REST_STRAY * mean_speed, REST_TURN)
@@ -275,8 +276,9 @@ class RecommendedMpc(SearchFields):
     the work of the searches is counted instead, so that a simulation depends only on its seed.
     """
     estimate: bool = True
-    """Whether the turning rate a, the speed and the heading bias of each robot, and their common
-    dead time, are identified while they drive, starting from the spec's values.
+    """Whether the turning rate a, the speed and the heading bias of each robot, the lag of its
+    wheels, and the common dead time of all robots are identified while they drive, starting from
+    the spec's values.
     """
     prior: PriorSection = PriorSection()
     """The prior uncertainty of the identified values."""

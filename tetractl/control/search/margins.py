@@ -3,11 +3,17 @@
 Robots deviate from a plan because commands are lost and because what is known of the robots is
 uncertain. While a robot follows a command, it leaves its course by at most (`off_course`)
 
-    off = lost_way + SIGMAS (v sigma_tau + (v sigma_a / a + sigma_v) (T + tau))
+    off = lost_way + min(a T, 1) v (l + SIGMAS sigma_l)
+          + SIGMAS (v sigma_tau + (v sigma_a / a + sigma_v) (T + tau))
 
     v    speed [length unit/s]             T    time for which a command is followed [s]
     a    turning rate [rad/s], above 0     tau  dead time: from a command to its effect [s]
-    r    radius of a robot [length unit]   sigma_v, sigma_a, sigma_tau  standard deviations
+    r    radius of a robot [length unit]   l    lag of the wheels [s], 0 if there is none
+    sigma_v, sigma_a, sigma_tau, sigma_l   standard deviations
+
+The second term is there because wheels that lag roll on with the wrong turn of a lost command: the
+heading is wrong by up to a T, over a distance of v l, and the robot leaves its course by no more
+than this distance.
 
 With the largest off of any robot, a plan should keep (`Margins.applied`)
 
@@ -67,6 +73,10 @@ def off_course(
     lost = lost_way(speed, heard_s)
     if estimate is None:
         return float(lost.max())
+    if estimate.lag is not None:
+        lag_std_s = 0.0 if estimate.lag_std is None else estimate.lag_std
+        rolled = speed * (estimate.lag + SIGMAS * lag_std_s)
+        lost += np.minimum(estimate.a * heard_s, 1.0) * rolled
     of_dead_time = speed * (estimate.dead_time_std or 0.0)
     # a is above 0: a spec states no other, and the filter estimates ln a
     of_rates = speed * estimate.a_std / estimate.a + estimate.speed_std

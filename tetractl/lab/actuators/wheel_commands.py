@@ -248,6 +248,8 @@ class WheeledActuator(ABC):
         since = max(exposed_ns, arrives - AHEAD_NS)
         heading = np.array([0.0 if pose is None else pose.heading for pose in poses])
         drives = isinstance(action, Steer)
+        if drives and action.lag_s is not None:
+            self._host.assume_lag(action.lag_s)
         u = action.direction if drives else action.facing
         wished = self._host.wished(heading, u, since, arrives, drives)
         wished[:, [pose is None for pose in poses]] = 0.0

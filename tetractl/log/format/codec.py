@@ -208,6 +208,7 @@ def encode_command(command: Command) -> pb.WheelCommand:
     return pb.WheelCommand(
         stop=command.stops,
         direction=command.direction,
+        lag=command.action.lag_s if isinstance(command.action, Steer) else None,
         facing=command.action.facing if isinstance(command.action, Turn) else None,
         sent_ns=command.sent_ns,
         delivered=command.delivered,
@@ -229,7 +230,7 @@ def decode_command(message: pb.WheelCommand) -> Command:
 
 def _decode_action(message: pb.WheelCommand) -> Action:
     if message.HasField("direction"):
-        return Steer(message.direction)
+        return Steer(message.direction, message.lag if message.HasField("lag") else None)
     if message.HasField("facing"):
         return Turn(message.facing)
     return Stop() if message.stop else FieldOff()
@@ -356,6 +357,8 @@ def _encode_estimate(estimate: Estimate) -> pb.Estimate:
         side_std=_listed(estimate.side_std),
         saturation=_listed(estimate.saturation),
         stands=_listed(estimate.stands),
+        lag=_listed(estimate.lag),
+        lag_std=_listed(estimate.lag_std),
     )
 
 
@@ -375,6 +378,8 @@ def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
         side_std=_floats_or_none(message.side_std),
         saturation=_floats_or_none(message.saturation),
         stands=_floats_or_none(message.stands),
+        lag=_floats_or_none(message.lag),
+        lag_std=_floats_or_none(message.lag_std),
     )
     values = (getattr(estimate, name) for name in ESTIMATE_FIELDS)
     counts = {len(value) for value in values if isinstance(value, np.ndarray)}

@@ -92,6 +92,7 @@ def encode_result(result: Result, unit: str, warnings: int = 0) -> pb.Result:
         apart=verdict.apart,
         turn=verdict.turn,
         turn_std=verdict.turn_std,
+        wheel_lag=result.wheel_lag_s,
     )
 
 
@@ -133,6 +134,7 @@ def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Re
         passed=tuple(message.passed),
         inside=tuple(message.inside),
         lost=tuple(message.lost),
+        wheel_lag_s=message.wheel_lag if message.HasField("wheel_lag") else None,
     )
 
 

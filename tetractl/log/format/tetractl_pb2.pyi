@@ -42,13 +42,14 @@ class MocapSample(_message.Message):
     def __init__(self, frame: _Optional[int] = ..., sampled_ns: _Optional[int] = ..., received_ns: _Optional[int] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., heading: _Optional[_Iterable[float]] = ..., valid: _Optional[_Iterable[bool]] = ..., exposed_ns: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class WheelCommand(_message.Message):
-    __slots__ = ("direction", "stop", "sent_ns", "delivered", "left", "right", "facing")
+    __slots__ = ("direction", "stop", "sent_ns", "delivered", "left", "right", "lag", "facing")
     DIRECTION_FIELD_NUMBER: _ClassVar[int]
     STOP_FIELD_NUMBER: _ClassVar[int]
     SENT_NS_FIELD_NUMBER: _ClassVar[int]
     DELIVERED_FIELD_NUMBER: _ClassVar[int]
     LEFT_FIELD_NUMBER: _ClassVar[int]
     RIGHT_FIELD_NUMBER: _ClassVar[int]
+    LAG_FIELD_NUMBER: _ClassVar[int]
     FACING_FIELD_NUMBER: _ClassVar[int]
     direction: float
     stop: bool
@@ -56,8 +57,9 @@ class WheelCommand(_message.Message):
     delivered: _containers.RepeatedScalarFieldContainer[bool]
     left: _containers.RepeatedScalarFieldContainer[float]
     right: _containers.RepeatedScalarFieldContainer[float]
+    lag: float
     facing: float
-    def __init__(self, direction: _Optional[float] = ..., stop: bool = ..., sent_ns: _Optional[int] = ..., delivered: _Optional[_Iterable[bool]] = ..., left: _Optional[_Iterable[float]] = ..., right: _Optional[_Iterable[float]] = ..., facing: _Optional[float] = ...) -> None: ...
+    def __init__(self, direction: _Optional[float] = ..., stop: bool = ..., sent_ns: _Optional[int] = ..., delivered: _Optional[_Iterable[bool]] = ..., left: _Optional[_Iterable[float]] = ..., right: _Optional[_Iterable[float]] = ..., lag: _Optional[float] = ..., facing: _Optional[float] = ...) -> None: ...
 
 class Search(_message.Message):
     __slots__ = ("length", "signals", "cost", "history", "evaluations", "stopped")
@@ -76,7 +78,7 @@ class Search(_message.Message):
     def __init__(self, length: _Optional[int] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., history: _Optional[_Iterable[float]] = ..., evaluations: _Optional[int] = ..., stopped: _Optional[str] = ...) -> None: ...
 
 class Estimate(_message.Message):
-    __slots__ = ("a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std", "dead_time", "dead_time_std", "misfit", "side", "side_std", "saturation", "stands")
+    __slots__ = ("a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std", "dead_time", "dead_time_std", "misfit", "side", "side_std", "saturation", "stands", "lag", "lag_std")
     A_FIELD_NUMBER: _ClassVar[int]
     A_STD_FIELD_NUMBER: _ClassVar[int]
     SPEED_FIELD_NUMBER: _ClassVar[int]
@@ -90,6 +92,8 @@ class Estimate(_message.Message):
     SIDE_STD_FIELD_NUMBER: _ClassVar[int]
     SATURATION_FIELD_NUMBER: _ClassVar[int]
     STANDS_FIELD_NUMBER: _ClassVar[int]
+    LAG_FIELD_NUMBER: _ClassVar[int]
+    LAG_STD_FIELD_NUMBER: _ClassVar[int]
     a: _containers.RepeatedScalarFieldContainer[float]
     a_std: _containers.RepeatedScalarFieldContainer[float]
     speed: _containers.RepeatedScalarFieldContainer[float]
@@ -103,7 +107,9 @@ class Estimate(_message.Message):
     side_std: _containers.RepeatedScalarFieldContainer[float]
     saturation: _containers.RepeatedScalarFieldContainer[float]
     stands: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, a: _Optional[_Iterable[float]] = ..., a_std: _Optional[_Iterable[float]] = ..., speed: _Optional[_Iterable[float]] = ..., speed_std: _Optional[_Iterable[float]] = ..., heading_bias: _Optional[_Iterable[float]] = ..., heading_bias_std: _Optional[_Iterable[float]] = ..., dead_time: _Optional[float] = ..., dead_time_std: _Optional[float] = ..., misfit: _Optional[_Iterable[float]] = ..., side: _Optional[_Iterable[float]] = ..., side_std: _Optional[_Iterable[float]] = ..., saturation: _Optional[_Iterable[float]] = ..., stands: _Optional[_Iterable[float]] = ...) -> None: ...
+    lag: _containers.RepeatedScalarFieldContainer[float]
+    lag_std: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, a: _Optional[_Iterable[float]] = ..., a_std: _Optional[_Iterable[float]] = ..., speed: _Optional[_Iterable[float]] = ..., speed_std: _Optional[_Iterable[float]] = ..., heading_bias: _Optional[_Iterable[float]] = ..., heading_bias_std: _Optional[_Iterable[float]] = ..., dead_time: _Optional[float] = ..., dead_time_std: _Optional[float] = ..., misfit: _Optional[_Iterable[float]] = ..., side: _Optional[_Iterable[float]] = ..., side_std: _Optional[_Iterable[float]] = ..., saturation: _Optional[_Iterable[float]] = ..., stands: _Optional[_Iterable[float]] = ..., lag: _Optional[_Iterable[float]] = ..., lag_std: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Number(_message.Message):
     __slots__ = ("name", "value")
@@ -208,7 +214,7 @@ class Host(_message.Message):
     def __init__(self, facts: _Optional[_Iterable[_Union[Fact, _Mapping]]] = ...) -> None: ...
 
 class Result(_message.Message):
-    __slots__ = ("outcome", "reason", "unit", "steps", "duration_s", "total_error", "robot_errors", "entered", "clearance", "edge", "apart", "final_x", "final_y", "final_heading", "passed", "inside", "lost", "warnings", "turn", "turn_std")
+    __slots__ = ("outcome", "reason", "unit", "steps", "duration_s", "total_error", "robot_errors", "entered", "clearance", "edge", "apart", "final_x", "final_y", "final_heading", "passed", "inside", "lost", "warnings", "turn", "turn_std", "wheel_lag")
     OUTCOME_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     UNIT_FIELD_NUMBER: _ClassVar[int]
@@ -229,6 +235,7 @@ class Result(_message.Message):
     WARNINGS_FIELD_NUMBER: _ClassVar[int]
     TURN_FIELD_NUMBER: _ClassVar[int]
     TURN_STD_FIELD_NUMBER: _ClassVar[int]
+    WHEEL_LAG_FIELD_NUMBER: _ClassVar[int]
     outcome: str
     reason: str
     unit: str
@@ -249,7 +256,8 @@ class Result(_message.Message):
     warnings: int
     turn: _containers.RepeatedScalarFieldContainer[float]
     turn_std: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, outcome: _Optional[str] = ..., reason: _Optional[str] = ..., unit: _Optional[str] = ..., steps: _Optional[int] = ..., duration_s: _Optional[float] = ..., total_error: _Optional[float] = ..., robot_errors: _Optional[_Iterable[float]] = ..., entered: _Optional[_Iterable[bool]] = ..., clearance: _Optional[_Iterable[float]] = ..., edge: _Optional[_Iterable[float]] = ..., apart: _Optional[_Iterable[float]] = ..., final_x: _Optional[_Iterable[float]] = ..., final_y: _Optional[_Iterable[float]] = ..., final_heading: _Optional[_Iterable[float]] = ..., passed: _Optional[_Iterable[float]] = ..., inside: _Optional[_Iterable[float]] = ..., lost: _Optional[_Iterable[int]] = ..., warnings: _Optional[int] = ..., turn: _Optional[_Iterable[float]] = ..., turn_std: _Optional[_Iterable[float]] = ...) -> None: ...
+    wheel_lag: float
+    def __init__(self, outcome: _Optional[str] = ..., reason: _Optional[str] = ..., unit: _Optional[str] = ..., steps: _Optional[int] = ..., duration_s: _Optional[float] = ..., total_error: _Optional[float] = ..., robot_errors: _Optional[_Iterable[float]] = ..., entered: _Optional[_Iterable[bool]] = ..., clearance: _Optional[_Iterable[float]] = ..., edge: _Optional[_Iterable[float]] = ..., apart: _Optional[_Iterable[float]] = ..., final_x: _Optional[_Iterable[float]] = ..., final_y: _Optional[_Iterable[float]] = ..., final_heading: _Optional[_Iterable[float]] = ..., passed: _Optional[_Iterable[float]] = ..., inside: _Optional[_Iterable[float]] = ..., lost: _Optional[_Iterable[int]] = ..., warnings: _Optional[int] = ..., turn: _Optional[_Iterable[float]] = ..., turn_std: _Optional[_Iterable[float]] = ..., wheel_lag: _Optional[float] = ...) -> None: ...
 
 class HostEnd(_message.Message):
     __slots__ = ("solve_ns", "deadline_misses", "ended", "drove")

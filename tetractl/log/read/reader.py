@@ -184,6 +184,7 @@ def _result_of_poses(trial: TrialLog) -> Result:
         solve_ns=tuple(step.solve_ns for step in trial.steps),
         deadline_misses=sum(step.deadline_missed for step in trial.steps),
         tour=trial.tour,
+        estimate=trial.last_estimate,
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND, seconds
 from tetractl.core.commands import Command
+from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
 from tetractl.core.shown import Shown
@@ -124,6 +125,11 @@ class TrialLog(TrialRecords, Shown):
         """The times (K,) of the control steps' commands since the first direction [s]."""
         sent = np.array([step.command.sent_ns for step in self.steps], dtype=np.int64)
         return (sent - self.began_ns) / SECOND
+
+    @property
+    def last_estimate(self) -> Estimate | None:
+        """The controller's estimate of the motion in the last step. None if it made none."""
+        return self.steps[-1].plan.estimate if self.steps else None
 
     @property
     def positions(self) -> Floats:

@@ -52,15 +52,19 @@ def check_commands(commands: Sequence[Command], robots: int) -> None:
 def check_actions(actions: Iterable[Action]) -> None:
     """Check the directions of actions."""
     directions: list[float] = []
+    lags: list[float] = []
     for action in actions:
         match action:
             case Steer():
                 directions.append(action.direction)
+                if action.lag_s is not None:
+                    lags.append(action.lag_s)
             case Turn():
                 directions.append(action.facing)
             case _:
                 pass  # no other action has a direction
     _finite("a direction", directions)
+    _finite("the lag of the wheels", lags)
 
 
 def check_steps(steps: Sequence[Step], robots: int) -> None:

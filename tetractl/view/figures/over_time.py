@@ -216,6 +216,16 @@ def _quantities(log: TrialLog) -> list[_Quantity]:
                 factor=1e3,
             )
         )
+    if estimates[-1].lag is not None:
+        quantities.append(
+            _Quantity(
+                "lag of the wheels",
+                "lag [ms]",
+                _stack([estimate.lag for estimate in estimates]),
+                _stack([estimate.lag_std for estimate in estimates]),
+                factor=1e3,
+            )
+        )
     return quantities
 
 

@@ -23,6 +23,7 @@ SEARCHED = ("length", "signals", "cost", "history", "evaluations", "stopped")
 ESTIMATED = (
     *("a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std"),
     *("dead_time", "dead_time_std", "misfit", "side", "side_std", "saturation", "stands"),
+    *("lag", "lag_std"),
 )
 DECIDED = {
     *((channels.STEP, f"observation.{field}") for field in OBSERVED),
@@ -31,6 +32,7 @@ DECIDED = {
     *((channels.STEP, field) for field in ("-", "x2", "k", "signals", "cost", "target_cost")),
     *((channels.STEP, field) for field in ("path_x", "path_y", "state", "generator")),
     (channels.STEP, "command.direction"),
+    (channels.STEP, "command.lag"),
     (channels.STEP, "command.sent_ns"),
 }
 RESULTS = ("-", "outcome", "unit", "steps", "total_error", "robot_errors", "entered")

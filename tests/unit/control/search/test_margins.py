@@ -91,6 +91,24 @@ def test_what_is_uncertain_takes_more_room():
     assert more == pytest.approx(least + 2 * 10 * (dead_time + period))
 
 
+def test_a_lag_of_the_wheels_takes_more_room_and_an_uncertain_one_still_more():
+    """A lost command leaves the heading wrong by a times the period, and the wheels roll on."""
+    speed = np.full(2, 200.0)
+    zero = np.zeros(2)
+    without_lag = Estimate(a=np.full(2, 4.0), a_std=zero, speed=speed, speed_std=zero)
+    no_lag = replace(without_lag, lag=zero, lag_std=zero)
+    lag = replace(no_lag, lag=np.full(2, 0.1))
+    uncertain = replace(lag, lag_std=np.full(2, 0.02))
+    least, with_no_lag, with_lag, with_uncertain = (
+        off_course(speed, 0.05, 0.1, estimate) for estimate in (without_lag, no_lag, lag, uncertain)
+    )
+    assert with_no_lag == least
+    assert with_lag == pytest.approx(least + 4 * 0.05 * 200 * 0.1)
+    assert with_uncertain == pytest.approx(least + 4 * 0.05 * 200 * 0.14)
+    longest = off_course(speed, 10.0, 0.1, lag) - off_course(speed, 10.0, 0.1, no_lag)
+    assert longest == pytest.approx(200 * 0.1)  # the whole way that the wheels roll on
+
+
 def test_a_robot_inside_the_margin_does_not_freeze_the_plan():
     """The first predicted position is inside whatever the signal is: every plan costs the same."""
     box = {"type": "rectangle", "left": 1200, "bottom": 1100, "width": 200, "height": 200}

@@ -26,6 +26,7 @@ from tetractl.control.estimation.kernels.filter_state import (
     FLOW_X,
     FLOW_Y,
     HEADING,
+    LAG,
     LEAST_BLOCKS,
     LN_A,
     LN_SPEED,
@@ -43,10 +44,10 @@ from tetractl.control.search.kernels.elementary import exp, log
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
 
+ALL_GROUPS = -1
+"""Stands for every group, where the index of one group is expected."""
 UNLIKELY = 25.0
 """A filter is dropped if the ln of its probability is less than the likeliest's by this."""
-SAME_TRIED = 0.05
-"""Difference of the states of two groups below which they have become one: 5 %."""
 LEAST = 1e-300
 """Added to densities whose logarithm is taken: they may be 0."""
 
@@ -100,19 +101,20 @@ def _multiply(bank, common, ln_of_others, i, density):
 
 
 @compiled(**INLINE_FAST)
-def _dead_time(bank, i, density):
-    """Return mean and standard deviation of robot i's dead time; `density` (B,) is scratch.
+def _dead_time(bank, i, best, density):
+    """Return mean and standard deviation of robot i's dead time.
 
-    The dead time lies between those of the grid: its deviation is at least a quarter of their step.
+    Only the filters with the same lag as the robot's likeliest filter, `best`, count. The dead time
+    lies between those of the grid, so its deviation is at least a quarter of their step. `density`
+    (B,) is scratch.
     """
     filters = density.size
-    most = -math.inf
-    for b in range(filters):
-        most = max(most, bank.shared_score[b, i])
     total = 0.0
     mean_s = 0.0
     for b in range(filters):
-        density[b] = exp(bank.shared_score[b, i] - most)
+        density[b] = exp(bank.shared_score[b, i] - bank.shared_score[best, i])
+        if bank.state[b, i, 0, LAG] != bank.state[best, i, 0, LAG]:
+            density[b] = 0.0
         total += density[b]
         mean_s += density[b] * bank.dead_time_s[b, i]
     mean_s /= total
@@ -123,17 +125,19 @@ def _dead_time(bank, i, density):
 
 
 @compiled(**ENTRY_FAST)
-def select(bank, tried, commanded, going_on):
+def select(bank, tried, same, commanded, going_on):
     """Fill `going_on` with the filters that continue, chosen by their shared scores.
 
     In each group of a robot's filters, those continue that are not far less likely than the best,
-    together with those between them and next to the likeliest. If the state `tried` of two groups
-    has become the same, the less likely group ends. Once robots were commanded, a grid of three
-    dead times halves its step, and a grid whose best dead time is at its end moves.
+    together with those between them and next to the likeliest. If the states `tried` of two groups
+    differ by less than `same`, the less likely group ends. Once robots were commanded, a grid of
+    three dead times halves its step, and a grid whose best dead time is at its end moves. Each lag
+    has a grid of its own: the longer the lag, the shorter the dead time.
 
     Args:
         bank: The filters.
         tried: The index of the state that groups start from different values of.
+        same: Difference of this state below which two groups count as one.
         commanded: Whether the robots were sent commands.
         going_on: A `NextFilters` that is filled.
 
@@ -146,18 +150,19 @@ def select(bank, tried, commanded, going_on):
     for i in range(robots):
         count = _count(bank, i)
         best = likeliest(bank.shared_score[:, i], count)
-        number = _choose(bank, i, count, best, tried, chosen)
+        number = _choose(bank, i, count, best, tried, same, chosen)
         _take(bank, i, chosen[:number], going_on)
         if number < count:
             changed = True
-        dead_times = _number_of_dead_times(bank, i, chosen[:number])
+        group = bank.group[best, i] if tried == LAG else ALL_GROUPS
+        dead_times = _number_of_dead_times(bank, i, chosen[:number], group)
         if dead_times > REFINED or not commanded:
             continue
         if going_on.step_s[i] > FINEST_STEP_S and dead_times == REFINED:
             going_on.step_s[i] /= 2
-        elif _is_inside(bank, i, chosen[:number], best):
+        elif _is_inside(bank, i, chosen[:number], best, group):
             continue
-        _lay_around(bank, i, chosen[:number], best, going_on)
+        _lay_around(bank, i, chosen[:number], best, group, going_on)
         changed = True
     return changed
 
@@ -172,7 +177,7 @@ def _count(bank, i):
 
 
 @compiled(**INLINE_FAST)
-def _choose(bank, i, count, best, tried, chosen):
+def _choose(bank, i, count, best, tried, same, chosen):
     """Fill `chosen` with those of robot i's first `count` filters that go on; return their number.
 
     The filters of one group follow each other, in the order of their dead times.
@@ -196,7 +201,7 @@ def _choose(bank, i, count, best, tried, chosen):
             end += 1
         same_group = bank.group[top, i] == bank.group[best, i]
         gap = _reached(bank, top, i, tried) - _reached(bank, best, i, tried)
-        stays_apart = same_group or not abs(gap) < SAME_TRIED
+        stays_apart = same_group or not abs(gap) < same
         if first >= 0 and stays_apart:
             from_filter = max(begin, min(first, top - 1))
             to_filter = min(end - 1, max(last, top + 1))
@@ -226,11 +231,22 @@ def _take(bank, i, chosen, going_on):
 
 
 @compiled(**INLINE_FAST)
-def _number_of_dead_times(bank, i, chosen):
-    """Return how many different dead times the filters `chosen` have."""
-    number = chosen.size
+def _is_in(bank, b, i, group):
+    """Return whether a filter is in a group. Every filter is in ALL_GROUPS."""
+    return group == ALL_GROUPS or bank.group[b, i] == group
+
+
+@compiled(**INLINE_FAST)
+def _number_of_dead_times(bank, i, chosen, group):
+    """Return the number of different dead times of the filters `chosen` that are in a group."""
+    number = 0
     for row in range(chosen.size):
+        if not _is_in(bank, chosen[row], i, group):
+            continue
+        number += 1
         for before in range(row):
+            if not _is_in(bank, chosen[before], i, group):
+                continue
             if bank.dead_time_s[chosen[before], i] == bank.dead_time_s[chosen[row], i]:
                 number -= 1
                 break
@@ -238,12 +254,14 @@ def _number_of_dead_times(bank, i, chosen):
 
 
 @compiled(**INLINE_FAST)
-def _is_inside(bank, i, chosen, best):
-    """Return whether the best dead time is between others, or is 0 and there is a longer one."""
+def _is_inside(bank, i, chosen, best, group):
+    """Return whether the best dead time is between others of a group, or 0 with a longer one."""
     best_s = bank.dead_time_s[best, i]
     shorter = best_s == 0
     longer = False
     for b in chosen:
+        if not _is_in(bank, b, i, group):
+            continue
         if bank.dead_time_s[b, i] < best_s:
             shorter = True
         if bank.dead_time_s[b, i] > best_s:
@@ -252,10 +270,11 @@ def _is_inside(bank, i, chosen, best):
 
 
 @compiled(**INLINE_FAST)
-def _lay_around(bank, i, chosen, best, going_on):
+def _lay_around(bank, i, chosen, best, best_group, going_on):
     """Let three dead times around the best one go on, or two from 0 on, in each group.
 
-    Each takes the filter whose dead time is nearest. The groups stay that poses do not distinguish.
+    Each of them takes the filter with the nearest dead time. Unless `best_group` is ALL_GROUPS,
+    each group has a best dead time of its own. Groups that poses do not distinguish stay.
     """
     best_s = bank.dead_time_s[best, i]
     last_group = 0
@@ -263,6 +282,8 @@ def _lay_around(bank, i, chosen, best, going_on):
         last_group = max(last_group, bank.group[b, i])
     row = 0
     for group in range(last_group + 1):
+        if best_group != ALL_GROUPS:
+            best_s = _best_dead_time(bank, i, chosen, group)
         for k in range(-1, 2):
             time_s = max(best_s + going_on.step_s[i] * k, 0.0)
             nearest, score = _between(bank, i, chosen, group, time_s)
@@ -274,6 +295,17 @@ def _lay_around(bank, i, chosen, best, going_on):
                 row += 1
     for after in range(row, going_on.rows.shape[0]):
         going_on.rows[after, i] = -1
+
+
+@compiled(**INLINE_FAST)
+def _best_dead_time(bank, i, chosen, group):
+    """Return the likeliest dead time of the filters `chosen` of a group, or 0 if there are none."""
+    best = -1
+    for b in chosen:
+        in_group = bank.group[b, i] == group
+        if in_group and (best < 0 or bank.shared_score[b, i] > bank.shared_score[best, i]):
+            best = b
+    return bank.dead_time_s[best, i] if best >= 0 else 0.0
 
 
 @compiled(**INLINE_FAST)
@@ -335,7 +367,7 @@ def forecast(bank, model, commands, frame_s, sent_s, room):
             z[k] = bank.state[b, i, slot, k]
         growth = _misfit(bank, b, i, room)
         _describe(bank, model, b, i, slot, z, growth, room)
-        dead_time_s, dead_time_std_s = _dead_time(bank, i, density)
+        dead_time_s, dead_time_std_s = _dead_time(bank, i, b, density)
         room.own_dead_time[i] = dead_time_s
         room.own_dead_time_std[i] = dead_time_std_s
         std_s = growth * dead_time_std_s
@@ -449,8 +481,8 @@ def _predict(bank, model, commands, b, i, slot, z, dead_time_s, begin_s, end_s):
 def _come_to_rest(model, i, z):
     """Let lagging wheels come to rest: their swing and pace decay with the time constant."""
     a, speed, _, _ = parameters_of(model, i, z)
-    turn = model.lag_s * a * z[SWING]
-    way = model.lag_s * speed * z[PACE]
+    turn = z[LAG] * a * z[SWING]
+    way = z[LAG] * speed * z[PACE]
     dx, dy = rolled(z[HEADING], turn, way)
     z[X] += dx
     z[Y] += dy

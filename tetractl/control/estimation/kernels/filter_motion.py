@@ -8,9 +8,16 @@ The motion's own step f and its slopes are those of the planner (`tetractl.model
 with the turning rate of `tetractl.model.motion.turn_rate`.
 
 Wheels that lag by T have a swing r, their turning rate over a, and a pace g, their speed over v.
-They would come to rest in the heading theta + T a r. That heading follows (3), and in a short time
-turns by `rest_turn`. The wheels follow its mean rate: r approaches w = rest_turn / (a t) and g
-approaches 1, or 0 for a robot that stops, with the time constant T:
+Their host assumes a lag of T_h, with which it computes the swing r_h, and sends the turning rate
+that (3) gives for the heading psi = theta + T_h a r_h, in which the robot would come to rest if
+that were true. So psi follows (3), but for what the host does not know:
+
+    dpsi/dt = a sin(u + beta - psi) + a (r - r_h),
+
+where r_h is sin(u + beta - psi) itself if the host neglects the lag, T_h = 0. In a short time, psi
+turns by `rest_turn` if it begins half of the second term's integral further on. The wheels follow
+the mean of the rate sent: r approaches w = rest_turn / (a t) and g approaches 1, or 0 for a robot
+that stops, with the time constant T, and r_h approaches w with T_h:
 
     r' = w + (r - w) exp(-t/T),    turn = rest_turn + a T (r - w) (1 - exp(-t/T)),
     g' = 1 + (g - 1) exp(-t/T),    way = v (t + T (g - 1) (1 - exp(-t/T))),
@@ -28,6 +35,8 @@ from tetractl.control.estimation.kernels.filter_state import (
     HEADINGS,
     HELIX_COSINE,
     HELIX_SINE,
+    HOST_SWING,
+    LAG,
     LN_A,
     LN_FREQUENCY,
     LN_SATURATION,
@@ -55,6 +64,8 @@ scaled = inlined(times)
 
 STILL_PACE = 1e-3
 """Pace below which a robot that was stopped counts as standing."""
+LEAST_LAG_S = 1e-3
+"""Minimum lag of wheels whose host assumes another one [s]."""
 SUBSTEP_S = 0.025
 """Longest step between two additions of random walks [s]."""
 SUBSTEPS_MAX = 4000
@@ -106,9 +117,10 @@ def advance(model, i, z, cov, u, noise_scale, seconds, scratch):
         scratch: A `FilterScratch` whose `jacobian` began as the unit matrix; None if `cov` is None.
     """
     drives = not stands(u)
-    if not drives and (model.lag_s == 0 or z[PACE] < STILL_PACE):
+    if not drives and (z[LAG] == 0 or z[PACE] < STILL_PACE):
         z[SWING] = 0.0
         z[PACE] = 0.0
+        z[HOST_SWING] = 0.0
     parameters = parameters_of(model, i, z)
     helix_rad_s = 0.0
     if model.helix_rad_s > 0:
@@ -138,9 +150,15 @@ def advance(model, i, z, cov, u, noise_scale, seconds, scratch):
 
 @compiled(**INLINE_FAST)
 def _step(model, z, drives, cos_u, sin_u, parameters, t):
-    """Return the `Derivatives` of a short step; swing and pace of lagging wheels change."""
-    lag = model.lag_s
-    rest_heading = z[HEADING] + lag * parameters[0] * z[SWING]
+    """Return the `Derivatives` of a short step; swings and pace of lagging wheels change."""
+    host_lag = model.host_lag_s
+    lags = z[LAG] > 0 or host_lag > 0
+    rest_heading = z[HEADING]
+    if lags:
+        rest_heading += host_lag * parameters[0] * z[HOST_SWING]
+        rest_heading += 0.5 * _unknown_turn(
+            z, rest_heading, cos_u, sin_u, parameters[0], host_lag, t
+        )
     c = cos(rest_heading)
     s = sin(rest_heading)
     a, slopes = turn_rate(c, s, cos_u, sin_u, parameters, t)
@@ -148,23 +166,51 @@ def _step(model, z, drives, cos_u, sin_u, parameters, t):
         cos_phi = cos_u * c + sin_u * s
         sin_phi = sin_u * c - cos_u * s
         a, slopes = held_turn_rate(a, slopes, cos_phi, sin_phi, model.hold)
+    rate = a * (sin_u * c - cos_u * s)
     own_step = differentiate(c, s, cos_u, sin_u, (a, parameters[1]), t)
     derivatives = with_turning(own_step, slopes)
-    if lag > 0:
+    if lags:
         goal = 1.0 if drives else 0.0
         rest = derivatives if drives else AT_REST
         rest_slopes = slopes if drives else NO_CHANGE
-        derivatives = _lagging(z, rest, rest_slopes, goal, parameters, lag, t)
+        derivatives = _lagging(z, rest, rest_slopes, goal, parameters, host_lag, t)
+    if drives and z[LAG] == 0:
+        z[SWING] = rate / parameters[0]
+        z[PACE] = 1.0
+    if drives and host_lag == 0:
+        z[HOST_SWING] = rate / parameters[0]
     return derivatives
 
 
 @compiled(**INLINE_FAST)
-def _lagging(z, rest, rest_slopes, goal, parameters, lag, t):
-    """Return the `Derivatives` of a short step of lagging wheels; swing and pace change.
+def _unknown_turn(z, rest_heading, cos_u, sin_u, a, host_lag, t):
+    """Return by how much more the heading psi turns in a short step than its host knows.
+
+    It is a times the integral of r - r_h, with the rate that is sent at the beginning: exactly 0 if
+    the host assumes the true lag.
+    """
+    sent = sin_u * cos(rest_heading) - cos_u * sin(rest_heading)
+    true_way = _remaining_way(z[SWING] - sent, z[LAG], t)
+    host_way = _remaining_way(z[HOST_SWING] - sent, host_lag, t)
+    return a * (true_way - host_way)
+
+
+@compiled(**INLINE_FAST)
+def _remaining_way(missing, lag, t):
+    """Return the integral over a time t [s] of what is missing at first and decays with a lag."""
+    if lag == 0:
+        return 0.0
+    return missing * lag * (1 - exp(-t / lag))
+
+
+@compiled(**INLINE_FAST)
+def _lagging(z, rest, rest_slopes, goal, parameters, host_lag, t):
+    """Return the `Derivatives` of a short step of lagging wheels; swings and pace change.
 
     They follow from the derivatives of the heading in which the wheels come to rest. If that
     heading changes and a fraction `keep` of the change stays, the chord turns by half of both.
     """
+    lag = max(z[LAG], LEAST_LAG_S)
     a = parameters[0]
     speed = parameters[1]
     rest_turn = rest[0][2]
@@ -176,8 +222,13 @@ def _lagging(z, rest, rest_slopes, goal, parameters, lag, t):
     turn = rest_turn + a * lag * (1 - decay) * (z[SWING] - wish)
     way = speed * (t * goal + lag * (1 - decay) * (z[PACE] - goal))
     dx, dy = rolled(z[HEADING] + turn_half - 0.5 * turn, turn, way)
+    host_swing = z[HOST_SWING]
     z[SWING] = wish + decay * (z[SWING] - wish)
     z[PACE] = goal + decay * (z[PACE] - goal)
+    z[HOST_SWING] = wish
+    if host_lag > 0:
+        host_decay_half = exp(-0.5 * t / host_lag)
+        z[HOST_SWING] += host_decay_half * host_decay_half * (host_swing - wish)
     by_chord_x = -dy  # the displacement turned by a quarter
     by_chord_y = dx
     stays = 0.5 * (1 + keep)

@@ -16,11 +16,12 @@ q. (Robots on wheels have none: p = q = 0.)
 
 All parameters drift as random walks, so that old measurements lose their weight. Robots may turn
 faster to one side, and motors of wheels may saturate: they turn no faster than at some rate
-(`tetractl.model.motion.turn_rate`). If the lag T of the wheels is given, turning rate and speed
-approach the commanded ones with the time constant T, and the direction acts on the heading theta +
-T dtheta/dt, in which the robot would come to rest. What a camera measures is in `filter_measure`.
+(`tetractl.model.motion.turn_rate`). Turning rate and speed of wheels approach the commanded ones
+with the time constant T, their lag. Their host predicts the heading in which the robot would come
+to rest, with the lag that it assumes, and the direction acts on that heading (`filter_motion`).
+What a camera measures is in `filter_measure`.
 
-**Arrays.** A robot has the states below, one slot each. All have a variance except SWING and PACE.
+**Arrays.** A robot has the states below, one slot each. All have a variance except the last four.
 Robots on wheels have no helix: their covariance ends before HELIX_SINE, and they leave the helix's
 slots 0. Cells have all states, but their LN_SATURATION stays 0.
 
@@ -77,12 +78,19 @@ SWING = 14
 """Turning rate of lagging wheels over a."""
 PACE = 15
 """Speed of lagging wheels over v, from 0 to 1."""
+HOST_SWING = 16
+"""Turning rate over a that the host of lagging wheels assumes."""
+LAG = 17
+"""Lag T of the wheels: the time constant with which turning rate and speed follow a direction [s].
+
+It never changes: each lag that is tried has filters of its own.
+"""
 
 STATES_OF_WHEELS = FLOW_Y + 1
 """Number of states of a robot on wheels that have a variance."""
 STATES_OF_CELLS = LN_FREQUENCY + 1
 """Number of states of a cell that have a variance."""
-STATES = PACE + 1
+STATES = LAG + 1
 """Number of slots of a state."""
 
 ALONG = 0
@@ -163,8 +171,8 @@ class FilterModel(NamedTuple):
     """(n, N) of the random walk of each state with a variance, n = STATES_OF_... [1/sqrt(s)]."""
     helix_rad_s: float
     """Usual angular frequency of a cell's helix [rad/s]; 0 for robots on wheels."""
-    lag_s: float
-    """Time constant with which turning rate and speed of wheels follow a direction [s]."""
+    host_lag_s: float
+    """The lag of the wheels that their host assumes [s], 0 if it neglects it."""
     watchdog_s: float
     """Time without a command after which a robot stops [s]; infinity if none does."""
     sticks: Sticks = Sticks()
@@ -429,6 +437,9 @@ class Forecast(NamedTuple):
     side_std: Floats
     saturation: Floats
     stands: Floats
+    lag: Floats | None
+    """(N,) the lag of the wheels [s]; None if it is not learnt."""
+    lag_std: Floats | None
     own_dead_time: Floats
     own_dead_time_std: Floats
     dead_time_s: float
@@ -442,7 +453,7 @@ class Forecast(NamedTuple):
         arrays: dict[str, Any] = {name: np.full(robots, np.nan) for name in cls._fields}
         arrays["flow"] = np.full((robots, 2), np.nan)
         arrays["misfit"] = np.full((robots, len(INNOVATIONS)), np.nan)
-        return cls(**arrays)._replace(dead_time_s=0.0, dead_time_std_s=0.0)
+        return cls(**arrays)._replace(lag=None, lag_std=None, dead_time_s=0.0, dead_time_std_s=0.0)
 
     @property
     def poses(self) -> Poses:
@@ -466,6 +477,8 @@ class Forecast(NamedTuple):
             side_std=self.side_std,
             saturation=self.saturation,
             stands=self.stands,
+            lag=self.lag,
+            lag_std=self.lag_std,
             own_dead_time=self.own_dead_time,
             own_dead_time_std=self.own_dead_time_std,
         )

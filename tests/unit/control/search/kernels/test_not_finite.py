@@ -97,7 +97,7 @@ def test_a_robot_that_may_head_anywhere_is_no_more_uncertain_than_that():
         noise=np.full((3, 1), 0.2),
         walk=np.zeros((STATES_OF_WHEELS, 1)),
         helix_rad_s=0.0,
-        lag_s=0.0,
+        host_lag_s=0.0,
         watchdog_s=math.inf,
         branch_all=True,
     )

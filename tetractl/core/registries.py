@@ -176,6 +176,7 @@ LAB_COMMANDS = Registry(
         "stop": "tetractl.cli.lab:stop",
         "calibrate": "tetractl.cli.lab:calibrate",
         "guard": "tetractl.cli.lab_guard:guard",
+        "bundle": "tetractl.cli.lab_bundle:bundle",
     },
 )
 """The commands, and the subcommands of `tetractl lab`, in the order of the help."""

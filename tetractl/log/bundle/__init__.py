@@ -1,0 +1,1 @@
+"""Bundles of logs, captures and texts for a report, without names and addresses."""

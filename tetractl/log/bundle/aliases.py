@@ -1,0 +1,114 @@
+"""Replaces addresses and names in texts and packets by aliases.
+
+The aliases of addresses come from ranges that are reserved for documentation: 192.0.2.0/24,
+2001:db8::/32, 00:00:5e:00:53:00, and the domain `example`. A spec with aliases therefore remains
+valid. Addresses that identify nobody stay: loopback, broadcast and multicast.
+
+    aliases = Aliases(["Ada"])
+    aliases.text("Ada's tracker: 192.168.1.5")      "removed-1's tracker: 192.0.2.1"
+    aliases.text("192.168.1.5, 192.168.1.6")        "192.0.2.1, 192.0.2.2"
+"""
+
+import ipaddress
+import re
+from collections import Counter
+from collections.abc import Iterable
+
+IPV4_MAX = 254
+"""Number of IPv4 aliases; further addresses share the last one."""
+VERSION_BELOW = 10
+"""An IPv4 address whose first number is below this is taken for a version number, and stays."""
+IP_HEX = re.compile(r"(?<![\w:.])[0-9A-Fa-f]{0,4}(?::[0-9A-Fa-f]{0,4}){2,7}(?![\w:])")
+IP_DOTTED = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3}){3}(?![\w]|\.\d)")
+MAC = re.compile(
+    r"(?<![\w:-])[0-9A-Fa-f]{2}(?:([:-])[0-9A-Fa-f]{2})(?:\1[0-9A-Fa-f]{2}){4}(?![\w:-])"
+)
+XBEE = re.compile(r"(?<!\w)0013[Aa]2[0-9A-Fa-f]{2} ?[0-9A-Fa-f]{8}(?!\w)")
+LOGIN = re.compile(r"(?<=://)[^/\s@]+@")
+PERSON = re.compile(r"(?<![\w.+-])[\w.+-]+@[\w-]+(?:\.[\w-]+)*")
+HOST = re.compile(r"(?<=://)(?!localhost\b)[A-Za-z][\w.-]*\w")
+HOME = re.compile(r"((?:/|\b[A-Za-z]:\\)(?:home|Users)[/\\])[^/\\\s\"':]+")
+ORDINARY_WORD = re.compile(r"[a-z]+")
+
+
+class Aliases:
+    """Gives each address and name an alias, always the same one.
+
+    Args:
+        names: Names to replace, also as a part of a word, in upper and lower case.
+    """
+
+    def __init__(self, names: Iterable[str] = ()) -> None:
+        self._names = sorted((name for name in names if name), key=len, reverse=True)
+        self._aliases: dict[tuple[str, str], str] = {}
+        self.counts = Counter[str]()
+        """How many different addresses and names of each kind were replaced."""
+
+    def text(self, text: str) -> str:
+        """Return a text with aliases."""
+        text = LOGIN.sub("", text)
+        text = PERSON.sub(lambda m: self._alias("persons", m[0], "person-{}@example.org"), text)
+        text = MAC.sub(lambda m: self._mac_in_text(m[0]), text)
+        text = XBEE.sub(
+            lambda m: self._alias("radios", m[0].replace(" ", ""), "0013A20000{:06X}"), text
+        )
+        text = IP_HEX.sub(lambda m: self.ip(m[0]), text)
+        text = IP_DOTTED.sub(lambda m: m[0] if _is_version(m[0]) else self.ip(m[0]), text)
+        text = HOST.sub(lambda m: self._alias("hosts", m[0], "host-{}.example"), text)
+        text = HOME.sub(r"\1user", text)
+        for name in self._names:
+            given = re.compile(re.escape(name), re.IGNORECASE)
+            if given.search(text):
+                text = given.sub(self._alias("names", name.casefold(), "removed-{}"), text)
+        return text
+
+    def payload(self, data: bytes) -> bytes:
+        """Return bytes in which an x stands for each character of a name."""
+        for name in self._names:
+            given = re.compile(re.escape(name.encode()), re.IGNORECASE)
+            data = given.sub(lambda m: b"x" * len(m[0]), data)
+        return data
+
+    def host_name(self, name: str) -> None:
+        """Replace a computer's name in later texts, unless it is an ordinary word such as `lab`."""
+        if name and ORDINARY_WORD.fullmatch(name) is None and name not in self._names:
+            self._names.append(name)
+
+    def ip(self, address: str) -> str:
+        """Return the alias of an IPv4 or IPv6 address; the text itself if it is none."""
+        try:
+            parsed = ipaddress.ip_address(address)
+        except ValueError:
+            return address
+        if parsed.is_loopback or parsed.is_multicast or parsed.is_unspecified:
+            return address
+        if isinstance(parsed, ipaddress.IPv6Address):
+            return self._alias("addresses", parsed.compressed, "2001:db8::{:x}")
+        if address == "255.255.255.255":
+            return address
+        return self._alias("addresses", address, "192.0.2.{}", IPV4_MAX)
+
+    def mac(self, address: bytes) -> bytes:
+        """Return the alias of the 6 bytes of a MAC address."""
+        if address[0] & 1 or not any(address):  # multicast, broadcast or none
+            return address
+        alias = self._alias("network cards", address.hex(), "00005e0053{:02x}", 255)
+        return bytes.fromhex(alias)
+
+    def _mac_in_text(self, text: str) -> str:
+        separator = text[2]
+        alias = self.mac(bytes.fromhex(text.replace(separator, "")))
+        return alias.hex(separator)
+
+    def _alias(self, kind: str, original: str, form: str, number_max: int = 1 << 24) -> str:
+        """Return the alias of an original: the form with the number of its place in its kind."""
+        if (kind, original) not in self._aliases:
+            self.counts[kind] += 1
+            number = min(self.counts[kind], number_max)
+            self._aliases[kind, original] = form.format(number)
+        return self._aliases[kind, original]
+
+
+def _is_version(text: str) -> bool:
+    """Return whether four numbers look like a version, such as 4.1.0.0."""
+    return int(text.partition(".")[0]) < VERSION_BELOW

@@ -1,0 +1,233 @@
+"""Packs logs, captures and texts for a report into one archive, without names and addresses.
+
+A log in a bundle is a valid log: it can be verified and replayed. Its records are copied, and texts
+in them get aliases. Images that a camera added to its log stay as they are.
+"""
+
+import json
+import tempfile
+import zipfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from google.protobuf.message import DecodeError, Message
+from mcap.records import Attachment
+
+from tetractl.core.errors import LogError, UsageError
+from tetractl.log import provenance
+from tetractl.log.bundle.aliases import Aliases
+from tetractl.log.bundle.capture import aliased_capture, is_capture
+from tetractl.log.format.channels import (
+    BACKGROUND,
+    CHANNELS,
+    DIGESTS,
+    ENVIRONMENT,
+    HOST,
+    LOG,
+    PICTURE,
+    RECOVERED,
+    RESULT,
+    RUN,
+    Entry,
+    Record,
+)
+from tetractl.log.read.find import find_logs
+from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.salvage import scan
+from tetractl.log.write.sink import Sink
+
+WITH_TEXT = (RUN, HOST, LOG, RESULT, RECOVERED)
+"""Channels whose messages contain texts of the lab."""
+COMPUTER = "host"
+"""Key of a computer's name in the facts of a log's host."""
+REMOVED = "removed"
+FILE_NAMES = ("git_changed", "git_untracked")
+"""Keys of lists of file names in a log's environment. They may be names of people or projects."""
+CONTENTS = "contents.txt"
+BYTES_MAX = 500_000_000
+"""Maximum size of a file that is not a log [bytes]."""
+
+
+@dataclass(slots=True)
+class Bundle:
+    """What a bundle contains.
+
+    Attributes:
+        lines: A line for each file, with its name in the bundle and what a reader should know.
+        images: Number of images in the logs.
+        replaced: How many different addresses and names were replaced, by kind.
+    """
+
+    lines: list[str] = field(default_factory=list)
+    images: int = 0
+    replaced: dict[str, int] = field(default_factory=dict)
+
+
+def write_bundle(paths: Sequence[Path], out: Path, names: Iterable[str]) -> Bundle:
+    """Write a bundle of logs, captures and texts.
+
+    Args:
+        paths: Logs, folders of logs, captures of network traffic (pcap), and text files.
+        out: The archive to write, a zip file.
+        names: Names to replace wherever they occur.
+
+    Returns:
+        What the bundle contains.
+
+    Raises:
+        UsageError: If a file is of another kind, or `out` exists.
+        LogError: If a log cannot be read.
+    """
+    if out.exists():
+        raise UsageError(f"{out}: this file exists already", "name another with --out")
+    logs = [log for path in paths if _has_logs(path) for log in find_logs([path])]
+    others = [path for path in paths if not _has_logs(path)]
+    contents = [scan(log) for log in logs]
+    aliases = Aliases(names)
+    aliases.host_name(provenance.host()[COMPUTER])
+    for log in contents:
+        aliases.host_name(log.facts.get(COMPUTER, ""))
+    bundle = Bundle()
+    part = out.with_name(out.name + ".part")
+    try:
+        with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+            for number, log in enumerate(contents):
+                _add_log(archive, number, log, aliases, bundle)
+            for path in others:
+                _add_file(archive, path, aliases, bundle)
+            archive.writestr(ENVIRONMENT, _environment(provenance.environment(), aliases))
+            bundle.lines.append(f"{ENVIRONMENT}: this computer and its packages")
+            bundle.replaced = dict(aliases.counts)
+            archive.writestr(CONTENTS, contents_text(bundle))
+        part.replace(out)
+    except FileNotFoundError:
+        raise UsageError(f"{out}: there is no folder {out.parent}") from None
+    except OSError as error:
+        raise LogError(f"{out}: cannot be written: {error.strerror}") from error
+    finally:
+        part.unlink(missing_ok=True)
+    return bundle
+
+
+def contents_text(bundle: Bundle) -> str:
+    """Return what a bundle contains as text, a line for each fact."""
+    kinds = [f"{kind}: {count}" for kind, count in sorted(bundle.replaced.items())]
+    replaced = f"replaced by aliases: {', '.join(kinds) or 'nothing'}"
+    images = [f"{bundle.images} images of the arena are unchanged"] * (bundle.images > 0)
+    return "\n".join([*bundle.lines, replaced, *images]) + "\n"
+
+
+def _has_logs(path: Path) -> bool:
+    """Return whether a path is a log, a folder or a pattern."""
+    return not path.is_file() or path.name.endswith((".mcap", ".mcap.part"))
+
+
+def _add_log(
+    archive: zipfile.ZipFile, number: int, log: RawLog, aliases: Aliases, bundle: Bundle
+) -> None:
+    """Add a copy of a log with aliases, numbered, as logs of several folders have the same name."""
+    if not log.records:
+        raise LogError(f"{log.path}: nothing in the log can be read")
+    name = f"logs/{number:03d}-{log.path.name.removesuffix('.part')}"
+    with tempfile.TemporaryDirectory() as scratch:
+        copy = Path(scratch) / "copy.mcap"
+        sink = Sink(copy, ".copying", log.channels)
+        last_ns = 0
+        for record in log.records:
+            if isinstance(record, Entry):
+                last_ns = max(last_ns, record.log_ns)
+                bundle.images += record.topic in (PICTURE, BACKGROUND)
+                if record.topic == DIGESTS:
+                    continue
+            sink.add(_aliased(record, aliases))
+        if log.by_topic[DIGESTS] and not log.altered and not log.host_altered:
+            sink.seal(last_ns)
+        sink.close(complete=True)
+        archive.write(copy, name)
+    damage = f", damaged: {'; '.join(log.problems)}" if log.problems else ""
+    bundle.lines.append(f"{name}: {len(log.records)} records{damage}")
+
+
+def _aliased(record: Record, aliases: Aliases) -> Record:
+    """Return a record with aliases in its texts."""
+    if isinstance(record, Attachment):
+        if record.name == ENVIRONMENT:
+            text = _environment(record.data.decode(errors="replace"), aliases)
+        elif record.media_type.startswith(("application/yaml", "text/")):
+            text = aliases.text(record.data.decode(errors="replace"))
+        else:
+            return record
+        return Attachment(
+            record.create_time, record.log_time, record.name, record.media_type, text.encode()
+        )
+    if record.topic not in WITH_TEXT:
+        return record
+    try:
+        message = CHANNELS[record.topic].FromString(record.data)
+    except DecodeError:
+        raise LogError(f"a record of {record.topic} cannot be read: send the log itself") from None
+    _alias_strings(message, aliases)
+    return record._replace(data=message.SerializeToString())
+
+
+def _alias_strings(message: Message, aliases: Aliases) -> None:
+    """Replace texts in all fields of a message, and the name of the computer."""
+    if getattr(message, "key", None) == COMPUTER:
+        message.value = REMOVED  # type: ignore[attr-defined]
+    for about, value in message.ListFields():
+        if about.type == about.TYPE_MESSAGE:
+            for part in value if about.is_repeated else (value,):
+                _alias_strings(part, aliases)
+        elif about.type == about.TYPE_STRING and about.is_repeated:
+            value[:] = [aliases.text(text) for text in value]
+        elif about.type == about.TYPE_STRING:
+            setattr(message, about.name, aliases.text(value))
+
+
+def _environment(text: str, aliases: Aliases) -> str:
+    """Return the environment of a log without the computer's name and without names of files."""
+    try:
+        facts: dict[str, Any] = dict(json.loads(text))
+    except (ValueError, TypeError):
+        return ""
+    if isinstance(facts.get("host"), dict):
+        facts["host"][COMPUTER] = REMOVED
+    for key in FILE_NAMES:
+        if key in facts:
+            facts[key] = len(facts[key])
+    return aliases.text(json.dumps(facts, indent=1)) + "\n"
+
+
+def _add_file(archive: zipfile.ZipFile, path: Path, aliases: Aliases, bundle: Bundle) -> None:
+    """Add a capture or a text with aliases.
+
+    Raises:
+        UsageError: If the file is neither.
+    """
+    if path.stat().st_size > BYTES_MAX:
+        raise UsageError(f"{path}: is larger than {BYTES_MAX // 1_000_000} MB")
+    data = path.read_bytes()
+    name = f"files/{path.name}"
+    if name in archive.namelist():
+        raise UsageError(f"{path}: there are two files of this name", "rename one of them")
+    if is_capture(data):
+        try:
+            capture = aliased_capture(data, aliases)
+        except UsageError as error:
+            raise UsageError(f"{path}: {error.message}", error.hint) from None
+        archive.writestr(name, capture.data)
+        bundle.lines.append(f"{name}: {capture.packets} packets, {capture.left_out} left out")
+        return
+    try:
+        text = data.decode()
+        if "\0" in text:
+            raise ValueError
+    except ValueError:
+        raise UsageError(
+            f"{path}: is neither a log, nor a capture in pcap format, nor a text",
+            "attach images and videos to the report yourself, after you have looked at them",
+        ) from None
+    archive.writestr(name, aliases.text(text))
+    bundle.lines.append(f"{name}: text")

@@ -394,37 +394,6 @@ def test_a_robot_may_be_seen_in_one_of_two_trials(tmp_path):
     assert second.valid.sum(axis=0).tolist() == [8, 8]
 
 
-def course(*rows):
-    """A table of poses of a robot, of rows (time, x, y, heading)."""
-    return "time_s,x_mm,y_mm,heading_rad\n" + "".join(
-        f"{time:.3f},{x:.3f},{y:.3f},{heading:.4f}\n" for time, x, y, heading in rows
-    )
-
-
-CIRCLING = [
-    (t / 20, 100 * math.sin(t / 40), -100 * math.cos(t / 40), t / 40 % (2 * math.pi))
-    for t in range(200)
-]
-ELSEWHERE = [(time, x + 400, y, heading) for time, x, y, heading in CIRCLING]
-TURNED = [(time, x, y, heading + 2.5) for time, x, y, heading in CIRCLING]
-JUMPING = {
-    "another from then on": CIRCLING[:120] + ELSEWHERE[120:],
-    "another for 4 s": CIRCLING[:60] + ELSEWHERE[60:140] + CIRCLING[140:],
-    "carried while it was not seen": CIRCLING[:120] + ELSEWHERE[126:],
-}
-GOING_ON = {
-    "seen always": CIRCLING,
-    "not seen for 3 s": CIRCLING[:60] + CIRCLING[120:],
-    "elsewhere once": CIRCLING[:60] + ELSEWHERE[60:61] + CIRCLING[61:],
-    "elsewhere for 1 s": CIRCLING[:60] + ELSEWHERE[60:80] + CIRCLING[80:],
-    "turned once": CIRCLING[:60] + TURNED[60:61] + CIRCLING[61:],
-    "repeated for 1 s": CIRCLING[:60]
-    + [(time, *CIRCLING[60][1:]) for time, *_ in CIRCLING[60:80]]
-    + CIRCLING[80:],
-    "seen at 2 Hz": CIRCLING[::10],
-}
-
-
 def retimed(table, time_of):
     """The rows of a table with other times, by their own, below its header."""
     header, *rows = table.splitlines()

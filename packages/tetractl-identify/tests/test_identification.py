@@ -218,8 +218,24 @@ def test_intervals_that_hold_too_seldom_are_not_printed():
     assert text.count("'0.012'") == 2
 
 
-FITTING = identified_robot("one", misfits=("across the path",))
-WITH_ODD_HEADING = identified_robot("two", misfits=("heading",))
+ODD_SPEED = identified_robot("one", misfits=("along the path",))
+ODD_HEADING = identified_robot("two", misfits=("heading",))
+
+
+def test_the_note_states_the_dead_time_and_how_old_frames_are():
+    (table,) = tables(replace(identification_of(identified_robot()), frame_age=0.0317))
+    first, second, *_ = table.note.splitlines()
+    assert first == (
+        "dead time from sending: 0.0123 (0.0100 to 0.0200) s; frames are 0.0317 s old at sending"
+    )
+    assert second == "the model fits"
+
+
+def test_the_note_names_the_robots_that_the_model_does_not_fit():
+    (table,) = tables(identification_of(ODD_SPEED, identified_robot("fits"), ODD_HEADING))
+    assert "the model does not fit one (along the path); two (heading): speed" in table.note
+    assert "the model fits" not in table.note
+    assert "frames are" not in table.note  # nobody knows
 
 
 @pytest.mark.parametrize(
@@ -236,7 +252,7 @@ def test_what_a_doubt_may_spoil_has_no_interval(flag, says):
     5.1) for an a of 4, and a dead time of .302 for .10; of robots that steer themselves 2.91 (2.76
     to 3.07) of smooth directions and 4.22 (4.12 to 4.32) of those that jump."""
     identification = without_unsure_intervals(
-        identification_of(FITTING, WITH_ODD_HEADING, **{flag: True})
+        identification_of(ODD_SPEED, ODD_HEADING, **{flag: True})
     )
     assert np.isnan(identification.dead_time.low)  # which all robots share
     for robot in identification.robots:

@@ -23,7 +23,7 @@ from tetractl.core.poses import Bools, Floats, Integers
 from tetractl_identify.fit import block_numbers
 from tetractl_identify.heading_offset import DrivenSteps
 from tetractl_identify.identify import INTERVALS_MIN
-from tetractl_identify.pose_steps import Complex, PoseSteps, robust_gains
+from tetractl_identify.pose_steps import STD_OF_MEDIAN, Complex, PoseSteps, robust_gains
 from tetractl_identify.tracks import Track, integrals_of_sent, rows_apart
 
 STEP_S = 0.1
@@ -38,8 +38,6 @@ FAR = 8.0
 """How far off a step is that is left out, in standard deviations."""
 NEIGHBOURS = 5
 """How many steps earlier or later commands may act than they seem to at first."""
-STD_OF_MEDIAN = 1.48
-"""Standard deviation of normal numbers over the median of their magnitudes."""
 CLOCKS_S = np.arange(-200, 201) / 20
 """Delays that are tried, minus the expected one [s]."""
 PEAK = 5
@@ -117,11 +115,15 @@ class DrivenTrack:
 
     def sent(self, delay: float) -> Floats:
         """Return the way and turn that were sent in each step (S, 2), a delay [s] before."""
+        if not len(self.sent_s):
+            return np.zeros((len(self.steps.turned), 2))
         until = integrals_of_sent(self.sent_s, self.commands, self.pose_s - delay)
         return np.diff(until, axis=0)
 
     def acts(self, dead_time: float) -> Bools:
         """Return in which steps (S,) a command acts."""
+        if not len(self.sent_s):
+            return np.zeros(len(self.steps.turned), dtype=np.bool_)
         times = self.pose_s - dead_time
         return (times[:-1] >= self.sent_s[0]) & (times[1:] <= self.sent_s[-1])
 

@@ -87,7 +87,8 @@ def explained(
         count = components * (group.max(initial=-1) + 1)
         of_noise = 2 * noise**2 * count  # a step has the noise of two poses
         unexplained = np.square(moved - _sums(fitted, group)).sum()
-        rest = max(float(unexplained) - of_noise, 0.0)
+        # a length has the noise of one component: the other one only turns it
+        rest = max(float(unexplained) - of_noise / components, 0.0)
         is_significant = total > of_noise * (1 + SURE * math.sqrt(3 / max(count, 1)))
         fraction = max(0.0, 1 - rest / (total - of_noise)) if is_significant else None
         by_scale.append(Explained(fraction, rest, float(np.square(_sums(asked, group)).sum())))

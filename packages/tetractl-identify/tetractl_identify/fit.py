@@ -166,9 +166,9 @@ def fit(
         a: The expected turning rates (N,) [rad/s].
         speed: The expected speeds (N,) [length unit/s].
         dead_time: The expected dead time [s], None if it is unknown.
-        all_commands: Whether the tracks contain every command that the robots followed. If not, as
-            when
-            hosts of lagging wheels send new rates between two directions, no heading is a misfit.
+        all_commands: Whether the tracks contain every command that the robots followed. Otherwise
+            no heading counts as a misfit. This is so if the host of lagging wheels sends new rates
+            between two directions, which the tracks do not contain.
 
     Returns:
         The dead time that all robots share [s], and the values of each robot.

@@ -19,14 +19,12 @@ import numpy as np
 from tetractl.core.poses import Floats, Integers
 from tetractl.tools.likelihood import NORMAL, SampleInterval
 from tetractl_identify.fit import wider_of_blocks
-from tetractl_identify.pose_steps import Complex, robust_gains
+from tetractl_identify.pose_steps import STD_OF_MEDIAN, Complex, robust_gains
 
 SLOWEST = 0.2
 """Minimum speed in w / v, relative to the median speed: slow steps say little of the angle."""
 CLIP = 3.0
 """Standard deviations above which an angle counts less, as much as one that is so far off."""
-STD_OF_MEDIAN = 1.48
-"""Standard deviation of normal numbers over the median of their magnitudes."""
 
 
 @dataclass(frozen=True, slots=True)

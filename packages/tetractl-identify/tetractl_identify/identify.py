@@ -200,9 +200,9 @@ def _turning_explained(
         pull = turns.asked(track.lag, dead_time_s) * np.exp(1j * robot.heading_bias.value)
         measured.append(turns.angle)
         fitted.append(robot.a.value * pull.imag)
-        u = np.unwrap(track.u)
+        u = np.unwrap(turns.u)
         sent = [
-            u[np.maximum(np.searchsorted(track.sent, times - dead_time_s), 1) - 1]
+            u[np.maximum(np.searchsorted(turns.when, times - dead_time_s), 1) - 1]
             for times in (turns.begin, turns.end)
         ]
         asked.append(sent[1] - sent[0])

@@ -307,10 +307,12 @@ def run(
     Args:
         tracks: The frames of each track.
         rows: The indices of the robots (R,).
-        prior: The assumed noise and random walks of these robots.
+        prior: What is assumed of each row: the turning rate, speed and heading bias, the noise, and
+            the random walks.
         tau: The dead times (B,) [s].
         apart_s: How far each dead time is uncertain [s].
-        watched: Whether residuals of headings and lost robots are collected.
+        watched: Whether to collect the residuals of headings and the expected numbers of lost
+            directions.
         blocks: For each track, the number of the block of each frame (F,). By default, all are in
             block 0.
     """

@@ -11,6 +11,8 @@ from tetractl.core.poses import Bools, Floats, wrap
 DEVIATIONS_ROUNDS = 20
 LEAST_DEVIATION = 1e-4
 """Rounds of `robust_gains`, and the minimum deviation in them, relative to the mean measurement."""
+STD_OF_MEDIAN = 1.48
+"""Standard deviation of normal numbers over the median of their magnitudes."""
 
 Complex = NDArray[np.complex128]
 

@@ -36,7 +36,6 @@ from tetractl.core.poses import Floats
 from tetractl.tools.likelihood import NORMAL, UNLIKELY, SampleInterval, derivatives
 from tetractl_identify.driven_steps import (
     DEAD_TIME_UNIT_S,
-    STD_OF_MEDIAN,
     UsedSteps,
     driven_track,
     integrals_of,
@@ -45,7 +44,7 @@ from tetractl_identify.driven_steps import (
 from tetractl_identify.explained import explained, refuse_contradicted, windows_of
 from tetractl_identify.fit import wider_of_blocks
 from tetractl_identify.heading_offset import heading_offset
-from tetractl_identify.pose_steps import robust_gains
+from tetractl_identify.pose_steps import STD_OF_MEDIAN, robust_gains
 from tetractl_identify.robot_response import SHORTEST_LAG_S, RobotResponse
 from tetractl_identify.step_regression import ResponseParameters, whitened_turns, whitened_ways
 from tetractl_identify.tracks import Track

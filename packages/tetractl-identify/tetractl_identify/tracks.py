@@ -23,25 +23,45 @@ Times may be counted from 1970, and floats near Unix times are 2.4e-7 s apart.
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One trial of N robots: M camera frames and C commands, times in seconds of one clock.
+    """The poses and commands of N robots in one trial: M camera frames and C commands.
 
-    `time` (M,) is when each frame was exposed, `poses` (M, N, 3) are x, y [length unit] and heading
-    [rad], `valid` (M, N) is False if a robot was not tracked. `sent` (C,) is when each command was
-    sent and `u` (C,) its direction [rad]. Data after `until` [s], when the robots receive a stop,
-    are not used. `frame_age` is the median time [s] from a frame's exposure to the sending of the
-    command decided on it, None if unknown. Robots that receive nothing for `watchdog` [s] stop;
-    their wheels follow with the time constant `lag` [s], which is 0 also of robots that are
-    `on_wheels` whose lag nothing states. `strength` is that of the field in `strength_unit`, None
-    if the spec does not state it. `twists` (C, N, 2) are speed [length unit/s] and turning rate
-    [rad/s] that each robot was sent, NaN where it was sent none; without any, C is 0. `own_times`
-    (M, N) are those of robots' poses [s], `time` for all if it is empty. `unreached` (M, N) is True
-    while a robot does not follow the newest command, because the log knows that it did not receive
-    it; if it is empty, nothing is known of lost commands. `all_commands` is False of
-    lagging wheels that were sent others between these, and `rates_unstated` True of those of which
-    nothing states whether they steer themselves, or a host sends them rates that foresee their lag.
-    `two_clocks` is True if the times of poses and commands may be of different clocks, as in tables
-    of other programs. `commands_source` is the file of the commands if it is not `source`.
-    `remarks` are lines for the user on the data.
+    All times are in seconds of one clock.
+
+    Attributes:
+        source: The file of the poses, as messages name it.
+        origin: Where the data come from, for the title of a table.
+        unit: Length unit of the poses and speeds.
+        names: Names of the robots, shape (N,).
+        time: When each frame was exposed [s], shape (M,).
+        poses: x, y [length unit] and heading [rad], shape (M, N, 3).
+        valid: False where a robot was not tracked, or paused between two stretches of driving,
+            shape (M, N).
+        sent: When each command was sent [s], shape (C,).
+        u: Direction of each command [rad], shape (C,). NaN if the track has `twists` instead.
+        until: When the robots receive a stop [s]. Later data are not used.
+        frame_age: Median time from the exposure of a frame to the sending of the command decided on
+            it [s]. None if unknown.
+        watchdog: Robots that receive nothing for this time stop [s].
+        lag: Time constant with which wheels follow [s]. It is 0 if the robots have no wheels, and
+            also if they are `on_wheels` and nothing states their lag.
+        on_wheels: Whether the robots have wheels.
+        strength: Strength of the field, in `strength_unit`. None if the spec does not state it.
+        strength_unit: Unit of the strength.
+        twists: Speed [length unit/s] and turning rate [rad/s] that each robot was sent, shape (C,
+            N, 2). NaN if a robot was sent nothing, or did not receive it. C is 0 if none were sent.
+        own_times: Times of each robot's poses [s], shape (M, N). If it is empty, they are `time`.
+        received: False where the log states that a robot did not receive a command, which then
+            follows the command before, shape (C, N). If it is empty, nothing is known.
+        silent: True while a robot does not drive as it was commanded, because it received nothing
+            for too long, shape (M, N). If it is empty, nothing is known.
+        all_commands: Whether the robots followed only these commands. False if their wheels lag and
+            they were sent other commands between these.
+        rates_unstated: Whether it is unknown who steers robots with lagging wheels: the robots
+            themselves, or a host that sends rates which foresee the lag.
+        two_clocks: Whether the times of poses and commands may come from different clocks, as in
+            tables of other programs.
+        commands_source: The file of the commands, if it is not `source`.
+        remarks: Lines for the user about the data.
     """
 
     source: str
@@ -62,7 +82,8 @@ class Track:
     strength_unit: str = "mT"
     twists: Floats = field(default_factory=lambda: np.zeros((0, 0, 2)))
     own_times: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    unreached: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
+    received: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
+    silent: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
     all_commands: bool = True
     rates_unstated: bool = False
     two_clocks: bool = False
@@ -83,8 +104,14 @@ class Track:
 
     @property
     def commanded(self) -> Bools:
-        """The poses (M, N) of robots that follow their newest command, as far as the log knows."""
-        return self.valid & ~self.unreached if self.unreached.size else self.valid
+        """The poses (M, N) of robots that drive as they were commanded, as far as the log knows."""
+        return self.valid & ~self.silent if self.silent.size else self.valid
+
+    def received_by(self, robot: int) -> Bools:
+        """Find the commands (C,) that a robot received, as far as the log knows."""
+        if self.received.size:
+            return self.received[:, robot]
+        return np.ones(len(self.sent), dtype=np.bool_)
 
 
 def rows_apart(times: Floats, least_s: float, last_s: float = -math.inf) -> Integers:
@@ -144,9 +171,10 @@ def track_of(log: TrialLog) -> Track:
         poses=log.mocap,
         own_times=log.exposed_ns / SECOND,
         valid=log.valid & ~_paused(log)[:, None],
-        unreached=_unreached(log),
+        silent=_silent(log),
         sent=np.array([command.sent_ns for command in directed], dtype=float) / SECOND,
         u=np.array([command.direction for command in directed], dtype=float),
+        received=np.array([command.delivered for command in directed], dtype=np.bool_),
         until=last_ns / SECOND,
         frame_age=float(np.median(ages_ns)) / SECOND if ages_ns else None,
         watchdog=setup.watchdog_s,
@@ -170,7 +198,8 @@ def _lag_assumed(log: TrialLog) -> float:
 def wheels_of(log: TrialLog) -> Track:
     """Return the track of a log with the speeds and turning rates sent to wheels.
 
-    They are computed by (21)-(23) with the spec's radius.
+    They are computed by (21)-(23) with the spec's radius. A robot that did not receive a command
+    keeps its former speeds.
 
     Raises:
         UsageError: If the robots have no wheels.
@@ -180,55 +209,79 @@ def wheels_of(log: TrialLog) -> Track:
     sent_ns: list[int] = []
     left_speeds: list[Floats] = []
     right_speeds: list[Floats] = []
+    delivered: list[tuple[bool, ...]] = []
     for command in log.commands:
         if command.left is not None and command.right is not None:
             sent_ns.append(command.sent_ns)
             left_speeds.append(command.left)
             right_speeds.append(command.right)
+            delivered.append(command.delivered)
     if not sent_ns or radius is None:
         raise UsageError(f"{log.log}: has no speeds of wheels")
     velocity = body_velocity(np.array(left_speeds), np.array(right_speeds), radius)
     twists = np.stack(velocity, axis=-1)
-    no_directions = np.full(len(sent_ns), math.nan)
-    return replace(track, sent=np.array(sent_ns) / SECOND, u=no_directions, twists=twists)
+    received = np.array(delivered)
+    twists[~received] = math.nan
+    return replace(
+        track,
+        sent=np.array(sent_ns) / SECOND,
+        u=np.full(len(sent_ns), math.nan),
+        received=received,
+        twists=twists,
+    )
 
 
 def _paused(log: TrialLog) -> Bools:
     """Find the frames (M,) exposed between a stop and SETTLED_S after the next direction.
 
-    In these, the robots stop, stand still, or start to drive.
+    In these, the robots stop, stand still, or start to drive. No frame after the last direction is
+    one of them.
     """
     directed_ns = [command.sent_ns for command in log.commands if command.direction is not None]
+    last_ns = max(directed_ns, default=0)
     stops_ns = [command.sent_ns for command in log.commands if command.stops]
-    paused = np.zeros(len(log.mocap_ns), dtype=np.bool_)
-    for stop_ns in stops_ns:
-        again_ns = min((sent_ns for sent_ns in directed_ns if sent_ns > stop_ns), default=None)
-        if again_ns is not None:
-            until_ns = again_ns + round(SETTLED_S * SECOND)
-            paused |= (log.mocap_ns >= stop_ns) & (log.mocap_ns < until_ns)
-    return paused
+    begun_ns = [stop_ns for stop_ns in stops_ns if stop_ns < last_ns]
+    return _until_settled(log.mocap_ns, np.array(begun_ns), np.array(directed_ns))
 
 
-def _unreached(log: TrialLog) -> Bools:
-    """Find the frames at which a robot does not follow the newest command, shape (M, N).
+def _silent(log: TrialLog) -> Bools:
+    """Find the frames at which a robot received nothing for too long, shape (M, N).
 
-    A robot that did not receive a command keeps its former speeds, and stops after the time of its
-    watchdog. It follows again SETTLED_S after the next command that it receives.
+    A robot that does not receive a command follows the one before, until its watchdog stops it. It
+    drives again SETTLED_S after the next command that it receives. At the start it stands until
+    then.
     """
-    unreached = np.zeros(log.valid.shape, dtype=np.bool_)
-    settled_ns = round(SETTLED_S * SECOND)
-    for robot in range(len(log.start.setup.names)):
-        lost_ns: int | None = None
-        for command in log.commands:
-            if not command.delivered[robot]:
-                lost_ns = command.sent_ns if lost_ns is None else lost_ns
-            elif lost_ns is not None:
-                again_ns = command.sent_ns + settled_ns
-                unreached[:, robot] |= (log.mocap_ns >= lost_ns) & (log.mocap_ns < again_ns)
-                lost_ns = None
-        if lost_ns is not None:
-            unreached[:, robot] |= log.mocap_ns >= lost_ns
-    return unreached
+    silent = np.zeros(log.valid.shape, dtype=np.bool_)
+    if not log.commands:
+        return silent
+    sent_ns = np.array([command.sent_ns for command in log.commands])
+    watchdog_ns = log.start.setup.watchdog_s * SECOND
+    delivered = np.array([command.delivered for command in log.commands], dtype=np.bool_)
+    for robot, is_received in enumerate(delivered.T):
+        received_ns = sent_ns[is_received]
+        is_last = np.diff(received_ns, append=math.inf) > watchdog_ns
+        begun_ns = received_ns[is_last] + watchdog_ns
+        if not is_received[0]:
+            begun_ns = np.append(sent_ns[0], begun_ns)
+        silent[:, robot] = _until_settled(log.mocap_ns, begun_ns, received_ns)
+    return silent
+
+
+def _until_settled(
+    frames_ns: Integers, begun_ns: Integers | Floats, again_ns: Integers | Floats
+) -> Bools:
+    """Find the frames (M,) at which robots do not drive as they are commanded.
+
+    Args:
+        frames_ns: When each frame was exposed [ns], shape (M,).
+        begun_ns: Increasing times from which they do not, shape (B,) [ns].
+        again_ns: Increasing times of commands, shape (A,) [ns]. SETTLED_S after the next one of
+            them, the robots do again; if none comes, never.
+    """
+    ends_ns = np.append(again_ns + SETTLED_S * SECOND, math.inf)
+    ends_ns = ends_ns[np.searchsorted(again_ns, begun_ns, side="right")]
+    latest = np.searchsorted(begun_ns, frames_ns, side="right")
+    return frames_ns < np.append(-math.inf, ends_ns)[latest]
 
 
 def stopped_ns(log: TrialLog) -> int | None:

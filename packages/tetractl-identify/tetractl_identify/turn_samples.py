@@ -34,7 +34,7 @@ class Turns:
         angle: Angle of each turn, shape (K,) [rad].
         grid: Times from the first turn to the last, shape (G + 1,) [s].
         heading: Headings at these times, shape (G + 1,) [rad].
-        when: Times at which directions were sent, shape (C,) [s].
+        when: Times at which the directions that the robot received were sent, shape (C,) [s].
         u: These directions, shape (C,) [rad].
     """
 
@@ -50,9 +50,10 @@ class Turns:
     def of(cls, track: Track, robot: int) -> "Turns":
         """Find the turns of a robot from where it drives until the stop.
 
-        Turns under commands that did not reach the robot are left out.
+        Turns while the robot received nothing for too long are left out.
         """
         times = track.exposed[:, robot]
+        received = track.received_by(robot)
         drives = (times >= track.sent[0] + SETTLED_S) & (times <= track.until)
         is_used = drives & track.commanded[:, robot]
         times = times[is_used]
@@ -72,12 +73,14 @@ class Turns:
             angle=turned[is_seen],
             grid=grid,
             heading=np.interp(grid, times[1::2], headings[1::2]) if len(rows) > 1 else grid,
-            when=track.sent,
-            u=track.u,
+            when=track.sent[received],
+            u=track.u[received],
         )
 
     def asked(self, lag_s: float, dead_time_s: float) -> Complex:
         """Return the integrals of exp(i (u - h)) over the turns (K,), after a lag and dead time."""
+        if not len(self.when):
+            return np.zeros(len(self.angle), dtype=np.complex128)
         middle = 0.5 * (self.heading[:-1] + self.heading[1:])
         pull = np.diff(self._sent_until(self.grid - dead_time_s)) * np.exp(-1j * middle)
         if lag_s > 0:  # wheels follow the pull, which is even within a step of the grid

@@ -20,8 +20,6 @@ ONWARD = 0.5
 
 Long displacements count most. Beads in water have .23, Euglena .78, Paramecium .92.
 """
-WAYS_MIN = 10
-"""Minimum number of objects in a film that are examined."""
 FEW = 1 / 3
 """Fraction of objects that keep going below which hardly any does.
 

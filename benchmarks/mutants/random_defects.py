@@ -7,7 +7,7 @@
 A defect changes one operator: a comparison, `and` or `or`, `+` or `-`, `*` or `/`, `min` or `max`,
 a `not`, or the condition of an `if`. It is planted in a copy of the sources. Then three groups of
 tests run there until one fails: the test files named like the changed file, those of its folder,
-and those elsewhere that name its module. With `--whole`, all of `make test` runs on survivors.
+and those elsewhere that import its module. With `--whole`, all of `make test` runs on survivors.
 
 Use a seed that nobody has used before: a list of defects that somebody has seen measures how well
 the tests were tuned to it. A survivor that changes nothing which a user can observe (a tie, a limit
@@ -18,11 +18,12 @@ import argparse
 import ast
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -180,32 +181,43 @@ def product_files(folders: Sequence[str]) -> list[Path]:
 def groups_of_tests(path: Path) -> Iterator[list[str]]:
     """Yield groups of test files for a source file, the closest group first.
 
-    A file is in one group only, and no group is empty.
+    The folder of a module is the nearest one above it that has tests. If a module of a package has
+    no such folder and no test file named like it, the last group has all tests of the package. A
+    file is in one group only, and no group is empty.
     """
     name = path.relative_to(ROOT)
-    if name.parts[0] == "packages":
-        tests = ROOT / "packages" / name.parts[1] / "tests"
-        inside = Path(*name.parts[3:])
-    else:
-        tests = ROOT / "tests"
-        inside = Path(*name.parts[1:])
-    module = ".".join(name.with_suffix("").parts[-3:])
-    mirrors: list[Callable[[Path], bool]] = [
-        lambda file: inside.stem.strip("_") in file.stem,
-        lambda file: inside.parent.name != "" and inside.parent.name in file.parent.parts,
-    ]
+    in_package = name.parts[0] == "packages"
+    imported = Path(*name.with_suffix("").parts[2 if in_package else 0 :])
+    tests = ROOT / "packages" / name.parts[1] / "tests" if in_package else ROOT / "tests"
     files = sorted(tests.rglob("test_*.py"))
-    groups = [[file for file in files if mirrors_file(file)] for mirrors_file in mirrors]
     everywhere = [ROOT / "tests", *sorted(ROOT.glob("packages/*/tests")), ROOT / "benchmarks"]
     all_files = [file for folder in everywhere for file in sorted(folder.rglob("test_*.py"))]
-    naming = [file for file in all_files if module in file.read_text(encoding="utf-8")]
-    groups.append(naming[:NAMING_FILES_MAX])
+    module = ".".join(imported.parts)
+    package = re.escape(".".join(imported.parts[:-1]))
+    names_module = re.compile(rf"{re.escape(module)}\b|from {package} import .*\b{imported.stem}\b")
+    naming = [file for file in all_files if names_module.search(file.read_text(encoding="utf-8"))]
+    groups = [
+        [file for file in files if imported.stem.strip("_") in file.stem],
+        _tests_of_folder(imported.parts[1:-1], files),
+        naming[:NAMING_FILES_MAX],
+    ]
+    if in_package and not any(groups[:2]):
+        groups.append(files)
     done = set[Path]()
     for group in groups:
         new = [file for file in group if file not in done]
         done.update(new)
         if new:
             yield [str(file.relative_to(ROOT)) for file in new]
+
+
+def _tests_of_folder(folders: Sequence[str], files: Sequence[Path]) -> list[Path]:
+    """List the test files in the innermost of nested folders that has any."""
+    for folder in reversed(folders):
+        found = [file for file in files if folder in file.parent.parts]
+        if found:
+            return found
+    return []
 
 
 def first_failure(tree: Path, tests: Sequence[str], limit_s: float) -> str:

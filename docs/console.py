@@ -70,13 +70,23 @@ def programs(page: str) -> Iterator[str]:
             yield fence[3]
 
 
-def run(page: str) -> list[tuple[Example, str, int]]:
-    """Run a page's commands; return each with what it printed and its exit code."""
+def run(page: str, programs_in: Path | None = None) -> list[tuple[Example, str, int]]:
+    """Run a page's commands; return each with what it printed and its exit code.
+
+    Args:
+        page: The text of the page.
+        programs_in: The folder of the programs of an environment without a checkout. Examples then
+            come from `tetractl init --example`. None if the present environment is to be used.
+    """
     asked = list(examples(page))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for specs in (ROOT / "experiments", *ROOT.glob("packages/*/tetractl_*/examples")):
-            shutil.copytree(specs, folder / "experiments", dirs_exist_ok=True)
+        environment = _environment(folder, programs_in or Path(sys.executable).parent)
+        if programs_in is not None:
+            write_examples(page, folder, programs_in)
+        else:
+            for specs in (ROOT / "experiments", *ROOT.glob("packages/*/tetractl_*/examples")):
+                shutil.copytree(specs, folder / "experiments", dirs_exist_ok=True)
         for fence in _FENCE.finditer(page):
             if fence[2]:
                 (folder / fence[2]).write_text(fence[3], encoding="utf-8")
@@ -85,7 +95,7 @@ def run(page: str) -> list[tuple[Example, str, int]]:
         done = subprocess.run(
             ["bash", "-c", script],
             cwd=folder,
-            env=_environment(folder),
+            env=environment,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -221,10 +231,17 @@ def _same_lines(shown: list[str], printed: list[str]) -> bool:
     return same and _same_lines(shown[1:], printed[1:])
 
 
-def _environment(folder: Path) -> dict[str, str]:
+def write_examples(page: str, folder: Path, programs_in: Path) -> None:
+    """Write the examples whose files a page names, by the `tetractl` in a folder of programs."""
+    for name in sorted(set(re.findall(r"experiments/([\w/-]+)\.yaml", page))):
+        command = [programs_in / "tetractl", "init", "--example", name]
+        subprocess.run(command, cwd=folder, check=True, capture_output=True)
+
+
+def _environment(folder: Path, programs_in: Path) -> dict[str, str]:
     hidden = ("LINES", "NO_COLOR", "FORCE_COLOR", "MAKEFLAGS")
     kept = {name: value for name, value in os.environ.items() if name not in hidden}
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ.get('PATH', '')}"
+    path = f"{programs_in}{os.pathsep}{os.environ.get('PATH', '')}"
     return kept | {"PATH": path, "COLUMNS": str(COLUMNS), "TERM": "dumb", "PWD": str(folder)}
 
 

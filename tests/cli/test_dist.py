@@ -2,9 +2,12 @@
 
 import os
 import platform
+import re
+import shlex
 import subprocess
 import sys
 
+import console
 import pytest
 from testkit.paths import ROOT
 
@@ -23,11 +26,15 @@ main()
 """
 
 
-def done(*command, **variables):
+PAGES = ("README.md", "docs/tutorial.md")
+SHELL_BLOCK = re.compile(r"^```sh\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+def done(*command, folder=ROOT / "docs", **variables):
     """Run a command away from the sources, which it would import; return what it printed."""
     environment = os.environ | variables
     ended = subprocess.run(
-        [*map(str, command)], cwd=ROOT / "docs", env=environment, capture_output=True, text=True
+        [*map(str, command)], cwd=folder, env=environment, capture_output=True, text=True
     )
     assert ended.returncode == 0, ended.stdout + ended.stderr
     return ended.stdout
@@ -90,3 +97,30 @@ def test_the_other_packages_are_found_and_run(python, tmp_path):
     run = ("run", spec, "--plant", "emulated", "--trials", "1", "--yes", "--quiet")
     done(python, "-m", "tetractl", *run, "--out", tmp_path / "emulated")
     assert (tmp_path / "emulated" / "trial-000.mcap").exists()
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_command_of_a_page_prints_the_same_without_a_checkout(python, page):
+    text = (ROOT / page).read_text("utf-8")
+    exact = console.exact(text)
+    for example, printed, code in console.run(text, python.parent):
+        assert console.agrees(example.shown, printed, exact), f"$ {example.command}\n{printed}"
+        assert code == 0 or example.shown, f"$ {example.command}\nexit code {code}\n{printed}"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_command_that_a_page_only_names_runs_without_a_checkout(python, page, tmp_path):
+    """Batches are cut to one trial; what a person plays is left out."""
+    text = (ROOT / page).read_text("utf-8")
+    console.write_examples(text, tmp_path, python.parent)
+    for block in SHELL_BLOCK.findall(text):
+        for line in block.splitlines():
+            words = shlex.split(line, comments=True)
+            if words[:1] != ["tetractl"] or words[1] == "play":
+                continue
+            if words[1] == "run":
+                words += ["--trials", "1", "--quiet"]
+            done(python.parent / "tetractl", *words[1:], folder=tmp_path)
+    for number, program in enumerate(console.programs(text)):
+        (tmp_path / f"{number}.py").write_text(program)
+        done(python, f"{number}.py", folder=tmp_path)

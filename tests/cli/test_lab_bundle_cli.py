@@ -1,7 +1,7 @@
 """`tetractl lab bundle`: a report in one archive."""
 
-from support.cli import tetractl
-from support.paths import ROOT
+from testkit.cli import tetractl
+from testkit.paths import ROOT
 
 LOG = ROOT / "tests/golden/format-4-lab.mcap"
 

@@ -5,7 +5,7 @@ import zipfile
 
 import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from support.paths import ROOT
+from testkit.paths import ROOT
 
 from tetractl.core.errors import UsageError
 from tetractl.log.bundle.bundle import write_bundle

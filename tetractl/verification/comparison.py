@@ -60,6 +60,7 @@ class Tolerance:
         with np.errstate(invalid="ignore"):  # inf - inf is NaN
             larger = np.maximum(np.abs(ours), np.abs(logged))
             near = np.abs(ours - logged) <= self.relative * larger + self.absolute
+            near &= np.isfinite(larger)  # infinity is not near a number
         return ~(near | (ours == logged) | both_nan)
 
 

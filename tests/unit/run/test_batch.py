@@ -11,7 +11,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.plan import Outcome
 from tetractl.log.read.reader import read_trial
 from tetractl.run import executors
-from tetractl.run.batch import OnFailure, run_batch
+from tetractl.run.batch import OnFailure, TrialTimes, run_batch
 from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path, run_logged, trial_seeds
@@ -75,6 +75,27 @@ def test_trials_run_in_order_and_those_who_watch_learn_the_time_left(monkeypatch
         for event in (("started", trial, 4), ("ended", trial, Outcome.ARRIVED, None, left_s))
     ]
     assert (report.left, report.interrupted, report.aborted) == (0, False, {})
+
+
+def task_of(arm):
+    return replace(next(iter(batch_tasks(SPEC, [0]))), arm=arm)
+
+
+def test_the_time_left_is_the_mean_of_each_arm_or_of_all_trials():
+    times = TrialTimes([task_of(arm) for arm in ("slow", "slow", "slow", "quick", "new", "new")])
+    assert times.left_s(1) is None
+    times.ended("slow", 30.0)
+    times.ended("slow", 50.0)
+    times.ended("quick", 4.0)
+    assert not times.of_every_arm
+    mean_s = (30 + 50 + 4) / 3
+    assert times.left_s(1) == pytest.approx(40 + 2 * mean_s)
+    assert times.left_s(4) == pytest.approx((40 + 2 * mean_s) / 4)
+    times.ended("slow", None)  # without a result, it says nothing about time
+    assert times.left_s(1) == pytest.approx(2 * mean_s)
+    times.ended("new", 6.0)
+    assert times.of_every_arm
+    assert times.left_s(1) == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize("on_failure", OnFailure)

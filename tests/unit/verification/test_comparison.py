@@ -1,10 +1,50 @@
 """The comparison of a logged record with the same record computed again."""
 
+import math
+import struct
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tetractl.core.commands import Steer, Turn
-from tetractl.verification.comparison import first_difference
+from tetractl.verification.comparison import Tolerance, first_difference
+
+SPECIAL = st.sampled_from([0.0, -0.0, 1.0, 1.0 + 2**-52, math.inf, -math.inf, math.nan])
+numbers = st.lists(st.tuples(SPECIAL | st.floats(-9, 9), SPECIAL | st.floats(-9, 9)), min_size=1)
+
+
+@given(numbers)
+def test_without_a_tolerance_numbers_are_the_same_if_their_bits_are_or_both_are_nan(pairs):
+    ours, logged = np.array(pairs).T
+    expected = [
+        struct.pack("d", one) != struct.pack("d", other)
+        and not (math.isnan(one) and math.isnan(other))
+        for one, other in pairs
+    ]
+    assert Tolerance().differs(ours, logged).tolist() == expected
+    assert Tolerance().differs(ours[None], logged[None]).shape == (1, len(pairs))
+
+
+@given(numbers, st.sampled_from([(0.1, 0.0), (0.0, 0.5), (0.1, 0.5)]))
+def test_with_a_tolerance_numbers_may_differ_by_as_much(pairs, shares):
+    relative, absolute = shares
+
+    def differ(one, other):
+        if math.isnan(one) or math.isnan(other):
+            return not (math.isnan(one) and math.isnan(other))
+        if math.isinf(one) or math.isinf(other):
+            return one != other
+        return abs(one - other) > relative * max(abs(one), abs(other)) + absolute
+
+    ours, logged = np.array(pairs).T
+    differs = Tolerance(relative, absolute).differs(ours, logged)
+    assert differs.tolist() == [differ(*pair) for pair in pairs]
+
+
+def test_values_that_are_no_floats_are_compared_by_value():
+    assert Tolerance(0.1, 5).differs(np.array([1, 2]), np.array([1, 3])).tolist() == [False, True]
 
 
 @pytest.mark.parametrize(

@@ -283,3 +283,68 @@ def test_a_batch_says_now_and_then_how_far_it_is(tmp_path, monkeypatch, capsys, 
         assert len(rest) == 2
     else:
         assert printed.err == ""
+
+
+def test_a_trial_that_is_kept_nowhere_is_the_one_of_the_batch(batch, tmp_path):
+    folder, _ = batch
+    before = set(Path.cwd().iterdir())
+    steps = []
+    trial = tetractl.run_trial(tetractl.parse_spec(SPEC), 2, observers=[Watch(steps.append)])
+    logged = tetractl.read_log(folder / "trial-002.mcap")
+    assert trial.mocap.tobytes() == logged.mocap.tobytes()
+    assert trial.result is not None
+    assert trial.result.outcome in tetractl.Outcome
+    assert [step.k for step in steps] == list(range(len(trial.steps)))
+    assert isinstance(trial.steps[0].plan, tetractl.Plan)
+    assert isinstance(trial.steps[0].observation, tetractl.Observation)
+    assert isinstance(trial.steps[0].observation.poses, tetractl.Poses)
+    assert trial.log == "spec, trial 2"
+    assert set(Path.cwd().iterdir()) == before
+
+
+def test_without_pandas_one_line_says_so(batch, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(tetractl.TetractlError, match="a DataFrame needs pandas") as raised:
+        tetractl.to_dataframe(batch[1])
+    assert "to_arrays" in str(raised.value.hint)
+
+
+def test_problems_of_contents_name_no_line_of_a_text_that_nobody_wrote(tmp_path):
+    contents = yaml.safe_load(SPEC)
+    with pytest.raises(SpecError, match=r"^spec: name: 3: must be text"):
+        tetractl.run_trial(contents | {"name": 3})
+    with pytest.raises(SpecError, match=r"^base: name: 3: must be text"):
+        tetractl.run_study({"name": "s", "base": contents | {"name": 3}}, tmp_path)
+    with pytest.raises(SpecError, match=r"^study: base: 5: must be text"):
+        tetractl.run_study({"name": "s", "base": 5}, tmp_path)
+
+
+def test_another_object_is_refused_in_one_line():
+    with pytest.raises(
+        UsageError, match=r"^a spec is a file, a dict or .* but this is of type int$"
+    ):
+        tetractl.run_trial(5)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(
+        UsageError, match=r"^a trial is a log's file, or .* but this is of type int$"
+    ):
+        tetractl.to_arrays(5)  # pyright: ignore[reportArgumentType]
+    contents = yaml.safe_load(SPEC) | {"name": np.zeros(3)}
+    with pytest.raises(SpecError, match=r"^spec: Object of type ndarray"):
+        tetractl.run_trial(contents)
+
+
+def test_folders_that_are_compared_have_their_own_names(tmp_path):
+    for name in ("early", "late"):
+        tetractl.run_trial(SPEC_DICT, folder=tmp_path / name)
+    comparison = tetractl.compare(tmp_path / "early", tetractl.read_batch(tmp_path / "late"))
+    assert [group.name for group in comparison.groups] == ["early", "late"]
+
+
+def test_the_package_has_no_names_but_its_own():
+    assert not hasattr(tetractl, "TYPE_CHECKING")
+
+
+def test_a_folder_is_not_verified_as_one_log(tmp_path):
+    with pytest.raises(UsageError, match="is a folder, and verify reads one log") as refused:
+        tetractl.verify(tmp_path)
+    assert "read_batch" in refused.value.hint

@@ -590,3 +590,87 @@ def test_a_robot_that_is_never_tracked_is_left_out(tmp_path, commands):
     (track,) = tracks_of(tmp_path, LOST, commands)
     assert track.names == ("a",)
     assert f"{tmp_path / 'p.csv'}: no pose is of b" in track.remarks
+
+
+def test_headings_beyond_a_turn_that_turn_as_the_motion_are_whole_turns(tmp_path):
+    paths = write_headings(tmp_path, lambda _, heading: heading + 2 * math.pi)
+    (track,) = csv_tracks(paths)
+    assert track.valid.all()
+
+
+def test_a_file_that_is_named_twice_is_refused(tmp_path):
+    poses, _ = write_drive(tmp_path)
+    with pytest.raises(UsageError, match=r"poses\.csv: is named twice"):
+        csv_tracks([poses, tmp_path / "." / poses.name])
+
+
+def exchange_two_rows(path):
+    """Write the second row of a table before the first."""
+    header, first, second, *others = path.read_text().splitlines()
+    path.write_text("\n".join([header, second, first, *others, ""]))
+
+
+@pytest.mark.parametrize(
+    "table",
+    ["time_s,direction_rad\n0,0.5\n2,1.5\n", "time_s,v_mm_s,w_rad_s\n0,180,1\n2,180,2\n"],
+    ids=["directions", "speeds"],
+)
+def test_times_of_commands_that_fall_are_refused(tmp_path, table):
+    """Regression: rows were sorted, and a countdown gave the prior's a without a word."""
+    poses, commands = write_drive(tmp_path)
+    commands.write_text(table)
+    exchange_two_rows(commands)
+    with pytest.raises(UsageError, match=r"commands.csv, line 3: the time is earlier"):
+        csv_tracks([poses, commands])
+
+
+def test_robots_on_two_wheels_may_move_against_their_headings(tmp_path):
+    poses, commands = write_headings(tmp_path, lambda _, heading: heading + math.pi)
+    commands.write_text("time_s,v_mm_s,w_rad_s\n0,-180,1\n2,-180,2\n")
+    (track,) = csv_tracks([poses, commands])
+    assert track.valid.all()
+
+
+def test_a_row_without_a_direction_is_a_step_at_which_nothing_was_sent(tmp_path):
+    """Regression: `identify` refused the steps.csv of `export`, whose last row has none."""
+    poses, commands = write_drive(tmp_path)
+    with commands.open("a") as file:
+        file.write("11.5,\n")
+    (track,) = csv_tracks([poses, commands])
+    assert track.sent.tolist() == drive().commands[:, 0].tolist()
+
+
+def test_two_recordings_that_are_numbered_are_read(tmp_path):
+    def numbered(table):
+        header, *rows = table.splitlines()
+        lines = [f"{trial},{row}" for trial in (1, 2) for row in rows]
+        return "\n".join(["trial," + header, *lines, ""])
+
+    tracks = tracks_of(tmp_path, numbered(ONE_POSES), numbered(NO_NAME))
+    assert [len(track.time) for track in tracks] == [8, 8]
+
+
+def test_rows_sorted_by_robot_are_one_recording(tmp_path):
+    header, *rows = TWO_POSES.splitlines()
+    by_robot = sorted(rows, key=lambda row: row.split(",")[1])
+    (track,) = tracks_of(tmp_path, "\n".join([header, *by_robot, ""]), NO_NAME)
+    assert track.poses.shape == (8, 2, 3)
+
+
+def test_whole_seconds_of_commands_and_whole_milliseconds_are_read(tmp_path):
+    poses = poses_at(range(0, 3300, 33)).replace("time_s", "time_ms")
+    assert tracks_of(tmp_path, poses, NO_NAME)
+    assert tracks_of(tmp_path, poses_at(np.arange(40) * 0.5), NO_NAME)
+
+
+def test_a_speed_in_a_table_of_poses_makes_it_no_commands(tmp_path):
+    header, *rows = ONE_POSES.splitlines()
+    with_speed = "\n".join([header + ",v_mm_s", *(row + ",90" for row in rows), ""])
+    (track,) = tracks_of(tmp_path, with_speed, NO_NAME)
+    assert track.names == ("robot",)
+
+
+def test_a_word_among_numbers_is_told_from_an_entry_that_is_empty(tmp_path):
+    with pytest.raises(UsageError, match=r"line 3: x_mm: 'lost' is not a number") as caught:
+        tracks_of(tmp_path, POSES.replace("3,2,0.2", "lost,2,0.2"), COMMANDS)
+    assert caught.value.hint == "where nothing was measured, leave the entry empty"

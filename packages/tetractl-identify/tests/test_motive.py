@@ -1,6 +1,6 @@
 """Files that Motive exports are read as poses: all versions, both vertical axes, both rotations."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -208,3 +208,15 @@ def test_what_cannot_be_read_is_refused(tmp_path, name):
     text, says = REFUSED[name]
     with pytest.raises(UsageError, match=says):
         list(table_rows(write(tmp_path, text)))
+
+
+def test_a_coordinate_space_that_is_not_stated_is_global(tmp_path):
+    rows = list(table_rows(write(tmp_path, PLAIN.replace(",Coordinate Space,Global", ""))))
+    assert len(rows) == 3 * len(TIMES_S)
+
+
+def test_semicolons_of_a_spreadsheet_are_read(tmp_path):
+    rows = list(
+        table_rows(write(tmp_path, replace(Export(), markers=False).text().replace(",", ";")))
+    )
+    assert len(rows) == 3 * len(TIMES_S)

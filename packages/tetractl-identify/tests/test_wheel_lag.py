@@ -107,3 +107,10 @@ WITHOUT_LAG = {
 def test_no_lag_is_seen_where_wheels_follow_at_once(name):
     dead_time_s = DEAD_TIME_S + (3.0 if "clocks" in name else 0.0)
     assert not lag_may_turn([WITHOUT_LAG[name]], dead_time_s)
+
+
+def test_a_robot_that_is_hardly_seen_shows_nothing():
+    track = replace(PLAIN, valid=PLAIN.valid & (PLAIN.time < 0.55)[:, None])
+    assert lag_may_turn([track], DEAD_TIME_S)
+    never = replace(PLAIN, valid=np.zeros_like(PLAIN.valid))
+    assert lag_may_turn([never], DEAD_TIME_S)

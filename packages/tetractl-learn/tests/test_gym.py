@@ -1,5 +1,6 @@
 """A trial as an environment of Gymnasium."""
 
+import math
 import warnings
 
 import numpy as np
@@ -150,3 +151,48 @@ def test_an_episode_is_saved_as_a_log_that_is_verified(env, tmp_path):
 def test_a_step_before_the_first_reset_is_refused():
     with pytest.raises(UsageError, match="call reset first"):
         TrialEnv(SPEC).step(EAST)
+
+
+def test_the_limit_of_time_truncates():
+    env = TrialEnv(SPEC | {"robots": [SPEC["robots"][0] | {"speed": 10}]})
+    env.reset(seed=1)
+    rewards, terminated, truncated, info = episode(env, EAST)
+    assert (terminated, truncated) == (False, True)
+    assert info["outcome"] == "time limit"
+    assert sum(rewards) == pytest.approx(1 - info["total_error"] / START_ERROR_UM)
+
+
+def test_a_trial_that_is_no_number_is_refused():
+    with pytest.raises(UsageError, match="a trial is a whole number from 0, but this is first"):
+        TrialEnv(SPEC).reset(seed=1, options={"trial": "first"})
+
+
+@pytest.mark.parametrize("action", [0.5, [1.0], [1, 0, 0], [[1, 0]], "east", [math.nan, 0]])
+def test_an_action_of_another_shape_is_refused_in_one_line(env, action):
+    with pytest.raises(UsageError, match="an action is a vector of 2 finite numbers, not"):
+        env.step(action)
+
+
+def test_an_obstacle_counts_as_the_greatest_error():
+    wall = {"type": "circle", "center": [800, 500], "radius": 100}
+    env = TrialEnv(SPEC | {"obstacles": [wall]})
+    env.reset(seed=1)
+    rewards, terminated, truncated, info = episode(env, EAST)
+    assert (terminated, truncated, info["outcome"]) == (True, False, "failed")
+    assert sum(rewards) == pytest.approx(1 - np.hypot(1100, 500) / START_ERROR_UM)
+
+
+def test_without_a_seed_each_reset_draws_one(env):
+    seeds = []
+    for _ in range(3):
+        env.reset()
+        env.step(EAST)
+        env.trial.stop()
+        seeds.append(env.trial.spec.experiment.trials.seed)
+    assert len(set(seeds)) == 3
+
+
+def test_robots_that_start_on_their_targets_are_refused():
+    on_target = {**SPEC["robots"][0], "start": SPEC["robots"][0]["target"]}
+    with pytest.raises(UsageError, match="start on their targets"):
+        TrialEnv({**SPEC, "robots": [on_target]})

@@ -16,6 +16,7 @@ import pytest
 from pydantic import PrivateAttr, model_validator
 from testkit.cli import tetractl
 from testkit.paths import ROOT
+from testkit.trials import experiment
 from testkit.usage import command_of, refused_in_one_line
 from tetractl_testing import (
     check_actuator,
@@ -43,6 +44,7 @@ from tetractl.core.shape import Shape
 from tetractl.lab.actuators.twist import line_ports
 from tetractl.lab.actuators.twist.section import TwistSection
 from tetractl.lab.serial_port import SerialPort
+from tetractl.plant.disturbances.radio import RadioSection
 from tetractl.spec.base import Positive
 from tetractl.spec.disturbance import Disturbance, DisturbanceSection
 from tetractl.spec.experiment import ShapeSection
@@ -493,3 +495,10 @@ def test_closing_before_opening_is_a_finding():
     unopened = PortActuator(PortSection(), SETUP, None)
     (finding,) = findings_of(partial(_check_leaving, unopened, unopened))
     assert finding.problem == "AttributeError: 'PortActuator' object has no attribute 'port'"
+
+
+def test_a_radio_that_delays_each_robot_on_its_own_passes_its_checks():
+    radio = RadioSection(type="radio", spread=0.1)
+    of_three = experiment().setup
+    assert len(of_three.names) == 3
+    assert wrong(check_disturbance, radio, of_three) == []

@@ -1,9 +1,16 @@
 import os
+import select
 import sys
 import threading
 from contextlib import contextmanager
 
-from tetractl.cli.unread import Messages, close_stdout, give_up_unread, say_at_once
+from tetractl.cli.unread import (
+    Messages,
+    close_stdout,
+    give_up_unread,
+    notice_of_signals,
+    say_at_once,
+)
 
 STDOUT = 1
 STDERR = 2
@@ -77,3 +84,24 @@ def test_results_that_cannot_be_written_are_lost_before_the_interpreter_ends(mon
         os.dup2(real, STDOUT)
         os.close(real)
         os.close(full)
+
+
+def test_a_message_waits_for_its_reader_also_if_its_pipe_does_not_block():
+    with stderr_pipe() as (reading, writing):
+        fill(writing)
+        os.set_blocking(writing, False)
+        thread = threading.Thread(target=Messages().write, args=(b"message",))
+        thread.start()
+        said = b""
+        while not said.endswith(b"message"):
+            said += os.read(reading, 65536)
+        thread.join()
+
+
+def test_the_first_signal_is_told_once():
+    with stderr_pipe() as (reading, _):
+        notice = notice_of_signals(b"stopping\n")
+        notice(1)
+        notice(2)
+        assert os.read(reading, 100) == b"stopping\n"
+        assert not select.select([reading], [], [], 0)[0]

@@ -59,3 +59,27 @@ def test_the_hosts_clock_goes_on_while_the_computer_sleeps(monkeypatch):
 
     monkeypatch.setattr(time, "clock_gettime_ns", time_after_a_sleep_ns)
     assert clock.now() >= asleep_ns
+
+
+def test_monotonic_time_does_not_sleep_until_what_is_past(host):
+    clock = MonotonicClock()
+    clock.sleep_until(8_000_000)
+    host.sleeps_s.clear()
+    clock.sleep_until(8_000_000)
+    clock.sleep_until(1)
+    assert host.sleeps_s == []
+
+
+def test_new_values_that_come_fast_do_not_put_off_the_next_repetition():
+    """Each is sent at once: at 50 a second with a repetition every 25 ms, the next one was due 5 ms
+    later with each, after a minute 15 s."""
+    period_ns = 25
+    due_ns = 0
+    for sent_ns in range(0, 60_000, 20):
+        due_ns = clock_module.next_due_ns(due_ns, sent_ns, period_ns)
+        assert due_ns <= sent_ns + 2 * period_ns
+
+
+def test_what_is_sent_late_keeps_its_rate_but_for_half_a_period():
+    assert clock_module.next_due_ns(due_ns=100, sent_ns=104, period_ns=20) == 120
+    assert clock_module.next_due_ns(due_ns=100, sent_ns=150, period_ns=20) == 160

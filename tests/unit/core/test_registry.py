@@ -75,3 +75,14 @@ def test_a_broken_package_is_named_with_its_entry_point(site, monkeypatch, targe
     assert f"'bad = {target} of {GROUP}'" in str(raised.value.hint)
     assert raised.value.exit == 2
     assert list(registry.usable()) == ["euler", "pi"]
+
+
+def test_an_unknown_name_is_a_key_error():
+    for look in (numbers().load, numbers().kind):
+        with pytest.raises(KeyError):
+            look("phi")
+
+
+def test_a_class_of_the_right_base_is_loaded(site, monkeypatch):
+    install(site, "good", "1.0", points("own = good_one:Own"), good_one="class Own(dict): pass")
+    assert issubclass(numbers("builtins:dict").load("own"), dict)

@@ -90,3 +90,26 @@ def test_a_page_with_another_output_is_mended_and_says_where():
 )
 def test_a_mended_output_leaves_out_what_the_page_left_out(on_page, printed, mended):
     assert console._with_dots(on_page.splitlines(), printed) == mended
+
+
+WORDS = "trial of: sequence completed, total error mm, steps"
+
+
+@pytest.mark.parametrize(
+    ("printed", "same"),
+    [
+        (WORDS, True),
+        ("trial 1 of 20: sequence completed, total error 14.5 mm, 61 steps, 12.2 s", True),
+        (f"other {WORDS} words between", True),
+        ("trial of: no better plan, total error mm, steps", False),
+        ("error: no such file", False),
+    ],
+)
+def test_of_numbers_printed_elsewhere_only_the_words_are_compared(printed, same):
+    assert console.agrees(WORDS, printed, exact=False) is same
+
+
+@pytest.mark.parametrize("note", ["", NOTE.format(console.here())])
+def test_a_page_that_agrees_stays_as_it_is(note):
+    page = PAGE.format("o...") + note
+    assert console.mended(page) == page

@@ -83,3 +83,18 @@ def test_the_code_of_a_trial_covers_what_makes_its_digest():
     undigested = {"tetractl.log.provenance"}  # only the host records, which no digest covers
     of_a_part = tuple(f"tetractl.{part}" for part in parts)
     assert [name for name in mine - packages - undigested if not name.startswith(of_a_part)] == []
+
+
+def test_a_package_inside_a_foreign_checkout_has_no_commit(checkout):
+    _git(checkout, "init", "-q")
+    (checkout / "theirs.txt").write_text("theirs")
+    _git(checkout, "add", "theirs.txt")
+    _git(checkout, "commit", "-q", "-m", "theirs")
+    assert "git_commit" not in provenance.versions()
+
+
+def test_without_git_there_is_no_commit(checkout, monkeypatch):
+    monkeypatch.setenv("PATH", str(checkout))
+    facts = provenance.versions()
+    assert "git_commit" not in facts
+    assert facts["numpy"] == np.__version__

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from testkit.random_trials import trial, write
 
 from tetractl.core.commands import Command, Steer
-from tetractl.core.plan import Outcome
+from tetractl.core.plan import Outcome, State
+from tetractl.log.format import codec
 from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
@@ -90,3 +91,22 @@ def test_an_outcome_that_logs_call_by_its_first_name_is_read_by_its_present_one(
     log = read_trial(path)
     assert log.notes[-1].text == "nothing better after 1 control steps"
     assert log.events[-1].text == "no better plan after 1 control steps"
+
+
+def test_the_result_is_read_without_the_course(tmp_path):
+    random_trial = trial(index=2)
+    path = write(random_trial, tmp_path / "trial.mcap")
+    summary = read_result(path)
+    assert not first_difference(summary.result, random_trial.result)
+    assert (summary.trial, summary.seed) == (2, 2**64 - 1)
+    assert (summary.experiment, summary.simulated) == (random_trial.experiment, True)
+    assert summary.digest == read_trial(path).digest
+    assert not summary.recovered
+
+
+@pytest.mark.parametrize("former", ["nearing", "leaving a corner"])
+def test_a_state_of_an_earlier_version_is_read_as_driving(former):
+    step = trial(robots=2, steps=1).steps[0]
+    message = codec.encode_step(step, codec.encode_command(step.command))
+    message.state = former
+    assert codec.decode_step(message, None, robots=2).plan.state is State.DRIVING

@@ -127,3 +127,9 @@ def test_the_slope_of_a_kept_rate_is_its_derivative(phi):
     _, slopes = held(6.0, no_slopes, math.cos(phi), math.sin(phi), hold)
     expected = (ln_rate(phi + small) - ln_rate(phi - small)) / (2 * small)
     assert slopes[0] == pytest.approx(expected, abs=1e-6)
+
+
+@given(heading=ANGLES, u=ANGLES, a=st.floats(1, 7), side=SIDES)
+def test_a_robot_turns_faster_to_one_side(heading, u, a, side):
+    rate, *_ = step(heading, u, a, side, 1.0)
+    assert rate == pytest.approx(integrated(heading, u, a, side, 1.0), abs=1e-4)

@@ -8,7 +8,7 @@ from testkit.trials import THREE_M3PI, experiment
 
 from tetractl.core import elementary
 from tetractl.reach.facts import facts_items, facts_table, most_similar
-from tetractl.reach.reach import reach
+from tetractl.reach.reach import ROBOTS_MAX, reach
 
 ROBOTS = THREE_M3PI["robots"]
 NAMES = tuple(robot["name"] for robot in ROBOTS)
@@ -106,3 +106,15 @@ def test_the_motion_of_all_sequences_is_computed_by_operations_of_arrays():
     finally:
         sys.setprofile(before)
     assert 0 < calls["plain"] < 10_000
+
+
+def test_robots_that_hardly_differ_are_reached_barely():
+    one_percent_more = 6.06
+    assert reach(three_robots(a=(6, one_percent_more, 3))).barely > 0
+
+
+def test_of_very_many_robots_nothing_is_said():
+    robots = [
+        ROBOTS[0] | {"name": f"r{i}", "start": [100.0 + i, 100.0]} for i in range(ROBOTS_MAX + 1)
+    ]
+    assert reach(experiment(robots=robots)) is None

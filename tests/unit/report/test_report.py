@@ -16,7 +16,7 @@ from tetractl.core.commands import Stop
 from tetractl.core.plan import Outcome, State
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.report.page import errors_over_time, lean, logs_to_carry
-from tetractl.report.trial_data import packed, trial_data
+from tetractl.report.trial_data import packed, significant, trial_data
 from tetractl.statistics.describe import describe
 from tetractl.statistics.open_batch import Batch
 from tetractl.view.figures.draw import draw
@@ -123,3 +123,21 @@ def test_a_page_of_many_trials_carries_some_from_the_best_to_the_worst(batch_of_
 
 def test_a_page_of_very_many_batches_carries_three_trials_of_each(batch_of_101):
     assert len(logs_to_carry(batch_of_101, 1000)) == 3
+
+
+def test_one_trial_has_no_figure_of_a_batch(logs):
+    assert errors_over_time("", logs[:1]) == ""
+
+
+def test_the_page_may_leave_out_plans(log):
+    assert trial_data(log, "t", plans=False)["plan"] is None
+
+
+def test_the_result_of_a_lab_is_said_to_be_measured():
+    log = three_robots()
+    lab = replace(log.start, plant=replace(log.start.plant, simulated=False))
+    assert trial_data(replace(log, start=lab), "t")["final"]["known"] == "measured"
+
+
+def test_what_is_not_finite_is_missing():
+    assert significant([1234.56, -1e-7, np.nan, np.inf]) == [1235.0, -1e-7, None, None]

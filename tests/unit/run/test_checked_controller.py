@@ -265,3 +265,22 @@ def test_what_an_optimiser_of_another_package_gives_is_refused():
     section = experiment().controller.model_copy(update={"optimizer": optimizer})
     with pytest.raises(WrongValueError, match="a search was stopped by NoneType, not a text"):
         CheckedController(section, SETUP, 1).plan(SEEN)
+
+
+def test_arrays_that_are_changed_later_change_nothing():
+    returned = plan()
+    taken = checked(returned).plan(SEEN)
+    returned.signals[:] = np.nan
+    returned.path[:] = np.nan
+    returned.search.history[:] = np.nan
+    assert taken.signals.tolist() == [0.5, 0.5]
+    assert taken.search.signals.tolist() == [0.5, 0.5]
+    assert taken.search.history.tolist() == [3.0]
+    assert np.array_equal(taken.path, PATH)
+
+
+def test_a_controller_of_another_package_has_a_setup_of_its_own():
+    targets = SETUP.targets.copy()
+    controller = checked(plan())
+    controller.controller.setup.targets[:] = 0
+    assert np.array_equal(SETUP.targets, targets)

@@ -1,12 +1,13 @@
 """How trials are handed out to a cluster, with a scheduler made for the test."""
 
+import logging
 from importlib.util import find_spec
 
 import pytest
 from testkit.studies import Watcher
 
 from tetractl.run import cluster
-from tetractl.run.cluster import Cluster
+from tetractl.run.cluster import Cluster, chunk_size
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import Finished, Task
 
@@ -97,3 +98,37 @@ def test_a_trial_that_kills_its_workers_fails_alone(tmp_path):
     assert failed == [100]
     assert str(outcomes[100]) == "the trial was lost: every worker that ran it has ended"
     assert [100] in client.chunks
+
+
+@pytest.mark.parametrize(
+    ("mean_s", "waiting", "size"),
+    [(None, 10**6, 1), (10.0, 10**6, 1), (0.5, 10**6, 4), (1e-9, 10**6, 200), (0.1, 80, 10)],
+)
+def test_the_size_of_a_task(mean_s, waiting, size):
+    assert chunk_size(mean_s, waiting, 8) == size
+
+
+distributed = pytest.importorskip("distributed")
+
+
+class Closed:
+    """Stands for a client of Dask that can do nothing but be closed."""
+
+    def close(self):
+        pass
+
+
+def test_no_module_of_distributed_logs_a_lost_connection(monkeypatch):
+    loggers = [
+        logging.getLogger(name)
+        for name in logging.root.manager.loggerDict
+        if name.split(".")[0] == "distributed"
+    ]
+    for logger in loggers:
+        monkeypatch.setattr(logger, "level", logging.NOTSET)
+    monkeypatch.setattr(logging.getLogger("distributed"), "level", logging.INFO)
+    monkeypatch.setattr(logging.getLogger("distributed.client"), "level", logging.WARNING)
+    monkeypatch.setattr(distributed, "Client", lambda *args, **options: Closed())
+    with Cluster("tcp://127.0.0.1:8786", Interrupt()):
+        assert {logger.name for logger in loggers} >= {"distributed.batched", "distributed.core"}
+        assert [logger.name for logger in loggers if logger.isEnabledFor(logging.ERROR)] == []

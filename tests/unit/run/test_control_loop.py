@@ -4,6 +4,7 @@ import threading
 import time
 from contextlib import nullcontext, suppress
 from functools import partial
+from itertools import pairwise
 
 import pytest
 from testkit.fakes import bench
@@ -340,3 +341,74 @@ def test_a_bug_after_a_second_interruption_that_a_controller_has_caught_is_raise
         fakes.run()
     ended = fakes.observers[0].stops[0][1]
     assert (ended.outcome, ended.reason) == (Outcome.ABORTED, "BugError: off by one")
+
+
+def test_a_trial_lasts_from_its_first_direction():
+    """Not from the moment the lab was opened: the first plan may take a while."""
+    fakes = bench(2)
+    fakes.do_at("plan", 1, lambda: fakes.plant.clock.sleep_until(20 * SECOND))
+    assert fakes.run().duration_s == pytest.approx(0.4)
+    assert fakes.plant.steered[0][0] == 20 * SECOND
+
+
+def test_every_camera_frame_is_told_once_those_of_coming_to_rest_too():
+    fakes = bench(4)
+    fakes.run()
+    frames = [sample.observation.frame for sample in fakes.observers[0].samples]
+    assert frames == list(range(8 + 10 + 1))  # 0.8 s of steps, 1 s to settle
+
+
+AT_THE_END = [("log.samples", 3), ("log.stop", 1)]
+
+
+@pytest.mark.parametrize("kind", ERRORS)
+@pytest.mark.parametrize(("where", "nth"), AT_THE_END)
+def test_a_log_that_fails_at_the_end_keeps_nothing_from_the_view(where, nth, kind):
+    """Log and view are notified of the end once, the view after the last frame."""
+    fakes = bench(2, observers=("log", "view"))
+    fakes.fail_at(where, nth, ERRORS[kind])
+    result = run_to_its_end(fakes, kind)
+    if result is not None:
+        assert (result.outcome, result.reason) == (Outcome.ABORTED, REASONS[kind])
+    log, view = fakes.observers
+    assert len(log.stops) == len(view.stops) == 1
+    assert view.samples[-1].observation.frame == 14
+
+
+def test_a_plant_that_does_not_open_says_why_even_if_it_cannot_stop():
+    fakes = bench()
+    fakes.fail_at("open", 1, BugError("the reason"))
+    fakes.fail_at("stop", 1, AssertionError("never opened"))
+    with pytest.raises(BugError, match="the reason"):
+        fakes.run()
+    assert fakes.happenings.names == ["open", "stop", "close"]
+
+
+def test_a_plant_that_fails_in_a_step_has_the_frames_before_it_in_the_log():
+    """Regression: those taken in the step in which it could not say what it had sent were lost."""
+    fakes = bench(3)
+
+    def fail_in_the_second_step():
+        if fakes.happenings.names.count("send") == 2:
+            raise AbortError("the radio is gone")
+        return []
+
+    fakes.plant.news = fail_in_the_second_step
+    assert fakes.run().reason == "the radio is gone"
+    frames = [sample.observation.frame for sample in fakes.observers[0].samples]
+    assert frames == list(range(2 + 10 + 1))  # ten a second: 0.2 s of steps, 1 s to settle
+
+
+@pytest.mark.parametrize("slow", [PERIOD, 5 * PERIOD // 2])
+def test_after_an_overrun_the_steps_keep_their_distance(slow):
+    """A step that takes one period, or 2.5: it is late, and those after it come a period apart.
+
+    Regression: after a period to the nanosecond two steps were sent at once.
+    """
+    fakes = bench(5)
+    clock = fakes.plant.clock
+    fakes.do_at("plan", 2, lambda: clock.sleep_until(clock.now() + slow))
+    fakes.run()
+    sent = [when for when, _ in fakes.plant.steered]
+    gaps = [later - earlier for earlier, later in pairwise(sent)]
+    assert gaps == [PERIOD + slow, *[PERIOD] * 3]

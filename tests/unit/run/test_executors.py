@@ -5,11 +5,12 @@ import os
 import subprocess
 import sys
 import weakref
+from multiprocessing import get_context
 
 import pytest
 
 from tetractl.core.errors import AbortError
-from tetractl.run.executors import Here
+from tetractl.run.executors import Here, _SharedInterrupt
 from tetractl.run.interrupt import Interrupt
 
 SOURCE = """
@@ -51,3 +52,11 @@ def test_an_error_of_a_trial_does_not_keep_its_plant_in_memory(monkeypatch):
     gc.collect()
     assert error.message == "green is 76 mm from its start"
     assert plants[0]() is None
+
+
+def test_sigterm_after_a_request_is_the_second_request():
+    ending = get_context("spawn").Event()
+    shared = _SharedInterrupt(ending)
+    ending.set()
+    shared.end_at_once()
+    assert shared.requested and shared.count == 2

@@ -74,3 +74,11 @@ def test_a_folder_that_cannot_be_locked_is_one_clear_line(tmp_path):
     (tmp_path / LOCK_FILE).symlink_to(tmp_path / "other")
     with pytest.raises(LogError, match="cannot lock the folder"), locked(tmp_path):
         pass
+
+
+def test_a_folder_that_vanishes_meanwhile_is_no_second_error(tmp_path):
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    with locked(folder):
+        (folder / LOCK_FILE).unlink()
+        folder.rmdir()

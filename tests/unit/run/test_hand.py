@@ -158,3 +158,19 @@ def test_the_wall_pace_makes_every_trial_last_as_long_as_people_need(speed, tmp_
         steer(SPEC, tmp_path / f"{speed}-{number}", chosen(directions), observers=[pace])
         steps_s = 10 * 0.05
         assert (wall.now() - began_ns) / SECOND == pytest.approx(steps_s / speed)
+
+
+def test_a_step_is_asked_for_by_its_time(tmp_path):
+    asked = []
+
+    def ask(time_s):
+        asked.append(time_s)
+        return 0.5 if len(asked) < 4 else None
+
+    steer(SPEC, tmp_path, ask)
+    assert asked == pytest.approx([0.0, 0.05, 0.10, 0.15])
+
+
+def test_no_direction_leaves_no_log(tmp_path):
+    steer(SPEC, tmp_path / "hand", chosen([]))
+    assert not (tmp_path / "hand").exists()

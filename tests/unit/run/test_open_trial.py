@@ -1,16 +1,18 @@
 """A trial that a script steps is the trial of `sequence` with the directions sent."""
 
+import gc
 import math
 
 import numpy as np
 import pytest
+import yaml
 from testkit.paths import ROOT
 
 import tetractl
 from tetractl.core.errors import SpecError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.log.read.reader import content_digest
-from tetractl.run.open_trial import OpenTrial
+from tetractl.run.open_trial import DroppedError, OpenTrial
 from tetractl.run.spec_trial import run_logged
 from tetractl.spec.examples import examples
 from tetractl.spec.load import parse_spec
@@ -154,3 +156,58 @@ def test_a_lab_is_refused():
     lab = tetractl.load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml")
     with pytest.raises(UsageError, match="plant is the lab"):
         tetractl.open_trial(on_plant(lab, "lab"))
+
+
+def test_its_spec_is_text_that_gives_the_same_trial(tmp_path):
+    trial = tetractl.open_trial(SPEC, seed=77)
+    drive(trial, 5)
+    result = trial.stop()
+    again = tetractl.run_trial(tetractl.parse_spec(trial.spec.text))
+    assert again.start.seed == 77
+    assert again.result.robot_errors == result.robot_errors
+
+
+def test_an_error_that_mpc_accepts_is_no_arrival():
+    trial = tetractl.open_trial(SPEC | {"controller": {"type": "mpc", "accept_error": 500}})
+    drive(trial, 70, direction=0.0)  # by 5 mm, so past both targets
+    assert trial.result is None
+
+
+def test_a_robot_outside_the_arena_has_failed():
+    trial = tetractl.open_trial(SPEC)
+    assert not trial.failed
+    drive(trial, 100, direction=3.0)  # 5 s at 100 mm/s, and the left edge is at 200 mm
+    assert trial.failed
+
+
+def test_its_first_observation_is_at_the_starts():
+    trial = tetractl.open_trial(SPEC | {"plant": {"type": "sim"}})
+    np.testing.assert_allclose(trial.observation.poses.xy, [[200, 500], [200, 300]])
+    with pytest.raises(ValueError, match="read-only"):
+        trial.observation.poses.x[0] = 0.0
+
+
+def test_a_dropped_trial_says_nothing(capsys):
+    trial = tetractl.open_trial(SPEC)
+    drive(trial, 2)
+    asked = trial._controller.asked
+    del trial
+    gc.collect()
+    assert isinstance(asked.get(timeout=60), DroppedError)  # its robots stand, its thread has ended
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_trial_that_is_broken_off_has_ended():
+    trial = tetractl.open_trial(SPEC)
+    trial.step(0.1)
+    trial._controller.asked.put(KeyboardInterrupt())  # as if Ctrl-C came amid the next step
+    with pytest.raises(KeyboardInterrupt):
+        trial.step(0.1)
+    with pytest.raises(UsageError, match="broken off"):
+        trial.step(0.1)
+
+
+def test_a_spec_is_taken_as_a_file_too(tmp_path):
+    path = tmp_path / "spec.yaml"
+    path.write_text(yaml.safe_dump(SPEC))
+    assert tetractl.open_trial(path).setup.names == ("a", "b")

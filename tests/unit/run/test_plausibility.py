@@ -391,3 +391,70 @@ def test_every_field_in_radians_is_marked_as_an_angle():
         sorted(set(unmarked) - {"IdentifiedRobot.heading_bias", "IdentifiedRobot.heading_noise"})
         == []
     )
+
+
+def test_warnings_come_in_the_order_of_their_lines():
+    warnings = found(THREE, "controller.time_limit=2.2", "robots.red.heading=90").values()
+    lines = [warning.line for warning in warnings if warning.line]
+    assert len(lines) > 3
+    assert lines == sorted(lines)
+    assert next(reversed(warnings)).line is None
+
+
+def test_very_many_robots_alike_are_one_line():
+    names = "".join(
+        f"  - {{name: r{i}, start: [{i}, 0], target: [{i * i % 97}, 90], a: 4, speed: 100}}\n"
+        for i in range(90)
+    )
+    text = f"name: many\narena: {{left: 0, bottom: 0, width: 100, height: 100}}\nrobots:\n{names}"
+    fields = [w.field for w in find_warnings(parse_spec(text, "many"))]
+    assert fields == ["robots", "robots.1.a", "robots.49.target"]
+
+
+def refused(text, *sets):
+    """The lines of the error by which a spec is refused."""
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_spec(text, "s", sets)
+    return caught.value.lines()
+
+
+def test_bodies_overlap_at_no_way_points_that_robots_pass_together():
+    vias = ["robots.one.via=[[30, 30]]", "robots.two.via=[[30, 32]]", "robots.three.via=[[60, 60]]"]
+    (line,) = refused(APART, "controller.collision.radius=1.5", *vias)
+    assert "robots.1.via.0: [[30, 32]]: is 2 mm from the way-point of one: bodies of" in line
+
+
+@pytest.mark.parametrize("fixed", ["adaptive=false", "separation=0"])
+def test_robots_that_are_led_there_all_the_same_are_not_told(fixed):
+    sets = (*BODIES, "robots.blue.target=[1700, 600]", f"controller.collision.{fixed}")
+    assert not any("might touch" in w.message for w in found(THREE, *sets).values())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "robots.green.a=25.1",  # a microjet at 2 mT, the fastest published
+        "robots.green.a=60",
+        "wheels.radius=13.3",  # toio
+        "wheels.radius=130",  # iRobot Create
+        "wheels.radius=270",  # the largest robots of laboratories
+    ],
+)
+def test_fast_robots_and_wheels_of_real_robots_are_believed(change):
+    assert not {"robots.0.a", "wheels.radius"} & set(found(THREE, change))
+
+
+IN_METRES = """
+name: metres
+units: {length: m}
+arena: {left: 0, bottom: 0, width: 2, height: 2}
+robots:
+  - {name: green, start: [0.3, 0.4], target: [1.3, 0.5], a: 6, speed: 0.18}
+wheels: {radius: 0.04}
+plant: {type: sim}
+"""
+
+
+def test_the_same_robots_in_metres_are_believed():
+    spec = parse_spec(IN_METRES, "metres")
+    assert "wheels.radius" not in {warning.field for warning in find_warnings(spec)}

@@ -7,6 +7,7 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.log.read.find import find_logs
 from tetractl.run import store
+from tetractl.run.folder_lock import make_folder
 from tetractl.run.spec_trial import log_path
 from tetractl.run.store import RecordStore, Store, set_aside
 
@@ -125,3 +126,17 @@ def test_a_file_in_place_of_the_folder_of_records_is_one_line(tmp_path):
     for folder in (file, file / "days"):
         with pytest.raises(UsageError, match="not a folder"):
             records(folder)
+
+
+def test_a_folder_is_made_with_its_parents(tmp_path):
+    make_folder(tmp_path / "a" / "b")
+    make_folder(tmp_path / "a" / "b")
+    assert (tmp_path / "a" / "b").is_dir()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LogError, match="cannot create the folder: Not a directory"):
+        make_folder(tmp_path / "file" / "b")
+
+
+def test_records_are_kept_from_one_command_to_the_next(tmp_path):
+    keep(tmp_path / "days", 3)
+    assert records(tmp_path / "days") == {3: {"day": 3, "ended": "arrived"}}

@@ -94,3 +94,17 @@ def test_while_nobody_looks_only_the_newest_poses_are_encoded():
     published = [entry.publish_ns for entry in sent if entry.topic == "/frames"]
     assert published == [trial.start.start_unix_ns + sampled_ns for sampled_ns in newest]
     assert count(sent, "/controller/step") == STEPS
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_every_frame_is_sent_by_itself(simulated):
+    trial = random_trials.trial(3, steps=STEPS, simulated=simulated)
+    sent = sent_entries(trial)
+    for topic in FRAME_TOPICS:
+        assert count(sent, topic) == len(trial.samples)
+
+
+def test_a_lab_is_not_slowed():
+    wall = RecordingClock()
+    serve(random_trials.trial(3, steps=2, simulated=False), RecordingServer(), wall)
+    assert wall.slept_until == []

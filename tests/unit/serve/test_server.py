@@ -13,7 +13,7 @@ from websockets.sync.client import connect
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import UsageError
-from tetractl.log.format.channels import CHANNELS, FRAMES, SCENE, TRANSFORMS, Entry
+from tetractl.log.format.channels import CHANNELS, FRAMES, LOG, SCENE, TRANSFORMS, Entry
 from tetractl.log.read.salvage import scan
 from tetractl.serve.live import BACKLOG, ServedRun, Viewers
 from tetractl.serve.server import LoopbackServer
@@ -262,4 +262,50 @@ def test_nothing_else_is_served_and_a_strange_request_prints_nothing(server, cap
     line = request_line.format(token=server.token)
     status = status_of(server, f"{line}\r\nHost: 127.0.0.1:{server.port}")
     assert status in (b"", b"HTTP/1.1 400 ", b"HTTP/1.1 403 ", b"HTTP/1.1 426 ")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_server_says_what_it_is_and_that_it_has_a_time(server):
+    with Viewer(server.url) as viewer:
+        assert viewer.info["name"] == "test"
+        assert viewer.info["capabilities"] == ["time"]
+
+
+def test_lines_of_text_are_not_sent_twice(server):
+    server.send([Entry(LOG, START_NS, START_NS, b""), frame(1)])
+    with Viewer(server.url) as viewer:
+        viewer.subscribe(LOG, FRAMES)
+        viewer.until(is_of(FRAMES))
+        assert LOG not in [topic for topic, *_ in viewer.all]
+
+
+def test_viewers_watch_once_one_has_subscribed(server):
+    with Viewer(server.url) as viewer:
+        assert not server.viewers.watched
+        server.viewers.add(frame(1))
+        viewer.subscribe(FRAMES).until(is_of(FRAMES))
+        assert server.viewers.watched
+
+
+def test_no_more_is_sent_of_what_a_viewer_gave_up(server):
+    with Viewer(server.url) as viewer:
+        server.send([frame(1), Entry(TRANSFORMS, START_NS + 1, START_NS, b"")])
+        viewer.subscribe(FRAMES).until(is_of(FRAMES))
+        unsubscribe(viewer, FRAMES)
+        viewer.subscribe(TRANSFORMS).until(is_of(TRANSFORMS))
+        server.send([frame(2), Entry(TRANSFORMS, START_NS + 3, START_NS, b"")])
+        viewer.until(is_of_time(TRANSFORMS, START_NS + 3))
+        assert numbers(viewer, FRAMES) == [1]
+
+
+def test_each_server_has_its_own_token(server):
+    assert server.url.startswith("ws://127.0.0.1:")
+    with Live() as second:
+        assert second.token != server.token
+        assert len(second.token) >= 16
+
+
+def test_a_strange_request_for_a_connection_prints_nothing(server, capfd):
+    status = status_of(server, "GET / HTTP/1.1\r\nUpgrade: websocket\r\nOrigin: http://[")
+    assert status in (b"", b"HTTP/1.1 403 ")
     assert capfd.readouterr() == ("", "")

@@ -17,3 +17,27 @@ def test_robots_are_those_of_the_actuator(section, actuator):
     actuator_section, setup = alone
     assert setup.names == ("green", "blue")
     actuator_section.build(setup, VirtualClock())
+
+
+def test_a_real_lab_is_that_of_the_plant_if_both_have_an_actuator():
+    """As of a spec without errors: `lab` is for specs whose plant is a simulation."""
+    lab = TWIST.replace("green", "red")
+    text = f"plant: {{actuator: {TWIST}}}\nlab: {{actuator: {lab}}}"
+    alone = actuator_alone(parse_document(text, "spec.yaml"))
+    assert alone is not None
+    assert alone[1].names == ("green", "blue")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "name: a",
+        "lab: 3",
+        "lab: {camera: {}}",
+        "lab: {actuator: 3}",
+        "lab: {actuator: {type: none-such}}",
+        f"lab: {{actuator: {TWIST.replace('port: a', 'port: 3')}}}",
+    ],
+)
+def test_an_actuator_that_is_missing_or_invalid_is_none(text):
+    assert actuator_alone(parse_document(text, "spec.yaml")) is None

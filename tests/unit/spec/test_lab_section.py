@@ -1,3 +1,4 @@
+import os
 import re
 
 import pytest
@@ -148,3 +149,20 @@ def test_no_line_of_a_file_that_is_no_calibration_is_shown(text):
     with pytest.raises(SpecError) as error:
         calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "/etc/secret")
     assert error.value.message == "/etc/secret: is not a calibration file"
+
+
+@pytest.mark.parametrize(
+    ("written", "read"), [("4.1", "4.1"), ("'4.1'", "4.1"), ("2.11", "2.11"), ("'2.10'", "2.10")]
+)
+def test_a_protocol_version_needs_no_quotes_where_it_is_a_number(written, read):
+    settings = ["lab.camera.transport=unicast", f"lab.camera.version={written}"]
+    camera = lab_of(load_spec(SPEC, settings).experiment, "spec").camera
+    assert camera.version == read
+
+
+def test_a_calibration_that_never_ends_is_not_read(tmp_path):
+    os.mkfifo(tmp_path / "m.yaml")
+    (tmp_path / "spec.yaml").write_text(SPEC.read_text())
+    loaded = load_spec(tmp_path / "spec.yaml", ["lab.calibration=m.yaml"])
+    with pytest.raises(SpecError, match=r"m.yaml: is not a regular file"):
+        on_plant(loaded, "lab")

@@ -14,10 +14,14 @@ from testkit.trials import experiment
 
 from tetractl.core.errors import Exit, SpecError
 from tetractl.core.trial import OWN_FILES
+from tetractl.log.format import channels
 from tetractl.spec.consistency import SpecFinding
+from tetractl.spec.identified import Identified, IdentifiedRobot, IdentifiedValue, merge
 from tetractl.spec.load import load_spec, parse_spec, parse_written
 from tetractl.spec.loaded_spec import attach, resolved_yaml, spec_hash
+from tetractl.spec.yaml.document import parse_document
 from tetractl.spec.yaml.problems import InvalidSpecError
+from tetractl.spec.yaml.settings import FieldValue
 
 EXPERIMENTS = ROOT / "experiments"
 GOOD = """\
@@ -400,3 +404,97 @@ def test_the_hash_of_an_earlier_log_is_that_of_the_keys_in_its_resolved_spec():
     assert loaded.hash != spec_hash(good)
     fields = json.dumps(earlier, sort_keys=True, separators=(",", ":"))
     assert loaded.hash == hashlib.sha256(fields.encode()).hexdigest()
+
+
+def test_obstacles_that_reach_into_the_arena_are_fine():
+    parse_spec(changed("left: 40", "left: -5"), "s.yaml")
+    parse_spec(changed("center: [60, 20]", "center: [103, 103]"), "s.yaml")
+
+
+WITHOUT_ROBOTS = "name: x\narena: {left: 0, bottom: 0, width: 9, height: 9}\n"
+
+
+def test_a_list_of_bad_entries_is_not_called_too_short():
+    (problem,) = problems(WITHOUT_ROBOTS + "robots: [3]\n")
+    assert problem == "s.yaml:3:10: robots.0: 3: must be a mapping of keys to values"
+
+
+def test_an_empty_list_is_called_too_short():
+    (problem,) = problems(WITHOUT_ROBOTS + "robots: []\n")
+    assert problem == "s.yaml:3:9: robots: []: must have at least 1 entries"
+
+
+def test_control_characters_are_not_printed():
+    (problem,) = problems(GOOD + '"\\e[31m\\n": 1\n')
+    assert "\\x1b[31m\\n: unknown key" in problem
+
+
+def test_a_setting_mends_a_bad_value_of_the_file():
+    text = changed("a: 3", "a: !!set {x}")
+    assert parse_spec(text, "s.yaml", ["robots.0.a=7"]).experiment.robots[0].a == 7
+
+
+def test_problems_of_the_file_and_of_settings_come_together():
+    lines = problems(changed("a: 3", "a: -3"), "trials.count=x", "nonsense")
+    assert [line.split(": ")[0] for line in lines] == [
+        "s.yaml:4:55",
+        "--set nonsense",
+        "--set trials.count=x",
+    ]
+
+
+def test_the_letter_of_the_paper_and_what_we_recommend_differ_in_controller_and_watchdog_alone():
+    paper = load_spec(EXPERIMENTS / "three_m3pi_paper.yaml").experiment
+    ours = load_spec(EXPERIMENTS / "three_m3pi.yaml").experiment
+    assert paper.controller.optimizer.stop.type == "paper"
+    assert paper.controller.motion == "euler"
+    same = {"name": paper.name, "controller": paper.controller, "wheels": paper.wheels}
+    assert ours.wheels.model_copy(update={"watchdog": None}) == paper.wheels
+    assert ours.model_copy(update=same) == paper
+
+
+def test_the_hash_is_one_of_sha_256():
+    assert re.fullmatch("[0-9a-f]{64}", hash_of(GOOD))
+
+
+@pytest.mark.parametrize(
+    "setting", ["trials.seed=2", "robots.0.a=3.0000001", "controller.optimizer.stop.cost=6"]
+)
+def test_the_hash_follows_the_experiment(setting):
+    assert hash_of(GOOD, setting) != hash_of(GOOD)
+
+
+def test_the_files_that_every_log_has_are_those_of_its_channels():
+    of_channels = {channels.SPEC, channels.RESOLVED_SPEC, channels.ENVIRONMENT, channels.LAYOUT}
+    assert of_channels == OWN_FILES
+
+
+def test_targets_that_were_dealt_out_are_given():
+    starts, targets = np.random.default_rng(4).uniform(200, 1800, (2, 4, 2))
+    dealt = with_free_targets(starts, targets)
+    assert dealt.assign == "given"
+    assert type(dealt).model_validate(dealt.model_dump()) == dealt
+
+
+def test_the_number_of_an_option_stays_a_number():
+    seeded = parse_spec(GOOD, "s.yaml", [FieldValue("trials.seed", 3, "--seed")])
+    assert seeded.experiment.trials.seed == 3
+
+
+def test_an_error_of_an_option_names_the_option():
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_spec(GOOD, "s.yaml", [FieldValue("trials.seed", -1, "--seed")])
+    assert caught.value.message == "--seed -1: trials.seed: -1: must be at least 0"
+
+
+def test_an_identified_value_goes_to_its_robot_also_behind_an_entry_that_is_none():
+    document = parse_document("robots: [oops, {name: red, a: !!set {x}}]", "s.yaml")
+    values = dict.fromkeys(IdentifiedRobot.model_fields, IdentifiedValue(value=4.0))
+    robots = {"red": IdentifiedRobot(**values)}
+    dead_time = IdentifiedValue(value=0.1)
+    identified = Identified(
+        identified="", origin="lab", unit="mm", dead_time=dead_time, robots=robots
+    )
+    merge(document, identified, "found.yaml", estimates=True)
+    assert document.data["robots"][1] == {"name": "red", "a": 4.0, "speed": 4.0}
+    assert document.all_problems == []  # the a that could not be read is replaced

@@ -10,6 +10,7 @@ from testkit.paths import SPECS as FILES
 from tetractl.cli.specs import template
 from tetractl.run.model_changes import stated_model
 from tetractl.spec.load import load_spec, parse_spec
+from tetractl.spec.yaml.problems import InvalidSpecError
 
 EXPERIMENTS = ROOT / "experiments"
 
@@ -126,3 +127,19 @@ def test_a_prior_states_the_noise_of_the_simulated_camera(name):
     assert prior.position_noise == camera.position > 0
     assert prior.heading_noise == camera.heading > 0
     assert not stated_model(spec_of(name)).lacks_noise  # so no trial warns of it
+
+
+@pytest.mark.parametrize(
+    ("period_s", "signal_periods", "accept_error_mm"), [(0.05, 4, 8.6), (0.2, 1, 34)]
+)
+def test_defaults_follow_the_period(period_s, signal_periods, accept_error_mm):
+    """The fastest robot drives at 380 mm/s."""
+    controller = lab_controller(f"controller.period={period_s}")
+    assert controller.signal_periods == signal_periods
+    assert controller.accept_error == accept_error_mm
+
+
+def test_a_wrong_period_is_one_error():
+    with pytest.raises(InvalidSpecError) as caught:
+        lab_controller("controller.period=x")
+    assert str(caught.value).count("\n") == 0

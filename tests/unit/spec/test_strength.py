@@ -4,6 +4,7 @@ import pytest
 
 from tetractl.spec.identified import Identified, IdentifiedRobot, merge
 from tetractl.spec.load import parse_spec
+from tetractl.spec.loaded_spec import resolved_yaml
 from tetractl.spec.yaml.document import parse_document
 from tetractl.spec.yaml.problems import InvalidSpecError
 
@@ -76,3 +77,23 @@ def test_an_identified_rate_replaces_alpha_by_that_at_the_strength_of_its_logs()
     merge(document, identified(8.0), "found.yaml", estimates=True)
     rates = [robot["a"] for robot in document.data["robots"]]
     assert rates == [{"per_mT": 4.0 / 8.0}, 4.0]
+
+
+def test_what_is_resolved_loads_as_the_same_spec():
+    loaded = parse_spec(SPEC, "x.yaml")
+    assert "a: {per_mT: 0.74}" in loaded.resolved
+    again = parse_spec(loaded.resolved, "again")
+    assert again.experiment == loaded.experiment
+    assert again.hash == loaded.hash
+
+
+def test_a_spec_without_a_strength_is_dumped_as_ever():
+    plain = parse_spec(SPEC, "x.yaml", ["robots.r.a=2", "strength=null"]).experiment
+    assert "strength" not in resolved_yaml(plain)
+
+
+def test_an_identified_rate_of_unknown_strength_cannot_replace_alpha():
+    document = parse_document(SPEC, "x.yaml")
+    merge(document, identified(None), "found.yaml", estimates=True)
+    (problem,) = document.problems
+    assert "its logs state no strength" in str(problem)

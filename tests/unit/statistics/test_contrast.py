@@ -14,7 +14,7 @@ from tetractl.core.errors import UsageError
 from tetractl.log.read.trial_log import Origin
 from tetractl.statistics.as_json import contrast_items
 from tetractl.statistics.describe import contrast
-from tetractl.statistics.tables import summary
+from tetractl.statistics.tables import summary, texts_by_label
 
 TRIALS = 20
 ERRORS = np.random.default_rng(8).gamma(4, 50, (TRIALS, 3))  # of three robots [mm]
@@ -169,3 +169,70 @@ def test_seven_pairs_carry_no_verdict():
 def test_groups_of_other_units_are_refused():
     with pytest.raises(UsageError, match="b has errors in um, a in mm"):
         contrast([arm("a", ERRORS), arm("b", ERRORS, units={"length": "um"})])
+
+
+def test_two_groups_compare_either_way():
+    quarter = arm("a", ERRORS / 4, controller=EXACT)
+    full = arm("b", ERRORS)
+    quarter_less_full = contrast_of(quarter, full)
+    assert quarter_less_full.verdict == "lower"
+    means = quarter.total.mean - full.total.mean
+    assert quarter_less_full.difference.value == pytest.approx(means)
+    assert quarter_less_full.from_both_means.high < 0
+    assert quarter_less_full.differs == ("controller.motion: exact != euler",)
+    assert contrast_of(full, quarter).verdict == "higher"
+
+
+def test_given_directions_have_no_rank_among_controllers():
+    """Hindsight finds directions that no controller could."""
+    directions = {"type": "sequence", "period": 0.2, "directions": [0.1]}
+    hindsight = arm("given", ERRORS / 100, controller=directions)
+    mpc = arm("mpc", ERRORS)
+    unranked = contrast_of(hindsight, mpc)
+    assert unranked.no_controller is True
+    assert unranked.verdict is None
+    assert unranked.reason == "directions were given: no controller decided"
+    assert_not_tested(unranked)
+    assert texts_by_label(hindsight)["given directions"].startswith("no controller decided")
+    (table,) = summary(contrast([hindsight, mpc]))
+    assert "no verdict (directions were given" in table.note
+
+
+def test_what_is_not_tested_is_not_counted_as_a_test():
+    """Else more seems to be needed to detect a difference of the two that are tested."""
+    directions = {"type": "sequence", "period": 0.2, "directions": [0.1]}
+    mpc, exact = arm("mpc", ERRORS), arm("exact", ERRORS * 2, controller=EXACT)
+    hindsight = arm("given", ERRORS / 100, controller=directions)
+    alone = contrast_of(mpc, exact)
+    first, *_ = contrast([mpc, exact, hindsight]).contrasts
+    assert first.detects == alone.detects > 0
+
+
+def test_trials_with_directions_of_their_own_are_one_batch():
+    def trials_steered_by(direction):
+        sequence = {"type": "sequence", "period": 0.2, "directions": [direction]}
+        return batch(ERRORS.tolist(), experiment(plant=DISTURBED, controller=sequence))
+
+    mixed = [trials_steered_by(0.1 * k)[k] for k in range(TRIALS)]
+    assert group(mixed, name="given").counted == TRIALS
+
+
+def test_seven_trials_on_one_side_carry_no_verdict():
+    unpaired = contrast_of(arm("a", ERRORS[:7]), arm("b", ERRORS + 50, seed=2))
+    assert unpaired.verdict is None
+    assert unpaired.reason == "a verdict needs 8 complete trials on each side"
+
+
+def test_a_verdict_needs_the_corrected_p_too():
+    """Five of 15 comparisons have an interval off 0, and differ by no more than chance would."""
+    shift = np.zeros((TRIALS, 3))
+    shift[:, 0] = np.linspace(-1.9, 1.9, TRIALS) + 0.64
+    errors = [ERRORS] * 5 + [ERRORS + shift]
+    arms = [
+        arm(str(i), errors[i], controller={"time_limit": 20.2 + i})  # six controllers
+        for i in range(6)
+    ]
+    last = contrast(arms).contrasts[-1]
+    assert last.difference.ci95.high < 0
+    assert last.p_holm > 0.05
+    assert last.verdict == "undecided"

@@ -8,6 +8,7 @@ import pytest
 import scipy
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
 from tetractl.statistics.estimate import distributions, proportion_interval, published_distribution
 
@@ -140,3 +141,31 @@ def test_the_interval_of_a_proportion_is_wilsons(successes, n, low, high):
     interval = proportion_interval(successes, n)
     assert interval.low == pytest.approx(low, abs=5e-5)
     assert interval.high == pytest.approx(high, abs=5e-5)
+
+
+def test_rows_are_described_apart():
+    rows = np.array([SKEWED, SKEWED[::-1] * 2, np.full(10, 7.0)])
+    assert distributions(rows) == [distribution_of(row) for row in rows]
+
+
+def test_no_value_carries_no_figure():
+    nothing = distribution_of([])
+    assert nothing.n == 0
+    assert math.isnan(nothing.mean)
+    assert nothing.ci95.reason == "no values"
+
+
+def test_without_skewness_the_logarithm_of_the_mean_is_students():
+    values = 100 + np.arange(-5.0, 6.0)  # 11 values about 100, thus 10 degrees of freedom
+    interval = distribution_of(values).ci95
+    half = stats.t.ppf(0.975, 10) * stats.sem(values) / 100
+    assert math.log(interval.low) == pytest.approx(math.log(100) - half)
+    assert math.log(interval.high) == pytest.approx(math.log(100) + half)
+
+
+def test_a_published_mean_of_0_has_no_interval():
+    assert not published_distribution(4, 0.0, 0.0).ci95.known
+
+
+def test_a_proportion_of_no_trials_has_no_interval():
+    assert proportion_interval(0, 0).reason == "no trials"

@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 from testkit.batches import batch, experiment, group
 
+from tetractl.core.plan import Outcome
 from tetractl.log.read.trial_log import Origin
 from tetractl.statistics.as_json import batch_items
 from tetractl.statistics.describe import contrast
@@ -133,3 +134,37 @@ def test_few_trials_are_not_compared_and_nothing_is_said_of_them():
     assert "less certain" not in texts_by_label(few)
     assert batch_items(few)["less_certain"] is None
     assert "less certain" not in printed_summary(few)
+
+
+def test_a_marked_trial_counts():
+    """One trial cannot show which of the two it was: wheels that changed, or a false pose."""
+    described = group(emulated_trials(20, false_turns=FALSE_TURNS))
+    assert batch_items(described)["less_certain"] == 3
+    assert described.counted == 20
+
+
+def test_one_that_was_stopped_for_another_reason_is_marked_too():
+    trials = emulated_trials(8, false_turns={2: [0.2, 0.0, 0.0]})
+    aborted = {"outcome": Outcome.ABORTED, "reason": "green and red are too close"}
+    trials[2] = replace(trials[2], result=replace(trials[2].result, **aborted))
+    (flag,) = flagged(group(trials).batch)
+    assert flag.notes[:2] == ("excluded", "green and red are too close")
+    assert flag.notes[2].startswith("green turned by +0.2")
+
+
+def test_robots_that_did_not_drive_and_older_logs_are_not_marked():
+    trials = emulated_trials(9, false_turns={1: [9.0, 0.0, 0.0]})
+    trials[1] = with_verdict(trials[1], turn_std=(np.inf, ERROR_RAD_S, ERROR_RAD_S))
+    trials[2] = with_verdict(trials[2], turn=(), turn_std=())
+    assert turned_otherwise(trials) == {}
+    usual, green_stood, older = batch_items(group(trials))["trials"][:3]
+    assert usual["turn_blue_rad_s"] == trials[0].result.verdict.turn[1]
+    assert usual["turn_std_blue_rad_s"] == ERROR_RAD_S
+    assert green_stood["turn_green_rad_s"] is None
+    assert older["turn_blue_rad_s"] is None
+
+
+def test_a_batch_of_older_logs_does_not_mention_turns():
+    trials = emulated_trials(9)
+    older = [with_verdict(trial, turn=(), turn_std=()) for trial in trials]
+    assert "less certain" not in texts_by_label(group(older))

@@ -1,15 +1,19 @@
 """The keys of JSON and the columns of CSV, which scripts rely on."""
 
+import csv
+import io
 import json
+import math
 
 import numpy as np
 import pytest
 from testkit.batches import DISTURBED, REFERENCE, batch, experiment, group, result, trial
 
 from tetractl.core.plan import Outcome
-from tetractl.statistics.as_json import comparison_items
+from tetractl.statistics.as_json import comparison_items, data_table
 from tetractl.statistics.describe import contrast
-from tetractl.tools.table.table_files import json_text
+from tetractl.statistics.open_batch import Damaged
+from tetractl.tools.table.table_files import csv_text, json_text
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
 
@@ -73,3 +77,26 @@ def test_attempts_are_items_of_json_that_are_not_counted_as_trials():
     assert items["n_trials"] == 2
     assert items["n_attempts"] == 1
     assert items["attempts"][0]["outcome"] == "aborted"
+
+
+def test_json_stays_json_where_nothing_is_known():
+    trials = batch([[math.nan] * 3] * 2, SPEC, outcome=Outcome.ABORTED, solve_ns=())
+    items = as_json(group(trials, [Damaged("torn.mcap", "no header")]))
+    assert items["total_error"]["mean"] is None
+    assert items["reference"]["difference"] is None
+    assert items["solve_ms"] == {"p50": None, "p99": None, "max": None}
+    assert items["trials"][0]["robot_errors"] == [None] * 3
+    assert items["damaged"] == [{"log": "torn.mcap", "problem": "no header"}]
+
+
+def as_csv(described):
+    """The rows of one batch as a script reads them."""
+    text = csv_text(data_table(contrast([described])))
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_attempts_are_rows_of_csv_that_say_so():
+    rows = as_csv(batch_with_attempt())
+    assert [row["attempt"] for row in rows] == ["false", "false", "true"]
+    assert [row["counted"] for row in rows] == ["true", "true", "false"]
+    assert {row["origin"] for row in rows} == {"undisturbed simulation"}

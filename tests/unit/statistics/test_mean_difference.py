@@ -125,3 +125,37 @@ def test_holm_steps_down():
     """The example of four tests that every textbook gives."""
     assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
     assert holm([0.01, math.nan, 0.02]) == pytest.approx([0.02, math.nan, 0.02], nan_ok=True)
+
+
+def test_there_is_an_interval_from_both_where_one_of_both_varies():
+    varying = distribution_of([1, 2, 3, 5, 9])
+    flat = distribution_of([3.0] * 9)
+    assert from_both_intervals(flat, varying).known
+    assert "do not vary" in from_both_intervals(flat, flat).reason
+
+
+def test_there_is_no_interval_from_both_where_one_has_too_few_values():
+    varying = distribution_of([1, 2, 3, 5, 9])
+    two_values = distribution_of([1, 2])
+    assert "needs 3 values" in from_both_intervals(varying, two_values).reason
+
+
+@pytest.mark.parametrize("sizes", [(1,), (9, 1)])
+def test_single_values_detect_nothing(sizes):
+    assert math.isnan(detectable(*sizes))
+
+
+def test_a_difference_of_0_has_no_sign_and_no_rank():
+    differences = np.random.default_rng(1).normal(0, 1, 20)
+    assert signed_rank(np.append(differences, 0.0)) == signed_rank(differences)
+
+
+def test_nothing_to_rank_has_no_p():
+    no_values = np.zeros(0)
+    assert math.isnan(signed_rank(np.zeros(9)))
+    assert math.isnan(rank_sum(no_values, np.ones(3)))
+
+
+def test_equal_values_have_no_ranks_that_differ():
+    equal = np.ones(90)
+    assert rank_sum(equal, equal) == 1.0

@@ -8,6 +8,7 @@ from testkit.batches import batch, experiment, group
 from tetractl.core.poses import Poses
 from tetractl.core.trial import Verdict
 from tetractl.statistics.as_json import batch_items
+from tetractl.statistics.flagged import flagged
 from tetractl.statistics.tables import texts_by_label
 from tetractl.statistics.trial_tables import trials_table
 
@@ -89,3 +90,24 @@ def test_without_a_radius_centres_are_counted_and_said_to_be():
     items = batch_items(described)
     assert items["body_over_edge"] is None
     assert items["bodies_touch"] is None
+
+
+def test_a_batch_without_those_distances_has_none():
+    items = batch_items(group([measured(0, clearance=(INF, INF))]))
+    assert items["clearance"] is None
+    assert items["edge"] is None
+    assert items["apart"] is None
+
+
+def test_tables_count_bodies_where_the_spec_gives_a_radius():
+    rows = texts_by_label(batch_with_bodies())
+    assert rows["left the arena"] == "2 of 3 (95 % interval 21 to 94 %), counting bodies"
+    assert rows["touched one another"].startswith("1 of 3")
+
+
+def test_a_flagged_trial_names_the_robots_whose_bodies_did_it():
+    assert flagged(batch_with_bodies().batch)[0].notes == (
+        "green entered an obstacle",
+        "green left the arena",
+        "green, blue touched one another",
+    )

@@ -7,7 +7,7 @@ from tetractl.core.plan import Outcome
 from tetractl.statistics import built_in_statistics
 from tetractl.statistics.built_in_statistics import MEANINGS
 from tetractl.statistics.estimate import distributions, proportion_interval
-from tetractl.statistics.statistic import count, mean_figure, share, share_figure
+from tetractl.statistics.statistic import count, mean_figure, number, share, share_figure
 
 VALUES = np.array([1.0, 1.0, 1.0, 100.0])  # one of four is above 10 times the median
 (FOUR,) = distributions(VALUES[None])
@@ -78,3 +78,12 @@ def test_what_is_unknown_says_why_and_is_null_in_json():
     assert arrived.items == {"arrived": None, "arrived_ci95": None}
     (clearance,) = built_in_statistics.EDGE.of_batch(trials)
     assert clearance.text == "-"
+
+
+def test_a_mean_of_a_number_is_followed_by_its_tail_which_json_has_with_the_mean():
+    far = number("far", "far", lambda result: result.total_error)
+    mean, tail = far.of_batch(batch(ERRORS))
+    assert mean.items == {"far": FOUR.as_dict()}
+    assert tail.label == "  errors above 10 times the median"
+    assert tail.text.startswith("1 of 4 above 10.0 (")
+    assert not tail.items

@@ -14,7 +14,7 @@ from tetractl.statistics.describe import contrast
 from tetractl.statistics.statistic import number
 from tetractl.statistics.tables import tables
 from tetractl.tools.table.table_files import csv_text
-from tetractl.tools.table.terminal_table import TEXTS
+from tetractl.tools.table.terminal_table import TEXTS, print_tables
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()  # of three robots [mm]
 MEAN_OF_WORST = np.max(ERRORS, axis=1).mean()
@@ -53,3 +53,8 @@ def test_it_is_in_csv(comparison):
     text = csv_text(data_table(comparison))
     rows = list(csv.DictReader(io.StringIO(text)))
     assert [float(row["worst_error"]) for row in rows] == [max(errors) for errors in ERRORS]
+
+
+def test_it_is_printed(comparison, capsys):
+    print_tables(tables(comparison))
+    assert re.search(ROW, capsys.readouterr().out)

@@ -133,3 +133,33 @@ def test_the_reference_names_every_field():
     for model in (Study, Range, *sweeps):
         for field in model.model_fields:
             assert f"`{field}`" in page, field
+
+
+def hashes_of(folder, study):
+    return [arm.hash for arm in load_study(write(folder, study)).arms]
+
+
+def test_the_number_of_trials_does_not_make_another_arm(tmp_path):
+    more_trials = STUDY.replace("count: 5", "count: 6")
+    assert hashes_of(tmp_path, more_trials) == hashes_of(tmp_path, STUDY)
+
+
+def test_the_seed_makes_another_arm(tmp_path):
+    hashes = hashes_of(tmp_path, STUDY)
+    of_other_seed = hashes_of(tmp_path, STUDY.replace("seed: 7", "seed: 8"))
+    assert set(of_other_seed).isdisjoint(hashes)
+
+
+def test_a_study_of_the_base_alone_has_one_arm(tmp_path):
+    (arm,) = load_study(write(tmp_path, HEAD)).arms
+    assert arm.name == "base"
+    assert arm.controller == ""
+    assert arm.sets == ()
+    assert arm.spec.experiment.trials.count == 20
+
+
+def test_arms_whose_values_are_written_alike_have_names_that_differ(tmp_path):
+    study = HEAD + "sweep: {type: grid, fields: {plant.dead_time: [0.10000001, 0.1]}}\n"
+    first, second = load_study(write(tmp_path, study)).arms
+    assert first.name != second.name
+    assert first.name.startswith("dead_time=0.1-")

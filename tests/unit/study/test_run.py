@@ -1,5 +1,6 @@
 """Runs of a study: which trials are run again, and what their logs and tables hold."""
 
+import pickle
 import shutil
 
 import pytest
@@ -156,3 +157,25 @@ def test_an_aborted_trial_is_finished_only_for_the_code_that_aborts_it(tmp_path,
     assert run(tmp_path, FAILING).tasks == []
     monkeypatch.setattr(store, "code_of", lambda experiment: "mended")
     assert len(run(tmp_path, FAILING).tasks) == 4
+
+
+def test_a_study_of_another_spec_is_not_mixed_in(done):
+    with pytest.raises(UsageError, match="another spec or seed"):
+        run(done, SMALL.replace("seed: 7", "seed: 8"))
+
+
+def test_an_arm_is_a_batch_that_can_be_resumed_and_not_overwritten(done, finished):
+    arm = finished.loaded.arms[1]
+    assert arm.name == ARM
+    batch = Store.of_batch(done / "out" / ARM, arm.spec.experiment)
+    batch.read()
+    assert batch.lacking == []
+    with pytest.raises(UsageError, match="holds logs already"):
+        batch.read(resume=False)
+
+
+def test_the_specs_of_tasks_are_those_of_the_arms(tmp_path):
+    ran = run(tmp_path, SMALL)
+    arms = {arm.name: arm for arm in ran.loaded.arms}
+    for arm_task in ran.tasks:
+        assert pickle.loads(arm_task.spec).experiment == arms[arm_task.arm].spec.experiment

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from tetractl.study.sweep import Grid, Random, Range, Sobol
+from tetractl.core.registries import SWEEPS
+from tetractl.study.sweep import Grid, Points, Random, Range, Sobol
 
 
 def drawn(sweep, seed=1):
@@ -117,3 +118,19 @@ def test_whole_numbers_are_drawn_alike_often():
 def test_ranges_that_make_no_sense_are_refused(wrong):
     with pytest.raises(ValueError, match=r"must be greater|needs whole"):
         Range(**wrong)
+
+
+def test_every_kind_is_found_by_its_name():
+    for name in SWEEPS.names():
+        assert SWEEPS.load(name).model_fields["type"].annotation.__args__ == (name,)
+
+
+LIST = Points(type="list", points=({"x": 1}, {"x": 2, "y": (1, 2)}))
+
+
+def test_a_list_keeps_its_points():
+    assert values(LIST) == [{"x": 1}, {"x": 2, "y": (1, 2)}]
+
+
+def test_a_list_knows_where_each_value_is_written():
+    assert drawn(LIST)[1]["y"].loc == ("points", 1, "y")

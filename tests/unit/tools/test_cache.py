@@ -2,6 +2,7 @@
 
 import os
 import stat
+from pathlib import Path
 
 import pytest
 
@@ -90,3 +91,14 @@ def test_a_file_of_another_user_is_not_read(tmp_path):
     os.chown(file, 65534, -1)
     with pytest.raises(PermissionError, match="belongs to another user"):
         read_own(file)
+
+
+def test_without_a_home_there_is_a_folder(monkeypatch, capsys):
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", homeless)
+    assert mode(cache_folder()) == 0o700
+    assert "the user has no home" in capsys.readouterr().err

@@ -10,13 +10,15 @@ from multiprocessing import forkserver
 import pytest
 
 from tetractl.tools.children import (
+    SAFE_PATH,
     SAID_BYTES,
     SHOWN_LINE_MAX,
     Child,
     python,
     run_tool,
+    shown_lines,
 )
-from tetractl.tools.worker_pool import WorkerPool, copying_context, fresh_context
+from tetractl.tools.worker_pool import WorkerPool, copying_context, fresh_context, isolated
 
 MODULE = "raise SystemExit('the module of the present folder was run')\n"
 
@@ -97,3 +99,30 @@ def test_workers_start_again_after_their_server_was_killed():
         assert lost.exception() is None or isinstance(lost.exception(), BrokenProcessPool)
     with WorkerPool(context, 1, "a worker", print) as pool:
         assert pool.submit(abs, -3).result() == 3
+
+
+def test_bytes_that_are_no_text_are_shown_as_such():
+    assert shown_lines(b"\xff\x00\n \n") == ["\ufffd\\x00"]
+
+
+@pytest.mark.parametrize("before", [None, "", "1"])
+def test_the_variable_of_isolated_is_as_before_at_its_end(before, monkeypatch):
+    monkeypatch.delenv(SAFE_PATH, raising=False)
+    if before is not None:
+        monkeypatch.setenv(SAFE_PATH, before)
+    with isolated():
+        assert os.environ[SAFE_PATH] == "1"
+    assert os.environ.get(SAFE_PATH) == before
+
+
+def print_much():
+    for number in range(1000):
+        print(number)
+
+
+def test_what_workers_print_is_bounded():
+    lines = []
+    with WorkerPool(copying_context(), 1, "a worker", lines.append) as pool:
+        pool.submit(print_much).result()
+    assert lines[-2:] == ["a worker: 49", "a worker: says more, which is not shown"]
+    assert len(lines) == 51

@@ -9,13 +9,14 @@ import re
 import numpy as np
 import pytest
 from rich.console import Console
+from rich.progress import Progress
 from testkit.paths import ROOT
 
 from tetractl.core.errors import UsageError
 from tetractl.tools.table.csv_rows import read_csv
 from tetractl.tools.table.table import Column, Table, fixed
-from tetractl.tools.table.table_files import csv_entry, csv_text, json_text, table_files
-from tetractl.tools.table.terminal_table import TEXTS, html, print_tables
+from tetractl.tools.table.table_files import csv_entry, csv_text, flat, json_text, table_files
+from tetractl.tools.table.terminal_table import TEXTS, WIDTH, html, open_console, print_tables
 
 TABLE = Table(
     "Speeds",
@@ -171,3 +172,58 @@ def test_no_other_module_writes_tables():
 def test_a_spreadsheet_computes_nothing(text):
     assert csv_entry(text).startswith("'")
     assert csv_entry("arrived") == "arrived"
+
+
+def test_a_table_without_rows_is_its_columns():
+    columns = (Column("n", []), Column("w", []))
+    assert csv_text(Table("", columns)) == "n,w\n"
+
+
+def test_a_row_whose_only_entry_is_unknown_is_still_a_row():
+    table = Table("", (Column("n", [1, None, 3]),))
+    assert csv_rows(table) == [["n"], ["1"], [""], ["3"]]
+
+
+LONG = "words " * 60
+
+
+def test_without_a_terminal_words_are_wrapped():
+    wide = Table.of_texts("Logs", ("log", "note"), [("a", LONG), ("b", LONG)])
+    lines = printed(wide).splitlines()
+    assert WIDTH - 20 < max(map(len, lines)) <= WIDTH
+
+
+def test_without_a_terminal_names_are_not_broken():
+    path = "folder/" * 40
+    assert len(path) > WIDTH
+    text = printed(Table.of_texts("", ("log",), [(path,)]))
+    assert path in text
+
+
+def test_columns_that_are_empty_in_all_rows_are_left_out():
+    table = Table.of_texts("", ("name", "empty", "why"), [("a", "-", ""), ("b", "", "x")])
+    assert table.header == ["name", "why"]
+
+
+def test_records_that_lack_a_key_have_no_value_there():
+    table = Table.of_records("", [{"a": 1}, {"a": 2, "b": 3}])
+    assert table.as_dict() == {"a": [1, 2], "b": [None, 3]}
+
+
+def test_nested_items_become_one_row():
+    nested = {"a": {"value": 1, "ci95": [0, 2]}, "b": {"ci95": None}, "c": ["x", "y"]}
+    expected = {"a_value": 1, "a_low": 0, "a_high": 2, "b_low": None, "b_high": None, "c": "x; y"}
+    assert flat(nested) == expected
+
+
+@pytest.mark.parametrize("forced", ["FORCE_COLOR", "TTY_COMPATIBLE"])
+def test_a_file_gets_no_code_of_a_terminal_though_colour_is_forced(forced, monkeypatch, capsys):
+    monkeypatch.setenv(forced, "1")
+    console = open_console()
+    with console.screen():
+        console.print("in a file", style="bold")
+    with Progress(console=console) as bar:
+        bar.add_task("trials", total=2)
+    assert not console.is_terminal
+    print_tables([Table("Title", (Column("robot", ["green"]),))])
+    assert "\x1b" not in capsys.readouterr().out

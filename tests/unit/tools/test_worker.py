@@ -70,3 +70,13 @@ def test_idle_is_called_after_each_call_and_when_its_time_has_come():
     for _ in range(3):
         assert called.acquire(timeout=10)
     worker.close()
+
+
+def test_a_thread_that_does_not_end_is_a_failure():
+    gate = threading.Event()
+    worker = make(patience_s=0.01)
+    worker.put(gate.wait, 10)
+    with pytest.raises(LogError, match="too slow"):
+        worker.drain()
+    worker.close()
+    gate.set()

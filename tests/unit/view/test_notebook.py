@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 from testkit import trials
+from testkit.paths import ROOT
 
 import tetractl
 from tetractl.core.errors import UsageError
@@ -144,3 +145,8 @@ def test_the_example_notebook_runs_and_stores_what_it_shows():
     stored = make_notebook.nbformat.read(make_notebook.NOTEBOOK, as_version=4)
     told = "run: python docs/make_notebook.py"
     assert make_notebook.words(stored) == make_notebook.words(notebook), told
+
+
+def test_the_stored_pictures_are_small():
+    stored = (ROOT / "examples" / "notebook.ipynb").read_text("utf-8")
+    assert 60_000 < len(stored) < 130_000

@@ -4,13 +4,14 @@ import re
 
 import numpy as np
 import pytest
-from tetractl_microscope.choice.section import choice_of
+from testkit.paths import EXAMPLES
+from tetractl_microscope.choice.section import Choice, choice_of
 
 from tetractl.core.errors import SpecError
 from tetractl.log.read.reader import read_trial
 from tetractl.run.spec_trial import run_logged
 from tetractl.spec.experiment import packages
-from tetractl.spec.load import parse_spec
+from tetractl.spec.load import load_spec, parse_spec
 
 SPEC = """
 name: three
@@ -72,3 +73,7 @@ def test_only_a_cell_among_others_can_be_replaced():
     assert experiment.setup.loss.replaced
     with pytest.raises(SpecError, match="on_lost"):
         parse_spec(SPEC + ROUND + "on_lost: replace\n", "three.yaml")
+
+
+def test_the_dish_of_the_examples_asks_for_a_choice():
+    assert isinstance(load_spec(EXAMPLES / "tetrahymena_dish.yaml").experiment.chosen, Choice)

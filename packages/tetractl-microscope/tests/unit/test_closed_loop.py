@@ -117,3 +117,10 @@ def test_the_noise_is_the_plants():
     assert noise.heading_walk == 0.1
     assert noise.position_std == 2
     assert noise.heading_std == 0.02
+
+
+def test_the_mean_length_of_a_normal_vector_along_one_axis_is_that_of_a_half_normal():
+    """sqrt(2/pi) times its standard deviation."""
+    deviation = 2.0
+    (mean_length,) = mean_errors(np.diag([deviation**2, 0.0]), np.zeros(1))
+    assert mean_length == pytest.approx(deviation * np.sqrt(2 / np.pi))

@@ -105,3 +105,15 @@ def test_a_robot_goes_on_for_a_period_at_its_speed():
     onward = plan.linear.onward.reshape(-1, 2)
     ways = plan.problem.period * plan.problem.speed
     assert np.linalg.norm(onward, axis=1) == pytest.approx(ways)
+
+
+def test_the_plan_misses_by_the_distances_of_its_ends_to_the_targets():
+    plan = random_plan(3, "exact")
+    gaps = ends(plan.problem, plan.signals) - plan.problem.targets
+    assert plan.linear.miss == pytest.approx(np.linalg.norm(gaps, axis=1))
+
+
+def test_the_first_signal_has_a_period_of_its_own():
+    plan = random_plan(3, "exact")
+    later = [plan.problem.period] * (SIGNALS - 1)
+    assert plan.linear.seconds.tolist() == [FIRST_PERIOD_S, *later]

@@ -123,3 +123,17 @@ def test_directions_of_another_robot_explain_few_turns():
     of_another = sent_every_1_5_s(np.random.default_rng(8).uniform(-3, 3, 16))
     with pytest.raises(UsageError, match=r"p\.csv: the commands explain 1?\d% of the turns"):
         check([course_by(RANDOM)], of_another, least=0.2)
+
+
+ALTERNATING = sent_every_1_5_s(np.tile([1.2, -1.2], 8))
+
+
+def test_directions_that_act_a_step_late_are_not_taken_for_their_mirror_image():
+    """The mirror image of alternating directions is they themselves, a step of 1.5 s later."""
+    check([course_by(ALTERNATING, late_s=1.5)], ALTERNATING)
+
+
+def test_robots_that_hardly_turn_show_nothing():
+    times = np.arange(0, DRIVE_S, GRID_S)
+    noise = np.random.default_rng(1).normal(0, 0.003, len(times))
+    check([TurnedCourse(times, 1.0 + noise)], sent_every_1_5_s(np.full(16, 1.0)), least=1.0)

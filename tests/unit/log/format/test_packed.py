@@ -1,6 +1,7 @@
 """The columns of camera frames, packed; and the rounding of what is only drawn."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -10,7 +11,10 @@ from testkit.random_trials import trial, write
 from tetractl.log.format.channels import CHANNELS
 from tetractl.log.format.codec import (
     DRAWN_PRECISION,
+    Frames,
+    decode_frames,
     drawn,
+    encode_frames,
 )
 from tetractl.log.format.packed_columns import pack_columns, unpack_columns
 from tetractl.log.read.salvage import scan
@@ -57,3 +61,20 @@ def test_each_schema_is_in_a_log_once(tmp_path):
     ids = {schema.name: schema.id for _, schema in channels.values() if schema}
     assert all(schema and ids[schema.name] == schema.id for _, schema in channels.values())
     assert len(ids) == len({CHANNELS[topic].DESCRIPTOR.full_name for topic in channels})
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_true_poses_that_were_measured_are_not_written_again(exact):
+    poses = np.random.default_rng(1).normal(1000, 300, (240, 2, 3))
+    truth = poses.copy() if exact else poses + 0.2
+    times = np.arange(240) * 8_333_333
+    exposed_ns = np.column_stack([times, np.where(times > 0, times - 30_000_000, 0)])
+    frames = Frames(times, times, times, poses, np.ones((240, 2), bool), truth, exposed_ns)
+    message = encode_frames(frames)
+    assert message.exact == exact
+    assert bool(message.truth) != exact
+    decoded = decode_frames(message, 2)
+    assert np.array_equal(decoded.poses, poses)
+    assert np.array_equal(decoded.exposed_ns, exposed_ns)
+    assert decoded.truth is not None
+    assert np.array_equal(decoded.truth, truth if exact else truth.astype(np.float32))

@@ -140,3 +140,36 @@ def test_what_is_tracked_and_finite_is_drawn_of_any_poses_at_any_times(data, rob
     assert drawn.SerializeToString() == transforms.SerializeToString()
     drawn_plans = scene.plan(poses, unix_ns)
     assert drawn_plans.SerializeToString() == plans.SerializeToString()
+
+
+def test_a_target_is_a_square_as_in_every_view(entities):
+    corners = np.array([(p.x, p.y) for p in entities["target/robot 1"].lines[0].points])
+    assert len(corners) == 4
+    assert np.allclose(corners.mean(axis=0), (1.7, 0.5997))
+    width, height = np.ptp(corners, axis=0)
+    assert width == pytest.approx(height)
+
+
+def test_a_robot_is_drawn_in_a_frame_of_its_own(entities):
+    body = entities["robot/robot 2"]
+    assert body.frame_id == "robot/robot 2"
+    assert body.triangles[0].points[0].x > 0  # the nose points along the heading
+    assert body.texts[0].text == "robot 2"
+
+
+def rgb_of(entity):
+    color = entity.triangles[0].color
+    return [round(255 * part) for part in (color.r, color.g, color.b)]
+
+
+def test_colors_are_the_specs_or_the_lists(entities):
+    assert rgb_of(entities["robot/robot 0"]) == [0x00, 0x9E, 0x73]  # the spec's "green"
+    assert rgb_of(entities["robot/robot 1"]) == [0x00, 0x72, 0xB2]  # the spec's "#0072b2"
+    assert rgb_of(entities["robot/robot 2"]) == [0xD5, 0x5E, 0x00]  # the list's, the spec has none
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("um", 1e-6), ("mm", 1e-3), ("cm", 1e-2), ("m", 1)])
+def test_every_unit_comes_to_metres(unit, metres):
+    scene = Scene(experiment(1, units={"length": unit}).setup).static(EPOCH_NS)
+    box = corners_of(next(item for item in scene.entities if item.id == "obstacle/0"))
+    assert np.ptp(box[:, 0]) == pytest.approx(200 * metres)

@@ -1,5 +1,6 @@
 """A log is whole or says what it lacks: by its file, its source, its result and its digests."""
 
+import pytest
 from testkit.mutate import rewritten
 from testkit.paths import ROOT
 
@@ -67,3 +68,28 @@ def test_an_altered_log_is_not_whole_though_all_its_records_can_be_read(tmp_path
     assert losses(raw, trial_of(raw))[0].startswith("control step")
     copied = rewritten(altered, tmp_path / "copied.mcap", in_order=True, keeps_name=True)
     assert scan(copied).altered
+
+
+def test_a_whole_log_has_no_damage_and_no_losses():
+    raw = scan(WHOLE)
+    assert not raw.damaged
+    assert trial_of(raw).damage is None
+    assert overview(WHOLE).damage is None
+    assert losses(raw, trial_of(raw)) == ()
+
+
+TORN = ROOT / "tests/golden/format-4-torn.mcap"
+
+
+def test_a_torn_log_says_what_is_torn():
+    raw = scan(TORN)
+    assert raw.damaged
+    damage = trial_of(raw).damage
+    assert damage is not None
+    assert damage.problems == tuple(raw.problems)
+
+
+@pytest.mark.parametrize("log", [WHOLE, TORN])
+def test_a_result_that_is_known_has_no_reason_to_be_unknown(log):
+    raw = scan(log)
+    assert (raw.result is None) == isinstance(raw.result_or_why_not, str)

@@ -2,6 +2,7 @@
 
 import pytest
 
+from tetractl.core.errors import UsageError
 from tetractl.log.read.find import find_logs
 
 
@@ -54,3 +55,11 @@ def test_what_was_set_aside_is_found_where_it_is_asked_for(folder):
         "trial-2.attempt-1.mcap",
         "trial-2.attempt-2.mcap.part",
     }
+
+
+def test_a_pattern_may_be_relative_and_what_is_none_is_named(folder, monkeypatch):
+    monkeypatch.chdir(folder / "b")
+    assert list(map(str, find_logs(["d*/**/*.mcap"]))) == ["deep/er/trial-0.mcap"]
+    assert list(map(str, find_logs(["../o*/*.mcap"]))) == ["../odd/odd[1].mcap"]
+    with pytest.raises(UsageError, match=r"^a\*\*:"):
+        find_logs(["a**"])

@@ -69,3 +69,14 @@ def test_the_numbers_of_another_writer_are_not_taken_for_those_of_the_format(tmp
     writer.register_channel("/other", "protobuf", 0)
     counts = without_second_chunk(tmp_path / "log.mcap", writer, stream, add)
     assert counts == {RUN: 1}
+
+
+def test_messages_of_a_channel_whose_record_is_lost_are_read_by_their_number(tmp_path):
+    stream = BytesIO()
+    writer = FileWriter(stream)
+
+    def add(topic):
+        writer.add(Entry(topic, 0, 0, b""))
+
+    counts = without_second_chunk(tmp_path / "log.mcap", writer, stream, add)
+    assert counts == {RUN: 1, LOG: 1}

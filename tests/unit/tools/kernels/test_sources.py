@@ -109,3 +109,7 @@ def test_the_module_of_an_arguments_class_counts(tmp_path, monkeypatch):
         digests.append(digest(lambda lanes: lanes, (types.Tuple([kind]),)))
     sys.modules.pop("stranger_lanes")
     assert digests[0] != digests[1]
+
+
+def test_the_same_sources_give_the_same_digest(stranger):
+    assert stranger() == stranger()

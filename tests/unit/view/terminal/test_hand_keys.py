@@ -7,7 +7,7 @@ import pytest
 
 from tetractl.core.errors import UsageError
 from tetractl.spec.load import parse_contents
-from tetractl.view.terminal.hand_keys import HandKeys, Wish, read_script, task
+from tetractl.view.terminal.hand_keys import MOUSE_OFF, MOUSE_ON, HandKeys, Wish, read_script, task
 
 NORTH = math.pi / 2
 
@@ -160,3 +160,37 @@ def test_a_key_that_answers_the_words_before_they_are_waited_for_counts(key, ans
     steering.forget()
     steering.press(key)
     assert steering.await_answer() == answer
+
+
+@pytest.mark.parametrize(
+    "keys", [[], ["x"], ["<0;20;10M"], ["<0;20;10M", "<32;20;10M"], ["<32;9;9M"], ["<2;9;9M"]]
+)
+def test_other_keys_and_the_mouse_without_a_drag_ask_for_nothing(keys):
+    assert wanted(*keys).direction is None
+
+
+def test_the_robots_of_a_lab_do_not_wait():
+    steering = HandKeys(lambda: False)
+    steering.press("up")
+    steering.press("p")
+    assert not steering.pauses
+
+
+def test_a_trial_that_ends_before_the_first_key_is_not_waited_for():
+    assert HandKeys(lambda: True).ask(0.0) is None
+
+
+def test_a_hand_that_still_steers_answers_nothing():
+    steering = HandKeys(lambda: True)
+    for key in ("up", "space", "x", "[<32;24;8M"):
+        steering.press(key)
+    assert steering.await_answer() == "q"  # of a trial that has ended for another reason
+
+
+def test_the_terminal_tells_of_its_mouse_inside_the_block_alone(capsys):
+    steering = HandKeys(lambda: False)
+    with pytest.raises(RuntimeError), steering:
+        assert capsys.readouterr().err == MOUSE_ON
+        raise RuntimeError
+    assert capsys.readouterr().err == MOUSE_OFF
+    assert steering.ask(0.0) is None  # a thread that still asks ends

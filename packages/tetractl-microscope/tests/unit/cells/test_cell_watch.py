@@ -13,6 +13,7 @@ from tetractl_microscope.choice.candidate import RobotCandidate
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
+from tetractl.core.guard_findings import Lose
 from tetractl.core.poses import Pose
 from tetractl.core.trial import Note
 from tetractl.spec.lab_section import LabLimits
@@ -95,3 +96,9 @@ def test_the_lab_aborts_where_its_camera_does_not_know_for_long_who_is_who():
     plant.stop()
     plant.close()
     assert [text.split(":")[0] for text in notes] == ["blue has met another cell"]
+
+
+def test_a_cell_that_has_divided_is_lost():
+    watch = CellWatch(Dish(divided={BLUE}), deque(), SETUP, 3.0)
+    text = "blue has divided, or has parted from an unknown cell"
+    assert list(watch.lost()) == [Lose(BLUE, text)]

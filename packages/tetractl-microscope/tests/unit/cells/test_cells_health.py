@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from tetractl_microscope.cells.cells_health import SeenDish, dish_lines, sharpness
+from tetractl_microscope.cells.cells_health import BLURRED, SeenDish, dish_lines, sharpness
 from tetractl_microscope.cells.detect_cells import Light
 from tetractl_microscope.pictures.searches import PictureSearch
 
@@ -79,3 +79,15 @@ def test_health_says_what_is_wrong_in_words(changes, width_px, says):
     problems, warnings = dish_lines(("first", "second"), searches(**changes), width_px)
     lines = [*problems, *warnings]
     assert (lines == []) if not says else any(says in line for line in lines)
+
+
+@pytest.mark.parametrize(("blur_px", "is_blurred"), [(0.6, False), (2.0, False), (4.0, True)])
+def test_rims_are_blurred_in_any_direction(blur_px, is_blurred):
+    for angle in (0.0, 0.7, math.pi / 2):
+        assert (sharpness_of(angle, blur_px) < BLURRED) == is_blurred
+
+
+def test_no_sharpness_without_contrast_or_without_cells():
+    picture, cells = picture_of_a_cell(0.0, 1.0)
+    assert sharpness(picture, cells, UM_PX, None) is None
+    assert sharpness(picture, [], UM_PX, CONTRAST) is None

@@ -1,10 +1,40 @@
-"""What a place in a blob costs a cell that may share it."""
+"""What blobs cost cells and specks, and which blob each of them gets."""
 
+import itertools
+import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tetractl_microscope.cells.match import NONE, SHARED, SHARED_LARGE, _shared_costs
+from hypothesis import given
+from hypothesis import strategies as st
+from tetractl_microscope.cells.cell import BodySize, PathBlob
+from tetractl_microscope.cells.match import (
+    NEVER,
+    NONE,
+    NONE_EACH,
+    NONE_SPECK,
+    PLACE_UM,
+    SHARED,
+    SHARED_LARGE,
+    SIZE_MOST,
+    SIZE_SHARE,
+    SPECK,
+    SPECK_SD,
+    STOPPED_FAR,
+    STOPPED_LEAST,
+    STOPPED_MOST,
+    CellCosts,
+    SpeckCosts,
+    _shared_costs,
+    assigned,
+    cell_costs,
+    centres_in_blob,
+    speck_costs,
+)
+from tetractl_microscope.cells.picture_now import PictureNow
+from tetractl_microscope.cells.specks import Speck
+from tetractl_microscope.organisms import TETRAHYMENA
 
 CELL_UM2 = 100.0
 
@@ -20,3 +50,154 @@ def test_a_blob_too_large_for_one_cell_is_shared_at_less_cost(times_as_large, mi
     pixels = np.array([[50.0, 50.0]])
     blob = SimpleNamespace(x=50.0, y=50.0, long=20.0, wide=5.0 * times_as_large, pixels=pixels)
     assert _shared_costs([cell], pixels, [blob], um_px=1.0).tolist() == [[cost]]
+
+
+ORGANISM = TETRAHYMENA
+LENGTH_UM, WIDTH_UM = ORGANISM.body_um
+NOW = PictureNow(seconds=1.0, passed_s=1 / 30, um_px=2.0, height=500, width=500)
+SPREAD = 9.0 * np.eye(2)[None]
+
+
+def size_of(scale=1.0):
+    return BodySize(LENGTH_UM * scale, WIDTH_UM * scale)
+
+
+def cell_seen(missed_s=0.0):
+    return SimpleNamespace(size=size_of(), missed_s=missed_s)
+
+
+def costs_at(dx, dy=0.0, scale=1.0, missed_s=0.0):
+    """The cost of a blob so far from where a cell is expected [um], and whether it is away."""
+    places = np.array([[400 + dx, 400 + dy, 0.3, LENGTH_UM * scale, WIDTH_UM * scale]])
+    expected = np.array([[400.0, 400.0, 0.3]])
+    blob = SimpleNamespace(x=0.0, y=0.0, long=1.0, wide=1.0, pixels=np.zeros((1, 2)))
+    costs = cell_costs([cell_seen(missed_s)], expected, SPREAD, [blob], places, NOW, ORGANISM)
+    assert costs.shared.tolist() == [[NONE]]
+    return float(costs.own[0, 0]), bool(costs.is_away[0, 0])
+
+
+@pytest.mark.parametrize(("dx", "dy"), [(0.0, 0.0), (6.0, 0.0), (0.0, -6.0), (5.0, 12.0)])
+def test_a_blob_near_a_cell_costs_its_squared_deviation(dx, dy):
+    variance = 9.0 + PLACE_UM**2
+    assert costs_at(dx, dy) == (pytest.approx((dx**2 + dy**2) / variance), False)
+
+
+def test_a_blob_of_another_size_costs_more_up_to_a_limit():
+    costs = [costs_at(0.0, scale=scale)[0] for scale in (1.0, 1.1, 1.3, 5.0)]
+    assert costs[0] == 0.0
+    assert costs[1] == pytest.approx(2 * (math.log(1.1) / SIZE_SHARE) ** 2)
+    assert costs == sorted(costs)
+    assert costs[-1] == SIZE_MOST
+    assert costs_at(0.0, scale=1 / 1.1)[0] == pytest.approx(costs[1])
+
+
+def test_a_blob_of_the_cells_size_farther_off_may_be_a_cell_that_has_stopped():
+    reach = STOPPED_FAR * LENGTH_UM
+    cost, is_away = costs_at(0.9 * reach)
+    assert is_away
+    assert cost == pytest.approx(STOPPED_LEAST + (STOPPED_MOST - STOPPED_LEAST) * 0.81)
+    assert costs_at(1.1 * reach) == (NONE, False)  # too far
+    assert costs_at(0.9 * reach, scale=1.6) == (NONE, False)  # too large
+    assert costs_at(0.9 * reach, scale=0.6) == (NONE, False)  # too small
+    assert costs_at(1.05 * reach, missed_s=0.05)[1]  # farther, the longer it had no blob
+    assert costs_at(0.9 * reach, missed_s=0.5) == (NONE, False)  # lost too long ago
+
+
+def speck_at(*path):
+    """A speck with blobs at these times [s] and x [um]."""
+    return Speck(1, [PathBlob(s, x, 100.0, 0.0, LENGTH_UM, WIDTH_UM) for s, x in path])
+
+
+def test_a_speck_takes_the_blob_where_its_motion_leads():
+    passed = 1 / 30
+    speck = speck_at((0.0, 100.0), (passed, 110.0), (2 * passed, 120.0))
+    xs = [130.0, 130.0 + 0.1 * LENGTH_UM, 130.0 + 0.9 * LENGTH_UM, 120.0]
+    places = np.array([[x, 100.0, 0.0, LENGTH_UM, WIDTH_UM] for x in xs])
+    costs = speck_costs([speck], places, 3 * passed, passed, ORGANISM)
+    ahead, near, far, behind = costs.blobs[0]
+    assert ahead == pytest.approx(SPECK)
+    assert near == pytest.approx(SPECK + (0.1 / SPECK_SD) ** 2)
+    assert far == NEVER
+    assert SPECK < behind < costs.none[0]
+    assert costs.none.tolist() == [NONE_SPECK + 3 * NONE_EACH]
+
+
+def test_a_long_known_speck_is_given_up_at_the_cost_of_a_cell():
+    speck = speck_at(*((number / 30, 100.0) for number in range(40)))
+    costs = speck_costs([speck], np.zeros((0, 5)), 2.0, 1 / 30, ORGANISM)
+    assert costs.none.tolist() == [NONE]
+
+
+def cheapest(cells):
+    """The lowest total cost of all ways to give blobs to cells, one after the other."""
+    count, blobs = cells.own.shape
+    ways = [
+        [
+            (NONE, None),
+            *((cells.own[i, j], j) for j in range(blobs)),
+            *((cells.shared[i, j], None) for j in range(blobs)),
+        ]
+        for i in range(count)
+    ]
+    totals = []
+    for way in itertools.product(*ways):
+        owned = [blob for _, blob in way if blob is not None]
+        if len(set(owned)) == len(owned):
+            totals.append(sum(cost for cost, _ in way))
+    return min(totals)
+
+
+def total_cost(cells, of_cells):
+    """The cost of an assignment: one cell at most has a blob of its own, the others share it."""
+    total = 0.0
+    for blob in set(of_cells):
+        with_it = [i for i, other in enumerate(of_cells) if other == blob]
+        if blob is None:
+            total += NONE * len(with_it)
+            continue
+        shared = [float(cells.shared[i, blob]) for i in with_it]
+        saved = [cost - cells.own[i, blob] for cost, i in zip(shared, with_it, strict=True)]
+        total += sum(shared) - max(0.0, *saved)
+    return total
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 3), st.integers(1, 3))
+def test_the_assignment_is_the_cheapest_of_all(seed, count, blobs):
+    rng = np.random.default_rng(seed)
+    own = rng.uniform(0, 120, (count, blobs)).clip(max=NONE)
+    shared = np.where(rng.random((count, blobs)) < 0.5, NONE, rng.uniform(30, 90, (count, blobs)))
+    cells = CellCosts(own, shared, np.zeros_like(own, dtype=bool))
+    found = assigned(cells, SpeckCosts(np.zeros((0, blobs)), np.zeros(0)))
+    assert total_cost(cells, found.of_cells) == pytest.approx(cheapest(cells))
+
+
+def test_a_speck_gets_no_blob_of_a_cell_and_none_that_is_dearer_than_nothing():
+    shared = np.full((1, 3), NONE)
+    cells = CellCosts(np.array([[5.0, NONE, NONE]]), shared, np.zeros((1, 3), dtype=bool))
+    specks = SpeckCosts(
+        np.array([[1.0, 20.0, NEVER], [NEVER, NEVER, 60.0]]), np.array([40.0, 50.0])
+    )
+    found = assigned(cells, specks)
+    assert found.of_cells == [0]
+    assert found.of_specks == [1, None]
+
+
+def test_two_cells_in_one_blob_are_found_at_its_two_ends():
+    rng = np.random.default_rng(3)
+    axes = np.array([0.4, 1.9])
+    centres = np.array([[100.0, 100.0], [100.0 + 0.9 * LENGTH_UM, 110.0]])
+    points = []
+    for centre, axis in zip(centres, axes, strict=True):
+        along = rng.normal(0, LENGTH_UM / 4, 2000)
+        aside = rng.normal(0, WIDTH_UM / 4, 2000)
+        cos, sin = math.cos(axis), math.sin(axis)
+        points.append(
+            centre + np.column_stack([along * cos - aside * sin, along * sin + aside * cos])
+        )
+    mixed = rng.permutation(np.concatenate(points))
+    starts = np.column_stack([centres + np.array([[4.0, -4.0], [-4.0, 3.0]]), axes])
+    owners = [cell_seen(), cell_seen()]
+    found = centres_in_blob(owners, starts, mixed)
+    assert found == pytest.approx(centres, abs=4.0)
+    swapped = centres_in_blob(owners, starts[::-1], mixed)
+    assert swapped == pytest.approx(found[::-1])

@@ -129,3 +129,23 @@ def test_a_candidate_is_where_it_was_in_its_picture(camera):
     search(camera, 2)
     places_um = {cell.number: (cell.pose.x, cell.pose.y) for cell in candidates}
     assert places_um == PLACES_UM
+
+
+def test_a_cell_that_a_trial_chose_has_not_divided_in_place_of_one_before(camera):
+    search(camera, 1)
+    assert camera.robots == (1, 2)
+    setup = camera._robots.setup
+    camera._tracker.mothers = (1,)
+    camera._tracker.when_born_asked = lambda: camera.settle(setup, [3, 2])
+    search(camera, 2)
+    assert camera.robots == (3, 2)
+    assert camera.divided == ()
+
+
+def test_a_division_is_noted_though_another_robot_is_replaced_meanwhile(camera):
+    search(camera, 1)
+    camera._tracker.mothers = (2,)
+    camera._tracker.when_born_asked = lambda: camera.replace(0, 3)
+    search(camera, 2)
+    assert camera.robots == (3, 2)
+    assert camera.divided == (1,)

@@ -1,6 +1,7 @@
 """The field's actuator: what it commands, and its life before an emulated driver."""
 
 import math
+import random
 from contextlib import suppress
 from types import SimpleNamespace
 
@@ -13,6 +14,7 @@ from testkit.microscope.field_bench import LIMITS, Bench, Wire, section
 from tetractl_emulator import firmware
 from tetractl_emulator.pictures.driver_core import DriverLimits
 from tetractl_microscope.coils.actuator import FieldActuator
+from tetractl_microscope.coils.driver import Driver, decode_command
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
@@ -299,3 +301,61 @@ def test_lab_stop_is_sent_next_to_a_run_that_has_the_port(stop_coils):
             stop_coils(stage)
         assert stop_coils(stage, alone=False) == "sent 10 stops"
     assert_is_latched(stage)
+
+
+def test_the_spec_may_state_the_strength_instead():
+    clock = VirtualClock()
+    setup = SimpleNamespace(**vars(SETUP) | {"strength": 1.5})
+    alone = section(strength_mt=None, slew_max_a_s=10_000)
+    actuator = FieldActuator(alone, setup, clock)
+    actuator.driver = Wire(clock)
+    sent = actuator.send(Steer(0.4), POSES, BOTH, 0)
+    assert sent.outputs["field_mt"] == pytest.approx(1.5, abs=0.005)
+    assert sent.turning == pytest.approx(A * np.sin(0.4 - np.array([0.2, -2.0])), abs=0.02)
+    assert list(alone.contradictions(setup)) == []
+    ((_, twice),) = section(strength_mt=2.0).contradictions(setup)
+    ((_, unknown),) = alone.contradictions(SETUP)
+    setup.strength_unit = "V/cm"
+    ((_, electric),) = alone.contradictions(setup)
+    assert "already" in twice
+    assert "strength is unknown" in unknown
+    assert "not in V/cm" in electric
+
+
+def test_commands_in_quick_succession_do_not_beat_the_slew_limit():
+    actuator, clock = virtual(slew_max_a_s=10)
+    for k in range(40):
+        clock.sleep_until(k * SECOND // 1000)  # 1 kHz
+        actuator.send(Steer(0.0), POSES, BOTH, 0)
+    assert max(map(abs, asked(actuator))) <= 10 * (0.025 + 0.039) + 0.001
+
+
+def test_once_one_stop_was_an_emergency_stop_every_command_is():
+    heard = []
+
+    def port(*_):
+        return SimpleNamespace(write=lambda data: heard.append(data) or 0)
+
+    driver = Driver("/dev/null", 115200, VirtualClock(), port)
+    for flag in (Flag.RUN, Flag.EMERGENCY_STOP, Flag(0), Flag.POLL):
+        driver.send(flag)
+    flags = [decode_command(frame[:-1]).flags for frame in heard]
+    assert [Flag.EMERGENCY_STOP in flag for flag in flags] == [False, True, True, True]
+
+
+@needs_compiler
+def test_another_speed_or_no_driver_is_told():
+    stage = Bench(baud=9600)
+    with stage.opened(SETUP) as actuator:
+        (problem,) = actuator.check().problems
+    assert "no current driver answers on" in problem
+    assert "at 115200 baud" in problem
+    assert stage.driver.garbled > 0
+
+
+@needs_compiler
+def test_garbage_on_the_line_is_dropped():
+    stage = Bench()
+    with stage.opened(SETUP) as actuator:
+        stage.port.write(random.Random(1).randbytes(2000) + b"\0" + b"\x05noise\0")
+        assert actuator.check().problems == ()

@@ -60,3 +60,12 @@ def test_approaching_is_a_straight_line_of_limited_steps(now, wished, step):
     assert largest_move == pytest.approx(min(step, peak), abs=1e-9)
     assert moves[0] * gaps[1] == pytest.approx(moves[1] * gaps[0], abs=1e-9)
     assert (got == wished) == (peak <= step) or step == pytest.approx(peak, abs=1e-9)
+
+
+def test_a_pair_of_coils_by_hand():
+    coils = made((2.0, -4.0), (0.1, -0.2), math.pi / 2)
+    x, y = coils.currents(math.pi / 2, 1.1, 10.0)  # along the x pair
+    assert (x, y) == (pytest.approx(0.5), pytest.approx(-0.05))
+    x, y = coils.currents(math.pi, 1.0, 10.0)  # along the y pair
+    assert (x, y) == (pytest.approx(-0.05), pytest.approx(-0.3))
+    assert coils.field((0.0, 0.0)) == (pytest.approx(0.2), pytest.approx(0.1))

@@ -13,6 +13,7 @@ from tetractl_microscope.coils import driver
 from tetractl_microscope.coils.driver import DriverStatus, FieldCommand, FieldReply
 
 from tetractl.core.errors import WireError
+from tetractl.lab import cobs
 from tetractl.lab.cobs import Flag
 
 COILS = FieldCommand(7, Flag.RUN | Flag.POLL, 300, -250)
@@ -101,3 +102,14 @@ def test_an_answer_to_an_earlier_poll_is_none_to_the_newest():
 
     assert driver.Driver("coils", 115_200, clock, LateDriver).ask() is None
     assert len(sent) == 5
+
+
+def test_an_unknown_flag_with_a_good_crc_is_refused():
+    with pytest.raises(WireError):
+        driver.decode_command(cobs.frame_with_crc(bytes.fromhex("53 01 08 00 00 00 00"))[:-1])
+
+
+def test_unknown_status_bits_of_a_driver_are_dropped():
+    raw = bytearray(cobs.decode(packed_reply(DRIVER)[:-1])[:-2])
+    raw[2] |= 0xE0
+    assert driver.decode_reply(cobs.frame_with_crc(bytes(raw))[:-1]) == DRIVER

@@ -298,3 +298,32 @@ def test_a_broken_graph_is_one_line_without_an_address_of_a_library(tmp_path):
         poses(path)
     assert "http" not in error.value.message and "directed" in error.value.message
     assert "\n" not in error.value.message
+
+
+def test_a_count_from_1_begins_at_time_0_if_a_rate_replaces_the_times(tmp_path):
+    path = tmp_path / "tracks.csv"
+    table = np.column_stack([NUMBER, K + 1, Y, X, K / HZ])
+    np.savetxt(path, table, delimiter=",", header="particle,frame,y,x,time_s", comments="")
+    assert np.allclose(poses(path, UM, HZ), POSES)
+
+
+@pytest.mark.parametrize(
+    ("header", "missing"),
+    [
+        ("number,frame,y,x", "particle, track_id or id missing"),
+        ("particle,picture,y,x", "frame, t or time_s missing"),
+        ("particle,frame,y,z", "x missing"),
+        ("particle,frame,row,col", "x; y missing"),
+    ],
+)
+def test_a_missing_column_is_named(header, missing, tmp_path):
+    """Regression: the hint named the columns of `identify`."""
+    path = placed(tmp_path / "a.csv", header, NUMBER, K, Y, X)
+    with pytest.raises(UsageError, match=f"no column of tracks: {missing}; its columns are"):
+        poses(path, UM, HZ)
+
+
+def test_a_table_without_rows_is_named(tmp_path):
+    (tmp_path / "a.csv").write_text("particle,frame,y,x\n")
+    with pytest.raises(UsageError, match=r"a\.csv: has no rows"):
+        poses(tmp_path / "a.csv", UM, HZ)

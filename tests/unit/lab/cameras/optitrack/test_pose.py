@@ -1,10 +1,11 @@
+import cmath
 import math
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.lab.cameras.optitrack.natnet import RigidBody, UpAxis, planar_pose
+from tetractl.lab.cameras.optitrack.natnet import Placement, RigidBody, UpAxis, planar_pose
 
 pytestmark = pytest.mark.slow
 
@@ -76,3 +77,27 @@ def test_heading_is_where_the_bodys_x_axis_points_also_when_tilted(heading, tilt
 def test_what_cannot_be_trusted_is_not_tracked(untracked):
     assert planar_pose(untracked, UpAxis.Z) is None
     assert planar_pose(untracked, UpAxis.Y) is None
+
+
+@given(
+    x=st.floats(-5, 5),
+    y=st.floats(-5, 5),
+    heading=angles,
+    rotation=angles,
+    scale=st.sampled_from([1.0, 1000.0]),
+)
+def test_a_placement_turns_scales_and_shifts_a_pose(x, y, heading, rotation, scale):
+    placement = Placement(x=70.0, y=-30.0, rotation=rotation, scale=scale)
+    seen = body((x, y, 0.25), turned_about(2, heading))
+    pose = placement.pose(seen, UpAxis.Z, heading_offset=0.1)
+    placed = complex(70.0, -30.0) + scale * complex(x, y) * cmath.exp(1j * rotation)
+    assert complex(pose.x, pose.y) == pytest.approx(placed)
+    assert same_angle(pose.heading, heading + 0.1 + rotation)
+    assert abs(pose.heading) <= math.pi
+    assert pose.height == pytest.approx(0.25 * scale)
+    assert pose.tilt == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_body_that_is_not_tracked_has_no_place():
+    placement = Placement(0.0, 0.0, 0.0, 1000.0)
+    assert placement.pose(body(valid=False), UpAxis.Z) is None

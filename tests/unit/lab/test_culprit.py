@@ -9,7 +9,16 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.robot_step import RobotStep
 from tetractl.core.setup import Bounds
-from tetractl.lab.culprit import CAMERA, RADIO, RECENT_NS, SWAPPED, Culprit
+from tetractl.lab.culprit import (
+    CAMERA,
+    MISFIT_NOISE,
+    RADIO,
+    RECENT_NS,
+    SHARE,
+    SWAPPED,
+    Culprit,
+    squares_of,
+)
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import ANOTHER, DOES_NOT_MOVE, WRONG_WAY
@@ -252,3 +261,34 @@ def test_robots_that_are_seen_at_times_of_their_own_are_named_as_others(seed):
     assert accused(pushed([0]), seed=seed, ages=ages) == ""
     assert accused(pushed([0, 1, 2]), seed=seed, ages=ages) == CAMERA
     assert accused(delay_s=0.5, seed=seed, ages=ages) == RADIO.format(0.5)
+
+
+def test_a_robot_that_moves_as_commanded_leaves_no_square():
+    sent = np.array([[[10.0, 5.0], [0.1, -0.2]], [[8.0, 5.0], [0.3, 0.4]]])  # (T, 2, n)
+    then = np.array([[100.0, 50.0, 0.7], [0.0, 0.0, -3.0]])
+    now = then.copy()
+    for ways, turns in sent:
+        course = now[:, 2] + turns / 2
+        now = now + np.column_stack([ways * np.cos(course), ways * np.sin(course), turns])
+    assert squares_of(then, now, sent) == pytest.approx(np.zeros(2), abs=1e-12)
+    whole_turn = now + np.array([0.0, 0.0, 2 * np.pi])
+    assert squares_of(then, whole_turn, sent) == pytest.approx(np.zeros(2), abs=1e-12)
+
+
+@pytest.mark.parametrize(("off", "size"), [(0, 18.0), (1, 18.0), (2, 0.4)])
+def test_a_deviation_counts_by_its_direction_and_by_what_was_commanded(off, size):
+    sent = np.array([[[10.0], [0.1]], [[8.0], [-0.3]]])
+    heading = 0.7 + 0.1 - 0.3
+    now = np.array([[0.0, 0.0, 0.7]])
+    for ways, turns in sent:
+        course = now[:, 2] + turns / 2
+        now = now + np.column_stack([ways * np.cos(course), ways * np.sin(course), turns])
+    deviation = 0.5
+    shift = {
+        0: (np.cos(heading) * deviation, np.sin(heading) * deviation, 0.0),
+        1: (-np.sin(heading) * deviation, np.cos(heading) * deviation, 0.0),
+        2: (0.0, 0.0, deviation),
+    }[off]
+    expected = (deviation / (MISFIT_NOISE[off] + SHARE[off] * size)) ** 2
+    squares = squares_of(np.array([[0.0, 0.0, 0.7]]), now + np.array(shift), sent)
+    assert squares == pytest.approx([expected])

@@ -183,3 +183,25 @@ def test_low_batteries_are_reported():
     assert low.warnings == ("green's battery is at 15 %",) and low.charge == 15
     assert empty.problems == ("blue's battery is at 5 %: charge it",)
     assert silent.warnings == ("red sends no battery state on /red/battery_state",)
+
+
+def predicted_heading(delay_s):
+    """The heading for which green's wheel speeds were meant, half a second into a turn."""
+    experiment = parse_spec(TEMPLATE, "graph.yaml", [f"lab.actuator.delay={delay_s}"]).experiment
+    robots, ports = robots_of(experiment)
+    clock = robots._clock
+    with robots:
+        for time_ns in range(0, SECOND // 2 + 1, SECOND // 10):
+            clock.sleep_until(time_ns)
+            robots.send(Steer(math.pi / 2), [Pose(500.0, 600.0, 0.2)] * 3, (True,) * 3, time_ns)
+    twist = Twist.deserialize(ports.sent["/green/cmd_vel"][-1])
+    a = experiment.setup.a[0]
+    return math.pi / 2 - math.asin(twist.angular.z / a), twist.angular.z
+
+
+def test_wheel_speeds_are_those_for_the_heading_when_they_will_act():
+    """A robot that turns on while commands travel is that much further when they arrive."""
+    now, turning = predicted_heading(0.0)
+    later, _ = predicted_heading(0.1)
+    assert now == pytest.approx(0.2, abs=0.02)
+    assert later - now == pytest.approx(0.1 * turning, rel=0.15)

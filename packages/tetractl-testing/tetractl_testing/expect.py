@@ -81,7 +81,7 @@ def near(what: str, ours: Any, theirs: Any, scale: Any, share: float = NEAR) -> 
     comparable_off = np.where(np.isfinite(off), off, np.inf)
     worst = int(np.argmax(comparable_off))
     problem = ""
-    if off.ravel()[worst] > share:
+    if comparable_off.ravel()[worst] > share:
         values = f"{ours.ravel()[worst]:.9g} and {theirs.ravel()[worst]:.9g}"
         problem = f"{values} in case {worst} of {off.size}"
     expect(what, problem)

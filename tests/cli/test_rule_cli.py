@@ -25,7 +25,7 @@ def commands(command=None, words=()):
 
 WITHOUT_JSON = ["init", "schema", "plot", "play", "replay", "export", "open", "report"]
 WITHOUT_JSON += ["study", "warm", "lab stop", "lab calibrate", "lab survey", "lab rehearse"]
-WITHOUT_JSON += ["lab markers", "export-rosbag", "rosbag-tables"]
+WITHOUT_JSON += ["lab markers", "lab bundle", "export-rosbag", "rosbag-tables"]
 """Commands that write files, play, or give what has no form but its own."""
 
 

@@ -1,0 +1,170 @@
+"""Which frames of a track a pass uses, and what the noise and the speed of its poses are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tetractl_identify.passes import (
+    SHORTEST_S,
+    UNSEEN_S,
+    TrackFrames,
+    intervals_used,
+    position_noise,
+    speed_wander,
+    speeds,
+)
+from tetractl_identify.tracks import Track
+
+from tetractl.core.errors import UsageError
+
+
+def frames_of(poses, time, used=None):
+    """M frames of N robots, all of them used."""
+    count, robots = poses.shape[:2]
+    return TrackFrames(
+        time=np.repeat(np.asarray(time, dtype=float)[:, None], robots, axis=1),
+        poses=poses,
+        used=np.ones((count, robots), dtype=bool) if used is None else used,
+        placed=np.zeros((count, robots), dtype=bool),
+        when=np.array([0.0]),
+        u=np.array([0.0]),
+        watchdog=np.inf,
+        lag=0.0,
+        hold=(0.0, 0.0, 0.0),
+    )
+
+
+def straight(speed, time, heading=0.6):
+    """Poses (M, 1, 3) of a robot that drives straight."""
+    way = speed * np.asarray(time)
+    heading = np.full(len(way), heading)
+    poses = np.column_stack([way * np.cos(heading), way * np.sin(heading), heading])
+    return poses[:, None]
+
+
+@given(st.floats(0.01, 5), st.integers(0, 99))
+def test_the_noise_of_positions_is_that_which_was_added(noise, seed):
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.uniform(0.04, 0.06, 4000))
+    poses = np.concatenate([straight(100.0, time), straight(30.0, time, -2.0)], axis=1)
+    clean = frames_of(poses.copy(), time)
+    assert position_noise([clean]) == pytest.approx([0.0, 0.0], abs=1e-9)
+    poses[:, 0, :2] += rng.normal(0, noise, (len(time), 2))
+    assert position_noise([frames_of(poses, time)]) == pytest.approx(
+        [noise, 0.0], rel=0.08, abs=1e-9
+    )
+
+
+def test_frames_that_are_not_used_say_nothing_of_the_noise():
+    time = np.arange(400) / 20
+    poses = straight(100.0, time)
+    used = np.arange(400)[:, None] % 10 != 4
+    poses[~used[:, 0]] += 50.0
+    assert position_noise([frames_of(poses, time, used)]) == pytest.approx([0.0], abs=1e-9)
+
+
+@given(st.floats(1, 400), st.floats(0.2, 3))
+def test_the_usual_speed_is_the_median_of_the_used_intervals(speed, factor):
+    time = np.cumsum(np.random.default_rng(1).uniform(0.04, 0.08, 300))
+    steady = frames_of(straight(speed, time), time)
+    other = frames_of(straight(factor * speed, time[:50]), time[:50])
+    assert speeds([steady]) == pytest.approx([speed])
+    assert speeds([other, steady]) == pytest.approx([speed])  # most intervals are of the first
+    stands = replace(steady, used=np.zeros((300, 1), dtype=bool))
+    assert np.isinf(speeds([stands])).all()
+    assert intervals_used([steady, other, stands]).tolist() == [350]
+
+
+def test_a_steady_speed_does_not_wander():
+    time = np.arange(600) / 20
+    assert speed_wander([frames_of(straight(120.0, time), time)]) == pytest.approx([0.0], abs=1e-9)
+    short = frames_of(straight(120.0, time[:15]), time[:15])
+    assert speed_wander([short]).tolist() == [0.0]
+    hidden = frames_of(straight(120.0, time), time, np.zeros((600, 1), dtype=bool))
+    assert speed_wander([hidden]).tolist() == [0.0]
+
+
+def test_a_speed_that_differs_between_seconds_wanders_by_its_deviation():
+    rng = np.random.default_rng(4)
+    time = np.arange(20 * 400) / 20
+    paces = np.repeat(100 * (1 + 0.1 * rng.normal(size=400)), 20)
+    way = np.concatenate([[0.0], np.cumsum(paces[:-1] / 20)])
+    poses = np.column_stack([way, 0 * way, 0 * way])[:, None]
+    assert speed_wander([frames_of(poses, time)]) == pytest.approx([0.1], rel=0.2)
+    scaled = poses * [[[1000.0, 1000.0, 1.0]]]
+    in_um = speed_wander([frames_of(scaled, time)])
+    assert in_um == pytest.approx(speed_wander([frames_of(poses, time)]))
+
+
+def test_the_time_in_which_lost_commands_stop_a_robot_is_no_wander():
+    rng = np.random.default_rng(5)
+    time = np.arange(20 * 200) / 20
+    stops = np.repeat(rng.random(1000) < 0.1, 4)  # a fifth of a second each
+    pace = np.where(stops, 0.0, 100.0)
+    way = np.concatenate([[0.0], np.cumsum(pace[:-1] / 20)])
+    poses = np.column_stack([way, 0 * way, 0 * way])[:, None]
+    assert speed_wander([frames_of(poses, time)])[0] < 0.06
+
+
+def track(time, poses, valid=None, sent=(0.0, 5.0), lag=0.0, until=np.inf):
+    count, robots = poses.shape[:2]
+    return Track(
+        source="made.csv",
+        origin="a test",
+        unit="mm",
+        names=tuple("abc"[:robots]),
+        time=np.asarray(time),
+        poses=poses,
+        valid=np.ones((count, robots), dtype=bool) if valid is None else valid,
+        sent=np.array(sent),
+        u=np.zeros(len(sent)),
+        until=until,
+        lag=lag,
+    )
+
+
+def test_a_robot_is_used_from_where_it_drives_and_from_the_first_direction_to_the_stop():
+    time = np.arange(0, 200) / 20
+    poses = straight(100.0, np.maximum(time - 4.0, 0.0))  # it stands until 4 s
+    frames = TrackFrames.of(track(time, poses, sent=(2.0, 3.0), until=9.0))
+    assert frames.time[0, 0] == pytest.approx(2.0)
+    assert frames.time[-1, 0] == pytest.approx(9.0)
+    acts = frames.time[:, 0] > 4.0 + 1e-6
+    assert (frames.used | frames.placed)[:, 0].tolist() == acts.tolist()
+    assert frames.placed.sum() == 1
+    lagging = TrackFrames.of(track(time, poses, sent=(2.0, 3.0), lag=0.1))
+    first = lagging.time[lagging.used | lagging.placed].min()
+    assert first == pytest.approx(4.05 - 0.3)  # where it certainly stands still
+
+
+def test_frames_that_follow_too_soon_are_left_out_and_a_gap_starts_a_robot_anew():
+    time = np.sort(np.concatenate([np.arange(0, 100) / 20, np.arange(0, 100) / 20 + 0.01]))
+    poses = straight(100.0, time)
+    valid = ~((time > 2.0) & (time < 2.0 + UNSEEN_S + 0.1))[:, None]
+    frames = TrackFrames.of(track(time, poses, valid))
+    assert np.diff(frames.time[:, 0]).min() >= SHORTEST_S - 1e-6
+    placed_s = frames.time[frames.placed]
+    assert len(placed_s) == 2
+    assert placed_s[1] == pytest.approx(2.0 + UNSEEN_S + 0.1, abs=0.05)
+    assert not (frames.used & frames.placed).any()
+    brief = ~((time > 2.0) & (time < 2.0 + UNSEEN_S - 0.12))[:, None]
+    assert TrackFrames.of(track(time, poses, brief)).placed.sum() == 1
+
+
+def test_rates_that_lagging_wheels_keep_are_weighted_by_their_times():
+    time = np.arange(0, 200) / 20
+    poses = straight(100.0, time)
+    sent = (0.0, 0.1, 0.4, 0.6)
+    frames = TrackFrames.of(track(time, poses, sent=sent, lag=0.2))
+    apart = np.array([0.1, 0.3, 0.2])
+    expected = [np.sum(apart ** (power + 1)) / np.sum(apart) for power in (1, 2, 3)]
+    assert frames.hold == pytest.approx(expected)
+    assert TrackFrames.of(track(time, poses, sent=sent)).hold == (0.0, 0.0, 0.0)
+
+
+def test_a_track_without_directions_is_refused():
+    time = np.arange(0, 20) / 20
+    with pytest.raises(UsageError, match=r"made\.csv: no direction was sent"):
+        TrackFrames.of(track(time, straight(100.0, time), sent=()))

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 from tetractl_emulator.lab_rehearse import observed
-from tetractl_emulator.rehearsal.day import play
+from tetractl_emulator.rehearsal.day import run_day
 from tetractl_emulator.rehearsal.day_plan import DayPlan
 
 from tetractl.spec.load import load_spec
@@ -87,13 +87,13 @@ def row(what: str, faults: Sequence[Mapping[str, Any]], seed: int) -> tuple[str,
     drawn = [{"kind": fault["fault"], "right": ".", **fault} for fault in faults]
     experiment = on_plant(load_spec(SPEC, sets), "emulated").experiment
     with tempfile.TemporaryDirectory() as scratch:
-        day = play(SPEC, sets, DayPlan(seed, {}, drawn), Path(scratch))
+        day = run_day(SPEC, sets, DayPlan(seed, {}, drawn), Path(scratch))
         truth, broken = observed(day, experiment, experiment.plant)  # type: ignore[arg-type]
         speeds = truth.wheel_speed_mm_s[-1]
         left = np.flatnonzero(speeds > 1.5)
         after_s = truth.times_s > truth.ended_s
         at_most = truth.wheel_speed_mm_s[after_s].max(initial=0.0)
-        last = [line for line in day.said.splitlines() if line.startswith("error:")]
+        last = [line for line in day.output.splitlines() if line.startswith("error:")]
     broken = [it for it in broken if not it.finding.startswith("left behind")]  # by the first plays
     findings = "; ".join(f"{it.name}: {it.finding}" for it in broken) or "none"
     reason = last[0].removeprefix("error: ") if last else "trial counts"

@@ -33,7 +33,7 @@ def many(robots: int, seed: int) -> Problem:
         motion="exact",
         period=0.2,
         first_period=0.2,
-        obstacles=Obstacles.of(),
+        obstacles=Obstacles.from_shapes(),
         obstacle_weight=1000.0,
         swept=False,
     )

@@ -26,7 +26,7 @@ from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats, Observation, Poses, Sample
-from tetractl.core.tour import TourMeasure
+from tetractl.core.route_measure import RouteMeasure
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Result, Verdict
 from tetractl.log.write.writer import LogWriter
 from tetractl.spec.load import parse_spec
@@ -132,7 +132,7 @@ def convert(folder: Path, out: Path, longest_s: float = math.inf) -> Path:
     path = out / f"{folder.name}.mcap"
     path.parent.mkdir(parents=True, exist_ok=True)
     stop = Command(Stop(), commands[-1].sent_ns + 1, (True,) * len(ROBOTS))
-    last = Poses.of(np.array([p[0, 1:] for p in poses]))
+    last = Poses.from_array(np.array([p[0, 1:] for p in poses]))
     with LogWriter(path) as log:
         log.on_start(start_of(spec, 0, PlantInfo("lab", False, 60.0, {}), EPOCH_NS))
         due = iter(commands)
@@ -143,7 +143,7 @@ def convert(folder: Path, out: Path, longest_s: float = math.inf) -> Path:
                 log.on_command(command)
                 command = next(due, None)
             valid = ~np.isnan(row[:, 0])
-            last = Poses.of(np.where(valid[:, None], row, last.array()))
+            last = Poses.from_array(np.where(valid[:, None], row, last.array()))
             log.on_samples([Sample(Observation(m, t_ns, t_ns, last, valid), None, ())])
         log.on_stop(stop, ended(spec, last, until_s))
     return path
@@ -153,7 +153,7 @@ def ended(spec: LoadedSpec, final: Poses, duration_s: float) -> Result:
     """Return the result of a recording: only that it ended."""
     setup = spec.experiment.setup
     robots = len(ROBOTS)
-    return Result.of(
+    return Result.from_verdict(
         setup,
         Verdict(final, (False,) * robots, (math.inf,) * robots),
         outcome=Outcome.INTERRUPTED,
@@ -161,7 +161,7 @@ def ended(spec: LoadedSpec, final: Poses, duration_s: float) -> Result:
         duration_s=duration_s,
         solve_ns=(),
         deadline_misses=0,
-        tour=TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed),
+        route=RouteMeasure(setup.legs, setup.hold, setup.loss, setup.speed),
     )
 
 

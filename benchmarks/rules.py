@@ -35,7 +35,7 @@ from tetractl.control.methods.fixed_sequence import best_stop
 from tetractl.control.methods.lengths import Searcher
 from tetractl.control.methods.mpc import Mpc
 from tetractl.control.methods.mpc_section import PriorSection, RecommendedMpc
-from tetractl.control.methods.value import Worth
+from tetractl.control.methods.value import CandidateValues
 from tetractl.control.search import margins, near_targets
 
 COMMON = ("base", "bench", "base-5hz")
@@ -84,12 +84,14 @@ def _returns(owner: Any, name: str, value: Any) -> tuple[Any, str, Any]:
 
 def _value(**changes: Any) -> tuple[Any, str, Any]:
     """Return the part by which plans are valued as if the words `changes` were true of each."""
-    plan = Worth.plan
+    plan = CandidateValues.plan
 
-    def changed(self: Worth, error: float, length: int, new: bool, touches: bool = False) -> float:
+    def changed(
+        self: CandidateValues, error: float, length: int, new: bool, touches: bool = False
+    ) -> float:
         return plan(self, error, length, **({"new": new, "touches": touches} | changes))
 
-    return Worth, "plan", changed
+    return CandidateValues, "plan", changed
 
 
 def _as_usual(self: Mpc, step: mpc.ControlStep, warm: Any) -> Any:
@@ -153,11 +155,11 @@ RULES = {
         ),
     ),
     # passages: tetractl.control.methods.passage
-    "tree": Rule(((mpc, "ways", lambda *_: iter(())),), ("gap", "eight")),
+    "tree": Rule(((mpc, "find_sequences", lambda *_: iter(())),), ("gap", "eight")),
     "thread": Rule(((Mpc, "_drive", lambda _, __, best: best),), ("gap",)),
     "rest where robots stray from a passage": Rule((_returns(Mpc, "_strays", False),), ("gap",)),
     "narrow margins of a tree": Rule(((Mpc, "_with_margins", _known_margins),), ("gap",)),
-    "ways of a tree round obstacles": Rule(((passage, "_grid_ways", _bee_lines),), ("gap",)),
+    "ways of a tree round obstacles": Rule(((passage, "_grid_distances", _bee_lines),), ("gap",)),
     # lengths and values
     "shortening": Rule(
         ((Searcher, "shorten", lambda self, *_: self.found[-1].length),), (*TIME, "sticking-5hz")
@@ -171,7 +173,7 @@ RULES = {
         (_returns(RecommendedMpc, "patience_s", math.inf),),
         ("sticking-5hz", "wander", "saturated-2", "cells-pause"),
     ),
-    "time has a price": Rule(((Worth, "price", 0.0),), ("wander", *TIME)),
+    "time has a price": Rule(((CandidateValues, "price", 0.0),), ("wander", *TIME)),
     "to touch a margin costs": Rule((_value(touches=False),), WALLS),
     # margins
     "margins for uncertain motion": Rule(((margins, "SIGMAS", 0.0),), WALLS),

@@ -33,7 +33,7 @@ pytestmark = pytest.mark.slow
 EXPERIMENTS = [path for path in SPECS if "type: lab" not in path.read_text()]
 EXPERIMENTS.sort(key=lambda path: path.stem != "three_m3pi")
 ELSEWHERE = (  # a faster test runs them, or their like
-    "magnetospirillum_hold",  # holds: test_tour.py
+    "magnetospirillum_hold",  # holds: test_route_measure.py
     "microjet_hold",
     "tetrahymena_hold",
     "three_m3pi_lab",  # in the emulated lab: its plays

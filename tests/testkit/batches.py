@@ -34,7 +34,7 @@ def result(errors: Sequence[float], **fields: Any) -> Result:
         "duration_s": 6.2,
         "total_error": float(np.sum(errors)),
         "robot_errors": tuple(float(error) for error in errors),
-        "verdict": Verdict(Poses.of(np.zeros((n, 3))), (False,) * n, (100.0,) * n),
+        "verdict": Verdict(Poses.from_array(np.zeros((n, 3))), (False,) * n, (100.0,) * n),
         "solve_ns": (1_000_000, 2_000_000, 3_000_000),
         "deadline_misses": 0,
     }
@@ -44,7 +44,7 @@ def result(errors: Sequence[float], **fields: Any) -> Result:
 def trial(
     path: str, spec: Experiment, result: Result, index: int = 0, **fields: Any
 ) -> ResultSummary:
-    origin = Origin.of(spec, PlantInfo("", True, 120.0, {}))
+    origin = Origin.from_spec(spec, PlantInfo("", True, 120.0, {}))
     facts: dict[str, Any] = {"seed": 1, "origin": origin, "recovered": False, "digest": None}
     return ResultSummary(path, spec, trial=index, result=result, **(facts | fields))
 
@@ -63,4 +63,4 @@ def group(
     trials: Sequence[ResultSummary], damaged: Sequence[Damaged] = (), name: str = ""
 ) -> BatchStatistics:
     """The trials and earlier attempts described."""
-    return describe(Batch.of(trials, damaged), name)
+    return describe(Batch.from_results(trials, damaged), name)

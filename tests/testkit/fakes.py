@@ -48,7 +48,7 @@ class FakePlant:
         self.happenings = happenings
         self.clock = clock
         self.simulated = simulated
-        self.verdict = Verdict(Poses.of(FINAL), (False,) * 3, (40.0, 12.0, 300.0))
+        self.verdict = Verdict(Poses.from_array(FINAL), (False,) * 3, (40.0, 12.0, 300.0))
         self.frames = 0
         self.steered: list[tuple[int, float]] = []
 
@@ -71,7 +71,7 @@ class FakePlant:
         self.frames = self.clock.now() * 10 // SECOND + 1
         return [Sample(self._frame(number), None) for number in range(first, self.frames)]
 
-    def news(self):
+    def events(self):
         return []
 
     def stop(self):
@@ -88,7 +88,7 @@ class FakePlant:
 
     def _frame(self, number):
         when = number * SECOND // 10
-        return Observation(number, when, when, Poses.of(STARTS), np.ones(3, np.bool_))
+        return Observation(number, when, when, Poses.from_array(STARTS), np.ones(3, np.bool_))
 
 
 class FakeController:

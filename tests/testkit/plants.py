@@ -54,7 +54,7 @@ def driven(simulated: SimPlant, directions=DIRECTIONS, period: int = PERIOD):
         commands.append(simulated.send(Steer(direction)))
         simulated.clock.sleep_until((k + 1) * period)
         samples += simulated.samples()
-        commands += simulated.news()
+        commands += simulated.events()
     return commands, samples
 
 

@@ -58,14 +58,14 @@ def problem(world: World, separation: float = 0.0, drifts: bool = False) -> Prob
     robots = np.array(world.robots)
     rng = np.random.default_rng(len(robots))
     return Problem(
-        poses=Poses.of(robots[:, :3]),
+        poses=Poses.from_array(robots[:, :3]),
         targets=robots[:, 3:5],
         a=robots[:, 5],
         speed=robots[:, 6],
         motion=world.model,
         period=world.period,
         first_period=world.period,
-        obstacles=Obstacles.of([thing.shape() for thing in world.obstacles]),
+        obstacles=Obstacles.from_shapes([thing.shape() for thing in world.obstacles]),
         obstacle_weight=world.weight,
         swept=world.swept,
         separation=separation,

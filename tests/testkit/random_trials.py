@@ -161,13 +161,13 @@ def write(random_trial: RandomTrial, path: Path, environment: str = "{}\n") -> P
 
 
 def _poses(rng: np.random.Generator, robots: int) -> Poses:
-    return Poses.of(rng.normal(1000, 300, (robots, 3)))
+    return Poses.from_array(rng.normal(1000, 300, (robots, 3)))
 
 
 def _single(poses: Poses) -> Poses:
     """True poses as precise as a log keeps them."""
     single = poses.array().astype(np.float32)
-    return Poses.of(single.astype(np.float64))
+    return Poses.from_array(single.astype(np.float64))
 
 
 def _as_logged(path: Floats) -> Floats:

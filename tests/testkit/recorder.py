@@ -36,7 +36,7 @@ class Recorder:
 
     @property
     def trial(self):
-        frames = Frames.of(self.samples, len(self.start.setup.names))
+        frames = Frames.from_samples(self.samples, len(self.start.setup.names))
         return TrialRecords(
             start=self.start,
             frames=frames.numbers,

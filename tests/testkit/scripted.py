@@ -15,7 +15,7 @@ TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])
 def observation_of(poses=STARTS, now_ns=0):
     """An observation of robots at poses (N, 3), all tracked, by default at the start."""
     all_valid = np.ones(len(poses), np.bool_)
-    return Observation(0, now_ns, now_ns, Poses.of(np.array(poses)), all_valid)
+    return Observation(0, now_ns, now_ns, Poses.from_array(np.array(poses)), all_valid)
 
 
 def still():

@@ -135,8 +135,8 @@ def _line(row: _ListedKind) -> str:
     return f"{line}  [{row.problem}]" if row.problem else line
 
 
-def _columns(registry: "Registry", name: str, package: str, rest: str) -> str:
-    return f"{registry.what:<17} {name:<19} {package:<22} {rest}"
+def _columns(registry: "Registry", name: str, package: str, columns: str) -> str:
+    return f"{registry.what:<17} {name:<19} {package:<22} {columns}"
 
 
 def _home(kind: "Kind") -> str:

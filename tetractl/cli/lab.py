@@ -75,7 +75,7 @@ def check(
         print(dumps(preflight_items(preflight), indent=2, allow_nan=False))
     else:
         print_findings(preflight, LATENCY in stated_model(experiment).delays)
-    if not preflight.ready:
+    if not preflight.can_start:
         return Exit.FAILED
     if yes:
         return Exit.DONE

@@ -25,7 +25,7 @@ LIMITS = "lab.limits."
 def guard(
     logs: Logs,
     sets: Sets = None,
-    most: Annotated[
+    rows_max: Annotated[
         int,
         option("N", "Interventions to list for each log; the rest are counted.", "--most", min=0),
     ] = SHOWN_MAX,
@@ -51,7 +51,9 @@ def guard(
         watched.append((str(path), observe_log(log, _limits(log, sets or []))))
     counts = _counts([seen for _, seen in watched])
     items = {"logs": [_as_item(name, seen) for name, seen in watched], "checks": counts}
-    rows = [_events(name, seen, most) for name, seen in watched if seen.interventions and most]
+    rows = [
+        _events(name, seen, rows_max) for name, seen in watched if seen.interventions and rows_max
+    ]
     ui.show(as_json, items, [*rows, _totals(counts, len(watched))])
     return Exit.DONE
 
@@ -96,9 +98,9 @@ def _seconds(seen: "GuardReport", it: "Intervention") -> float:
     return (it.t_ns - seen.began_ns) / SECOND
 
 
-def _events(name: str, seen: "GuardReport", most: int) -> Table:
-    """Return a row for each intervention in a log, the first `most`."""
-    shown = seen.interventions[:most]
+def _events(name: str, seen: "GuardReport", rows_max: int) -> Table:
+    """Return a row for each of the first `rows_max` interventions in a log."""
+    shown = seen.interventions[:rows_max]
     columns = (
         Column("time s", [f"{_seconds(seen, it):.2f}" for it in shown]),
         Column("check", [it.check for it in shown], words=True),

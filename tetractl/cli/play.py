@@ -255,7 +255,7 @@ def _in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
     interrupt = game.interrupt
     emergency = threading.Event()
     entered = threading.Event()
-    keys = HandKeys(ended=lambda: interrupt.requested or emergency.is_set())
+    keys = HandKeys(has_ended=lambda: interrupt.requested or emergency.is_set())
     prompt = TerminalPrompt(console, entered) if ask_to_place else None
     watch = LabWatch(
         console,
@@ -326,7 +326,7 @@ def _controller_steers(game: Game, console: "Console", speed: float) -> str:
     from tetractl.view.terminal.live_screen import LiveView
 
     you = f"Your best: {_how_well(_best(game.yours), game.experiment)}."
-    keys = HandKeys(ended=lambda: game.interrupt.requested)
+    keys = HandKeys(has_ended=lambda: game.interrupt.requested)
     aside = (
         f"{you} Now the controller, from the same start. Dots: its plan, made again at each step."
     )

@@ -98,7 +98,7 @@ class Playlist:
     def play(self, console: "Console", paused: bool) -> bool:
         """Play on the terminal's screen until q is pressed; return whether a signal ended it."""
         from tetractl.view.player import Player, span
-        from tetractl.view.terminal.replay_screen import play
+        from tetractl.view.terminal.replay_screen import play_trials
 
         recording = self._open(self._paths[0])
         player = Player(
@@ -109,7 +109,7 @@ class Playlist:
             loop=self._loop,
             paused=paused,
         )
-        return play(console, player, len(self._paths), self._turn_to)
+        return play_trials(console, player, len(self._paths), self._turn_to)
 
     def print_all(self) -> None:
         """Print each log as lines."""

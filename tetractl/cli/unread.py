@@ -176,16 +176,16 @@ def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[No
         thread.join()
 
 
-def _watch_readers(streams: list[int], ended: threading.Event, main_thread: int) -> None:
-    """Send SIGHUP to the main thread once no stream has a reader, unless `ended` is set before."""
+def _watch_readers(streams: list[int], has_ended: threading.Event, main_thread: int) -> None:
+    """Send SIGHUP to the main thread if no stream has a reader before `has_ended` is set."""
     poll = select.poll()
     for stream in streams:
         poll.register(stream, 0)  # 0: report errors only
     read = set(streams)
-    while read and not ended.is_set():
+    while read and not has_ended.is_set():
         for stream, event in poll.poll(READERS_LOOK_MS):
             if event & GONE:
                 poll.unregister(stream)
                 read.discard(stream)
-    if not ended.is_set():
+    if not has_ended.is_set():
         signal.pthread_kill(main_thread, signal.SIGHUP)

@@ -1,6 +1,6 @@
 """Where robots may not be, the region O of (13): shapes, and what lies outside an arena's walls.
 
-    obstacles = Obstacles.of(setup.obstacles, margin=40.0, walls=setup.arena)
+    obstacles = Obstacles.from_shapes(setup.obstacles, margin=40.0, walls=setup.arena)
     obstacles.distance(x, y)  # of each point to the nearest obstacle, negative inside
 
 `Obstacles` keeps all shapes in a few arrays, which compiled kernels read: see
@@ -50,7 +50,7 @@ class Obstacles:
     """The walls at LEFT, BOTTOM, RIGHT and TOP, shape (4,). Shape (0,) if there are no walls."""
 
     @classmethod
-    def of(
+    def from_shapes(
         cls, shapes: Sequence[Shape] = (), margin: float = 0.0, walls: Bounds | None = None
     ) -> Self:
         """Combine shapes and the walls of an arena, all grown by a margin.
@@ -103,8 +103,8 @@ class Obstacles:
     @cached_property
     def shapes(self) -> tuple[Shape, ...]:
         """The shapes, as the readable functions below use them."""
-        of_all = zip(self.corners, self.corner_counts, self.radii, strict=True)
-        return tuple(Shape(corners[:count], radius) for corners, count, radius in of_all)
+        outlines = zip(self.corners, self.corner_counts, self.radii, strict=True)
+        return tuple(Shape(corners[:count], radius) for corners, count, radius in outlines)
 
     @property
     def inside(self) -> Bounds | None:

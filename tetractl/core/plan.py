@@ -78,7 +78,7 @@ class Problem:
 
         return replace(
             self,
-            poses=Poses.of(self.poses.array()[chosen]),
+            poses=Poses.from_array(self.poses.array()[chosen]),
             targets=self.targets[chosen],
             a=self.a[chosen],
             speed=self.speed[chosen],
@@ -248,7 +248,7 @@ class Plan:
         """Number of cost evaluations of the whole control step."""
         return sum(search.evaluations for search in self.searches)
 
-    def of_all(self, present: Bools, poses: Poses) -> "Plan":
+    def extend_to_all(self, present: Bools, poses: Poses) -> "Plan":
         """Extend a plan for the robots that are present to all N robots.
 
         Args:

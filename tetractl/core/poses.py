@@ -69,7 +69,7 @@ class Poses:
     heading: Floats
 
     @classmethod
-    def of(cls, array: Floats) -> Self:
+    def from_array(cls, array: Floats) -> Self:
         """Return poses from an array of shape (N, 3): x, y, heading."""
         x, y, heading = array.T
         return cls(np.ascontiguousarray(x), np.ascontiguousarray(y), np.ascontiguousarray(heading))
@@ -134,7 +134,7 @@ class CameraFrame:
     sampled_ns: int
     received_ns: int
     poses: tuple[Pose | None, ...]
-    strangers: tuple[Pose, ...] = ()
+    unknown_objects: tuple[Pose, ...] = ()
     fault: str = ""
     exposed_ns: tuple[int, ...] = ()
 

@@ -49,7 +49,7 @@ class Plant(Protocol):
         """Return every camera frame since the last call, oldest first."""
         ...
 
-    def news(self) -> list[Command | Note]:
+    def events(self) -> list[Command | Note]:
         """Return what else happened since the last call, oldest first.
 
         This includes notes to the operator, and commands that the plant sent without a call of

@@ -12,8 +12,8 @@ import numpy as np
 from tetractl.core import elementwise
 from tetractl.core.losses import LossRule
 from tetractl.core.poses import UNSTATED, Floats, Poses, Sight
+from tetractl.core.route_measure import HoldTask
 from tetractl.core.shape import Shape
-from tetractl.core.tour import HoldTask
 
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 """The length of each unit that a spec may declare [m]."""
@@ -134,7 +134,7 @@ class Setup:
             self,
             names=tuple(self.names[i] for i in rows),
             colors=tuple(self.colors[i] for i in rows),
-            starts=Poses.of(self.starts.array()[rows]),
+            starts=Poses.from_array(self.starts.array()[rows]),
             targets=self.targets[rows],
             way_points=self.legs[:-1, rows],
             a=self.a[rows],

@@ -12,8 +12,8 @@ from tetractl.core.commands import Command
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Outcome, Plan
 from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses, Sample
+from tetractl.core.route_measure import RouteMeasure
 from tetractl.core.setup import Setup
-from tetractl.core.tour import TourMeasure
 
 # time at which all simulated trials start, so that their logs can be reproduced: 2020-01-01 UTC
 EPOCH_NS = 1_577_836_800_000_000_000
@@ -110,7 +110,7 @@ class Verdict:
     @classmethod
     def unknown(cls, robots: int) -> Self:
         """Return a verdict for N robots whose final positions are unknown."""
-        nowhere = Poses.of(np.full((robots, 3), np.nan))
+        nowhere = Poses.from_array(np.full((robots, 3), np.nan))
         return cls(nowhere, (False,) * robots, (math.inf,) * robots, can_restart=False)
 
     def in_obstacle(self, radius: float = 0.0) -> list[bool]:
@@ -188,7 +188,7 @@ class Result:
             period. It also differs from run to run.
         drove: Whether robots drove while each step was planned. Empty in older logs.
         passed: Sum of the robots' distances to each way-point that was passed [length unit].
-        inside: Fraction of a hold's time that each robot was near its target, as `TourMeasure`
+        inside: Fraction of a hold's time that each robot was near its target, as `RouteMeasure`
             defines it. Empty without a hold.
         lost: How often each robot was lost. Empty if no robot was.
         wheel_lag_s: Lag of the wheels that the controller has found [s], the mean of the robots.
@@ -216,7 +216,7 @@ class Result:
     wheel_lag_s: float | None = None
 
     @classmethod
-    def of(
+    def from_verdict(
         cls,
         setup: Setup,
         verdict: Verdict,
@@ -226,7 +226,7 @@ class Result:
         duration_s: float,
         solve_ns: tuple[int, ...],
         deadline_misses: int,
-        tour: TourMeasure,
+        route: RouteMeasure,
         drove: tuple[bool, ...] = (),
         estimate: Estimate | None = None,
     ) -> Self:
@@ -240,7 +240,7 @@ class Result:
             duration_s: Time from the first direction sent to the stop [s].
             solve_ns: Wall time of the controller in each control step [ns].
             deadline_misses: Number of steps that took longer than the control period.
-            tour: The measurement of way-points, hold and lost robots.
+            route: The measurement of way-points, hold and lost robots.
             drove: Whether robots drove while each step was planned.
             estimate: The controller's last estimate of the motion. None if it makes none.
         """
@@ -256,9 +256,9 @@ class Result:
             solve_ns=solve_ns,
             deadline_misses=deadline_misses,
             drove=drove,
-            passed=tour.passed,
-            inside=tour.inside,
-            lost=tour.lost,
+            passed=route.passed,
+            inside=route.inside,
+            lost=route.lost,
             wheel_lag_s=None if estimate is None else estimate.common_lag,
         )
 
@@ -324,11 +324,11 @@ class TrialRecords:
     result: Result | None
 
     @property
-    def tour(self) -> TourMeasure:
+    def route(self) -> RouteMeasure:
         """The measure of how the robots passed their way-points and held, up to the stop."""
         setup = self.start.setup
         stops = [command.sent_ns for command in self.commands if command.stops]
-        measure = TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
+        measure = RouteMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
         for step in self.steps:
             measure.step(step.plan.leg, step.observation)
         samples = map(self.sample, range(len(self.frames)))
@@ -342,8 +342,8 @@ class TrialRecords:
             int(self.frames[i]),
             int(self.mocap_ns[i]),
             int(self.received_ns[i]),
-            Poses.of(self.mocap[i]),
+            Poses.from_array(self.mocap[i]),
             self.valid[i],
             exposed_ns if any(pose_ns != self.mocap_ns[i] for pose_ns in exposed_ns) else (),
         )
-        return Sample(observation, None if self.truth is None else Poses.of(self.truth[i]))
+        return Sample(observation, None if self.truth is None else Poses.from_array(self.truth[i]))

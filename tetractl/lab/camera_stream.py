@@ -62,7 +62,7 @@ class RepeatDetector:
             else:
                 self._differing_in_a_row = 0
             self._is_noisy = self._differing_in_a_row >= NOISE_FRAMES
-        is_equal = (frame.poses, frame.strangers) == (before.poses, before.strangers)
+        is_equal = (frame.poses, frame.unknown_objects) == (before.poses, before.unknown_objects)
         self.repeats = is_equal and self._is_noisy
 
 

@@ -102,7 +102,7 @@ class Preflight:
         return tuple(robot.misplaced for robot in self.robots if robot.misplaced)
 
     @property
-    def ready(self) -> bool:
+    def can_start(self) -> bool:
         """Whether a run could start."""
         return not (self.all_problems or self.misplaced)
 
@@ -193,7 +193,7 @@ def inspect(rig: Rig) -> Preflight:
     if latency_ms is not None and latency_ms[0] > 1000 * rig.limits.latency:
         problems.append(f"frames are {latency_ms[0]:.0f} ms old on arrival")
     if newest is not None and rig.actuator.halts:  # a dish always shows other cells
-        problems += _strangers(rig, newest.frame)
+        problems += _unknown_objects(rig, newest.frame)
         problems += drifting_robots(rig)
     robots = tuple(_robot(rig, i, newest, status) for i, status in enumerate(statuses))
     emulated = ", ".join(rig.emulated(camera, actuator))
@@ -269,8 +269,8 @@ def _robot(
     return RobotFinding(name, off_mm, turned, misplaced, "", status)
 
 
-def _strangers(rig: Rig, frame: CameraFrame) -> list[str]:
-    inside = [pose for pose in frame.strangers if rig.setup.arena.contains(pose.x, pose.y)]
+def _unknown_objects(rig: Rig, frame: CameraFrame) -> list[str]:
+    inside = [pose for pose in frame.unknown_objects if rig.setup.arena.contains(pose.x, pose.y)]
     unit = rig.setup.unit
     return [f"something else stands in the arena at {p.x:.0f}, {p.y:.0f} {unit}" for p in inside]
 

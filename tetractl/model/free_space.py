@@ -33,7 +33,7 @@ def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
         y: y of the points.
         walls: Whether everything outside the arena counts as an obstacle.
     """
-    nearest = Obstacles.of(setup.obstacles).distance(x, y)
+    nearest = Obstacles.from_shapes(setup.obstacles).distance(x, y)
     return np.minimum(nearest, setup.arena.inside(x, y)) if walls else nearest
 
 

@@ -43,9 +43,9 @@ class PathCheck:
         self._last: tuple[Floats, Floats] | None = None
 
     @classmethod
-    def of(cls, setup: Setup) -> Self:
+    def for_setup(cls, setup: Setup) -> Self:
         """Return an empty check for an experiment's robots."""
-        return cls(Obstacles.of(setup.obstacles), setup.arena, len(setup.names))
+        return cls(Obstacles.from_shapes(setup.obstacles), setup.arena, len(setup.names))
 
     def add(self, x: Floats, y: Floats, tracked: Bools | None = None) -> None:
         """Add M more samples in the order of time.
@@ -136,7 +136,7 @@ def check_path(setup: Setup, path: Floats, tracked: Bools, final: Poses) -> Verd
         tracked: Whether each robot was tracked, shape (M, N). Other samples are ignored.
         final: The poses in which the path ended.
     """
-    path_check = PathCheck.of(setup)
+    path_check = PathCheck.for_setup(setup)
     for robot in range(path.shape[1]):
         samples = path[tracked[:, robot], robot]
         if len(samples):

@@ -202,7 +202,7 @@ class Swimmers:
         self.phase = np.array(cells.phase)
         self.depth = np.array(cells.depth)
 
-    def rest(self, cell: int, resting: bool = True) -> None:
+    def set_resting(self, cell: int, resting: bool = True) -> None:
         """Make a cell rest, or swim again if not `resting`."""
         self.resting[cell] = resting
 
@@ -251,9 +251,9 @@ class Bodies:
     tilt: Floats
 
 
-def to_the_left(heading: Floats, way: Floats) -> tuple[Floats, Floats]:
-    """Return the displacement x, y by a `way` to the left of a heading [rad]."""
-    return -way * elementwise.sin(heading), way * elementwise.cos(heading)
+def to_the_left(heading: Floats, distance: Floats) -> tuple[Floats, Floats]:
+    """Return the displacement x, y by a `distance` to the left of a heading [rad]."""
+    return -distance * elementwise.sin(heading), distance * elementwise.cos(heading)
 
 
 def bodies(cells: Swimmers) -> Bodies:

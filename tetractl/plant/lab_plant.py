@@ -105,7 +105,7 @@ class LabFrames:
         self._rig = rig
         self._adds = rig.camera if isinstance(rig.camera, AddsToFrames) else None
         self._heading = rig.setup.starts.heading  # not wrapped, of the last poses
-        self.path_check = PathCheck.of(rig.setup)
+        self.path_check = PathCheck.for_setup(rig.setup)
         self._read_count = 0  # of the rig's accepted frames
         self._additions: dict[int, FrameAddition] = {}  # by the time of exposure [ns]
         self._recent: deque[Observation] = deque(maxlen=RECENT)
@@ -257,7 +257,7 @@ class LabPlant:
         self._samples = []
         return samples
 
-    def news(self) -> list[Command | Note]:
+    def events(self) -> list[Command | Note]:
         """Return every warning, and every transmission that `send` did not return.
 
         It returns what is new since the last call.

@@ -114,5 +114,5 @@ class SimCamera:
             raise WrongValueError("a disturbance", "a measured pose that no log can hold")
         if self._last_shown is not None and not tracked.all():
             shown_array = np.where(tracked[:, None], poses.array(), self._last_shown.array())
-            poses = Poses.of(shown_array)
+            poses = Poses.from_array(shown_array)
         return poses, tracked

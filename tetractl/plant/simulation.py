@@ -162,7 +162,7 @@ class SimPlant:
             disturbances=MotionDisturbances(disturbances, self.a, self.speed),
             walk_rad=walk_rad,
             walking=generator(seed, RandomStream.HEADINGS),
-            check=PathCheck.of(setup),
+            check=PathCheck.for_setup(setup),
             sender=self._sender,
         )
         self._stop: Command | None = None
@@ -218,7 +218,7 @@ class SimPlant:
         self._catch_up()
         return self.camera.samples()
 
-    def news(self) -> list[Command | Note]:
+    def events(self) -> list[Command | Note]:
         """Return the commands sent under a held direction since the last call, oldest first."""
         news = self._motion.repeated
         self._motion.repeated = []

@@ -68,15 +68,18 @@ class PartedRobot:
 class Reach:
     """What the common signal can reach.
 
-    `spread` (2N,) are the relative spreads of the combinations of ends, descending. `alike` are
-    groups of robots that move alike, `still` robots that do not move; `parted` those that another
-    turning rate would part from their group.
+    Attributes:
+        spread: Relative spread of each combination of the robots' ends, shape (2N,), descending.
+            A combination with a spread near 0 cannot be controlled.
+        identical: Groups of robots that move identically, by their names.
+        still: Names of the robots that do not move.
+        separable: Robots of these groups that another turning rate would separate from the others.
     """
 
     spread: Floats
-    alike: tuple[tuple[str, ...], ...]
+    identical: tuple[tuple[str, ...], ...]
     still: tuple[str, ...]
-    parted: tuple[PartedRobot, ...]
+    separable: tuple[PartedRobot, ...]
 
     @property
     def rank(self) -> int:
@@ -95,22 +98,22 @@ class Reach:
             "rank": self.rank,
             "of": len(self.spread),
             "barely": self.barely,
-            "alike": list(self.alike),
+            "alike": list(self.identical),
             "still": list(self.still),
-            "parted": list(map(asdict, self.parted)),
+            "parted": list(map(asdict, self.separable)),
             "spread": self.spread.tolist(),
         }
 
     def __str__(self) -> str:
         barely = f", {self.barely} of them barely" if self.barely else ""
         texts = [f"{self.rank} of {len(self.spread)}{barely}"]
-        parted = {parting.robot for parting in self.parted}
-        for group in self.alike:
+        parted = {parting.robot for parting in self.separable}
+        for group in self.identical:
             text = f"{', '.join(group[:-1])} and {group[-1]} move alike"
             if parted.isdisjoint(group):
                 text += f" and would at an a that differs by {100 * STEPS[-1]:g} %"
             texts.append(text)
-        for parting in self.parted:
+        for parting in self.separable:
             change = f"from {parting.a:.4g} to {parting.a_advised:.4g}"
             texts.append(f"a of {parting.robot} changed {change} would part them")
         texts += [f"{name} has speed 0" for name in self.still]
@@ -136,17 +139,17 @@ def reach_of(setup: Setup, motion: str) -> Reach:
     moves = setup.speed > 0
     ends = _ends(setup, motion)
     spread = _spreads(ends)
-    most = max(float(spread[0]), STILL)
+    spread_max = max(float(spread[0]), STILL)
     alike: list[tuple[str, ...]] = []
     parted: list[PartedRobot] = []
-    for group in _alike(ends, moves, TOLERANCE * most):
+    for group in _identical_groups(ends, moves, TOLERANCE * spread_max):
         alike.append(tuple(setup.names[robot] for robot in group))
-        parted += _parted(setup, motion, group, most)
+        parted += _separable_robots(setup, motion, group, spread_max)
     return Reach(
-        spread=spread / most,
-        alike=tuple(alike),
+        spread=spread / spread_max,
+        identical=tuple(alike),
         still=tuple(setup.names[robot] for robot in np.flatnonzero(~moves)),
-        parted=tuple(parted),
+        separable=tuple(parted),
     )
 
 
@@ -176,12 +179,12 @@ def _spreads(ends: Floats) -> Floats:
     for _ in range(ROUNDS):
         values, axes = np.linalg.eigh(counted.T @ counted / len(ends))
         moved = ends @ axes
-        most = CHANCE * np.median(np.abs(moved), axis=0) / NORMAL_MEDIAN
-        counted = np.clip(moved, -most, most) @ axes.T
+        limit = CHANCE * np.median(np.abs(moved), axis=0) / NORMAL_MEDIAN
+        counted = np.clip(moved, -limit, limit) @ axes.T
     return np.sqrt(np.maximum(values[::-1], 0.0))
 
 
-def _alike(ends: Floats, moves: Bools, least: float) -> Iterator[list[int]]:
+def _identical_groups(ends: Floats, moves: Bools, spread_min: float) -> Iterator[list[int]]:
     """Yield groups of moving robots of which every one moves like another one of the group."""
     ungrouped = set(np.flatnonzero(moves).tolist())
     while ungrouped:
@@ -189,31 +192,33 @@ def _alike(ends: Floats, moves: Bools, least: float) -> Iterator[list[int]]:
         ungrouped.remove(group[0])
         for robot in group:  # grows while it is gone through
             for candidate in sorted(ungrouped):
-                if _apart(ends, robot, candidate) < least:
+                if _spread_between(ends, robot, candidate) < spread_min:
                     ungrouped.remove(candidate)
                     group.append(candidate)
         if len(group) > 1:
             yield sorted(group)
 
 
-def _apart(ends: Floats, first: int, second: int) -> float:
+def _spread_between(ends: Floats, first: int, second: int) -> float:
     """Return the least spread of a combination of two robots' ends [s]."""
     columns = [2 * first, 2 * first + 1, 2 * second, 2 * second + 1]
     return float(_spreads(ends[:, columns])[-1])
 
 
-def _parted(setup: Setup, motion: str, group: list[int], most: float) -> Iterator[PartedRobot]:
+def _separable_robots(
+    setup: Setup, motion: str, group: list[int], spread_max: float
+) -> Iterator[PartedRobot]:
     """Yield the robots of a group except the first, each with an a that separates it.
 
     It is the nearest such turning rate.
     """
     a = setup.a.copy()
-    least = NEAR * TOLERANCE * most
+    spread_min = NEAR * TOLERANCE * spread_max
     for step in STEPS:
         a[group[1:]] = setup.a[group[0]] * (1 + step) ** np.arange(1, len(group))
         ends = _ends(replace(setup.only(group), a=a[group]), motion)
         pairs = combinations(range(len(group)), 2)
-        if all(_apart(ends, first, second) > least for first, second in pairs):
+        if all(_spread_between(ends, first, second) > spread_min for first, second in pairs):
             for robot in group[1:]:
                 yield PartedRobot(setup.names[robot], float(setup.a[robot]), float(a[robot]))
             return

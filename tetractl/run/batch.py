@@ -109,7 +109,7 @@ class TrialTimes:
         self._timed = Counter[str]()
         self._spent_s = dict.fromkeys(self._left, 0.0)
 
-    def ended(self, arm: str, wall_s: float | None) -> None:
+    def note_end(self, arm: str, wall_s: float | None) -> None:
         """Count a trial of an arm, with its wall time [s]. None if it has no result."""
         self._left[arm] -= 1
         if wall_s is not None:
@@ -162,11 +162,11 @@ def run_batch(
     report = Report(left=len(tasks))
     times = TrialTimes(tasks)
 
-    def ready(task: Task) -> Path:
+    def start_task(task: Task) -> Path:
         observer.trial_started(task)
         return store.place(*task.key)
 
-    with closing(executor.run(tasks, ready)) as ended:
+    with closing(executor.run(tasks, start_task)) as ended:
         for task, ended_by in ended:
             result = failure = None
             report.left -= 1
@@ -183,7 +183,7 @@ def run_batch(
                 failure = _one_line(ended_by)
             if failure is not None and on_failure.ends_run(result):
                 executor.end()
-            times.ended(task.arm, ended_by.wall_s if isinstance(ended_by, Finished) else None)
+            times.note_end(task.arm, ended_by.wall_s if isinstance(ended_by, Finished) else None)
             left_s = times.left_s(executor.workers)
             observer.trial_ended(Ending(task, result, failure, left_s, times.of_every_arm))
     return report

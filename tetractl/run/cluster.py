@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from tetractl.core.errors import AbortError, UsageError
-from tetractl.run.executors import Ended, Ready
+from tetractl.run.executors import StartTask, TaskEnd
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path
 from tetractl.run.task import Finished, Task, run_task
@@ -90,7 +90,7 @@ class Cluster:
             self._count_at_s = now + COUNT_S
         return self._workers
 
-    def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
+    def run(self, tasks: Sequence[Task], start_task: StartTask) -> Generator[TaskEnd]:
         """Yield each task with its result or error, in the order in which the tasks end.
 
         Raises:
@@ -111,7 +111,7 @@ class Cluster:
                 source, size = (alone, 1) if alone else (waiting, size)
                 chunk = [source.popleft() for _ in range(size)]
                 future = self._client.submit(_work, chunk, pure=False)
-                running[future] = [(task, ready(task)) for task in chunk]
+                running[future] = [(task, start_task(task)) for task in chunk]
                 future.add_done_callback(ended.put)
             if not running:
                 return

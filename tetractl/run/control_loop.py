@@ -76,7 +76,7 @@ from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import PAUSE_S, Decision, End, Outcome, Plan
 from tetractl.core.poses import Observation, Sample
 from tetractl.core.protocols import Controller, Observer, Plant
-from tetractl.core.tour import TourMeasure
+from tetractl.core.route_measure import RouteMeasure
 from tetractl.core.trial import Note, Result, Start, Step, Verdict
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.model_changes import ModelMonitor, StatedModel
@@ -181,7 +181,7 @@ class RobotMotion(Enum):
     STAND = "stand"
 
     @classmethod
-    def of(cls, plan: Plan) -> "RobotMotion":
+    def from_plan(cls, plan: Plan) -> "RobotMotion":
         """Return what the robots do under a plan."""
         if not plan.pauses:
             return cls.DRIVE
@@ -280,7 +280,7 @@ class Trial:
         self._interrupt = interrupt
         self._pacing = StepPacing(clock, setup.period_s)
         self._frames = FrameIntake(plant)
-        self._measure = TourMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
+        self._measure = RouteMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
         self._model = ModelMonitor(stated)
         self._rests = RestMonitor(setup)
         self._counts = StepCounts()
@@ -356,7 +356,7 @@ class Trial:
         if self._counts.first_sent_ns is None and not command.stops:
             self._counts.first_sent_ns = command.sent_ns
         before = self._motion
-        self._motion = RobotMotion.of(plan)
+        self._motion = RobotMotion.from_plan(plan)
         # the first plan, and one for robots that stand, may take as long as it needs
         missed = before is RobotMotion.DRIVE and solve_ns > self._pacing.period_ns
         self._report(command.sent_ns, motion_text(before, self._motion))
@@ -432,7 +432,7 @@ class Trial:
     def _report_frames(self) -> None:
         """Report the frames that have come, and what the plant itself has sent and noted."""
         self._frames.take()
-        events = self._plant.news()
+        events = self._plant.events()
         samples = self._frames.hand_over()
         self._measure.add(samples)
         for observer in self._observers:
@@ -487,7 +487,7 @@ class Trial:
                 verdict = plant.settle()
                 self._frames.take()
                 self._measure.add(self._frames.unreported, stop.sent_ns)
-                events = plant.news()
+                events = plant.events()
         except (Exception, SystemExit) as failure:
             error = failure
         return Halt(stop, verdict, self._frames.hand_over(), events, error)
@@ -500,7 +500,7 @@ class Trial:
         began_ns = self._counts.first_sent_ns
         if began_ns is None:
             began_ns = opened_ns
-        return Result.of(
+        return Result.from_verdict(
             self._start.setup,
             halt.verdict,
             outcome=outcome,
@@ -509,7 +509,7 @@ class Trial:
             solve_ns=tuple(self._counts.solve_ns),
             deadline_misses=self._counts.misses,
             drove=tuple(self._counts.drove),
-            tour=self._measure,
+            route=self._measure,
             estimate=self._counts.last_estimate,
         )
 

@@ -37,7 +37,7 @@ from tetractl.run.task import Finished, Task, run_task
 from tetractl.tools.worker_pool import WorkerPool, copying_context, fresh_context, isolated
 
 KILLED = "a trial's process was killed twice, perhaps because memory ran out"
-SAID = "printed in a trial's process"
+PRINTED = "printed in a trial's process"
 CHECK_S = 0.1
 """Time between two checks for a request to stop while trials run [s]."""
 SIGTERM_S = 1.0
@@ -47,10 +47,10 @@ CLOSE_LOG_S = 5.0
 T = TypeVar("T")
 R = TypeVar("R")
 
-Ended = tuple[Task, Finished | Exception]
+TaskEnd = tuple[Task, Finished | Exception]
 """A task, and its result or error."""
 
-Ready = Callable[[Task], Path]
+StartTask = Callable[[Task], Path]
 """Called in this process before a task starts; returns the folder for its log."""
 
 
@@ -62,7 +62,7 @@ class Executor(Protocol):
         """The number of trials that run at a time."""
         ...
 
-    def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
+    def run(self, tasks: Sequence[Task], start_task: StartTask) -> Generator[TaskEnd]:
         """Yield each task that was started, with its result or error, as the tasks end."""
         ...
 
@@ -103,12 +103,12 @@ class Here:
         self._supervision = supervision
         self._ended = False
 
-    def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
+    def run(self, tasks: Sequence[Task], start_task: StartTask) -> Generator[TaskEnd]:
         """Yield each task with its result or error, in the given order."""
         for task in tasks:
             if self._ended or self._interrupt.requested:
                 return
-            folder = ready(task)
+            folder = start_task(task)
             try:
                 ended = run_task(task, folder, self._interrupt, self._observers, self._supervision)
             except TetractlError as error:
@@ -142,29 +142,29 @@ class Processes:
         self._next_sigterm_s = 0.0
         """Earliest time of the next SIGTERM on the monotonic clock [s]."""
 
-    def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
+    def run(self, tasks: Sequence[Task], start_task: StartTask) -> Generator[TaskEnd]:
         """Yield each task with its result or error, in the order in which the tasks end."""
         waiting = deque(tasks)
         while waiting and not self._ending.is_set():
             suspects = list[Task]()
-            for task, ended in self._in_pool(waiting, self.workers, ready):
+            for task, ended in self._in_pool(waiting, self.workers, start_task):
                 if isinstance(ended, BrokenProcessPool):
                     suspects.append(task)
                 else:
                     yield task, ended
             for suspect in suspects:
-                yield from self._repeat(suspect, ready)
+                yield from self._repeat(suspect, start_task)
 
     def end(self) -> None:
         """Start no further trial, and end the running ones early."""
         self._ending.set()
 
-    def _repeat(self, suspect: Task, ready: Ready) -> Iterator[Ended]:
+    def _repeat(self, suspect: Task, start_task: StartTask) -> Iterator[TaskEnd]:
         """Run a task again, alone, that was running when a worker was killed.
 
         If its worker is also killed, the task fails.
         """
-        for task, ended in self._in_pool(deque([suspect]), 1, ready):
+        for task, ended in self._in_pool(deque([suspect]), 1, start_task):
             if isinstance(ended, BrokenProcessPool):
                 hint = "give the same command with fewer --jobs to continue"
                 in_python = "give the same command with fewer jobs to continue"
@@ -172,7 +172,9 @@ class Processes:
             else:
                 yield task, ended
 
-    def _in_pool(self, waiting: "deque[Task]", workers: int, ready: Ready) -> Iterator[Ended]:
+    def _in_pool(
+        self, waiting: "deque[Task]", workers: int, start_task: StartTask
+    ) -> Iterator[TaskEnd]:
         """Run the waiting tasks until a worker is killed.
 
         Running tasks then end with the error BrokenProcessPool, and the others stay in `waiting`.
@@ -181,7 +183,7 @@ class Processes:
         broken = False
         environment = dict(os.environ)
         with WorkerPool(
-            self._context, workers, SAID, _print_line, _start_worker, (self._ending, environment)
+            self._context, workers, PRINTED, _print_line, _start_worker, (self._ending, environment)
         ) as pool:
             while True:
                 if self._interrupt.requested:
@@ -189,7 +191,7 @@ class Processes:
                 ends = broken or self._ending.is_set()
                 while waiting and len(running) < workers and not ends:
                     task = waiting.popleft()
-                    folder = ready(task)
+                    folder = start_task(task)
                     with _signals_held_back():  # `submit` starts workers
                         running[pool.submit(_work, task, folder)] = task
                     ends = self._ending.is_set()
@@ -236,7 +238,7 @@ def called(
     if jobs < 2:
         yield from map(call, items)
         return
-    with WorkerPool(copying_context(), jobs, SAID, tell) as pool:
+    with WorkerPool(copying_context(), jobs, PRINTED, tell) as pool:
         for ended in as_completed([pool.submit(call, item) for item in items]):
             yield ended.result()
 

@@ -75,7 +75,7 @@ class TruthWatch(Observer):
 
     def __init__(self, setup: Setup) -> None:
         self._arena = setup.arena
-        self._obstacles = Obstacles.of(setup.obstacles)
+        self._obstacles = Obstacles.from_shapes(setup.obstacles)
         self._last: Poses | None = None
         self.failed = False
         """Whether any robot has done so."""

@@ -111,10 +111,10 @@ class CheckContext:
         steps_s = (steps_max + 1) * control.period
         return "steps_max" if steps_s <= self.longest_s * (1 + ROUNDING) else "time_limit"
 
-    def is_worth_warning(self, least: float, robots: int) -> bool:
+    def is_worth_warning(self, error_min: float, robots: int) -> bool:
         """Decide whether a lower bound of the total error is above tolerance and rounding."""
         arena = self.setup.arena
-        return least > max(robots * self.tolerance, NO_ERROR * max(arena.width, arena.height))
+        return error_min > max(robots * self.tolerance, NO_ERROR * max(arena.width, arena.height))
 
     def clearances(self, points: Floats) -> Floats:
         """Return the distances of points (N, 2) to the nearest obstacle or wall."""
@@ -270,13 +270,13 @@ def _groups_alike(setup: Setup) -> Iterator[list[int]]:
                 yield np.flatnonzero(group).tolist()
 
 
-def _alike_text(alike: Setup, least: str) -> str:
-    """Describe why robots are similar, with the lower bound `least` of their total error."""
-    first, *others = alike.names
+def _alike_text(similar: Setup, error_min: str) -> str:
+    """Describe why robots are similar, with the lower bound `error_min` of their total error."""
+    first, *others = similar.names
     them = _listed(others)
-    robots = len(alike.names)
-    spread = float(np.ptp(alike.a) / alike.a.mean())
-    headings = alike.starts.heading
+    robots = len(similar.names)
+    spread = float(np.ptp(similar.a) / similar.a.mean())
+    headings = similar.starts.heading
     turns = np.abs(wrap(headings - headings[0]))
     turned = float(turns.max())
     if spread == 0 and turned < SAME_HEADING_RAD:
@@ -284,12 +284,13 @@ def _alike_text(alike: Setup, least: str) -> str:
         start = "starts" if len(others) == 1 else "start"
         return (
             f"{them} {turn} at the same rate as {first} and {start} with the same heading, so "
-            f"the {robots} can only move in parallel: their total error cannot fall below {least}"
+            f"the {robots} can only move in parallel: their total error cannot fall below "
+            f"{error_min}"
         )
     return (
         f"{them} and {first} differ by only {100 * spread:.2g} % in turning rate a and "
         f"{turned:.2g} rad in start heading. That may be too little to separate them: the total "
-        f"error of {robots} identical robots could not fall below {least}"
+        f"error of {robots} identical robots could not fall below {error_min}"
     )
 
 

@@ -20,9 +20,9 @@ from tetractl.core.losses import LossRule
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES, SPEC_REGISTRIES, TRIAL_ROBOTS
 from tetractl.core.registry import Registry
+from tetractl.core.route_measure import HoldTask
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.core.shape import Shape
-from tetractl.core.tour import HoldTask
 from tetractl.spec.base import (
     Angle,
     Finite,
@@ -397,7 +397,7 @@ class Experiment(Model):
             metres=METRES[self.units.length],
             names=tuple(robot.name for robot in self.robots),
             colors=tuple(robot.color for robot in self.robots),
-            starts=Poses.of(np.array(starts, dtype=np.float64)),
+            starts=Poses.from_array(np.array(starts, dtype=np.float64)),
             targets=np.array([robot.target for robot in self.robots], dtype=np.float64),
             a=np.array([rate(robot.a, self.strength) for robot in self.robots], dtype=np.float64),
             speed=np.array([robot.speed for robot in self.robots], dtype=np.float64),

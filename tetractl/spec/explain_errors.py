@@ -179,7 +179,7 @@ def _missing(mistake: Mistake, document: Document, schema: Schema) -> SpecProble
     message = "is missing; add it"
     description = mistake.about.get("description")
     if description:
-        message += f": {_sentence(description)}"
+        message += f": {_first_sentence(description)}"
     return place.problem(mistake.loc, message)
 
 
@@ -210,7 +210,7 @@ def _words(mistake: Mistake) -> str:
         return f"must be one of {', '.join(options)}{guess}"
     if mistake.kind == "string_pattern_mismatch":
         text = about.get("description", mistake.context["pattern"])
-        return f"must be {_sentence(text.partition(': ')[2] or text)}"
+        return f"must be {_first_sentence(text.partition(': ')[2] or text)}"
     if mistake.kind == "tuple_type":
         return f"must be {list_of(about)}"
     message = words(mistake.details, mistake.value)
@@ -225,7 +225,7 @@ def list_of(about: Schema) -> str:
     count = f"{len(entries)} " if "prefixItems" in about else ""
     kind = LISTED.get(str(entries[0].get("type")), "entries")
     description = about.get("description")
-    return f"a list of {count}{kind}" + (f": {_sentence(description)}" if description else "")
+    return f"a list of {count}{kind}" + (f": {_first_sentence(description)}" if description else "")
 
 
 def words(details: ErrorDetails, value: Any) -> str:
@@ -284,6 +284,6 @@ def _quotes(kind: str, value: Any) -> str:
     return ""
 
 
-def _sentence(text: str) -> str:
+def _first_sentence(text: str) -> str:
     first = text.split(". ")[0].rstrip(".")
     return first[:1].lower() + first[1:] if not first[:2].isupper() else first

@@ -95,9 +95,9 @@ def contrast_items(contrast: Contrast) -> dict[str, Any]:
         "one": contrast.first.name,
         "other": contrast.second.name,
         "unit": contrast.first.unit,
-        **_side("one", contrast.first),
-        **_side("other", contrast.second),
-        "comparable": contrast.alike,
+        **_items_of_group("one", contrast.first),
+        **_items_of_group("other", contrast.second),
+        "comparable": contrast.same_origin,
         "pairs": contrast.pairs,
         "unpaired_reason": contrast.why_unpaired or None,
         **contrast.difference.as_dict(),
@@ -113,12 +113,12 @@ def contrast_items(contrast: Contrast) -> dict[str, Any]:
     }
 
 
-def _side(side: str, group: BatchStatistics) -> dict[str, Any]:
+def _items_of_group(prefix: str, group: BatchStatistics) -> dict[str, Any]:
     """Return the items of one side of a comparison, such as `one_mean`."""
     return {
-        f"{side}_origin": group.origin.value,
-        f"{side}_n": group.counted,
-        f"{side}_mean": group.total.mean,
-        f"{side}_std": group.total.std,
-        f"{side}_tail": group.total.tail.as_dict(),
+        f"{prefix}_origin": group.origin.value,
+        f"{prefix}_n": group.counted,
+        f"{prefix}_mean": group.total.mean,
+        f"{prefix}_std": group.total.std,
+        f"{prefix}_tail": group.total.tail.as_dict(),
     }

@@ -13,9 +13,9 @@ it. Most are a line, from a number in each trial's `Result` of `core/trial.py`:
 
     WORST = number("worst", "error of the worst robot", lambda result: max(result.robot_errors))
 
-`number`, `count` and `share` are in `statistic`. This module has `total` for a count of events that
-should never happen, `least` for a minimum distance, and `mean_of_each` for columns. What results
-lack is read from the log, as in `discs`.
+`number`, `count` and `fraction` are in `statistic`. This module has `total` for a count of events
+that should never happen, `minimum` for a minimum distance, and `mean_of_each` for columns. Values
+that a `Result` lacks are read from the log, for example in `discs`.
 """
 
 from collections import Counter
@@ -140,7 +140,7 @@ The result is empty if the log has no distances.
 """
 
 
-def least(key: str, label: str, distances_in: Distances) -> Statistic:
+def minimum(key: str, label: str, distances_in: Distances) -> Statistic:
     """Create a statistic: the minimum distance over all robots and trials.
 
     A trial whose log lacks the distance is left out. Its cell in the table of trials is empty.
@@ -165,9 +165,9 @@ def least(key: str, label: str, distances_in: Distances) -> Statistic:
     return Statistic(of_batch, of_trial)
 
 
-CLEARANCE = least("clearance", "centre nearest to an obstacle", lambda verdict: verdict.clearance)
-EDGE = least("edge", "centre nearest to the arena's edge", lambda verdict: verdict.edge)
-APART = least("apart", "centres nearest to one another", lambda verdict: verdict.apart)
+CLEARANCE = minimum("clearance", "centre nearest to an obstacle", lambda verdict: verdict.clearance)
+EDGE = minimum("edge", "centre nearest to the arena's edge", lambda verdict: verdict.edge)
+APART = minimum("apart", "centres nearest to one another", lambda verdict: verdict.apart)
 LENGTHS = ("clearance", "edge", "apart")
 """The columns of a trial that are lengths: in CSV their names end in the unit."""
 
@@ -417,20 +417,20 @@ def _turned(trials: Sequence[ResultSummary]) -> list[Figure]:
     turns = list(turns_of(trials))
     if not turns:
         return [Figure("", "", {key: None})]
-    odd = [turn for turn in turns if turn.odd]
-    odd_trials = len({turn.log for turn in odd})
-    return [Figure(label, _compared(turns, odd), {key: odd_trials}, unusual=bool(odd))]
+    unusual = [turn for turn in turns if turn.unusual]
+    unusual_trials = len({turn.log for turn in unusual})
+    return [Figure(label, _compared(turns, unusual), {key: unusual_trials}, unusual=bool(unusual))]
 
 
-def _compared(turns: Sequence[TrialTurn], odd: Sequence[TrialTurn]) -> str:
+def _compared(turns: Sequence[TrialTurn], unusual: Sequence[TrialTurn]) -> str:
     """Return the text on trials that were compared, of which some are odd."""
     trials = len({turn.log for turn in turns})
-    odd_trials = len({turn.log for turn in odd})
-    text = f"{odd_trials} of {trials} trials"
-    if not odd:
+    unusual_trials = len({turn.log for turn in unusual})
+    text = f"{unusual_trials} of {trials} trials"
+    if not unusual:
         largest = max(turn.limit for turn in turns)
         return f"{text}, turns above {largest:.2f} rad/s would be seen"
-    named = [f"{turn.robot} in {Path(turn.log).stem}, {turn.off:+.2f} rad/s" for turn in odd]
+    named = [f"{turn.robot} in {Path(turn.log).stem}, {turn.off:+.2f} rad/s" for turn in unusual]
     return f"{text}, by wheels that changed or false poses: {listing(named, '; ')}"
 
 

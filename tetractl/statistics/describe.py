@@ -142,8 +142,9 @@ class Contrast(Shown):
     for the number of contrasts. `detects` is the difference that the test finds in 80 % of all
     studies of this size, in standard deviations of the paired differences or, without pairs, of the
     values. `differs` lists the fields in which both specs differ. Groups with different plants
-    (`alike` False) are not tested: their p-values are NaN. Nor are batches of which one had its
-    directions given, perhaps with hindsight (`no_controller`): it has no rank among controllers.
+    (`same_origin` False) are not tested: their p-values are NaN. The same holds if the directions
+    of one batch were given, perhaps with hindsight (`no_controller`): such a batch has no rank
+    among controllers.
     """
 
     first: BatchStatistics
@@ -159,7 +160,7 @@ class Contrast(Shown):
     rank_p_holm: float = math.nan
 
     @property
-    def alike(self) -> bool:
+    def same_origin(self) -> bool:
         """Whether the trials are of plants of one kind."""
         return self.first.origin is self.second.origin
 
@@ -171,7 +172,7 @@ class Contrast(Shown):
     @property
     def reason(self) -> str | None:
         """Why there is no verdict, None if there is one."""
-        if not self.alike:
+        if not self.same_origin:
             return "plants are not alike"
         if self.no_controller:
             return "directions were given: no controller decided"

@@ -55,13 +55,13 @@ class Interval:
         return f"none: {self.reason}" if self.reason else NONE
 
     @property
-    def ends(self) -> list[float] | None:
+    def bounds(self) -> list[float] | None:
         """Both ends for JSON, None if there is no interval."""
         return [self.low, self.high] if self.known else None
 
     def as_dict(self) -> dict[str, Any]:
         """Return the items of JSON that describe the interval."""
-        return {"ci95": self.ends, "ci95_method": self.method, "ci95_reason": self.reason}
+        return {"ci95": self.bounds, "ci95_method": self.method, "ci95_reason": self.reason}
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ class Tail:
             "bound": self.bound,
             "stated": self.stated,
             "n_above": self.above if math.isfinite(self.bound) else None,
-            "ci95": self.ci95.ends,
+            "ci95": self.ci95.bounds,
         }
 
 
@@ -302,11 +302,11 @@ def proportion_interval(successes: int, n: int) -> Interval:
     return Interval(low, high, "Wilson")
 
 
-def percent(share: Interval) -> str:
+def percent(fraction: Interval) -> str:
     """Return the interval of a fraction as text in brackets, "" if there is none."""
-    if not share.known:
+    if not fraction.known:
         return ""
-    return f" (95 % interval {100 * share.low:.0f} to {100 * share.high:.0f} %)"
+    return f" (95 % interval {100 * fraction.low:.0f} to {100 * fraction.high:.0f} %)"
 
 
 # ---- Trials of the arms of a study ----
@@ -331,7 +331,7 @@ class ArmErrors:
     error: Distribution
 
     @classmethod
-    def of(
+    def from_errors(
         cls, value: Any, label: str, arms: int, errors: Floats, bound: float | None = None
     ) -> Self:
         """Describe the errors of trials.

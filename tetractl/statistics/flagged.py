@@ -54,7 +54,7 @@ SAFETY: dict[str, Callable[[Verdict, float], list[bool]]] = {
 """What must not happen, with a function that returns which robots of a given radius did it."""
 CHANCE = 0.01
 """Fraction of batches in which a rate is beyond its limit by chance."""
-LEAST = 6
+TRIALS_MIN = 6
 """Minimum number of trials with a known rate that are compared."""
 FEW = 14.0
 """By how much fewer trials widen the limit: see above."""
@@ -151,7 +151,7 @@ class TrialTurn:
     limit: float
 
     @property
-    def odd(self) -> bool:
+    def unusual(self) -> bool:
         """Whether the robot turned otherwise than in its other trials."""
         return abs(self.off) > self.limit
 
@@ -160,7 +160,7 @@ def turns_of(trials: Sequence[ResultSummary]) -> Iterator[TrialTurn]:
     """Yield the turns of every robot with enough trials in which its rate is known."""
     for i, robot, compared in _measured(trials):
         n = len(compared)
-        if n < LEAST:
+        if n < TRIALS_MIN:
             continue
         rates = np.array([trial.result.verdict.turn[i] for trial in compared])
         errors = np.array([trial.result.verdict.turn_std[i] for trial in compared])
@@ -192,7 +192,7 @@ def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]
     """
     texts = defaultdict[str, list[str]](list)
     for i, robot, known in _measured(trials):
-        if len(known) >= LEAST:
+        if len(known) >= TRIALS_MIN:
             continue
         for trial in known:
             result = trial.result
@@ -212,7 +212,7 @@ def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
     """Describe the robots that turned differently from their other trials, by the trial's log."""
     texts = defaultdict[str, list[str]](list)
     for turn in turns_of(trials):
-        if turn.odd:
+        if turn.unusual:
             text = f"{turn.robot} turned by {turn.off:+.2f} rad/s unlike in the other trials"
             texts[turn.log].append(text)
     return texts

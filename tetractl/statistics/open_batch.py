@@ -55,7 +55,9 @@ class Batch(Shown):
         return f"Batch({', '.join(f'{count} {what}' for what, count in counts.items() if count)})"
 
     @classmethod
-    def of(cls, results: Iterable[ResultSummary], damaged: Iterable[Damaged] = ()) -> "Batch":
+    def from_results(
+        cls, results: Iterable[ResultSummary], damaged: Iterable[Damaged] = ()
+    ) -> "Batch":
         """Return the trials as a batch, with earlier attempts separated."""
         results = list(results)
         complete = {_key(trial) for trial in results if trial.outcome.complete}
@@ -121,7 +123,7 @@ class Source:
     logs: Sequence[Path]
 
     @classmethod
-    def of(cls, paths: Sequence[Path | str]) -> "Source":
+    def from_paths(cls, paths: Sequence[Path | str]) -> "Source":
         """Return the logs that files, folders and patterns name, including earlier attempts.
 
         Raises UsageError for a path without a trial.
@@ -145,7 +147,7 @@ class Source:
                 problem = error.message.removeprefix(f"{log}: ")
                 damaged.append(Damaged(str(log), problem))
             on_log(done, len(self.logs))
-        return Batch.of(trials, damaged)
+        return Batch.from_results(trials, damaged)
 
 
 def open_batch(paths: Sequence[Path | str]) -> Batch:
@@ -154,7 +156,7 @@ def open_batch(paths: Sequence[Path | str]) -> Batch:
     Raises:
         UsageError: If a path holds no trial.
     """
-    return Source.of(paths).read()
+    return Source.from_paths(paths).read()
 
 
 def batches_in(path: Path | str) -> list[Source]:
@@ -163,7 +165,7 @@ def batches_in(path: Path | str) -> list[Source]:
     It is one batch or, if all logs are in several folders of a folder, such as a study's, one for
     each of these.
     """
-    source = Source.of([path])
+    source = Source.from_paths([path])
     by_arm: dict[Path, list[Path]] = {}
     for log in source.logs:
         by_arm.setdefault(log.parent, []).append(log)
@@ -174,7 +176,7 @@ def batches_in(path: Path | str) -> list[Source]:
 
 def one_source(paths: Sequence[Path | str]) -> Source:
     """Return what all paths hold as one batch; UsageError if a path is a folder of several."""
-    source = Source.of(paths)
+    source = Source.from_paths(paths)
     for folder in filter(Path.is_dir, map(Path, paths)):
         batches = len(batches_in(folder))
         if batches > 1:

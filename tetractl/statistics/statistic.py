@@ -4,7 +4,7 @@ A statistic computes figures of a batch and values of each trial. A `Figure` is 
 the batch (`tables`) and items of its JSON (`as_json`); the values of a trial are columns of the CSV
 table and items of JSON. `share_figure` and `mean_figure` write figures that have an interval.
 
-`number`, `count` and `share` make the usual statistics from a function of one trial:
+`number`, `count` and `fraction` make the usual statistics from a function of one trial:
 
     WORST = number("worst", "error of the worst robot", lambda result: max(result.robot_errors))
 """
@@ -56,7 +56,7 @@ def share_figure(
     ci95 = proportion_interval(holding, n)
     trials = f"{holding} of {n}"
     text = f"{trials}{percent(ci95)}"
-    items = {key: holding, f"{key}_ci95": ci95.ends}
+    items = {key: holding, f"{key}_ci95": ci95.bounds}
     if not counting:
         return Figure(label, text, items, unusual)
     return Figure(label, f"{text}, counting {counting}", items, unusual, f"{trials} ({counting})")
@@ -136,7 +136,7 @@ def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
     return Statistic(of_batch)
 
 
-def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
+def fraction(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
     """Create a statistic: the fraction of trials for which a condition holds.
 
     It has the number of these trials, and Wilson's 95 % interval of the fraction.

@@ -206,16 +206,16 @@ def _flagged(groups: Sequence[BatchStatistics]) -> Table:
 # ---- Errors ----
 
 
-def error_format(least: float, decimals_most: int) -> Callable[[float], str]:
-    """Return a format with three digits for errors of about `least`, the minimum mean.
+def error_format(smallest: float, decimals_most: int) -> Callable[[float], str]:
+    """Return a format with three digits for errors of about `smallest`, the minimum mean.
 
     Values over ten times that have three digits of their own, and none has more than
     `decimals_most` decimals.
     """
-    format_of_least = lengths(least, decimals_most)
+    format_of_least = lengths(smallest, decimals_most)
 
     def show(value: float) -> str:
-        if value > 10 * least > 0:
+        if value > 10 * smallest > 0:
             format_of_value = lengths(value, decimals_most)
             return format_of_value(value)
         return format_of_least(value)
@@ -237,7 +237,7 @@ def error_table(
     title: str,
     named: Sequence[tuple[str, Distribution]],
     unit: str,
-    least: float | None = None,
+    smallest: float | None = None,
     decimals_most: int = DECIMALS_MAX,
 ) -> Table:
     """Return a table with one row for each distribution of errors.
@@ -246,13 +246,13 @@ def error_table(
         title: Title of the table.
         named: The distributions with their names.
         unit: Unit of the errors.
-        least: Mean that determines the format. None for the minimum mean.
+        smallest: Mean that determines the format. None for the minimum mean.
         decimals_most: Maximum number of decimals.
     """
     values = [distribution for _, distribution in named]
-    if least is None:
-        least = min((value.mean for value in values if value.mean > 0), default=0.0)
-    show = error_format(least, decimals_most)
+    if smallest is None:
+        smallest = min((value.mean for value in values if value.mean > 0), default=0.0)
+    show = error_format(smallest, decimals_most)
 
     return Table(
         title,
@@ -280,7 +280,7 @@ def _errors(groups: Sequence[BatchStatistics], named: Sequence[tuple[str, Distri
         _errors_title(groups),
         named,
         first.unit,
-        least=min((group.total.mean for group in groups if group.counted), default=math.nan),
+        smallest=min((group.total.mean for group in groups if group.counted), default=math.nan),
         decimals_most=decimals_shown(first.experiment),
     )
 
@@ -327,7 +327,7 @@ def differences_table(contrasts: Sequence[Contrast]) -> Table:
     largest = max(filter(math.isfinite, sizes), default=0.0)
     show = lengths(largest, decimals_shown(first.experiment))
     title = "Comparison of the mean total errors"
-    if any(contrast.alike for contrast in contrasts) and len(contrasts) > 1:
+    if any(contrast.same_origin for contrast in contrasts) and len(contrasts) > 1:
         title += f", p corrected for {len(contrasts)} tests"
     values = [contrast.difference.value for contrast in contrasts]
     intervals = [contrast.difference.ci95.text(show) for contrast in contrasts]
@@ -358,7 +358,7 @@ def _basis(contrasts: Sequence[Contrast]) -> Table:
     rows = [
         (
             contrast.name,
-            contrast.tests if contrast.alike else NONE,
+            contrast.tests if contrast.same_origin else NONE,
             p_value(contrast.rank_p_holm),
             f"{fixed(2)(contrast.detects)} sd" if contrast.detects > 0 else NONE,
             contrast.why_unpaired,

@@ -235,7 +235,7 @@ def of_log(path: Path, names: Container[str]) -> tuple[dict[str, Table], Damage 
     contents = scan(path)
     tables: dict[str, Table] = {}
     if "trials" in names:
-        tables["trials"] = trials_table(Batch.of([result_of(contents)]))
+        tables["trials"] = trials_table(Batch.from_results([result_of(contents)]))
     log = trial_of(contents, 1)
     for name, table in OF_TRIAL.items():
         if name in names:

@@ -38,7 +38,7 @@ def finished_trials(loaded: LoadedStudy, store: Store) -> Iterator[tuple[Arm, Re
 def origins(loaded: LoadedStudy) -> list[Origin]:
     """Return the origin of each arm's trials, which are all simulated."""
     simulated = PlantInfo("", simulated=True, camera_rate_hz=0.0, facts={})
-    return [Origin.of(arm.spec.experiment, simulated) for arm in loaded.arms]
+    return [Origin.from_spec(arm.spec.experiment, simulated) for arm in loaded.arms]
 
 
 def write_table(loaded: LoadedStudy, store: Store) -> Path:
@@ -56,7 +56,7 @@ def write_table(loaded: LoadedStudy, store: Store) -> Path:
             value = arm.values.get(path)
             is_cell = isinstance(value, int | float | str) or value is None
             row[path] = value if is_cell else as_yaml(value)
-        for column in trials_table(Batch.of([trial])).columns:
+        for column in trials_table(Batch.from_results([trial])).columns:
             if column.key not in OF_HOST:
                 row[column.key] = column.listed[0]
         rows.append(row | {"content_digest": trial.digest, "code": trial.code})
@@ -89,7 +89,7 @@ def group_of(store: Store, value: Any, arms: Sequence[Arm]) -> ArmErrors:
         means.append(float(np.mean(over_arms)))
     bound = arms[0].spec.experiment.error_bound
     label = shown(value)
-    return ArmErrors.of(value, label, len(arms), np.array(means), bound)
+    return ArmErrors.from_errors(value, label, len(arms), np.array(means), bound)
 
 
 def field_values(store: Store, path: str, arms: Iterable[Arm]) -> list[ArmErrors]:

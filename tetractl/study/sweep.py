@@ -101,21 +101,21 @@ class Range(Model):
             raise inconsistent("whole", "needs whole numbers for low and high")
         return self
 
-    def at(self, share: float) -> float:
-        """Return the value at the fraction `share`, from 0 to below 1, of the range."""
+    def at(self, fraction: float) -> float:
+        """Return the value at the fraction `fraction`, from 0 to below 1, of the range."""
         if self.whole:
             # as many values round down to the highest number as to any other
-            value = self._between(self.low, self.high + 1, share)
+            value = self._between(self.low, self.high + 1, fraction)
             return math.floor(min(max(value, self.low), self.high + 0.5))
-        value = self._between(self.low, self.high, share)
+        value = self._between(self.low, self.high, fraction)
         return min(max(value, self.low), self.high)
 
-    def _between(self, low: float, high: float, share: float) -> float:
+    def _between(self, low: float, high: float, fraction: float) -> float:
         """Return the value between two others, which rounding may exceed."""
         if self.scale == "log":
             log_low = math.log(low)
-            return math.exp(log_low + share * (math.log(high) - log_low))
-        return low + share * (high - low)
+            return math.exp(log_low + fraction * (math.log(high) - log_low))
+        return low + fraction * (high - low)
 
 
 class SampledSweep(Sweep):

@@ -55,7 +55,7 @@ class Child:
             start_new_session=alone,
             env={**os.environ, **(environment or {})},
         )
-        self._said = bytearray()
+        self._output = bytearray()
         self._listener = threading.Thread(target=self._listen, name="child", daemon=True)
         self._listener.start()
 
@@ -96,21 +96,21 @@ class Child:
         self._process.kill()
         self._process.wait()
 
-    def said(self) -> list[str]:
+    def error_lines(self) -> list[str]:
         """Return the last printable lines on its standard error, after it has ended.
 
         A child of its own may keep the pipe open: it is not waited for.
         """
         self._listener.join(1.0)
-        return shown_lines(bytes(self._said))
+        return shown_lines(bytes(self._output))
 
     def _listen(self) -> None:
         stream = self._process.stderr
         assert stream is not None
         with stream, suppress(OSError, ValueError):
             while data := os.read(stream.fileno(), READ_BYTES):
-                self._said += data
-                del self._said[:-SAID_BYTES]
+                self._output += data
+                del self._output[:-SAID_BYTES]
 
 
 def run_tool(
@@ -136,7 +136,7 @@ def open_in_browser(address: str) -> bool:
     return webbrowser.open(address)
 
 
-def shown_lines(said: bytes) -> list[str]:
+def shown_lines(output: bytes) -> list[str]:
     """Return the lines of a text that are not empty, each printable and of SHOWN_LINE_MAX."""
-    lines = said.decode(errors="replace").splitlines()
+    lines = output.decode(errors="replace").splitlines()
     return [printable(line, SHOWN_LINE_MAX) for line in lines if line.strip()]

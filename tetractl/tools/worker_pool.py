@@ -82,11 +82,11 @@ class WorkerPool:
         prepare: Callable[..., object] | None = None,
         arguments: tuple[Any, ...] = (),
     ) -> None:
-        self._heard, self._said = context.Pipe(duplex=False)
+        self._receiver, self._sender = context.Pipe(duplex=False)
         self._who = who
         self._tell = tell
         self._context: Any = context
-        start = self._said, prepare, arguments
+        start = self._sender, prepare, arguments
         self._pool = ProcessPoolExecutor(workers, context, _start_worker, start)
         self._listener = threading.Thread(target=self._listen, name="workers", daemon=True)
         self._listener.start()
@@ -96,7 +96,7 @@ class WorkerPool:
 
     def __exit__(self, *_: object) -> None:
         self._pool.shutdown(cancel_futures=True)
-        self._said.close()
+        self._sender.close()
         self._listener.join(1.0)  # a worker's own child may keep the pipe open
 
     def submit(self, call: Callable[..., R], *arguments: object) -> "Future[R]":
@@ -129,7 +129,7 @@ class WorkerPool:
 
     def _listen(self) -> None:
         lines = 0
-        with suppress(OSError), os.fdopen(os.dup(self._heard.fileno()), "rb") as stream:
+        with suppress(OSError), os.fdopen(os.dup(self._receiver.fileno()), "rb") as stream:
             while line := stream.readline(SAID_BYTES):
                 for text in shown_lines(line):
                     lines += 1
@@ -146,11 +146,11 @@ def _lost(error: BrokenProcessPool) -> "Future[Any]":
 
 
 def _start_worker(
-    said: Connection, prepare: Callable[..., object] | None, arguments: tuple[Any, ...]
+    output: Connection, prepare: Callable[..., object] | None, arguments: tuple[Any, ...]
 ) -> None:
     for descriptor in (1, 2):
-        os.dup2(said.fileno(), descriptor)
-    said.close()
+        os.dup2(output.fileno(), descriptor)
+    output.close()
     # the streams before may have text of another process, or be written by a thread of it
     sys.stdout = _lines_to(1)
     sys.stderr = _lines_to(2)

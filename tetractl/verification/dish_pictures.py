@@ -21,17 +21,17 @@ JPEG_QUALITY = 60
 
 
 class DishPictures:
-    """The readable pictures of one trial, at most `most`; only logs of a microscope have any.
+    """The readable pictures of one trial, at most `count_max`; only logs of a microscope have any.
 
     `times` are when the pictures were taken, on the trial's clock [ns]. `corners` (3, 2) are the
     positions of a picture's lower left, lower right and upper left corner in the spec's
     coordinates.
     """
 
-    def __init__(self, log: TrialLog, most: int | None = None) -> None:
+    def __init__(self, log: TrialLog, count_max: int | None = None) -> None:
         camera = log.experiment.plant.microscope
         logged = log.pictures if camera is not None else ()
-        stride = 1 if most is None else max(1, math.ceil(len(logged) / most))
+        stride = 1 if count_max is None else max(1, math.ceil(len(logged) / count_max))
         self.times: list[int] = []
         self._greys: list[Image.Image] = []
         self.corners: Floats = np.zeros((3, 2))

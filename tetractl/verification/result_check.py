@@ -47,7 +47,7 @@ def result_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
         A difference for each contradicted value. Of the errors, only the first one.
     """
     yield from _emulation(log)
-    again = Result.of(
+    again = Result.from_verdict(
         log.start.setup,
         result.verdict,
         outcome=result.outcome,
@@ -56,7 +56,7 @@ def result_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
         solve_ns=tuple(step.solve_ns for step in log.steps),
         deadline_misses=result.deadline_misses,
         drove=result.drove,
-        tour=log.tour,
+        route=log.route,
         estimate=log.last_estimate,
     )
     difference = first_difference(again, result, name="result")

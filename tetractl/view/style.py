@@ -130,8 +130,8 @@ def headline(drawing: Figure, text: str, alarm: str = "") -> None:
             drawing.text(0.01, top, line, va="top", ha="left", fontsize=7, color=color)
 
 
-def _lower_legends(drawing: Figure, share: float) -> float:
-    """Move each legend above the axes down, into the lower fraction `share` of the figure.
+def _lower_legends(drawing: Figure, fraction: float) -> float:
+    """Move each legend above the axes down, into the lower fraction `fraction` of the figure.
 
     The layout engine would place them next to the headline, not below it.
 
@@ -148,7 +148,7 @@ def _lower_legends(drawing: Figure, share: float) -> float:
         box = legend.get_window_extent()
         if box.y0 > drawing.bbox.height / 2:
             above_in = max(above_in, box.height / drawing.dpi + LEGEND_GAP_IN)
-            legend.set_bbox_to_anchor((0.0, 0.0, 1.0, share), transform=drawing.transFigure)
+            legend.set_bbox_to_anchor((0.0, 0.0, 1.0, fraction), transform=drawing.transFigure)
     return above_in
 
 

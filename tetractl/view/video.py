@@ -199,7 +199,7 @@ def _mp4(path: Path, pictures: Iterator[Picture], rate: int, hold: int) -> None:
             encoder.stdin.write(last.tobytes() * hold)
             encoder.stdin.close()
         if encoder.wait() != 0:
-            raise OSError((encoder.said() or ["ffmpeg failed"])[-1])
+            raise OSError((encoder.error_lines() or ["ffmpeg failed"])[-1])
 
 
 def _empty_picture(arena: Bounds, width_px: int) -> tuple[Figure, Axes, Axes, Axes]:

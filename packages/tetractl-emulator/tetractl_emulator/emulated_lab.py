@@ -68,7 +68,7 @@ class EmulatedLab:
         self.wires = wires or Wires()
         self._ruling = ("", "")
         stage = Stage(lab, setup, self.timeline, options, *reports, self.wires, acting)
-        sides = Sides.of(lab.camera.type, lab.actuator.type)
+        sides = Sides.of_types(lab.camera.type, lab.actuator.type)
         emulated = script.emulation
         self.actuator: EmulatedActuator = sides.actuator(
             stage, emulated.actuator or sides.actuator.Settings()

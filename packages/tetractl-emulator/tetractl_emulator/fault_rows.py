@@ -81,16 +81,16 @@ def part(low: float, high: float) -> DrawValue:
     return lambda d: min(1.0, value(d))
 
 
-def less(low: float, high: float, least: float = 0.0) -> DrawValue:
+def less(low: float, high: float, remaining_min: float = 0.0) -> DrawValue:
     """Sample what remains of 1 after a random loss.
 
     Args:
         low: Minimum loss.
         high: Maximum loss.
-        least: Minimum of the result.
+        remaining_min: Minimum of the result.
     """
     lacking = between(low, high)
-    return lambda d: max(least, round(1 - lacking(d), 4))
+    return lambda d: max(remaining_min, round(1 - lacking(d), 4))
 
 
 def signed(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
@@ -117,22 +117,22 @@ def factor(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
     return lambda d: 1 + change(d)
 
 
-def way(low: float, high: float) -> DrawValue:
+def vector(low: float, high: float) -> DrawValue:
     """Return the draw of a vector of a length between two, in any direction."""
     length = between(low, high)
     return lambda d: _vector(length(d), d.random.uniform(-math.pi, math.pi))
 
 
 def off(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
-    """Sample a vector like `way`, in the robots' scale.
+    """Sample a vector like `vector`, in the robots' scale.
 
     Args:
         low: Minimum length.
         high: Maximum length.
         a_frame: Factor for the result.
     """
-    vector = way(low, high)
-    return lambda d: [round(value * d.scale * a_frame, 6) for value in vector(d)]
+    draw = vector(low, high)
+    return lambda d: [round(value * d.scale * a_frame, 6) for value in draw(d)]
 
 
 def along(low: float, high: float, angle: float) -> DrawValue:

@@ -99,23 +99,23 @@ class ActingFaults:
         """Let a fault act no more."""
         self._faults[fault.fault].remove(fault)
 
-    def of(self, name: str, robot: str | None = None) -> Sequence[Any]:
+    def of_kind(self, name: str, robot: str | None = None) -> Sequence[Any]:
         """Return the faults of a kind, in the order in which they began."""
         faults = self._faults.get(name, ())
         return [f for f in faults if f.robot == robot] if faults and robot else faults
 
     def newest(self, name: str, robot: str | None = None) -> Any:
         """Return the newest fault of a kind; None if there is none."""
-        faults = self.of(name, robot)
+        faults = self.of_kind(name, robot)
         return faults[-1] if faults else None
 
     def total_by(self, name: str, robot: str | None = None) -> float:
         """Return the sum of the fields `by` of a kind."""
-        return sum(fault.by for fault in self.of(name, robot))
+        return sum(fault.by for fault in self.of_kind(name, robot))
 
-    def share(self, name: str, robot: str | None = None) -> float:
-        """Return the greatest `share` of a kind; 0 if there is none."""
-        return max((fault.share for fault in self.of(name, robot)), default=0.0)
+    def largest_share(self, name: str, robot: str | None = None) -> float:
+        """Return the largest `share` of a kind's faults, or 0 if there is none."""
+        return max((fault.share for fault in self.of_kind(name, robot)), default=0.0)
 
 
 def adding(running: list[Any], entry: object) -> Undo:

@@ -30,7 +30,7 @@ DAYS_MAX = 1_000_000
 if TYPE_CHECKING:
     from tetractl.spec.experiment import Experiment
     from tetractl.spec.lab_section import LabSection
-    from tetractl_emulator.rehearsal.day import Day
+    from tetractl_emulator.rehearsal.day import DayOutcome
     from tetractl_emulator.rehearsal.summary import DayRow
     from tetractl_emulator.rehearsal.truth import Truth, Violation
 
@@ -152,7 +152,7 @@ def rehearsed(
     from tetractl.spec.load import load_spec
     from tetractl.spec.plants import on_plant
     from tetractl.spec.yaml.core_yaml import dump
-    from tetractl_emulator.rehearsal.day import play
+    from tetractl_emulator.rehearsal.day import run_day
     from tetractl_emulator.rehearsal.day_plan import plan_of_day
     from tetractl_emulator.rehearsal.summary import row_of
 
@@ -164,7 +164,7 @@ def rehearsed(
     plan = plan_of_day(seed, day, lab, experiment.setup, experiment.open, bad)
     sets = (*sets, *plan.settings)
     with tempfile.TemporaryDirectory() as scratch:
-        played = play(spec, sets, plan, Path(scratch))
+        played = run_day(spec, sets, plan, Path(scratch))
         began_s = time.process_time()
         as_played = on_plant(load_spec(spec, sets), "emulated").experiment
         truth, violations = observed(played, as_played, lab)
@@ -177,7 +177,7 @@ def rehearsed(
 
 
 def observed(
-    day: "Day", experiment: "Experiment", lab: "LabSection"
+    day: "DayOutcome", experiment: "Experiment", lab: "LabSection"
 ) -> "tuple[Truth, Sequence[Violation]]":
     """Return the true course of a day in a lab, and the invariants that it violates.
 
@@ -186,8 +186,8 @@ def observed(
         experiment: The experiment.
         lab: The lab.
     """
-    from tetractl_emulator.rehearsal.outcome_sentences import outcome_violations
-    from tetractl_emulator.rehearsal.sentences import violations
+    from tetractl_emulator.rehearsal.invariants import violations
+    from tetractl_emulator.rehearsal.outcome_invariants import outcome_violations
     from tetractl_emulator.rehearsal.truth import Truth
 
     watchdog_s = (experiment.wheels.watchdog if experiment.wheels else None) or WATCHDOG_S

@@ -70,7 +70,7 @@ class SerialLine:
 
     def disturbed(self, data: bytes) -> bytes:
         """Return bytes as the line passes them on."""
-        noise = self._acting.share("bad_bytes")
+        noise = self._acting.largest_share("bad_bytes")
         if not noise:
             return data
         chance = self._chance
@@ -136,7 +136,7 @@ class SerialDevice(ABC):
     @property
     def is_down(self) -> bool:
         """Whether it starts again, and takes and gives no bytes."""
-        return bool(self.acting.of("radio_resets"))
+        return bool(self.acting.of_kind("radio_resets"))
 
     def _note_commands(self, frames: Sequence[bytes]) -> None:
         """Record the commands, or the garbage, in frames read from the port."""

@@ -91,7 +91,7 @@ class Sides:
     actuator: Any
 
     @classmethod
-    def of(cls, camera: str, actuator: str) -> Self:
+    def of_types(cls, camera: str, actuator: str) -> Self:
         """Return the emulated devices for a lab's types.
 
         Raises:
@@ -150,7 +150,7 @@ def parse_script(
         InvalidSpecError: With a line for each problem.
     """
     document = parse_document(text, origin)
-    sides = Sides.of(camera, actuator)
+    sides = Sides.of_types(camera, actuator)
     try:
         script = Script.model_validate(
             with_tuples(document.data), strict=True, context={"sides": sides}

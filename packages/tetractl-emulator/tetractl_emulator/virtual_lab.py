@@ -75,7 +75,7 @@ class LabClock(VirtualClock):
     @property
     def stopped(self) -> bool:
         """Whether the process stands still."""
-        return bool(self.acting.of("stopped"))
+        return bool(self.acting.of_kind("stopped"))
 
     @property
     def true_ns(self) -> int:

@@ -84,7 +84,7 @@ class EmulatedPlantSection(RigSection):
         """Raise SpecError if a device cannot be emulated, AbortError if software is missing."""
         from tetractl_emulator.script import Sides
 
-        Sides.of(self.camera.type, self.actuator.type)
+        Sides.of_types(self.camera.type, self.actuator.type)
         if self.real == "actuator":
             self.actuator.require_port()
 
@@ -202,7 +202,7 @@ class BusyPlant(LabPlant):
 
         assert isinstance(self.clock, LabClock), "the section returned it"
         self._plans += 1
-        for busy in tuple(self.clock.acting.of("busy")):
+        for busy in tuple(self.clock.acting.of_kind("busy")):
             if self._observed_ns is not None and self._plans % busy.every == 0:
                 self.clock.sleep_until(self.clock.now() + round(busy.seconds * SECOND))
         command = super().send(action)

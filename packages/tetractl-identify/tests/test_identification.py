@@ -76,12 +76,12 @@ def drive(seed, *sets, period_s=PERIOD_S, directions=None, count=50):
         plant.observe()
         command = plant.send(Steer(float(direction)))
         samples += plant.samples()
-        commands += [*plant.news(), command]
+        commands += [*plant.events(), command]
     clock.sleep_until(round(len(directions) * period_s * SECOND))
     stop = plant.stop()
     plant.settle()
     samples += plant.samples()
-    commands += plant.news()
+    commands += plant.events()
     observations = [sample.observation for sample in samples]
     track = Track(
         source="test",

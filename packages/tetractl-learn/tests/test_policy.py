@@ -62,7 +62,7 @@ def test_a_policy_along_the_gap_arrives_and_is_verified_from_the_log_alone(tmp_p
 
 def test_features_are_gaps_headings_and_the_last_direction(tmp_path):
     setup = api.load_spec(spec_file(tmp_path, [TOWARDS_TARGET])).experiment.setup
-    poses = Poses.of(np.array([[2000.0, 1500.0, math.pi / 2]]))
+    poses = Poses.from_array(np.array([[2000.0, 1500.0, math.pi / 2]]))
     observation = Observation(1, 0, 0, poses, np.array([True]))
     gap = [1000 / 4000, -500 / 4000]  # of the arena's longer side, 4000 um
     expected = [*gap, 0.0, 1.0, 0.0, 0.0]

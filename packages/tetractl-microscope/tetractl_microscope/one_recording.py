@@ -44,41 +44,42 @@ class Reading:
     """Another reading of commands that could explain the motion.
 
     Attributes:
-        share: Fraction of the motion that it explains.
+        fraction: Fraction of the motion that it explains.
         said: The message.
         hint: What to do.
     """
 
-    share: float
-    said: str
+    fraction: float
+    message: str
     hint: str
 
 
 def check_explained(
-    source: str, what: str, share: float, least: float, readings: Sequence[Reading]
+    source: str, what: str, fraction: float, fraction_min: float, readings: Sequence[Reading]
 ) -> None:
     """Check that no other reading explains the motion better than the stated one.
 
     Args:
         source: The file of the commands.
         what: What was compared, for the message.
-        share: Fraction of the motion that the stated commands explain.
-        least: Minimum fraction that they must explain.
+        fraction: Fraction of the motion that the stated commands explain.
+        fraction_min: Minimum fraction that they must explain.
         readings: The other readings.
 
     Raises:
-        UsageError: If another reading explains certainly more, or if `share` is below `least`.
+        UsageError: If another reading explains certainly more, or if `fraction` is below
+            `fraction_min`.
     """
-    best = max(readings, key=lambda reading: reading.share)
-    explains_enough = best.share >= EXPLAINED
-    explains_more = best.share >= share + SURELY_MORE
-    leaves_little = best.share >= 1 - REST_LEFT * (1 - share)
-    is_better = best.share > share
+    best = max(readings, key=lambda reading: reading.fraction)
+    explains_enough = best.fraction >= EXPLAINED
+    explains_more = best.fraction >= fraction + SURELY_MORE
+    leaves_little = best.fraction >= 1 - REST_LEFT * (1 - fraction)
+    is_better = best.fraction > fraction
     if is_better and explains_enough and (explains_more or leaves_little):
-        raise UsageError(best.said, best.hint)
-    if share < least:
+        raise UsageError(best.message, best.hint)
+    if fraction < fraction_min:
         raise UsageError(
-            f"{source}: the commands explain {max(share, 0.0):.0%} of the {what}",
+            f"{source}: the commands explain {max(fraction, 0.0):.0%} of the {what}",
             "are they another robot's, of another recording, or 10 s off? does it turn and drive?",
         )
 

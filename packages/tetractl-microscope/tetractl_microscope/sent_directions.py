@@ -148,7 +148,7 @@ def check_directions(
     sent: SentDirections,
     delays_s: Floats,
     readings: Sequence[DirectionReading],
-    least: float = 0.0,
+    fraction_min: float = 0.0,
 ) -> None:
     """Check that robots turn by the stated directions, and not by another reading of them.
 
@@ -161,7 +161,7 @@ def check_directions(
         sent: The directions.
         delays_s: Delays after which they may act [s].
         readings: The other readings.
-        least: Minimum fraction of the turning that the directions must explain.
+        fraction_min: Minimum fraction of the turning that the directions must explain.
 
     Raises:
         UsageError: If another reading explains the turning, or if the directions explain too
@@ -177,11 +177,11 @@ def check_directions(
     for reading in readings:
         share, delay_s = _best_delay(longest, reading.sent, reading.delays_s, reading.response)
         when = f"{abs(delay_s):.1f} s {'before' if delay_s < 0 else 'after'}"
-        others.append(Reading(share, reading.said.replace(WHEN, when), reading.hint))
+        others.append(Reading(share, reading.message.replace(WHEN, when), reading.hint))
     rates = np.concatenate([np.diff(course.angle) / GRID_S for course in longest])
     turns = rates.std() > TURNS
     share, _ = _best_delay(longest, sent, delays_s, rotated)
-    check_explained(source, "turns", share, least if turns else 0.0, others)
+    check_explained(source, "turns", share, fraction_min if turns else 0.0, others)
 
 
 def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:

@@ -81,7 +81,7 @@ def survey(
     from tetractl_microscope.cells.section import CellsSection
     from tetractl_microscope.choice.closed_loop import Noise
     from tetractl_microscope.choice.first_plans import planner, tolerance
-    from tetractl_microscope.choice.ranked import alike, ranked
+    from tetractl_microscope.choice.ranked import ranked, similar_pairs
     from tetractl_microscope.choice.section import Choice
     from tetractl_microscope.handedness import handedness_lines, watch_turning
 
@@ -112,7 +112,7 @@ def survey(
         cells, turned = watch_turning(rig, choice, experiment.trials.seed, supervision)
     wrong, turning = handedness_lines(turned)
     ui.tell(*(f"warning: {problem}" for problem in wrong))
-    pairs = list(alike(cells))
+    pairs = list(similar_pairs(cells))
     if not as_json:
         _print_cells(cells, pairs, unit)
         print(f"turning: {turning}")
@@ -120,7 +120,7 @@ def survey(
     def done(count: int, total: int) -> None:
         ui.tell(f"prediction {count} of {total}")
 
-    choices = ranked(experiment, cells, Noise.of(loaded.experiment.plant), plans, done)
+    choices = ranked(experiment, cells, Noise.from_plant(loaded.experiment.plant), plans, done)
     if as_json:
         listed_choices = [
             {"cells": proposal.numbers, "error": proposal.error} for proposal in choices

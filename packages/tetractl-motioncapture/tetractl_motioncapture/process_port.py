@@ -34,7 +34,7 @@ class ProcessPort(ClientPort):
             if code < 0:
                 why = signal.strsignal(-code) or f"signal {-code}"
             else:
-                why = ": ".join([f"exit code {code}", *self._process.said()[-1:]])
+                why = ": ".join([f"exit code {code}", *self._process.error_lines()[-1:]])
             raise AbortError(f"the process of {self._device} has ended: {why}")
         stamp, _, message = line.partition(b" ")
         # in the pipe, as after a sleep

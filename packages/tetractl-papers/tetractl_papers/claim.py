@@ -130,9 +130,9 @@ def at_least(bound: float) -> Asked:
     return Asked("greater is better", mean_of, _within(bound, math.inf))
 
 
-def rarely(share: float = 0.05) -> Asked:
+def rarely(fraction: float = 0.05) -> Asked:
     """A fact is to hold, the values to be above 0, in fewer than a share of the trials."""
-    return Asked(f"in fewer than {100 * share:g} %", share_of, _within(-math.inf, share))
+    return Asked(f"in fewer than {100 * fraction:g} %", share_of, _within(-math.inf, fraction))
 
 
 def same_number(published: float) -> Asked:
@@ -140,9 +140,9 @@ def same_number(published: float) -> Asked:
     return Asked("agreement", mean_of, _holds(published))
 
 
-def as_often(share: float) -> Asked:
+def as_often(fraction: float) -> Asked:
     """A fact is to hold, the values to be above 0, in a stated share of the trials."""
-    return Asked(f"agreement with {100 * share:g} %", share_of, _holds(share))
+    return Asked(f"agreement with {100 * fraction:g} %", share_of, _holds(fraction))
 
 
 def not_judged(number: Callable[[Floats], OurNumber]) -> Asked:

@@ -120,7 +120,7 @@ class Ensemble(PlainController):
         else:
             self._rotate(problem)
             signals = np.array([self._field])
-            end = Poses.of(predict(problem, signals)[-1])
+            end = Poses.from_array(predict(problem, signals)[-1])
             in_vain = self._turned_rad > 2 * np.pi * section.turns
             if in_vain and end.distances(problem.targets).sum() >= error:
                 return Outcome.NO_BETTER_PLAN

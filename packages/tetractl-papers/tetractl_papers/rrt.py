@@ -70,7 +70,7 @@ class RrtSection(PlainSection):
 
     def problem(self, setup: Setup) -> Problem:
         """Return the problem used to compute the logged cost, for the robot at its start."""
-        obstacles = Obstacles.of(setup.obstacles, self.margin, setup.arena)
+        obstacles = Obstacles.from_shapes(setup.obstacles, self.margin, setup.arena)
         return replace(super().problem(setup), obstacles=obstacles, swept=True)
 
     def build(self, setup: Setup, key: int, host: Host = ALONE) -> "Rrt":

@@ -61,7 +61,7 @@ def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> None:
     """Check that an optimiser's search records are consistent, and that its searches repeat."""
     problem = Problem(
         poses=setup.starts, targets=setup.targets, a=setup.a, speed=setup.speed, motion="exact",
-        period=0.2, first_period=0.2, obstacles=Obstacles.of(setup.obstacles),
+        period=0.2, first_period=0.2, obstacles=Obstacles.from_shapes(setup.obstacles),
         obstacle_weight=1000.0, swept=True,
     )  # fmt: skip
     rng = np.random.default_rng(SEED)
@@ -106,7 +106,7 @@ def _check_search(
 
 
 @dataclass(slots=True)
-class Play:
+class SimulatedRun:
     """The decisions of a controller in one simulation.
 
     Attributes:
@@ -137,12 +137,12 @@ class Play:
         return numbers
 
 
-def played(section: ControllerSection, setup: Setup) -> Play:
+def simulate_run(section: ControllerSection, setup: Setup) -> SimulatedRun:
     """Run a controller in an undisturbed simulation until it ends, or its time limit is over."""
-    play = Play(first=setup.starts.array())
+    run = SimulatedRun(first=setup.starts.array())
 
     def wrap(optimizer: OptimizerSection) -> Optimizer:
-        play.wraps = True
+        run.wraps = True
         return optimizer
 
     clock = VirtualClock()
@@ -155,19 +155,19 @@ def played(section: ControllerSection, setup: Setup) -> Play:
     for k in range(STEPS_MAX + 2):
         observation = plant.observe()
         if k == 0:
-            play.first = observation.poses.array()
+            run.first = observation.poses.array()
         try:
             decision = controller.plan(observation, command, earlier)
         except WrongValueError as error:
-            play.wrong = error.what
+            run.wrong = error.what
             break
-        play.decisions.append(decision)
+        run.decisions.append(decision)
         if not isinstance(decision, Plan):
             break
         command = plant.send(decision.action)
         clock.sleep_until(round((k + 1) * section.period * SECOND))
         earlier = [sample.observation for sample in plant.samples()][:-1]
-    return play
+    return run
 
 
 @contextmanager
@@ -203,16 +203,16 @@ def check_controller(section: ControllerSection, setup: Setup) -> None:
     section.warm_up(setup)
     package = type(section).__module__.partition(".")[0]
     with random_watched() as used, clocks_watched(package) as clock_calls:
-        play = played(section, setup)
-        again = played(section, setup)
-    expect("plan: a Plan, an Outcome or an End that can be sent and logged", play.wrong)
-    if play.wrong:
+        run = simulate_run(section, setup)
+        again = simulate_run(section, setup)
+    expect("plan: a Plan, an Outcome or an End that can be sent and logged", run.wrong)
+    if run.wrong:
         return
-    _check_plans(play.plans, section, setup, play.first)
-    _check_ends(play, section, setup)
+    _check_plans(run.plans, section, setup, run.first)
+    _check_ends(run, section, setup)
     searches = any(isinstance(value, OptimizerSection) for _, value in section)
-    true("wrap: gets the optimiser", play.wraps or not searches)
-    same("key: same key, same decisions", play.numbers, again.numbers)
+    true("wrap: gets the optimiser", run.wraps or not searches)
+    same("key: same key, same decisions", run.numbers, again.numbers)
     expect("random numbers: from the key", " and ".join(used))
     expect("clock: only timer", ", ".join(sorted(clock_calls)))
 
@@ -240,17 +240,17 @@ def _check_plans(
     true("plan: FieldOff only with switches_field", fields)
 
 
-def _check_ends(play: Play, section: ControllerSection, setup: Setup) -> None:
+def _check_ends(run: SimulatedRun, section: ControllerSection, setup: Setup) -> None:
     """Check that a trial ends at its time limit, and where all robots are at their targets."""
-    count_of_plans = len(play.plans)
-    in_time = count_of_plans < len(play.decisions) and count_of_plans <= STEPS_MAX + 1
+    count_of_plans = len(run.plans)
+    in_time = count_of_plans < len(run.decisions) and count_of_plans <= STEPS_MAX + 1
     if count_of_plans == STEPS_MAX + 1:
-        in_time = in_time and play.decisions[-1] is Outcome.TIME_LIMIT
+        in_time = in_time and run.decisions[-1] is Outcome.TIME_LIMIT
     true("time_limit: ends the trial", in_time)
     robots = len(setup.names)
-    for share, arrived in ((0.95, True), (1.05, False)):
-        aside = np.array([share * section.arrival_tolerance, 0.0])
-        poses = Poses.of(np.column_stack([setup.targets + aside, np.ones(robots)]))
+    for fraction, arrived in ((0.95, True), (1.05, False)):
+        aside = np.array([fraction * section.arrival_tolerance, 0.0])
+        poses = Poses.from_array(np.column_stack([setup.targets + aside, np.ones(robots)]))
         all_seen = np.ones(robots, dtype=np.bool_)
         controller = section.build(setup, SEED)
         decision = controller.plan(Observation(0, 0, 0, poses, all_seen))

@@ -173,7 +173,7 @@ def _check_scene(
     camera: Camera, setup: Setup, scene: SeenRobots, frames: Sequence[CameraFrame]
 ) -> None:
     """Check that frames show a scene, and what they show after a robot is hidden."""
-    healthy = [frame.fault == "" and frame.strangers == () for frame in frames]
+    healthy = [frame.fault == "" and frame.unknown_objects == () for frame in frames]
     true("frames: neither a fault nor a stranger", healthy)
     true("damaged: 0", camera.damaged == 0, str(camera.damaged))
     poses = [pose for pose in frames[-1].poses if pose is not None]

@@ -86,7 +86,7 @@ def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:
     all_robots = np.ones(robots, dtype=np.bool_)
     parameters = call(disturbance.parameters, setup.a.copy(), setup.speed.copy())
     a, speed = parameters or (setup.a, setup.speed)
-    poses = Poses.of(setup.starts.array())
+    poses = Poses.from_array(setup.starts.array())
     poses = call(disturbance.placed, poses) or poses
     for k in range(FRAMES):
         now_ns = k * FRAME_NS

@@ -65,7 +65,7 @@ def findings_of(check: Callable[[], object]) -> list[Finding]:
     return findings
 
 
-def near(what: str, ours: Any, theirs: Any, scale: Any, share: float = NEAR) -> None:
+def near(what: str, ours: Any, theirs: Any, scale: Any, tolerance: float = NEAR) -> None:
     """Expect that two results are nearly equal. The problem names the case that differs most.
 
     Args:
@@ -73,7 +73,7 @@ def near(what: str, ours: Any, theirs: Any, scale: Any, share: float = NEAR) -> 
         ours: The result of the code under test.
         theirs: The expected result.
         scale: Scale of the difference.
-        share: Maximum difference, as a fraction of `scale`.
+        tolerance: Maximum difference, as a fraction of `scale`.
     """
     arrays = [np.asarray(value, float) for value in (ours, theirs, scale)]
     ours, theirs, scale = np.broadcast_arrays(*arrays)
@@ -81,7 +81,7 @@ def near(what: str, ours: Any, theirs: Any, scale: Any, share: float = NEAR) -> 
     comparable_off = np.where(np.isfinite(off), off, np.inf)
     worst = int(np.argmax(comparable_off))
     problem = ""
-    if comparable_off.ravel()[worst] > share:
+    if comparable_off.ravel()[worst] > tolerance:
         values = f"{ours.ravel()[worst]:.9g} and {theirs.ravel()[worst]:.9g}"
         problem = f"{values} in case {worst} of {off.size}"
     expect(what, problem)

@@ -41,7 +41,7 @@ class ToioActuator(WheeledActuator):
         self.section = section
         robots = [entry(section.robots, name) for name in setup.names]
         self._charge: list[int | None] = [None] * len(robots)
-        self.link = CubesLink(clock, [robot.cube for robot in robots], ports, self._heard)
+        self.link = CubesLink(clock, [robot.cube for robot in robots], ports, self._receive)
         gain = np.array([[r.left_gain for r in robots], [r.right_gain for r in robots]])
         self._gain = gain * WHEEL_MM_S
         limit = min(section.speed_max_mm_s / WHEEL_MM_S, SPEED_MAX)
@@ -110,7 +110,7 @@ class ToioActuator(WheeledActuator):
             raise lost[0]
         return sent_ns, outputs * self._gain
 
-    def _heard(self, i: int, characteristic: int, data: bytes, _at_ns: int) -> None:
+    def _receive(self, i: int, characteristic: int, data: bytes, _at_ns: int) -> None:
         if characteristic == Characteristic.BATTERY and len(data) == 1:
             self._charge[i] = data[0]
 

@@ -34,9 +34,9 @@ class BluetoothPort(SerialPort):
     """The cube `name`; see SerialPort, whose `baud` has no meaning here."""
 
     def __init__(
-        self, name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
+        self, name: str, baud: int, device: str, clock: Clock, on_received: Heard, hint: str
     ) -> None:
-        super().__init__(name, baud, device, clock, heard, hint)
+        super().__init__(name, baud, device, clock, on_received, hint)
         self._ready = threading.Event()
         self._loop = asyncio.new_event_loop()
         self._client: Any = None

@@ -92,7 +92,7 @@ class ToioCamera:
         self._clock = clock
         self._wake = wake
         cubes = [entry(section.robots, name).cube for name in setup.names]
-        self._link = CubesLink(clock, cubes, ports, self._heard)
+        self._link = CubesLink(clock, cubes, ports, self._receive)
         self._reports = CubeReports(len(cubes))
         self._configured = set[int]()  # the cubes that have taken the settings
         self._asked_ns = 0  # when silent cubes were last asked
@@ -185,7 +185,7 @@ class ToioCamera:
     def _sampled(self, at_ns: int) -> int:
         return max(0, at_ns - round(self.section.latency * SECOND))
 
-    def _heard(self, i: int, characteristic: int, data: bytes, at_ns: int) -> None:
+    def _receive(self, i: int, characteristic: int, data: bytes, at_ns: int) -> None:
         if characteristic == Characteristic.CONFIGURATION:
             self._configured.add(i)
         if characteristic != Characteristic.ID:

@@ -52,7 +52,9 @@ class Cubes:
         for cube, listener in listeners.items():
             self._listeners.setdefault(cube, []).append(listener)
             if cube not in self._links:
-                link = self._ports(cube, SPEED, "the cube", self._clock, self._heard(cube), HINT)
+                link = self._ports(
+                    cube, SPEED, "the cube", self._clock, self._receiver_of(cube), HINT
+                )
                 self._links[cube] = link
                 link.open()
 
@@ -80,10 +82,10 @@ class Cubes:
                 link.close()
         return self._users == 0
 
-    def _heard(self, cube: str) -> Heard:
+    def _receiver_of(self, cube: str) -> Heard:
         unpacker = Unpacker()
 
-        def heard(data: bytes, at_ns: int) -> None:
+        def receive(data: bytes, at_ns: int) -> None:
             messages = list(unpacker.feed(data))
             for characteristic, payload in messages:
                 if characteristic == Characteristic.EMULATED:
@@ -95,7 +97,7 @@ class Cubes:
                 for listener in self._listeners.get(cube, ()):
                     listener(characteristic, payload, at_ns)
 
-        return heard
+        return receive
 
 
 _RUNS: dict[Clock, Cubes] = {}
@@ -114,12 +116,12 @@ class CubesLink:
         clock: Clock,
         cubes: Sequence[str],
         ports: Ports | None,
-        heard: Callable[[int, int, bytes, int], None],
+        on_received: Callable[[int, int, bytes, int], None],
     ) -> None:
         self.cubes = cubes
         self._clock = clock
         self._ports = ports
-        self._heard = heard
+        self._on_received = on_received
         self._run: Cubes | None = None
 
     @property
@@ -135,7 +137,7 @@ class CubesLink:
     def open(self) -> None:
         """Connect; AbortError if that fails."""
         self._run = _RUNS.setdefault(self._clock, Cubes(self._clock, self._ports or make_port))
-        self._run.open({cube: partial(self._heard, i) for i, cube in enumerate(self.cubes)})
+        self._run.open({cube: partial(self._on_received, i) for i, cube in enumerate(self.cubes)})
 
     def close(self) -> None:
         """Leave the connections; may be called twice, never raises."""
@@ -170,14 +172,14 @@ class EmulatedCubePort(UdpPort):
 
 
 def make_port(
-    name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
+    name: str, baud: int, device: str, clock: Clock, on_received: Heard, hint: str
 ) -> SerialPort:
     """Create the port to a cube, without opening it; see `open_port`.
 
     It is UDP for an emulated cube, and Bluetooth otherwise.
     """
     if name.startswith(SCHEME):
-        return EmulatedCubePort(name, baud, device, clock, heard, hint)
+        return EmulatedCubePort(name, baud, device, clock, on_received, hint)
     from tetractl_toio.ble import BluetoothPort
 
-    return BluetoothPort(name, baud, device, clock, heard, hint)
+    return BluetoothPort(name, baud, device, clock, on_received, hint)

@@ -97,7 +97,7 @@ def check_space(expect, played):
     """True positions: inside the arena, and apart from one another, where that is expected."""
     setup = load_spec(Path(ROOT / "experiments" / "three_m3pi_lab.yaml")).experiment.setup
     arena = setup.arena
-    obstacles = Obstacles.of(setup.obstacles)
+    obstacles = Obstacles.from_shapes(setup.obstacles)
     for truth in played.of("truth"):
         spots = [complex(x, y) for x, y, _ in truth["poses"]]
         if expect.inside:

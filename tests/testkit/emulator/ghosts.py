@@ -84,7 +84,7 @@ class Ghost:
             if self.kind == "frozen":
                 acting = self.lab.emulation.camera.acting
                 for name in (bodies[i].robot.name for i in self._shown):
-                    if not acting.of("repeat", name):
+                    if not acting.of_kind("repeat", name):
                         act(acting, "repeat", robot=name)
             return expose()
 

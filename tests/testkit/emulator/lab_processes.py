@@ -248,7 +248,7 @@ def play(path, script, folder, *options, sets=()):
         logs = sorted(runners[0].folder.glob("*.mcap*"))
         return Played(
             [runner.process.returncode for runner in runners],
-            [runner.said() for runner in runners],
+            [runner.error_lines() for runner in runners],
             code,
             record,
             logs,

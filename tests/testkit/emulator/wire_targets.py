@@ -33,7 +33,7 @@ def script(data: bytes) -> None:
 
 def sound(frame: CameraFrame) -> None:
     """No number reaches the controller or the log that they cannot hold."""
-    for pose in (*frame.poses, *frame.strangers):
+    for pose in (*frame.poses, *frame.unknown_objects):
         assert pose is None or all(map(math.isfinite, (pose.x, pose.y, pose.heading)))
     assert 0 <= frame.received_ns - frame.sampled_ns <= AGE_MAX_NS
 

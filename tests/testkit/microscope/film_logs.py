@@ -11,7 +11,7 @@ from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, Stop
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses, Sample
-from tetractl.core.tour import TourMeasure
+from tetractl.core.route_measure import RouteMeasure
 from tetractl.core.trial import PlantInfo, Result
 from tetractl.log.read.reader import trial_path
 from tetractl.log.write.writer import LogWriter
@@ -60,7 +60,7 @@ def samples_of(synthetic, robots: int):
         for i, pose in enumerate(looked.poses):
             if pose is not None:
                 last[i] = pose.x, pose.y, pose.heading
-        poses = Poses.of(last.copy())
+        poses = Poses.from_array(last.copy())
         observation = Observation(k, exposed, exposed + 9_000_000, poses, valid)
         gathered.append(Sample(observation, None, added.messages))
     return loaded, gathered
@@ -82,7 +82,7 @@ def write_film(synthetic, path, robots: int = 2):
         setup = start.setup
         log = replace(recorder.trial, commands=(stop,))
         track, were_seen = trial_path(log)
-        result = Result.of(
+        result = Result.from_verdict(
             setup,
             check_path(setup, track, were_seen, samples[-1].observation.poses),
             outcome=Outcome.INTERRUPTED,
@@ -90,7 +90,7 @@ def write_film(synthetic, path, robots: int = 2):
             duration_s=stop.sent_ns / 1e9 - samples[0].observation.received_ns / 1e9,
             solve_ns=(),
             deadline_misses=0,
-            tour=TourMeasure(setup.legs, None, None, setup.speed),
+            route=RouteMeasure(setup.legs, None, None, setup.speed),
         )
         writer.on_stop(stop, result)
     return samples

@@ -167,7 +167,7 @@ def _swum(
     for k in range(steps):
         t = k * STEP_S
         if script.events and script.cells > 3:
-            cells.rest(script.cells - 1, 0.4 < t / script.seconds < 0.6)
+            cells.set_resting(script.cells - 1, 0.4 < t / script.seconds < 0.6)
         if divides is not None and k == steps // 2:
             cells = cells.divide(divides, random)
         past.append(cells.copy())

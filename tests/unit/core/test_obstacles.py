@@ -33,7 +33,7 @@ def at(*numbers):
 
 @given(THINGS, PLACES, PLACES)
 def test_distance_and_containment_follow_from_geometry(things, x, y):
-    world = Obstacles.of([thing.shape() for thing in things])
+    world = Obstacles.from_shapes([thing.shape() for thing in things])
     nearest = min(gap(thing, x, y) for thing in things)
     assert world.distance(*at(x, y))[0] == pytest.approx(nearest, abs=1e-12)
     assume(abs(nearest) > 1e-9)
@@ -41,7 +41,7 @@ def test_distance_and_containment_follow_from_geometry(things, x, y):
 
 
 def test_a_margin_grows_every_side_and_radius():
-    grown = Obstacles.of([BOX, DISC], margin=10)
+    grown = Obstacles.from_shapes([BOX, DISC], margin=10)
     assert [shape.box for shape in grown.shapes] == [
         (1190, 1090, 1410, 1310),
         (620, 770, 880, 1030),
@@ -51,13 +51,13 @@ def test_a_margin_grows_every_side_and_radius():
 
 @given(COORDINATES, COORDINATES, st.integers(0, 2))
 def test_what_is_not_well_inside_the_arena_is_in_a_wall(x, y, margin):
-    walls = Obstacles.of([], float(margin), FIELD)
+    walls = Obstacles.from_shapes([], float(margin), FIELD)
     inside = min(x - FIELD.left, FIELD.right - x, y - FIELD.bottom, FIELD.top - y) > margin
     assert walls.contain(*at(x, y))[0] == (not inside)
 
 
 def test_a_path_check_sees_what_happens_between_samples_and_between_calls():
-    check = PathCheck(Obstacles.of([BOX]), ARENA, 3)
+    check = PathCheck(Obstacles.from_shapes([BOX]), ARENA, 3)
     # robot 0 stays clear, 1 jumps over the box between two calls, 2 between two samples of a call
     check.add(
         np.array([[0.0, 1500.0, 1000.0], [0.0, 1300.0, 1100.0]]),
@@ -78,7 +78,7 @@ def test_many_samples_at_once_are_checked_as_one_by_one(walls):
     """Three robots wander by steps of 10 mm; a tenth of their samples is unknown."""
     rng = np.random.default_rng(1)
     disc = Shape(np.array([[700.0, 900.0]]), 60.0)
-    obstacles = Obstacles.of([BOX, disc], 5.0, walls)
+    obstacles = Obstacles.from_shapes([BOX, disc], 5.0, walls)
     entered = []
     for _ in range(20):
         start_x, start_y = rng.uniform(300, 1500, (2, 3))
@@ -107,7 +107,7 @@ def test_a_recorded_path_is_checked_between_the_samples_that_are_known():
     is_known = np.isfinite(path[..., 0])
     is_known[1, 1] = False  # a reflection in the box, not accepted
     setup = replace(batches.experiment(2).setup, obstacles=(BOX,), arena=ARENA)
-    final = Poses.of(np.zeros((2, 3)))
+    final = Poses.from_array(np.zeros((2, 3)))
     verdict = check_path(setup, path, is_known, final)
     assert verdict.final is final
     assert verdict.entered == (True, False)
@@ -117,9 +117,9 @@ def test_a_recorded_path_is_checked_between_the_samples_that_are_known():
 
 
 def test_a_path_check_keeps_how_far_out_and_how_near_one_another_robots_came():
-    check = PathCheck(Obstacles.of([]), ARENA, 3)
+    check = PathCheck(Obstacles.from_shapes([]), ARENA, 3)
     check.add(np.array([[100.0, 0.0, 5.0]]), np.array([[100.0, 100.0, 5.0]]))
     check.add(np.array([[100.0, 90.0, -3.0]]), np.array([[100.0, 100.0, 7.0]]))
     assert check.edge.tolist() == [100, 0, -3]
     assert check.apart == pytest.approx([10, 10, math.hypot(5, 95)])
-    assert check.verdict(Poses.of(np.zeros((3, 3)))).edge == (100, 0, -3)
+    assert check.verdict(Poses.from_array(np.zeros((3, 3)))).edge == (100, 0, -3)

@@ -79,7 +79,7 @@ def test_all_missing_devices_are_problems_beside_those_of_the_others(missing):
     assert answers == [None if "actuator" in missing else False] * 3
     tracked = [robot.tracked for robot in report.robots]
     assert tracked == [missing == ["actuator"] and i != 1 for i in range(3)]
-    assert not report.ready
+    assert not report.can_start
 
 
 def test_a_camera_whose_frames_are_all_dropped_is_a_problem_with_a_reason():
@@ -94,7 +94,7 @@ def test_a_camera_whose_frames_are_all_dropped_is_a_problem_with_a_reason():
         camera.frames = older
 
     report = looked_over(outdate)
-    assert not report.ready
+    assert not report.can_start
     (problem,) = report.problems
     assert problem.startswith("no new camera frame for 0.")
     assert "outdated frames came" in problem
@@ -121,7 +121,7 @@ def test_what_is_no_robot_must_not_stand_in_the_arena(x):
     def place(camera):
         frames = camera.frames
         camera.frames = lambda: [
-            replace(frame, strangers=(Pose(x, 700.0, 0.0),)) for frame in frames()
+            replace(frame, unknown_objects=(Pose(x, 700.0, 0.0),)) for frame in frames()
         ]
 
     inside = ("something else stands in the arena at 1000, 700 mm",)
@@ -152,7 +152,7 @@ def test_tags_that_are_all_turned_by_quarters_are_noticed(quarters, degrees):
     """Regression: tags glued on with the top edge forward, as the guide was understood."""
     turned = quarters * math.pi / 2
     report = looked_over(turn(turned + 0.1, turned - 0.1, turned))
-    assert not report.ready
+    assert not report.can_start
     (warning,) = report.warnings
     assert warning.startswith(f"all robots are turned by {degrees} degrees from the start heading")
 
@@ -170,7 +170,7 @@ def test_robots_that_may_start_at_any_heading_have_no_turned_tags():
         rig.start_anywhere()
         turn(*[math.pi] * 3)(lab.camera)
         report = inspect(rig)
-    assert (report.warnings, report.ready) == ((), True)
+    assert (report.warnings, report.can_start) == ((), True)
 
 
 def test_a_run_names_all_devices_that_are_missing():

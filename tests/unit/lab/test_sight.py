@@ -215,7 +215,7 @@ def test_a_camera_that_is_slower_than_it_says_causes_a_warning(declared_hz, warn
     setup = replace(experiment().setup, sight=Sight(rate_hz=declared_hz))
     lab = fake_lab(setup)
     lab.plant.open()
-    notes = [note for note in lab.plant.news() if isinstance(note, Note)]
+    notes = [note for note in lab.plant.events() if isinstance(note, Note)]
     warnings = [note for note in notes if "frames a second come instead of 200" in note.text]
     assert len(warnings) == warned
 

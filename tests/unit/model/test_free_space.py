@@ -27,7 +27,7 @@ def setup(*obstacles, start=(100, 500), target=(900, 500)):
 
 def placed(obstacles, start, target):
     drawn = spec(np.random.default_rng(1), robots=1, signals=5).setup
-    starts = Poses.of(np.array([[*start, 0.0]]))
+    starts = Poses.from_array(np.array([[*start, 0.0]]))
     return replace(drawn, starts=starts, targets=np.array([target]), obstacles=obstacles)
 
 
@@ -76,7 +76,7 @@ def test_where_a_random_path_goes_nothing_is_shut_out(seed, margin):
         things.append({"type": "circle", "center": [x, y], "radius": size / 2})
 
     def is_off_the_path(shape):
-        return not Obstacles.of([shape], margin).cross(*path[:-1].T, *path[1:].T).any()
+        return not Obstacles.from_shapes([shape], margin).cross(*path[:-1].T, *path[1:].T).any()
 
     obstacles = list(filter(is_off_the_path, shapes(things)))
     assert len(obstacles) > 20

@@ -106,7 +106,7 @@ def test_a_command_acts_on_those_that_it_reaches_and_a_stop_holds():
 
 def test_a_pose_that_is_set_is_the_bodys():
     cells = drive()
-    wanted = Poses.of(np.array([[1.0, 0.4, 0.3], [0.2, 1.9, -2.0]]))
+    wanted = Poses.from_array(np.array([[1.0, 0.4, 0.3], [0.2, 1.9, -2.0]]))
     cells.poses = wanted
     assert np.allclose(cells.poses.array(), wanted.array())
 

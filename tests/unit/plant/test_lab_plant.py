@@ -149,7 +149,7 @@ def test_a_robot_that_counts_as_lost_for_its_camera_is_left_out_or_replaced(
     lab.camera.watch = lambda setup, limits: watch
     lab.plant.open()
     lab.plant.observe()
-    texts = [note.text for note in lab.plant.news() if isinstance(note, Note)]
+    texts = [note.text for note in lab.plant.events() if isinstance(note, Note)]
     assert list(lab.plant.rig.loop.guard.lost) == lost
     assert texts == says
 
@@ -170,12 +170,12 @@ def test_a_long_first_plan_is_no_late_step():
 @pytest.mark.parametrize("call", ["send", "stop"])
 def test_a_stop_has_the_time_at_which_it_was_first_sent_and_is_reported_once(call):
     lab = driving()
-    lab.plant.news()
+    lab.plant.events()
     stop = lab.plant.send(Stop()) if call == "send" else lab.plant.stop()
     stops = [sent.sent_ns for sent in lab.actuator.sent if isinstance(sent.action, Stop)]
     assert len(stops) == STOPS
     assert (stop.action, stop.sent_ns) == (Stop(), stops[0])
-    others = [event.sent_ns for event in lab.plant.news() if isinstance(event, Command)]
+    others = [event.sent_ns for event in lab.plant.events() if isinstance(event, Command)]
     assert [sent_ns for sent_ns in others if sent_ns >= stops[0]] == stops[1:]
 
 
@@ -197,7 +197,7 @@ def test_robots_that_do_not_stand_after_a_stop_are_named(metres):
     verdict = lab.plant.settle()
     assert "s after the stop: green still moves (180 mm/s, " in verdict.not_at_rest
     assert verdict.unrest == "still moves: green: switch it off"
-    assert [item.text for item in lab.plant.news() if isinstance(item, Note)] == [
+    assert [item.text for item in lab.plant.events() if isinstance(item, Note)] == [
         verdict.not_at_rest
     ]
 
@@ -299,7 +299,7 @@ def test_who_lets_robots_start_is_asked_what_only_a_person_knows():
     lab.supervision.prompt = person = Person()
     lab.plant.open()
     assert person.shown[-1] == ((), ("does it run 802.15.4 firmware?",))
-    notes = [item.text for item in lab.plant.news() if isinstance(item, Note)]
+    notes = [item.text for item in lab.plant.events() if isinstance(item, Note)]
     assert "does it run 802.15.4 firmware?" in notes
 
 

@@ -62,7 +62,7 @@ def test_the_plant_reproduces_the_planners_prediction(motion):
     path = truths(steered(plant(motion=motion), DIRECTIONS))[::24]
     spec = experiment(controller={"motion": motion})
     predicted = predict(
-        spec.controller.problem(spec.setup, Poses.of(path[0])), np.array(DIRECTIONS)
+        spec.controller.problem(spec.setup, Poses.from_array(path[0])), np.array(DIRECTIONS)
     )
     assert path == pytest.approx(predicted, abs=1e-9)
 

@@ -73,7 +73,7 @@ def starts_at(x):
     """The starts of the experiment's robots, with another x."""
     rows = experiment().setup.starts.array()
     rows[:, 0] = x
-    return Poses.of(rows)
+    return Poses.from_array(rows)
 
 
 @pytest.mark.parametrize("x", [np.nan, np.inf, 1e300])

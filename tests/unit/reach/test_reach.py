@@ -28,7 +28,7 @@ def test_robots_that_differ_can_be_steered_apart():
     reached = reach(three_robots())
     assert reached.rank == 6
     assert reached.barely == 0
-    assert reached.alike == ()
+    assert reached.identical == ()
     assert reached.still == ()
     assert str(reached) == "6 of 6"
 
@@ -36,16 +36,16 @@ def test_robots_that_differ_can_be_steered_apart():
 def test_robots_alike_are_named():
     reached = reach(three_robots(a=(6, 6, 6)))
     assert reached.rank == 2
-    assert reached.alike == (NAMES,)
+    assert reached.identical == (NAMES,)
     assert str(reached).startswith("2 of 6; ")
     assert "move alike" in str(reached)
 
 
 def test_the_rates_advised_part_robots_that_are_alike():
-    advised = [robot.a_advised for robot in reach(three_robots(a=(6, 6, 6))).parted]
+    advised = [robot.a_advised for robot in reach(three_robots(a=(6, 6, 6))).separable]
     parted = reach(three_robots(a=(6, *advised)))
     assert parted.rank == 6
-    assert parted.alike == ()
+    assert parted.identical == ()
 
 
 def test_a_robot_that_does_not_move_is_named():

@@ -105,7 +105,7 @@ def batch_of_101(logs):
         outcome = Outcome.ABORTED if i in (7, 57) else Outcome.ARRIVED
         result = replace(trial.result, total_error=error, outcome=outcome)
         trials.append(replace(trial, log=f"t/{i}.mcap", trial=i, result=result))
-    return describe(Batch.of(trials))
+    return describe(Batch.from_results(trials))
 
 
 def test_a_page_of_many_trials_carries_some_from_the_best_to_the_worst(batch_of_101):

@@ -245,7 +245,7 @@ def test_what_is_sent_is_read(name, tmp_path):
 
 @pytest.mark.parametrize("array", ["x", "y", "heading", "valid"])
 def test_what_was_seen_cannot_be_overwritten(array):
-    poses = Poses.of(np.zeros((2, 3)))
+    poses = Poses.from_array(np.zeros((2, 3)))
     seen = Observation(0, 0, 0, poses, np.ones(2, dtype=np.bool_))
     arrays = {"x": poses.x, "y": poses.y, "heading": poses.heading, "valid": seen.valid}
     with pytest.raises(ValueError, match="read-only"):

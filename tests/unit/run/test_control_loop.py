@@ -195,7 +195,7 @@ def test_a_plant_that_fails_has_its_last_frames_in_the_log(steps, call, nth, ste
             raise AbortError("the radio is gone")
         return []
 
-    fakes.plant.news = fail_after_the_call
+    fakes.plant.events = fail_after_the_call
     result = fakes.run()
     assert (result.outcome, result.reason) == (Outcome.ABORTED, "the radio is gone")
     frames = [sample.observation.frame for sample in fakes.observers[0].samples]

@@ -42,7 +42,7 @@ GOES_ON = LossRule(0.3, replaced=False, dead=True)
 def seen(t, valid):
     """What is seen at t [s] of robots of which these are `valid`."""
     time_ns = round(t * SECOND)
-    poses = Poses.of(np.zeros((len(valid), 3)))
+    poses = Poses.from_array(np.zeros((len(valid), 3)))
     return Observation(0, time_ns, time_ns, poses, np.array(valid))
 
 
@@ -131,7 +131,7 @@ def test_a_trial_goes_on_without_a_robot_that_does_not_move(tmp_path):
     result = run_logged(load_spec(ROOT / "experiments/three_m3pi.yaml", settings), tmp_path)
     path = log_path(tmp_path, 0)
     log = read_trial(path)
-    assert result.lost == log.tour.lost == (0, 1, 0)
+    assert result.lost == log.route.lost == (0, 1, 0)
     assert max(result.robot_errors[0], result.robot_errors[2]) < 10
     said = "blue does not move while others drive: the trial goes on without"
     assert said in [note.text for note in log.notes]
@@ -150,7 +150,7 @@ def test_a_trial_goes_on_counts_who_was_lost_and_can_be_verified(
     log = read_trial(path)
     assert sum(result.lost) > 0
     assert read_result(path).result.lost == result.lost
-    assert log.tour.lost == result.lost
+    assert log.route.lost == result.lost
     paths = [step.plan.path for step in log.steps]
     assert all(path.shape[1:] == (3, 3) for path in paths)
     still = np.array([np.ptp(path[:, :, 0], axis=0) == 0 for path in paths])

@@ -37,7 +37,7 @@ def test_a_computer_that_plans_in_time_is_ready():
     steps = PRACTICE_S * SECOND / PERIOD_NS
     assert steps / 2 <= len(practice.delays_ns) <= steps + 1
     findings = practice.added_to(GOOD, LIMITS)
-    assert findings.ready
+    assert findings.can_start
     assert findings.warnings == ()
     assert findings.facts[FACT].startswith("100 ms, at most 100 ms, of a period of 200 ms")
 
@@ -70,7 +70,7 @@ def test_a_camera_that_is_not_read_while_steps_are_planned_is_a_problem(ms):
     practice = practise(SPEC, HostClock(lambda: 0), lambda: next(silences, 8 * MILLISECOND))
     assert practice.silence_ns == ms * MILLISECOND
     findings = practice.added_to(GOOD, LIMITS)
-    assert findings.ready == (ms == 99)
+    assert findings.can_start == (ms == 99)
     assert all("no frame was read for 101 ms" in problem for problem in findings.problems)
 
 

@@ -47,7 +47,7 @@ def comparison_of_three():
 def test_every_two_groups_are_compared_by_pairs():
     contrasts = comparison_of_three().contrasts
     assert [contrast.name for contrast in contrasts] == ["a - b", "a - c", "b - c"]
-    assert all(contrast.alike and contrast.pairs == TRIALS for contrast in contrasts)
+    assert all(contrast.same_origin and contrast.pairs == TRIALS for contrast in contrasts)
     b_less_c = contrasts[2]
     differences = (ERRORS + 30).sum(axis=1) - (ERRORS[::-1] * 3).sum(axis=1)
     signed_rank = scipy.stats.wilcoxon(differences, method="exact")
@@ -104,7 +104,7 @@ def test_other_worlds_are_not_paired(fields, why):
     assert unpaired.pairs == 0
     assert unpaired.tests == "Welch's t, rank sum"
     assert why in unpaired.why_unpaired
-    assert (unpaired.detects > 0) == unpaired.alike
+    assert (unpaired.detects > 0) == unpaired.same_origin
     assert unpaired.difference.ci95.known
 
 
@@ -144,7 +144,7 @@ def test_unlike_plants_have_a_difference_but_no_test_and_no_verdict():
     undisturbed = arm("b", ERRORS * 4, plant={"type": "sim"})
     c = arm("c", ERRORS * 2)
     unlike, alike, _ = contrast([a, undisturbed, c]).contrasts
-    assert unlike.alike is False
+    assert unlike.same_origin is False
     assert unlike.verdict is None
     assert unlike.reason == "plants are not alike"
     means = a.total.mean - undisturbed.total.mean

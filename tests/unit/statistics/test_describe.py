@@ -210,13 +210,13 @@ def test_nothing_but_attempts_is_no_batch():
 
 
 def notes_by_log(trials):
-    return {trial.log: trial.notes for trial in flagged(Batch.of(trials))}
+    return {trial.log: trial.notes for trial in flagged(Batch.from_results(trials))}
 
 
 def test_flagged_trials_are_those_that_ended_oddly():
     trials = batch(ERRORS[:5])
     assert notes_by_log(trials) == {}
-    inside = Verdict(Poses.of(np.zeros((3, 3))), (True, False, True), (-1.0, 5.0, -2.0))
+    inside = Verdict(Poses.from_array(np.zeros((3, 3))), (True, False, True), (-1.0, 5.0, -2.0))
     trials[1] = replace(trials[1], result=result([1, 2, 3], verdict=inside))
     trials[2] = replace(trials[2], result=result([1, 2, 3], outcome=Outcome.STEPS_MAX))
     assert notes_by_log(trials) == {

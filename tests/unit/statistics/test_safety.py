@@ -21,7 +21,7 @@ def measured(index, edge=(), apart=(), clearance=(50.0, 60.0), spec=None):
     """
     (trial,) = batch([[1.0, 2.0]], spec)
     verdict = Verdict(
-        final=Poses.of(np.zeros((2, 3))),
+        final=Poses.from_array(np.zeros((2, 3))),
         entered=(False, False),
         clearance=clearance,
         edge=edge,

@@ -7,11 +7,11 @@ from tetractl.core.plan import Outcome
 from tetractl.statistics import built_in_statistics
 from tetractl.statistics.built_in_statistics import MEANINGS
 from tetractl.statistics.estimate import distributions, proportion_interval
-from tetractl.statistics.statistic import count, mean_figure, number, share, share_figure
+from tetractl.statistics.statistic import count, fraction, mean_figure, number, share_figure
 
 VALUES = np.array([1.0, 1.0, 1.0, 100.0])  # one of four is above 10 times the median
 (FOUR,) = distributions(VALUES[None])
-THREE_OF_20 = proportion_interval(3, 20).ends
+THREE_OF_20 = proportion_interval(3, 20).bounds
 ERRORS = [[1.0], [1.0], [1.0], [100.0]]  # of one robot in four trials
 
 
@@ -38,7 +38,7 @@ def test_a_count_and_a_share_are_of_the_trials_for_which_a_condition_holds():
     trials = batch(ERRORS)
     (late,) = count("late", "late trials", lambda trial: trial.trial > 0).of_batch(trials)
     assert (late.label, late.text, late.items) == ("late trials", "3", {"late": 3})
-    (part,) = share("part", "of them", lambda trial: trial.trial > 0).of_batch(trials)
+    (part,) = fraction("part", "of them", lambda trial: trial.trial > 0).of_batch(trials)
     assert part.text.startswith("3 of 4 (95 % interval ")
 
 

@@ -21,7 +21,7 @@ ERRORS = np.random.default_rng(4).gamma(4, 50, (TRIALS, 3)).tolist()  # of three
 SPEC = experiment(reference=REFERENCE, plant=DISTURBED)
 PULLED = result([1, 2, 3], outcome=Outcome.ABORTED, reason="pulled")
 BLUE_LEFT_ARENA = Verdict(
-    final=Poses.of(np.zeros((3, 3))),
+    final=Poses.from_array(np.zeros((3, 3))),
     entered=(False, False, False),
     clearance=(50.0, 50.0, 50.0),
     edge=(5.0, -1.0, 5.0),

@@ -26,7 +26,7 @@ MODULE = "raise SystemExit('the module of the present folder was run')\n"
 def said_by(code):
     """Return the exit code of a Python child that ran a code, and the lines that it said."""
     with Child([sys.executable, "-c", code]) as child:
-        return child.wait(), child.said()
+        return child.wait(), child.error_lines()
 
 
 def test_a_module_in_the_present_folder_is_not_imported(tmp_path, monkeypatch):

@@ -333,7 +333,7 @@ def test_only_a_trial_that_an_error_ended_may_state_no_final_poses(
     log = log_of_robots_at_rest
     verdict = Verdict.unknown(3)
     if are_stated:
-        verdict = replace(verdict, final=Poses.of(log.mocap[-1] + 1))
+        verdict = replace(verdict, final=Poses.from_array(log.mocap[-1] + 1))
     result = replace(log.result, outcome=outcome, verdict=verdict)
     assert ("result.final" not in fields_that_differ(log, result)) == agree
 
@@ -344,7 +344,7 @@ def test_only_a_trial_that_an_error_ended_may_state_no_final_poses(
 )
 def test_final_poses_are_the_last_ones_unless_robots_swim_on(tmp_path, halts, row, agrees):
     log = lab_log(tmp_path, lost(0, 100), 40.0, halts, 0.001)
-    verdict = replace(log.result.verdict, final=Poses.of(log.mocap[row]))
+    verdict = replace(log.result.verdict, final=Poses.from_array(log.mocap[row]))
     fields = fields_that_differ(log, replace(log.result, verdict=verdict))
     assert ("result.final" not in fields) == agrees
 

@@ -85,7 +85,7 @@ class Algorithm2:
         plan = make_plan(searches, best, step_key, foreseen)
         self.warm = plan.signals[1:]  # lines 6 and 24
         self.k += 1
-        return plan.of_all(self.estimator.present, observation.poses)  # lines 7 and 25
+        return plan.extend_to_all(self.estimator.present, observation.poses)  # lines 7 and 25
 
     def _starts(self) -> list[tuple[int, Floats | None]]:
         """Return the length of each search of this step, in signals, with its start."""

@@ -42,10 +42,10 @@ def least_length(problem: Problem) -> int:
     return max(straight, SIGNALS_PER_ROBOT * len(gaps) if len(gaps) > 1 else 1)
 
 
-def longer(count: int, most: int) -> Iterator[int]:
-    """Yield increasing lengths above `count`, up to `most` [signals]."""
+def longer(count: int, length_max: int) -> Iterator[int]:
+    """Yield increasing lengths above `count`, up to `length_max` [signals]."""
     length = count + 1
-    while length <= most:
+    while length <= length_max:
         yield length
         length = max(length + 1, round(GROWTH * length))
 
@@ -96,15 +96,15 @@ class Searcher:
         self.found.append(search)
         return search
 
-    def spread(self, least: int, most: int, good: Callable[[Search], bool]) -> bool:
+    def spread(self, length_min: int, length_max: int, good: Callable[[Search], bool]) -> bool:
         """Search increasing lengths until a plan is good, and shorten that plan.
 
         This is repeated several times, because plans that start from other random numbers reach
         other lengths.
 
         Args:
-            least: The shortest length that can be good.
-            most: The longest length that can be good.
+            length_min: The shortest length that can be good.
+            length_max: The longest length that can be good.
             good: Decides whether a plan is good.
 
         Returns:
@@ -112,31 +112,31 @@ class Searcher:
         """
         reached = False
         for _ in range(TRIES):
-            if self._grow(least, most, good):
-                most = self.shorten(least, good)
+            if self._grow(length_min, length_max, good):
+                length_max = self.shorten(length_min, good)
                 reached = True
         return reached
 
-    def _grow(self, least: int, most: int, good: Callable[[Search], bool]) -> bool:
+    def _grow(self, length_min: int, length_max: int, good: Callable[[Search], bool]) -> bool:
         """Search growing lengths until a plan is good; return whether one is."""
         # several robots hardly ever reach their targets along straight lines
         several = self.problem.a.size > 1
-        length = min(round(SPREAD * least) if several else least, most)
+        length = min(round(SPREAD * length_min) if several else length_min, length_max)
         while True:
             search = self.search(length)
             if search is None:
                 return False
             if good(search):
                 return True
-            if length == most:
+            if length == length_max:
                 return False
-            length = min(most, max(length + 1, round(SPREAD * length)))
+            length = min(length_max, max(length + 1, round(SPREAD * length)))
 
-    def shorten(self, least: int, good: Callable[[Search], bool]) -> int:
+    def shorten(self, length_min: int, good: Callable[[Search], bool]) -> int:
         """Compress the good plan that was found last, as long as it stays good after polishing.
 
         Args:
-            least: The minimum length.
+            length_min: The minimum length.
             good: Decides whether a plan is good.
 
         Returns:
@@ -147,7 +147,7 @@ class Searcher:
         while cut > 0:
             shorter = best.length - cut
             search = None
-            if shorter >= least:
+            if shorter >= length_min:
                 search = self.search(shorter, resampled(best.signals, shorter))
                 if search is None:
                     break

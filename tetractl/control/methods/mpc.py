@@ -77,10 +77,17 @@ from tetractl.control.methods.fixed_sequence import (
 )
 from tetractl.control.methods.lengths import Searcher, least_length, longer, resampled
 from tetractl.control.methods.mpc_section import RecommendedMpc
-from tetractl.control.methods.passage import AHEAD, MISS_MAX, MISS_OF_WAY, TRUSTED_S, ahead, ways
+from tetractl.control.methods.passage import (
+    AHEAD,
+    MISS_MAX,
+    MISS_OF_WAY,
+    TRUSTED_S,
+    find_sequences,
+    with_targets_ahead,
+)
 from tetractl.control.methods.trial_time import TrialTime
 from tetractl.control.methods.turns import NOT_TURNING, Turning, next_facing
-from tetractl.control.methods.value import Worth
+from tetractl.control.methods.value import CandidateValues
 from tetractl.control.search.discs import Discs
 from tetractl.control.search.evaluate import compiled_foresee
 from tetractl.control.search.holding import CircleSearch
@@ -199,7 +206,7 @@ class ControlStep:
     warm: Floats | None
     horizon_max: int
     signals_left: float
-    value: Worth
+    value: CandidateValues
 
     @property
     def signals_max(self) -> int:
@@ -281,7 +288,7 @@ class Mpc:
             return decision
         self.progress = self.progress.after(decision)
         plan = replace(decision, leg=self.leg.index, estimate=self.estimator.estimate)
-        return plan.of_all(self.leg.present, poses)
+        return plan.extend_to_all(self.leg.present, poses)
 
     # legs
 
@@ -360,7 +367,7 @@ class Mpc:
             warm=self._signals_left(),
             horizon_max=section.horizon_max,
             signals_left=periods_left / section.signal_periods,
-            value=Worth(
+            value=CandidateValues(
                 accept=section.accept_error,
                 spent_s=self.time.passed_s - self.leg.began_s,
                 period_s=motion.period,
@@ -572,10 +579,10 @@ class Mpc:
         assert last is not None
         signals_over = len(last.signals) - len(warm)
         planned = last.path[signals_over:]  # poses before each signal left, and at the end
-        problem = ahead(step.problem, planned)
+        problem = with_targets_ahead(step.problem, planned)
         search = self.optimizer.search(problem, AHEAD, warm[:AHEAD], self._step_key, self._limits())
         foreseen = compiled_foresee(problem, search.signals)
-        strays = self._strays(Poses.of(planned[AHEAD]), foreseen.target)
+        strays = self._strays(Poses.from_array(planned[AHEAD]), foreseen.target)
         if self.stands and (strays or self._collides_soon(step.problem, search.signals)):
             return self._standing(step.problem, State.RESTING, [search])
         signals = np.append(search.signals, warm[AHEAD:])
@@ -690,7 +697,7 @@ class Mpc:
         if reached or self.progress.moving or not self.section.collision.walls:
             return self._searched(step, problem, searcher.found, by_tree=False)
         certain = self._with_margins(problem, None)
-        starts = ways(certain, self.setup.arena, longest, self._step_key)
+        starts = find_sequences(certain, self.setup.arena, longest, self._step_key)
         by_tree = searcher.onward(certain, starts, self._is_good)
         return self._searched(step, certain if by_tree else problem, searcher.found, by_tree)
 

@@ -330,7 +330,7 @@ class RecommendedMpc(SearchFields):
             super().problem(setup, poses),
             period=self.signal_periods * self.period,
             first_period=self.signal_periods * self.period,
-            obstacles=Obstacles.of(setup.obstacles, margin, walls),
+            obstacles=Obstacles.from_shapes(setup.obstacles, margin, walls),
             swept=True,
             separation=collision.separation,
         )
@@ -358,7 +358,7 @@ class RecommendedMpc(SearchFields):
 
         This also loads what they import. Loading it during a run would delay frames.
         """
-        from tetractl.control.methods.passage import ways
+        from tetractl.control.methods.passage import find_sequences
         from tetractl.control.search.discs import Discs
         from tetractl.control.search.evaluate import compiled_branches, compiled_drive
         from tetractl.control.search.margins import Margins
@@ -369,7 +369,7 @@ class RecommendedMpc(SearchFields):
         path = compiled_drive(problem, np.zeros(len(problem.a)), none)
         compiled_branches(problem, path, none, none, 0.0)
         if self.collision.walls:  # else no tree is searched, and its library is slow to load
-            next(ways(problem, setup.arena, 0, 0), None)
+            next(find_sequences(problem, setup.arena, 0, 0), None)
         Discs(self.collision.radius, setup.obstacles, setup.arena).enters(path)
         margins = Margins(self.collision, setup.obstacles, setup.arena, setup.targets)
         margins.grown(problem.poses, 0.0)

@@ -2,12 +2,12 @@
 
 A common direction moves all robots in nearly the same way, so robots pass a gap one after another.
 Hardly any random sequence of directions leads many robots to targets far apart, or several robots
-through a gap. `ways` finds sequences that do, as starts for an optimiser.
+through a gap. `find_sequences` finds sequences that do, as starts for an optimiser.
 
 It grows a `Tree`. A *node* is where all robots are after some signals. A *branch* grows from it
 with one direction, held for HELD_S, and its end may be a node of the next *level*. For each level
 
-    _grid_ways      computes how far each robot still has to go to its target, around obstacles
+    _grid_distances      computes how far each robot still has to go to its target, around obstacles
     _best_branches  keeps the branches with the smallest sum of squares of these distances (beam
                     search; Lowerre, The HARPY speech recognition system, 1976), if bodies keep
                     clear
@@ -49,8 +49,8 @@ NODES_KEPT = 400
 """Number of nodes kept in each level, multiplied by the number of robots."""
 NODES_COMPUTED = 4
 """Bodies' distances are computed for this many times that number of branches, the best ones."""
-WAYS_LEFT = 2.3
-"""Sum of the ways left from which an optimiser begins, in units of the sum of all v / a."""
+DISTANCE_LEFT = 2.3
+"""Sum of the remaining distances from which an optimiser starts, in units of the sum of all v / a."""
 STARTS_OF_LEVEL = 6
 """Number of nodes of a level from which an optimiser begins."""
 STARTS_IN_ALL = 100
@@ -181,13 +181,13 @@ class Squares:
         return dijkstra(graph, directed=False, indices=self.cells(targets)).ravel()
 
 
-def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Floats]:
+def find_sequences(problem: Problem, arena: Bounds, length_max: int, key: int) -> Iterator[Floats]:
     """Find sequences that lead all robots near their targets, roughly the shortest first.
 
     Args:
         problem: The problem of the control step.
         arena: The arena.
-        most: Maximum length of a sequence [signals].
+        length_max: Maximum length of a sequence [signals].
         key: Seed of the first direction in each level.
 
     Yields:
@@ -196,15 +196,15 @@ def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Float
     count = len(problem.a)
     held = max(1, round(HELD_S / problem.period))
     nodes_max = max(1, NODES_KEPT // count)
-    near = WAYS_LEFT * float((problem.speed / problem.a).sum())
+    near = DISTANCE_LEFT * float((problem.speed / problem.a).sum())
     grid = Squares(arena)
-    grid_ways = _grid_ways(problem, grid)
+    grid_ways = _grid_distances(problem, grid)
     first_cells = np.arange(count) * len(grid.centres)  # of each robot in these
     tree = Tree(problem, key, held)
     yielded = 0
     least_left = np.inf
     nearest_level = 0
-    for level in range(most // held):
+    for level in range(length_max // held):
         path = tree.grow()
         ways_left = grid_ways[grid.cells(path[..., :2]) + first_cells]  # (T, B, N)
         branches = _best_branches(problem, path, ways_left, nodes_max)
@@ -225,7 +225,7 @@ def ways(problem: Problem, arena: Bounds, most: int, key: int) -> Iterator[Float
         yield tree.sequence(0, nearest_level + 1)
 
 
-def _grid_ways(problem: Problem, grid: Squares) -> Floats:
+def _grid_distances(problem: Problem, grid: Squares) -> Floats:
     """Compute the length of each robot's path from each cell to its target, shape (N C,).
 
     A cell is passable if its centre is free, or inside an obstacle by less than half a cell.
@@ -271,6 +271,6 @@ def _keep_clear(problem: Problem, xy: Floats) -> Bools:
     return np.asarray((apart & outside_all).all(axis=0))
 
 
-def ahead(problem: Problem, way: Floats) -> Problem:
+def with_targets_ahead(problem: Problem, path: Floats) -> Problem:
     """Return a problem with the positions after AHEAD signals of a path (M, N, 3) as targets."""
-    return replace(problem, targets=np.ascontiguousarray(way[AHEAD, :, :2]))
+    return replace(problem, targets=np.ascontiguousarray(path[AHEAD, :, :2]))

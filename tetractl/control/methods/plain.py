@@ -35,7 +35,7 @@ class PlainSection(ControllerSection):
             motion="exact",
             period=self.period,
             first_period=self.period,
-            obstacles=Obstacles.of(setup.obstacles),
+            obstacles=Obstacles.from_shapes(setup.obstacles),
             obstacle_weight=0.0,
             swept=False,
         )

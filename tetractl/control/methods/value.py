@@ -28,7 +28,7 @@ docs/decisions/controller.md compares it with other values.
 
 
 @dataclass(frozen=True, slots=True)
-class Worth:
+class CandidateValues:
     """The values of the candidates of one control step.
 
     Attributes:

@@ -49,9 +49,9 @@ class Discs:
 
     def __init__(self, radius: float, shapes: Sequence[Shape], walls: Bounds | None) -> None:
         self._radius = radius
-        self._obstacles = Obstacles.of(shapes, 0.0, walls)
+        self._obstacles = Obstacles.from_shapes(shapes, 0.0, walls)
         # a disc touches an obstacle where its centre is in the obstacle grown by the radius
-        self._grown = arrays_of(Obstacles.of(shapes, radius, walls))
+        self._grown = arrays_of(Obstacles.from_shapes(shapes, radius, walls))
 
     def enters(self, path: Floats) -> bool:
         """Check whether a disc touches an obstacle or another disc along a path (M, N, 3).

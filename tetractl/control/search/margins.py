@@ -104,7 +104,7 @@ class Margins:
         targets: Floats,
     ) -> None:
         self._collision = collision
-        self._obstacles = Obstacles.of(shapes, 0.0, walls)
+        self._obstacles = Obstacles.from_shapes(shapes, 0.0, walls)
         x = targets[:, 0].copy()
         y = targets[:, 1].copy()
         self._targets_apart = least_apart(x, y)

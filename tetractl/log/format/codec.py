@@ -57,7 +57,7 @@ class Frames(NamedTuple):
     exposed_ns: Integers
 
     @classmethod
-    def of(cls, samples: Sequence[Sample], robots: int) -> "Frames":
+    def from_samples(cls, samples: Sequence[Sample], robots: int) -> "Frames":
         """Convert samples to arrays.
 
         `truth` is None unless every sample has true poses. Without samples it is empty, so that

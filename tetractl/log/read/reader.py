@@ -155,7 +155,7 @@ def result_of(contents: RawLog) -> ResultSummary:
         experiment=experiment,
         seed=start.seed,
         trial=start.trial,
-        origin=Origin.of(experiment, start.plant),
+        origin=Origin.from_spec(experiment, start.plant),
         result=result,
         recovered=contents.damaged,
         digest=contents.stated_digests.content or None,
@@ -174,8 +174,8 @@ def _result_of_poses(trial: TrialLog) -> Result:
     if not has_pose.any(axis=0).all():
         raise LogError(f"{trial.log}: contains no result, and no poses to compute it from")
     last = len(path) - 1 - has_pose[::-1].argmax(axis=0)
-    final = Poses.of(path[last, np.arange(path.shape[1])])
-    return Result.of(
+    final = Poses.from_array(path[last, np.arange(path.shape[1])])
+    return Result.from_verdict(
         trial.start.setup,
         check_path(trial.start.setup, path, has_pose, final),
         outcome=Outcome.ABORTED,
@@ -183,7 +183,7 @@ def _result_of_poses(trial: TrialLog) -> Result:
         duration_s=trial.elapsed_s(int(trial.mocap_ns[-1])),
         solve_ns=tuple(step.solve_ns for step in trial.steps),
         deadline_misses=sum(step.deadline_missed for step in trial.steps),
-        tour=trial.tour,
+        route=trial.route,
         estimate=trial.last_estimate,
     )
 
@@ -260,17 +260,17 @@ def _parse_spec(text: str) -> tuple[Experiment, str]:
 
 def _frames(contents: RawLog, robots: int) -> Frames:
     """Decode the camera frames of N robots."""
-    none = Frames.of((), robots)  # a log may have no frames
+    none = Frames.from_samples((), robots)  # a log may have no frames
     messages = contents.messages(channels.FRAMES)
     frames = Frames.joined([none, *(codec.decode_frames(part, robots) for part in messages)])
     validate.check_frames(frames)
     return frames
 
 
-def _steps(contents: RawLog, robots: int, most: int | None) -> tuple[Step, ...]:
-    """Decode the control steps of N robots, at `most` so many, with their solve times."""
+def _steps(contents: RawLog, robots: int, steps_max: int | None) -> tuple[Step, ...]:
+    """Decode at most `steps_max` control steps of N robots, with their solve times."""
     timings = {timing.k: timing for timing in contents.messages(channels.HOST_TIMING)}
-    messages = islice(contents.messages(channels.STEP), most)
+    messages = islice(contents.messages(channels.STEP), steps_max)
     steps = tuple(
         codec.decode_step(message, timings.get(message.k), robots) for message in messages
     )

@@ -28,7 +28,7 @@ class Origin(StrEnum):
     LAB = "lab"
 
     @classmethod
-    def of(cls, experiment: Experiment, plant: PlantInfo) -> "Origin":
+    def from_spec(cls, experiment: Experiment, plant: PlantInfo) -> "Origin":
         """Return the origin of a trial, from its spec and its plant's facts.
 
         A lab is emulated if its spec says so or a device reported so, whatever its address is.
@@ -152,7 +152,7 @@ class TrialLog(TrialRecords, Shown):
     @property
     def origin(self) -> Origin:
         """The origin of the trial: simulation, emulated lab or lab."""
-        return Origin.of(self.experiment, self.start.plant)
+        return Origin.from_spec(self.experiment, self.start.plant)
 
     @property
     def spec(self) -> LoadedSpec:

@@ -69,7 +69,7 @@ def check_actions(actions: Iterable[Action]) -> None:
 
 def check_steps(steps: Sequence[Step], robots: int) -> None:
     """Check control steps of N robots, all at once, which is faster."""
-    check_frames(Frames.of([Sample(step.observation, None) for step in steps], robots))
+    check_frames(Frames.from_samples([Sample(step.observation, None) for step in steps], robots))
     check_commands([step.command for step in steps], robots)
     for step in steps:
         check_plan(step.plan, robots)

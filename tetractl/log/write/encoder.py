@@ -136,7 +136,7 @@ class Encoder:
         """
         if not self._waiting:
             return
-        waiting = Frames.of(self._waiting, len(self._start.setup.names))
+        waiting = Frames.from_samples(self._waiting, len(self._start.setup.names))
         self._waiting = []
         count = self._frames_per_message
         begins = range(0, len(waiting.numbers), count)

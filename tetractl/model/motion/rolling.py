@@ -62,13 +62,13 @@ def wheel_speeds(sine: Any, a: Any, v: Any, radius: Any) -> Any:
     return v - difference, v + difference
 
 
-def rolled(heading: float, angle: float, way: float) -> tuple[float, float]:
+def rolled(heading: float, angle: float, distance: float) -> tuple[float, float]:
     """Compute the displacement x, y on an arc by (21)-(23).
 
     Args:
         heading: Heading at the beginning of the arc [rad].
         angle: Angle by which the robot turns [rad].
-        way: Length of the arc [length unit].
+        distance: Length of the arc [length unit].
     """
     half = angle / 2
     if abs(half) <= SERIES_HALF_TURN_RAD:
@@ -76,7 +76,7 @@ def rolled(heading: float, angle: float, way: float) -> tuple[float, float]:
         sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
     else:
         sinc = sin(half) / half
-    chord = way * sinc
+    chord = distance * sinc
     return chord * cos(heading + half), chord * sin(heading + half)
 
 

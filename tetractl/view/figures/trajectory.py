@@ -464,13 +464,13 @@ def arena_picture(setup: Setup, ways: Floats) -> NDArray[np.uint8]:
 # ---- Sizes ----
 
 
-def _nice_step(length: float, most: int) -> float:
+def _nice_step(length: float, parts_max: int) -> float:
     """Return the smallest number 1, 2 or 5 times 10^n that divides a length into few parts.
 
-    There are at most `most` parts.
+    There are at most `parts_max` parts.
     """
-    power = 10.0 ** np.floor(np.log10(length / most))
+    power = 10.0 ** np.floor(np.log10(length / parts_max))
     for multiple in (1, 2, 5):
-        if length / (multiple * power) <= most:
+        if length / (multiple * power) <= parts_max:
             return float(multiple * power)
     return float(10 * power)

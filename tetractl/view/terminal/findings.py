@@ -56,7 +56,7 @@ def print_findings(preflight: Preflight, latency_stated: bool) -> None:
 
 def _verdict(preflight: Preflight) -> str:
     """Return whether a run could start, and of how much is warned."""
-    if not preflight.ready:
+    if not preflight.can_start:
         return "not ready"
     number = len(preflight.all_warnings)
     if number == 0:
@@ -81,7 +81,7 @@ def preflight_items(preflight: Preflight) -> dict[str, Any]:
     ]
     latency = preflight.latency_ms
     return {
-        "ready": preflight.ready,
+        "ready": preflight.can_start,
         "problems": [*preflight.all_problems, *preflight.misplaced],
         "warnings": list(preflight.all_warnings),
         "questions": list(preflight.questions),

@@ -120,10 +120,10 @@ class HandKeys:
     answer and `await_answer`.
     """
 
-    def __init__(self, ended: Callable[[], bool], can_pause: bool = False) -> None:
+    def __init__(self, has_ended: Callable[[], bool], can_pause: bool = False) -> None:
         self._wish = Wish()
         self._answer = ""
-        self._ended = ended
+        self._has_ended = has_ended
         self._can_pause = can_pause
 
     def press(self, key: str) -> None:
@@ -146,26 +146,25 @@ class HandKeys:
     def await_answer(self) -> str:
         """Wait for GO_ON, AGAIN or LEAVE, and return it.
 
-        It is LEAVE if the trial has `ended` for another reason.
+        It is LEAVE if the trial ended for another reason.
         """
-        while not self._answer and not self._ended():
+        while not self._answer and not self._has_ended():
             time.sleep(WAIT_S)
         return self._answer or LEAVE
 
     def ask(self, time_s: float) -> float | None:
         """Return the direction that the person wants [rad]. None to stop.
 
-        Before the first key, this waits for it, but only until the trial has `ended` for another
-        reason.
+        Before the first key, this waits for it, unless the trial ends for another reason.
         """
-        while self._wish.direction is None and not (self._wish.stops or self._ended()):
+        while self._wish.direction is None and not (self._wish.stops or self._has_ended()):
             time.sleep(WAIT_S)
         return self._wish.answer
 
     @property
     def pauses(self) -> bool:
         """Whether a pause is wanted."""
-        return self._wish.pauses and not (self._wish.stops or self._ended())
+        return self._wish.pauses and not (self._wish.stops or self._has_ended())
 
     def await_end_of_pause(self, show: Callable[[float], None]) -> None:
         """Return once no pause is wanted; until then `show` each direction that is tried [rad]."""

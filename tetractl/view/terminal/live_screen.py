@@ -45,7 +45,7 @@ class TrialSoFar:
     def __init__(self, start: Start) -> None:
         self.start = start
         self._poses = start.setup.starts.array()
-        self._path = PathCheck.of(start.setup)
+        self._path = PathCheck.for_setup(start.setup)
         self._trail: list[Floats] = []
         self._totals: list[float] = []
         self._notes: list[Note] = []
@@ -99,7 +99,7 @@ class TrialSoFar:
         where.
         """
         setup = self.start.setup
-        verdict = self._path.verdict(Poses.of(self._poses))
+        verdict = self._path.verdict(Poses.from_array(self._poses))
         names = np.array(setup.names)
         entered = [f"{name} entered an obstacle: lost" for name in names[verdict.in_obstacle()]]
         left = [
@@ -118,10 +118,10 @@ class TrialSoFar:
             "below": arena.bottom - y,
             "above": y - arena.top,
         }
-        side = max(beyond, key=lambda side: beyond[side])
-        if beyond[side] <= 0:
+        direction = max(beyond, key=lambda side: beyond[side])
+        if beyond[direction] <= 0:
             return "left the arena: lost"
-        return f"is outside: lost, {beyond[side]:.4g} {self.start.setup.unit} {side}"
+        return f"is outside: lost, {beyond[direction]:.4g} {self.start.setup.unit} {direction}"
 
     def moment(self) -> Moment:
         """Return the newest instant."""

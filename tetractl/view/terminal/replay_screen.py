@@ -39,7 +39,7 @@ KEY_WAIT_S = 1 / 15
 """How long a key is waited for before a picture is due again [s]."""
 
 
-def play(
+def play_trials(
     console: Console,
     player: Player,
     count: int = 1,

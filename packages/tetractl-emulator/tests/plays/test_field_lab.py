@@ -39,7 +39,7 @@ def test_cells_are_steered_without_any_wheels_and_swim_on_after_the_stop(tmp_pat
         assert np.abs(turned).max() < 0.3
         assert stop.direction is None
         assert verdict.not_at_rest == ""
-        others = [item for item in plant.news() if isinstance(item, Command)]
+        others = [item for item in plant.events() if isinstance(item, Command)]
         assert len(others) > 10
         before = [(body.x, body.y) for body in lab.robots]
         clock.sleep_until(clock.now() + SECOND // 5)

@@ -81,6 +81,6 @@ def test_the_spec_decides_what_a_trial_of_plant_emulated_is_called(log):
     plant = experiment.plant.model_copy(update={"type": "emulated"})
     bare = type(lab)(lab.kind, False, lab.camera_rate_hz, {})
     emulated = experiment.model_copy(update={"plant": plant})
-    assert Origin.of(emulated, bare) is Origin.EMULATED
-    assert Origin.of(experiment, bare) is Origin.LAB
+    assert Origin.from_spec(emulated, bare) is Origin.EMULATED
+    assert Origin.from_spec(experiment, bare) is Origin.LAB
     assert read_result(log.path).origin is Origin.EMULATED

@@ -147,13 +147,13 @@ class EmulatedRobot:
         veer = self.acting.newest("veer", self.name) if any(counts) else None
         return counts if veer is None else veer.counts
 
-    def share(self, wheel: str) -> float:
+    def speed_fraction(self, wheel: str) -> float:
         """Return the share of its speed at which the left or the right wheel turns."""
         if not self.acting.any_yet:
             return 1.0
-        if any(f.wheel in (wheel, "both") for f in self.acting.of("wheel_stuck", self.name)):
+        if any(f.wheel in (wheel, "both") for f in self.acting.of_kind("wheel_stuck", self.name)):
             return 0.0
-        weak = self.acting.of("weak_wheel", self.name)
+        weak = self.acting.of_kind("weak_wheel", self.name)
         return min((fault.share for fault in weak if fault.wheel in (wheel, "both")), default=1.0)
 
     def switch(self, on: bool) -> None:
@@ -233,7 +233,7 @@ class EmulatedRobots:
         wheeled = self._wheeled
         while self._now_ns < until_ns:
             held: list[Held] = [
-                (robot.counts(), (robot.share("left"), robot.share("right")))
+                (robot.counts(), (robot.speed_fraction("left"), robot.speed_fraction("right")))
                 for robot in self.robots
             ]
             if held != self._held:

@@ -43,24 +43,24 @@ class RobotRadio(SerialDevice):
 
     def loss_to(self, robot: str | None = None) -> float:
         """Return the share of the transmissions that a robot, or the PC, does not receive."""
-        deaf = self.acting.share("deaf", robot) if robot else 0.0
-        return max(self._loss, self.acting.share("loss"), deaf)
+        deaf = self.acting.largest_share("deaf", robot) if robot else 0.0
+        return max(self._loss, self.acting.largest_share("loss"), deaf)
 
     def late_ns(self) -> int:
         """Draw by how much a transmission is late [ns]."""
         late_s = self.acting.total_by("late_radio")
-        for fault in self.acting.of("overtaken_packets"):
+        for fault in self.acting.of_kind("overtaken_packets"):
             late_s += self._random.uniform(0, fault.by)
         return round(late_s * SECOND)
 
     @property
     def times(self) -> int:
         """How often robots receive each transmission."""
-        return 2 if self.acting.of("doubled_packets") else 1
+        return 2 if self.acting.of_kind("doubled_packets") else 1
 
     def pass_on(self, message: bytes, arrives_ns: int) -> None:
         """Let each robot hear a message that arrives at a time, or later, unless it is lost."""
-        if self.acting.of("driven_elsewhere"):
+        if self.acting.of_kind("driven_elsewhere"):
             with suppress(WireError):
                 self.sequence = self._command(message.rstrip(b"\0\n"))["sequence"]
         arrives_ns += self.late_ns()

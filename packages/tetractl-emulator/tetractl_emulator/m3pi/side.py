@@ -99,8 +99,8 @@ class EmulatedM3pi(WheeledSide):
     def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
         """Sample the radio and robots of a randomised test run; see `tetractl_emulator.sides`."""
 
-        def gain(share: float) -> dict[str, float]:
-            return {"gain_mm": round(1000 / 127 * share, 4)}
+        def gain(fraction: float) -> dict[str, float]:
+            return {"gain_mm": round(1000 / 127 * fraction, 4)}
 
         return robots_of_day(random, setup.names, "{}", gain)
 

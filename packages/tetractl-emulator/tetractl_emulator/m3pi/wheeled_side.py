@@ -214,7 +214,7 @@ class PortedSide(WheeledSide):
             setup: The constants of the experiment.
         """
         section: Any = lab.actuator
-        drawn = robots_of_day(random, setup.names, "{}_gain", lambda share: round(share, 4))
+        drawn = robots_of_day(random, setup.names, "{}_gain", lambda fraction: round(fraction, 4))
         for robot in drawn["robots"]:
             stated = entry(section.robots, robot["name"])
             robot["left_gain"] *= stated.left_gain

@@ -80,7 +80,9 @@ class PoseCamera(ABC):
         exposed = now
         exposure_number = self._planned
         acting = self.acting
-        frame_number = exposure_number - sum(fault.frames for fault in acting.of("counter_back"))
+        frame_number = exposure_number - sum(
+            fault.frames for fault in acting.of_kind("counter_back")
+        )
         self._stage.exposed(exposure_number, frame_number if self.numbered else 0)
         delay = self._delay_s()
         outdated = acting.newest("outdated")
@@ -88,7 +90,7 @@ class PoseCamera(ABC):
             exposed = max(0, now - round(outdated.by * SECOND))
         frame = self._shot(frame_number, exposed, self._expose())
         leaves = now + round(delay * SECOND)
-        times = 2 if acting.of("doubled_frames") else 1
+        times = 2 if acting.of_kind("doubled_frames") else 1
         for _ in range(times):
             self.timeline.at(leaves, partial(self._leave, exposure_number, Exposure(frame, now)))
         self._plan()
@@ -101,7 +103,7 @@ class PoseCamera(ABC):
         if jitter.random() < DELAYED_SHARE:
             delay_s += jitter.uniform(0, DELAYED_PERIODS / self._rate)
         delay_s += self.acting.total_by("late_frames")
-        for fault in self.acting.of("reordered"):
+        for fault in self.acting.of_kind("reordered"):
             delay_s += jitter.uniform(0, fault.by)
         return delay_s
 
@@ -111,12 +113,12 @@ class PoseCamera(ABC):
         It also remembers when each robot was last shown as tracked.
         """
         acting = self.acting
-        periods_ns = (SECOND / fault.rate for fault in acting.of("slow_frames"))
+        periods_ns = (SECOND / fault.rate for fault in acting.of_kind("slow_frames"))
         next_ns = self._left_ns + max(periods_ns, default=0)
         is_slow = self._left_ns < exposure.at_ns < next_ns
-        if not acting.of("freeze") or self._last is None:
+        if not acting.of_kind("freeze") or self._last is None:
             self._last = exposure
-        if not (is_slow or acting.of("no_server") or acting.of("no_frames")):
+        if not (is_slow or acting.of_kind("no_server") or acting.of_kind("no_frames")):
             self._left_ns = exposure.at_ns
             self._stream(self._last.frame, self.timeline.now_ns)
             bodies = self._last.frame.bodies
@@ -128,12 +130,12 @@ class PoseCamera(ABC):
 
     def _expose(self) -> tuple[RigidBody, ...]:
         """Return the bodies as the cameras report them now."""
-        view = self.view.exposed(self.acting.of("picture"))
+        view = self.view.exposed(self.acting.of_kind("picture"))
         numbers = {body.robot.name: body.asset.number for body in self.tracked}
         bodies = {body.robot.name: body.expose(view) for body in self.tracked}
-        for fault in self.acting.of("twin_id"):
+        for fault in self.acting.of_kind("twin_id"):
             bodies[fault.robot] = replace(bodies[fault.robot], id=numbers[fault.other])
-        for fault in self.acting.of("swap"):
+        for fault in self.acting.of_kind("swap"):
             first = bodies[fault.robot]
             second = bodies[fault.other]
             bodies[fault.robot] = replace(second, id=first.id)

@@ -163,7 +163,7 @@ class EmulatedOptitrack(PoseCamera):
     def ticks(self, when_ns: int) -> int:
         """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
         gained_ns = sum(gained_ns(when_ns) for gained_ns in self.clock_errors)
-        gained_ns += sum(round(jump.by * SECOND) for jump in self.acting.of("clock_jump"))
+        gained_ns += sum(round(jump.by * SECOND) for jump in self.acting.of_kind("clock_jump"))
         return CLOCK_START + (when_ns + gained_ns) * CLOCK_HZ // SECOND
 
     def _readable(self, catch_up: Callable[[], None]) -> None:
@@ -175,7 +175,7 @@ class EmulatedOptitrack(PoseCamera):
                 return
             except OSError:  # a client has gone: its host answered port unreachable
                 continue
-            if self.acting.of("no_server"):
+            if self.acting.of_kind("no_server"):
                 continue
             catch_up()  # otherwise an echo could report a time before its request
             try:
@@ -246,11 +246,11 @@ class EmulatedOptitrack(PoseCamera):
         self, number: int, exposed_ns: int, bodies: tuple[natnet.RigidBody, ...]
     ) -> natnet.NatNetFrame:
         # as natnet reads them
-        params = 2 * self.settings.models_changed | 4 * bool(self.acting.of("edit_mode"))
+        params = 2 * self.settings.models_changed | 4 * bool(self.acting.of_kind("edit_mode"))
         return natnet.NatNetFrame(number, bodies, params, self.ticks(exposed_ns))
 
     def _stream(self, frame: natnet.NatNetFrame, now_ns: int) -> None:
-        damaged = self.acting.share("bad_datagrams")
+        damaged = self.acting.largest_share("bad_datagrams")
         wrong_version = self.acting.newest("other_version")
         packed: dict[natnet.Version, bytes] = {}
         for address, version in self._receivers(now_ns):

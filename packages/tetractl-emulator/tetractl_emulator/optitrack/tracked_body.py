@@ -164,18 +164,18 @@ class TrackedBody:
         name = self.robot.name
         self.exposures += 1
         is_seen = self._is_seen_now()
-        repeats = any(fault.robot in (None, name) for fault in self.acting.of("repeat"))
+        repeats = any(fault.robot in (None, name) for fault in self.acting.of_kind("repeat"))
         if self.last_pose is None or (is_seen and not repeats):
             self._stray()
             self.last_pose = self._new_pose(view)
         body = replace(self.last_pose, id=self.asset.number)
         if not is_seen:
             return replace(body, tracking_valid=False)
-        for fault in self.acting.of("tipped", name):
+        for fault in self.acting.of_kind("tipped", name):
             body = rolled(body, fault.angle)
-        if self.acting.of("nan", name):
+        if self.acting.of_kind("nan", name):
             body = replace(body, position=(math.nan, math.nan, math.nan))
-        if self.acting.of("bad_quaternion", name):
+        if self.acting.of_kind("bad_quaternion", name):
             x, y, z, w = body.quaternion
             body = replace(body, quaternion=(x / 2, y / 2, z / 2, w / 2))
         return body
@@ -186,16 +186,16 @@ class TrackedBody:
         If it is tracked, but some frames miss it, this is random.
         """
         name = self.robot.name
-        if self.acting.carried or self.acting.of("untracked", name):
+        if self.acting.carried or self.acting.of_kind("untracked", name):
             return False
-        if any(self.exposures % fault.every for fault in self.acting.of("half_tracked", name)):
+        if any(self.exposures % fault.every for fault in self.acting.of_kind("half_tracked", name)):
             return False
-        missing = self.acting.share("half_tracked", name)
+        missing = self.acting.largest_share("half_tracked", name)
         return missing == 0 or self.noise.random.random() >= missing
 
     def _stray(self) -> None:
         """Be led away by ghosts as far as they go with each new pose; return without one."""
-        ghosts = self.acting.of("ghost", self.robot.name)
+        ghosts = self.acting.of_kind("ghost", self.robot.name)
         if not ghosts:
             self.strayed = 0j
             self.strayed_turn = 0.0
@@ -210,9 +210,9 @@ class TrackedBody:
         acting = self.acting
         away_mm = self.shift + self.strayed
         turned_away = self.turned + self.strayed_turn
-        for jump in acting.of("jump", robot.name):
+        for jump in acting.of_kind("jump", robot.name):
             away_mm += complex(*jump.by)
-        for slip in acting.of("slip", robot.name):
+        for slip in acting.of_kind("slip", robot.name):
             away_mm += complex(*slip.by) * cmath.rect(1.0, robot.heading)
             turned_away += slip.turn
         lifted = acting.newest("lifted", robot.name)

@@ -99,10 +99,10 @@ class CurrentDriver(SerialDevice):
     def _receive(self, data: bytes) -> None:
         if not self.powered:
             return
-        for byte in data * (2 if self.acting.of("doubled_commands") else 1):
+        for byte in data * (2 if self.acting.of_kind("doubled_commands") else 1):
             self._core.push(bytes([byte]), self._now_ms)
             reply = self._core.take_reply(self._now_ms)
-            if reply and not self.acting.of("mute"):
+            if reply and not self.acting.of_kind("mute"):
                 self._answer(reply)
 
     def advance(self, until_ns: int) -> None:

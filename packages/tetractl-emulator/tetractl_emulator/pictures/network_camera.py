@@ -79,8 +79,8 @@ class PictureStream:
 
     def withholds(self, number: int) -> bool:
         """Return whether the picture with this number is not exposed or not sent."""
-        slow = any(number % fault.every for fault in self._acting.of("half_rate"))
-        return slow or bool(self._acting.of("no_frames"))
+        slow = any(number % fault.every for fault in self._acting.of_kind("half_rate"))
+        return slow or bool(self._acting.of_kind("no_frames"))
 
     def drawn_part(self, exposed_ns: int) -> DuePart:
         """Return the picture of an exposure as a part of the stream."""
@@ -92,10 +92,10 @@ class PictureStream:
 
         If images repeat, this is the previous part. It may also be damaged.
         """
-        if not self._acting.of("repeat") or not self._newest:
+        if not self._acting.of_kind("repeat") or not self._newest:
             self._newest = drawn
         sent = self._newest
-        for fault in self._acting.of("bad_pictures"):
+        for fault in self._acting.of_kind("bad_pictures"):
             if self._chance.random() < fault.share:
                 sent = SPOILT[fault.how](sent)
         return sent

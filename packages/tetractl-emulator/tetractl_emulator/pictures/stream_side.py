@@ -220,7 +220,7 @@ class StreamedCamera(ABC):
 
     def _visible_now(self) -> Sequence[bool]:
         """Return which bodies are neither carried nor covered."""
-        covered = {fault.subject for fault in self._stage.acting.of("untracked")}
+        covered = {fault.subject for fault in self._stage.acting.of_kind("untracked")}
         carried = self._stage.acting.carried
         return [not carried and body.name not in covered for body in self._bodies]
 

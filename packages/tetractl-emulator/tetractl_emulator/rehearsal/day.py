@@ -40,7 +40,7 @@ KEPT = 20_000
 
 
 @dataclass(frozen=True, slots=True)
-class Day:
+class DayOutcome:
     """What became of a day.
 
     Attributes:
@@ -56,7 +56,7 @@ class Day:
     plan: DayPlan
     events: list[dict[str, Any]]
     exit_code: int
-    said: str
+    output: str
     log: Path | None
     left_behind: str
     seconds: float
@@ -74,7 +74,7 @@ class DayFolder:
     def __init__(self, folder: Path) -> None:
         self.script = folder / "script.yaml"
         """The faults of the day."""
-        self.said = folder / "said.txt"
+        self.output = folder / "said.txt"
         """What the run prints."""
         self.left = folder / "left.txt"
         """What the run leaves behind."""
@@ -91,7 +91,7 @@ def _text(file: Path) -> str:
     return file.read_text() if file.exists() else ""
 
 
-def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
+def run_day(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> DayOutcome:
     """Run the plan of a day.
 
     Args:
@@ -117,11 +117,11 @@ def play(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day:
         with suppress(ImportError):
             importlib.import_module(name)  # so that the next days need not
     logs = sorted(files.logs.glob("*.mcap*"))
-    return Day(
+    return DayOutcome(
         plan=plan,
         events=[json.loads(line) for line in _text(files.truth).splitlines()],
         exit_code=exit_code,
-        said=_text(files.said),
+        output=_text(files.output),
         log=logs[0] if logs else None,
         left_behind=_text(files.left),
         seconds=seconds,
@@ -133,7 +133,7 @@ def _run_and_exit(words: list[str], files: DayFolder) -> NoReturn:
     code = 1
     try:
         _limit_processor_time()
-        _redirect(files.said)
+        _redirect(files.output)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.default_int_handler)
         LISTENER.start()  # as each process does, so that a day leaves no more behind
@@ -145,7 +145,7 @@ def _run_and_exit(words: list[str], files: DayFolder) -> NoReturn:
         sys.stdout.flush()
         sys.stderr.flush()
     except BaseException as error:
-        with files.said.open("a") as out:
+        with files.output.open("a") as out:
             traceback.print_exception(error, file=out)
     finally:
         os._exit(code & 0xFF)
@@ -157,9 +157,9 @@ def _limit_processor_time() -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (most_s, most_s))
 
 
-def _redirect(said: Path) -> None:
+def _redirect(output: Path) -> None:
     """Let this process read nothing, and write what it prints to a file."""
-    said_file = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+    said_file = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
     null = os.open(os.devnull, os.O_RDONLY)
     for target, source in ((0, null), (1, said_file), (2, said_file)):
         os.dup2(source, target)
@@ -216,7 +216,7 @@ def processor_time_s(pid: int) -> float:
 
 def wait_for_child(
     pid: int,
-    ended: int,
+    pipe_end: int,
     used_s: Callable[[int], float] = processor_time_s,
     still_s: float = STILL_S,
 ) -> tuple[int, float]:
@@ -224,7 +224,7 @@ def wait_for_child(
 
     Args:
         pid: The process.
-        ended: Our end of the pipe.
+        pipe_end: Our end of the pipe.
         used_s: Returns the processor time of a process [s].
         still_s: How often that time is read [s]. A process that has used none since hangs.
 
@@ -234,7 +234,7 @@ def wait_for_child(
     """
     hangs = False
     now_s = -1.0
-    while not hangs and not select.select([ended], [], [], still_s)[0]:
+    while not hangs and not select.select([pipe_end], [], [], still_s)[0]:
         before_s = now_s
         now_s = used_s(pid)
         hangs = now_s == before_s or now_s > HANGS_S

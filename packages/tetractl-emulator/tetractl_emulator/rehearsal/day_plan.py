@@ -67,7 +67,7 @@ class DayPlan:
 
 def rows_of(lab: LabSection, setup: Setup) -> list[FaultRow]:
     """Return the rows of all faults that a lab can have."""
-    sides = Sides.of(lab.camera.type, lab.actuator.type)
+    sides = Sides.of_types(lab.camera.type, lab.actuator.type)
     rows = [row for kind in sides.faults.values() for row in kind.rows]
     return [row for row in rows if "other" not in row.fields or len(setup.names) > 1]
 
@@ -87,7 +87,7 @@ def plan_of_day(
     """
     # the order of the draws is part of the result: another one would change all days
     random = Random(f"{seed}-{day}")
-    sides = Sides.of(lab.camera.type, lab.actuator.type)
+    sides = Sides.of_types(lab.camera.type, lab.actuator.type)
     faults: list[dict[str, Any]] = []
     if bad:
         names = sides.actuator.choosable if chosen else setup.names
@@ -163,7 +163,7 @@ def _face_to_face(random: Random, setup: Setup, separation: float) -> tuple[Pose
         if all(shape.distance(other_x, other_y) > setup.body_radius for shape in setup.obstacles):
             starts[first, 2] = ahead_rad
             starts[second] = (other_x, other_y, ahead_rad - math.pi)
-            return Poses.of(np.round(starts, 4)), ahead_rad
+            return Poses.from_array(np.round(starts, 4)), ahead_rad
     return setup.starts, 0.0
 
 

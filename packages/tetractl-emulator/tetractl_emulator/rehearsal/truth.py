@@ -39,7 +39,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.spec.lab_section import LabLimits
 from tetractl_emulator.fault_rows import FRAME_S
 from tetractl_emulator.process import AFTER_NS
-from tetractl_emulator.rehearsal.day import Day
+from tetractl_emulator.rehearsal.day import DayOutcome
 
 Event = Mapping[str, Any]
 """A recorded event, as of the table above."""
@@ -170,7 +170,7 @@ class Truth:
     is False for cells, which never stand still.
     """
 
-    day: Day
+    day: DayOutcome
     setup: Setup
     limits: LabLimits
     watchdog_s: float
@@ -492,14 +492,14 @@ class Truth:
         if self.trial is not None and self.trial.result is not None:
             result = self.trial.result
             return result.reason if result.outcome == "aborted" else ""
-        error = re.search(r"^error: (?:trial 1: )?(.*)", self.day.said, re.MULTILINE)
+        error = re.search(r"^error: (?:trial 1: )?(.*)", self.day.output, re.MULTILINE)
         return error[1] if error else ""
 
     @cached_property
     def named_at_the_end(self) -> set[str]:
         """The robots that the run has named as still moving, or as not seen to stand."""
-        named = re.findall(r"(?:still moves|not seen to stand): ([^:;\n]*):", self.day.said)
-        if "the cameras do not show that the robots stand" in self.day.said:
+        named = re.findall(r"(?:still moves|not seen to stand): ([^:;\n]*):", self.day.output)
+        if "the cameras do not show that the robots stand" in self.day.output:
             named.append(", ".join(self.setup.names))
         return {name for names in named for name in names.split(", ")}
 

@@ -110,7 +110,7 @@ def test_the_noise_is_the_plants():
         "disturbances": [{"type": "wobble", "radius": 8, "frequency": 1.5}],
     }
     spec = experiment(plant=plant)
-    noise = Noise.of(spec.plant)
+    noise = Noise.from_plant(spec.plant)
     relative_errors = [sim(spec, seed).a / spec.setup.a - 1 for seed in range(400)]
     assert noise.a_std == pytest.approx(np.std(relative_errors), rel=0.1)
     assert noise.speed_std == 0

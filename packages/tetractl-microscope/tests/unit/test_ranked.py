@@ -26,7 +26,11 @@ def test_where_no_choice_of_cells_has_a_plan_the_ranking_ends_with_its_first_rou
     ]
     counted = []
     choices = ranked(
-        spec.experiment, cells, Noise.of(spec.experiment.plant), 12, lambda *n: counted.append(n)
+        spec.experiment,
+        cells,
+        Noise.from_plant(spec.experiment.plant),
+        12,
+        lambda *n: counted.append(n),
     )
     assert not np.isfinite([choice.error for choice in choices]).any()
     assert len(counted) == 4  # one prediction for each three of four cells
@@ -46,7 +50,7 @@ def test_the_cells_of_a_trial_are_those_that_differ_most():
 def test_a_choice_with_a_cell_near_the_edge_comes_last():
     """Regression: `lab survey` preferred a cell that it called unreliable."""
     spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
-    noise = Noise.of(spec.experiment.plant)
+    noise = Noise.from_plant(spec.experiment.plant)
     cells = [found_cell(i, a) for i, a in enumerate((3.0, 4.0, 5.5))]
     best = ranked(spec.experiment, cells, noise, 12)[0]
     near = best.cells[0].number
@@ -61,7 +65,7 @@ def test_a_choice_with_a_cell_near_the_edge_comes_last():
 def test_no_choice_has_cells_that_cannot_be_distinguished():
     spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
     cells = [found_cell(i, a) for i, a in enumerate((4.0, 4.2, 5.5))]
-    noise = Noise.of(spec.experiment.plant)
+    noise = Noise.from_plant(spec.experiment.plant)
     chosen = {frozenset(choice.numbers) for choice in ranked(spec.experiment, cells, noise, 12)}
     assert chosen == {frozenset((0, 2)), frozenset((1, 2))}
     assert ranked(spec.experiment, cells[:2], noise, 12) == []
@@ -70,7 +74,7 @@ def test_no_choice_has_cells_that_cannot_be_distinguished():
 def test_a_choice_is_predicted_along_the_same_plans_however_many_rounds_there_are():
     spec = load_spec(EXAMPLES / "tetrahymena_dish.yaml", ["robots.choose=2"])
     cells = [found_cell(i, a) for i, a in enumerate((4.5, 3.0))]
-    noise = Noise.of(spec.experiment.plant)
+    noise = Noise.from_plant(spec.experiment.plant)
     (choice,) = ranked(spec.experiment, cells, noise, 12)
     at_once = RankedChoice(spec.experiment, choice.cells, noise).along(12)
     assert choice.error == at_once.error

@@ -45,7 +45,7 @@ class Seen:
     """
 
     poses: tuple[Pose | None, ...]
-    strangers: tuple[Pose, ...]
+    unknown_objects: tuple[Pose, ...]
     tags: tuple[int, ...]
     sizes: tuple[float | None, ...]
     blur: float | None
@@ -79,7 +79,7 @@ class Tracker:
         wanted = [sighting for sighting in sightings if sighting.tag in self._wanted]
         return Seen(
             tuple(pose for pose, _ in measured),
-            self._strangers(sightings),
+            self._unknown_tags(sightings),
             tuple(sorted(sighting.tag for sighting in sightings)),
             tuple(size for _, size in measured),
             max((8 * sighting.blur_px / sighting.side_px for sighting in wanted), default=None),
@@ -105,7 +105,7 @@ class Tracker:
             pose = replace(pose, height=height, tilt=tilt)
         return pose, size
 
-    def _strangers(self, sightings: Sequence[Sighting]) -> tuple[Pose, ...]:
+    def _unknown_tags(self, sightings: Sequence[Sighting]) -> tuple[Pose, ...]:
         plane = self.floor.plane
         if plane is None:
             return ()

@@ -124,7 +124,7 @@ class LearningPictures:
         return pictures if is_enough else []
 
 
-class PictureNews:
+class PictureReports:
     """What is reported about each image in addition to its frame.
 
     These are messages `added` to the log, and how certainly the robots' cells are `identified`, for
@@ -187,7 +187,7 @@ class CellCamera(PictureCamera[SeenDish]):
         )
         self._learning = LearningPictures(section.learning)
         self._robots = RobotCells(setup)
-        self._news = PictureNews()
+        self._reports = PictureReports()
         self._sent = FieldSignals()
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
@@ -256,11 +256,11 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def additions(self) -> list[FrameAddition]:
         """Return the messages of each frame since the last call, oldest first."""
-        return drained(self._news.added)
+        return drained(self._reports.added)
 
     def watch(self, setup: Setup, limits: LabLimits) -> CellWatch:
         """Return the watch of a trial with this setup's robots."""
-        return CellWatch(self, self._news.identified, setup, limits.identity)
+        return CellWatch(self, self._reports.identified, setup, limits.identity)
 
     def _health(self, searches: Sequence[PictureSearch[SeenDish]]) -> Health:
         """Return problems, warnings and facts of light, focus and cells."""
@@ -300,11 +300,13 @@ class CellCamera(PictureCamera[SeenDish]):
         cell_of_number = {cell.identity: cell for cell in cells}
         tracked = [cell_of_number.get(number) for number in numbers]
         probability = np.array([np.nan if cell is None else cell.probability for cell in tracked])
-        self._news.add(picture, exposed_ns, finder.background, probability)
+        self._reports.add(picture, exposed_ns, finder.background, probability)
         return SeenDish(
             robots=robots,
             poses=tuple(None if cell is None else self._pose_of(cell, view) for cell in tracked),
-            strangers=tuple(self._pose_of(c, view) for c in cells if c.identity not in numbers),
+            unknown_objects=tuple(
+                self._pose_of(c, view) for c in cells if c.identity not in numbers
+            ),
             light=finder.light,
             level=float(np.median(picture[::LEVEL_STEP, ::LEVEL_STEP])),
             sharpness=sharpness(picture, cells, self.section.um_px, finder.light.contrast),

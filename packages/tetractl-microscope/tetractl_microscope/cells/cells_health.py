@@ -44,7 +44,7 @@ class SeenDish:
 
     robots: RobotCells
     poses: tuple[Pose | None, ...]
-    strangers: tuple[Pose, ...]
+    unknown_objects: tuple[Pose, ...]
     light: Light
     level: float
     sharpness: float | None
@@ -159,5 +159,7 @@ def faint_line(contrast: float | None, limit: float) -> str | None:
 def cell_count(searches: Sequence[PictureSearch[SeenDish]]) -> int:
     """Return the median, over one or more pictures, of the number of cells in view."""
     dishes = [search.result for search in searches]
-    counts = [len(dish.strangers) + len(dish.poses) - dish.poses.count(None) for dish in dishes]
+    counts = [
+        len(dish.unknown_objects) + len(dish.poses) - dish.poses.count(None) for dish in dishes
+    ]
     return round(statistics.median(counts))

@@ -299,11 +299,11 @@ class Names:
         names = [member.name for member in question.members]
         self._tell(question.tracks, float(probabilities.max()), names)
 
-    def _doubt(self, track: CellTrack, share: float) -> None:
+    def _doubt(self, track: CellTrack, fraction: float) -> None:
         """Lower the certainty of a track's name to a share, since it was last together."""
         name_before = track.identity
-        track.certainty *= share
-        self._tell([track], share, [name_before])
+        track.certainty *= fraction
+        self._tell([track], fraction, [name_before])
 
     def _tell(self, tracks: Sequence[CellTrack], probability: float, met: Sequence[int]) -> None:
         """Add an answer: the names of tracks after the cells `met` could not be distinguished."""

@@ -33,7 +33,7 @@ def chosen_from(experiment: Experiment, cells: Sequence[RobotCandidate]) -> list
         return _found_again(choice, able)
     combinations_of_cells = combinations(able, choice.choose)
     return list(
-        max(combinations_of_cells, key=lambda cells_chosen: worth(cells_chosen, experiment))
+        max(combinations_of_cells, key=lambda cells_chosen: rate_choice(cells_chosen, experiment))
     )
 
 
@@ -75,7 +75,9 @@ def unlikeness(a: Floats, a_sd: Floats) -> float:
     return float(np.min(np.diff(logs) - sd_of_difference, initial=np.inf))
 
 
-def worth(cells: Sequence[RobotCandidate], experiment: Experiment) -> tuple[bool, float, float]:
+def rate_choice(
+    cells: Sequence[RobotCandidate], experiment: Experiment
+) -> tuple[bool, float, float]:
     """Rate a choice of cells with a tuple that is largest for the best choice.
 
     Its entries are whether all cells stay clear of walls for 0.5 s, the `unlikeness` of their

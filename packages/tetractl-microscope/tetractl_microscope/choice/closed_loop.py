@@ -166,7 +166,7 @@ class Noise:
     heading_std: float = 0.0
 
     @classmethod
-    def of(cls, plant: PlantSection) -> "Noise":
+    def from_plant(cls, plant: PlantSection) -> "Noise":
         """Return the noise of a simulated plant; 0 for a lab, whose section states no noise.
 
         An error uniform in [-e, e] has the standard deviation e / sqrt(3).

@@ -8,7 +8,7 @@ import numpy as np
 
 from tetractl.spec.experiment import Experiment
 from tetractl_microscope.choice.candidate import RobotCandidate
-from tetractl_microscope.choice.choosing import settled, worth
+from tetractl_microscope.choice.choosing import rate_choice, settled
 from tetractl_microscope.choice.closed_loop import Noise, end_covariance, linearise, mean_errors
 from tetractl_microscope.choice.first_plans import planner, plans
 from tetractl_microscope.choice.section import choice_of
@@ -96,11 +96,11 @@ def ranked(
     choice = choice_of(experiment)
     able = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)
     distinguishable = [
-        chosen for chosen in combinations(able, choice.choose) if not any(alike(chosen))
+        chosen for chosen in combinations(able, choice.choose) if not any(similar_pairs(chosen))
     ]
     by_worth = sorted(
         distinguishable,
-        key=lambda chosen: (all(cell.free for cell in chosen), worth(chosen, experiment)),
+        key=lambda chosen: (all(cell.free for cell in chosen), rate_choice(chosen, experiment)),
     )
     candidates = [
         RankedChoice(experiment, chosen, noise) for chosen in by_worth[: -COMPARED - 1 : -1]
@@ -125,7 +125,9 @@ def _order(candidate: RankedChoice) -> tuple[bool, bool, float]:
     return math.isinf(candidate.error), is_uncertain, candidate.error
 
 
-def alike(cells: Sequence[RobotCandidate]) -> Iterator[tuple[RobotCandidate, RobotCandidate]]:
+def similar_pairs(
+    cells: Sequence[RobotCandidate],
+) -> Iterator[tuple[RobotCandidate, RobotCandidate]]:
     """Yield pairs of cells with turning rates too similar to tell them apart after they meet."""
     for first, second in combinations([cell for cell in cells if cell.magnetised], 2):
         if abs(math.log(first.a / second.a)) < ALIKE:

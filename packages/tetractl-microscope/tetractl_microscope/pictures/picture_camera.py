@@ -50,7 +50,7 @@ class PictureResult(Protocol):
         ...
 
     @property
-    def strangers(self) -> tuple[Pose, ...]:
+    def unknown_objects(self) -> tuple[Pose, ...]:
         """Poses of objects that are not robots of the spec."""
         ...
 
@@ -119,13 +119,17 @@ class PictureSearches(Generic[R]):
     """The results of the searches, and why no more will follow.
 
     The camera's threads write it, and the program's own thread reads it, under one lock
-    (`changed`). `ended` is the reason why no more images arrive, empty while they do. `failure` is
-    the unexpected error behind it, if it was one.
+    (`changed`).
+
+    Attributes:
+        changed: Notified after each change.
+        end_reason: Why no more images arrive. Empty while they do.
+        failure: The unexpected error behind `end_reason`. None if there was none.
     """
 
     def __init__(self) -> None:
         self.changed = threading.Condition()
-        self.ended = ""
+        self.end_reason = ""
         self.failure: Exception | None = None
         self._frames: deque[tuple[CameraFrame, R]] = deque(maxlen=WAITING_MAX)
         self._last: deque[PictureSearch[R]] = deque(maxlen=KEPT_SEARCHES)
@@ -141,13 +145,13 @@ class PictureSearches(Generic[R]):
         """Say why no more pictures come, unless an error has said it."""
         with self.changed:
             if self.failure is None:
-                self.ended = reason
+                self.end_reason = reason
             self.changed.notify_all()
 
     def fail(self, thread: str, error: Exception) -> None:
         """Keep the error that ended a thread, for the program's own to raise."""
         with self.changed:
-            self.ended = f"the {thread} of pictures has ended: {text_of(error)}"
+            self.end_reason = f"the {thread} of pictures has ended: {text_of(error)}"
             self.failure = error
             self.changed.notify_all()
 
@@ -219,14 +223,14 @@ class PictureCamera(ABC, Generic[R]):
         """
         enough = self._searches.newest_number() + KEPT_SEARCHES
         self._wait(
-            lambda: self._searches.newest_number() >= enough or bool(self._searches.ended),
+            lambda: self._searches.newest_number() >= enough or bool(self._searches.end_reason),
             self._source.connect,
         )
         searches = self._searches.last()
         problems, warnings = stream_lines(
             searches,
             self._source.source_name,
-            self._searches.ended,
+            self._searches.end_reason,
             self._clock.now(),
             None if self._feed is None else self._feed.rate_hz,
             self.damaged,
@@ -279,7 +283,7 @@ class PictureCamera(ABC, Generic[R]):
         for thread in self._threads:
             thread.start()
         if not self._wait(lambda: self._searches.newest_number() > 0, wait_s):
-            ended = self._searches.ended  # closing the source ends it too
+            ended = self._searches.end_reason  # closing the source ends it too
             self.__exit__()
             name = self._source.source_name
             if self._newest_picture is not None and not ended:
@@ -364,7 +368,7 @@ class PictureCamera(ABC, Generic[R]):
         if result is None:
             return
         received_ns = picture.received_ns
-        frame = CameraFrame(number, exposed_ns, received_ns, result.poses, result.strangers)
+        frame = CameraFrame(number, exposed_ns, received_ns, result.poses, result.unknown_objects)
         search_ns = self._clock.now() - began_ns
         self._searches.add(frame, PictureSearch(number, received_ns, search_ns, result))
         self._wake()

@@ -43,7 +43,7 @@ def searched_hz(searches: Sequence[PictureSearch[Any]]) -> float | None:
 def stream_lines(
     searches: Sequence[PictureSearch[Any]],
     source: str,
-    ended: str,
+    end_reason: str,
     now_ns: int,
     declared_hz: float | None,
     damaged: int,
@@ -53,7 +53,7 @@ def stream_lines(
     Args:
         searches: The searches of the newest images.
         source: Name of the source.
-        ended: Why the source has ended. Empty if it has not.
+        end_reason: Why the source has ended. Empty if it has not.
         now_ns: The present time.
         declared_hz: The source's declared rate [Hz]. None if unknown.
         damaged: Number of damaged images.
@@ -63,8 +63,8 @@ def stream_lines(
     """
     problems: list[str] = []
     warnings: list[str] = []
-    if ended:
-        problems.append(ended)
+    if end_reason:
+        problems.append(end_reason)
     elif not searches or now_ns - searches[-1].received_ns > SECOND // 2:
         problems.append(f"no picture comes from {source} any more")
     rate = searched_hz(searches)

@@ -143,8 +143,8 @@ def fit_tracks(
     """
     fits: list[_Fit | None] = [None] * len(paths)
     if 1 / period_s >= RATE_MIN:
-        measured = [_Measured.of(path, organism, field) for path in paths]
-        fits = [None if table is None else _Fit.of(table) for table in measured]
+        measured = [_Measured.from_path(path, organism, field) for path in paths]
+        fits = [None if table is None else _Fit.fit(table) for table in measured]
     known_fits = [fit for fit in fits if fit is not None]
     squares = sum(min(fit.misfit, MISFIT_MOST * fit.parts) for fit in known_fits)
     usual = max(1.0, squares / max(sum(fit.parts for fit in known_fits), 1))
@@ -177,7 +177,9 @@ class _Measured:
     model: Floats
 
     @classmethod
-    def of(cls, path: CellPath, organism: Organism, field: FieldRecord | None) -> Self | None:
+    def from_path(
+        cls, path: CellPath, organism: Organism, field: FieldRecord | None
+    ) -> Self | None:
         """Return the measurements of a track. None if it has too few places.
 
         The standard deviation of the places comes from their scatter about a smooth path.
@@ -283,7 +285,7 @@ class _Fit:
     parts: int
 
     @classmethod
-    def of(cls, table: _Measured) -> Self:
+    def fit(cls, table: _Measured) -> Self:
         """Fit the measurements of a track."""
         starts = np.tile(table.mean, (len(RATES) * len(ASIDE), 1))
         starts[:, RATE] *= np.repeat(RATES, len(ASIDE))

@@ -349,7 +349,7 @@ def _graph(path: Path) -> SpotTable:
         nodes = [properties[axis.name]["values"].astype(float) for axis in axes]
     except Exception as error:  # geff and zarr do not document what they raise
         raise UsageError(
-            f"{path}: cannot be read as a GEFF graph of t, x, y: {_said(error)}",
+            f"{path}: cannot be read as a GEFF graph of t, x, y: {_problem_of(error)}",
             "write it again with a newer version of the program that wrote it, or as CSV",
         ) from error
     ids = graph["node_ids"]
@@ -372,7 +372,7 @@ def _graph(path: Path) -> SpotTable:
     return SpotTable(np.column_stack([track + 1, *nodes]), across, _step(time, SECONDS), tall)
 
 
-def _said(error: Exception) -> str:
+def _problem_of(error: Exception) -> str:
     """Return what is wrong with a graph, of a library's many lines what says so."""
     problems: Any = getattr(error, "errors", None)  # pydantic's, each with its place and a text
     if callable(problems):

@@ -24,7 +24,7 @@ TARGET = np.array([1700.0, 1200])
 
 def path(key, margin=30.0, draws=3000):
     setup = experiment().setup
-    region = Obstacles.of(setup.obstacles, margin, setup.arena)
+    region = Obstacles.from_shapes(setup.obstacles, margin, setup.arena)
     rows = uniform(key, 0, 3 * draws).reshape(-1, 3)
     return region, grow(region, setup.arena, START, TARGET, 120.0, rows)
 
@@ -41,7 +41,7 @@ def test_a_path_ends_at_the_target_and_touches_nothing(key):
 def test_there_may_be_no_path():
     setup = experiment().setup
     wall = Circle(type="circle", center=(1700, 1200), radius=150).shape()
-    region = Obstacles.of([wall])
+    region = Obstacles.from_shapes([wall])
     rows = uniform(1, 0, 3 * 500).reshape(-1, 3)
     assert grow(region, setup.arena, START, TARGET, 120.0, rows) is None
 

@@ -133,7 +133,7 @@ def test_cubes_that_report_at_one_instant_have_times_of_their_own_all_the_same(f
     experiment = load_spec(folder / "cubes.yaml").experiment
     camera = ToioCamera(experiment.lab.camera, experiment.setup, VirtualClock())
     for i in range(3):
-        camera._heard(i, Characteristic.ID, encode_reading(None), 9 * MILLISECOND)
+        camera._receive(i, Characteristic.ID, encode_reading(None), 9 * MILLISECOND)
     assert len(camera.frames()[0].exposed_ns) == 3
 
 

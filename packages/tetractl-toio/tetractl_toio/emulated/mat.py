@@ -102,13 +102,13 @@ class EmulatedMat:
         timeline.at(timeline.now_ns + self._every_ns, lambda: self._read(i))
         program = cube.program
         last = self.last[i]
-        if self.acting.of("no_frames"):
+        if self.acting.of_kind("no_frames"):
             self._stage.sent(self._exposures)  # so that the fault is recorded without a report
             return
         if not (program.notifies or program.asked):
             return
         present = self._reading(cube)
-        if not self.acting.of("freeze"):
+        if not self.acting.of_kind("freeze"):
             self.last[i] = present
         newest = self.last[i]
         if newest is None and last is None and not program.asked:
@@ -123,14 +123,14 @@ class EmulatedMat:
     def _reading(self, cube: ConnectedCube) -> CubeReading | None:
         x = cube.x
         y = cube.y
-        for jump in self.acting.of("jump", cube.name):
+        for jump in self.acting.of_kind("jump", cube.name):
             x += jump.by[0]
             y += jump.by[1]
         origin = self._section.origin
         unit = self._section.unit_mm
         reading = placed((x, y, cube.heading), origin, unit)
         printed = LEFT <= reading.x <= RIGHT and TOP <= reading.y <= BOTTOM
-        hidden = self.acting.carried or self.acting.of("untracked", cube.name)
+        hidden = self.acting.carried or self.acting.of_kind("untracked", cube.name)
         return None if hidden or not printed else reading
 
     def _passed(self, i: int, shows_place: bool, at_ns: int) -> None:

@@ -32,7 +32,7 @@ controller = build_controller(spec, 1)
 command = None
 for k in range(4):
     ns = 200_000_000 * k
-    seen = Observation(24 * k, ns, ns, Poses.of(poses), np.ones(len(spec.robots), bool))
+    seen = Observation(24 * k, ns, ns, Poses.from_array(poses), np.ones(len(spec.robots), bool))
     plan = controller.plan(seen, command)
     assert isinstance(plan, Plan)
     command = Command(plan.action, ns, (True,) * len(spec.robots))

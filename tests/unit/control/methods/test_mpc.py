@@ -16,7 +16,7 @@ from testkit.trials import THREE_M3PI, experiment
 from tetractl.control.methods.fixed_sequence import given_plan
 from tetractl.control.methods.lengths import CUT, SIGNALS_PER_ROBOT, SPREAD, TRIES
 from tetractl.control.methods.mpc import SEARCH_S, SLACK
-from tetractl.control.methods.value import Worth
+from tetractl.control.methods.value import CandidateValues
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.plan import PAUSE_S, End, Outcome, State, StopReason
@@ -261,7 +261,9 @@ def test_no_later_stop_is_chosen_where_it_would_bring_a_body_to_an_obstacle(room
 
 
 STOPPED_NS = PERIOD_NS + PERIOD_NS // 2
-NEW_PLAN_VALUE = Worth(ACCEPT, spent_s=1.0, period_s=PERIOD_S).plan(0.0, SHORTEST, new=True)
+NEW_PLAN_VALUE = CandidateValues(ACCEPT, spent_s=1.0, period_s=PERIOD_S).plan(
+    0.0, SHORTEST, new=True
+)
 """Value of this plan 1 s after the beginning if it leads exactly to the targets [mm]."""
 
 

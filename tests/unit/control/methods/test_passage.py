@@ -8,7 +8,7 @@ from testkit.paths import ROOT
 from testkit.trials import experiment
 
 from tetractl.control.methods import passage
-from tetractl.control.methods.passage import Squares, ways
+from tetractl.control.methods.passage import Squares, find_sequences
 from tetractl.control.search.cost import predict
 from tetractl.control.search.discs import Discs
 from tetractl.control.search.optimizers.multistart import Multistart
@@ -69,11 +69,11 @@ def test_the_lengths_of_ways_are_those_round_what_is_not_free():
 
 def test_ways_lead_all_robots_near_their_targets_and_keep_clear():
     problem, discs, arena = problem_of(walled(260))
-    signals, again = (next(ways(problem, arena, 200, key=5)) for _ in range(2))
+    signals, again = (next(find_sequences(problem, arena, 200, key=5)) for _ in range(2))
     assert np.array_equal(signals, again)
     path = predict(problem, signals)
     missed = np.hypot(*(path[-1, :, :2] - problem.targets).T).sum()
-    assert missed < passage.WAYS_LEFT * (problem.speed / problem.a).sum()
+    assert missed < passage.DISTANCE_LEFT * (problem.speed / problem.a).sum()
     assert (
         discs.least_clearance(path[..., 0], path[..., 1], SEPARATION).min() > -1.0
     )  # between moments
@@ -84,8 +84,8 @@ def test_ways_lead_all_robots_near_their_targets_and_keep_clear():
 def test_there_is_no_way_through_a_wall():
     problem, _, arena = problem_of(walled(260))
     closed = walled(60).setup  # narrower than a robot by more than a cell
-    region = Obstacles.of(closed.obstacles, RADIUS, closed.arena)
-    nearest = list(ways(replace(problem, obstacles=region), arena, 200, key=5))
+    region = Obstacles.from_shapes(closed.obstacles, RADIUS, closed.arena)
+    nearest = list(find_sequences(replace(problem, obstacles=region), arena, 200, key=5))
     assert not nearest or (predict(problem, nearest[0])[..., 0] < 1300).all()
 
 
@@ -99,7 +99,7 @@ def test_a_polish_from_the_tree_leads_robots_from_anywhere_to_anywhere():
     assert optimizer.search(problem, 134, None, 0, Limits()).cost > 100
     keys_that_lead_there = []
     for key in range(3):
-        starts = ways(problem, spec.setup.arena, 134, key)
+        starts = find_sequences(problem, spec.setup.arena, 134, key)
         searches = (optimizer.search(problem, len(start), start, key, Limits()) for start in starts)
         if min(search.cost for search in searches) < 1:
             keys_that_lead_there.append(key)

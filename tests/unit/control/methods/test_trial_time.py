@@ -7,7 +7,7 @@ from tetractl.control.methods.trial_time import TrialTime
 from tetractl.core.commands import Command, Steer
 from tetractl.core.poses import Observation, Poses
 
-POSES = Poses.of(np.zeros((1, 3)))
+POSES = Poses.from_array(np.zeros((1, 3)))
 
 
 def seen(seconds):

@@ -2,25 +2,27 @@
 
 import pytest
 
-from tetractl.control.methods.value import PATIENCE_S, Worth
+from tetractl.control.methods.value import PATIENCE_S, CandidateValues
 
-AT_FIRST = Worth(10.0, 0.0, 0.2)
+AT_FIRST = CandidateValues(10.0, 0.0, 0.2)
 
 
 def test_a_plan_under_way_is_worth_its_error_and_the_price_of_its_time():
-    assert AT_FIRST.plan(3.0, 5, new=False) == pytest.approx(3 + 10 * Worth.price)
+    assert AT_FIRST.plan(3.0, 5, new=False) == pytest.approx(3 + 10 * CandidateValues.price)
 
 
 def test_a_new_attempt_is_worth_the_accepted_error_which_doubles():
-    late = Worth(10.0, 2 * PATIENCE_S, 0.2)
-    time = 10 * Worth.price
+    late = CandidateValues(10.0, 2 * PATIENCE_S, 0.2)
+    time = 10 * CandidateValues.price
     assert AT_FIRST.plan(0.0, 5, new=True) == pytest.approx(10 + time)
     assert late.plan(0.0, 5, new=True) == pytest.approx(40 + time)
     assert late.plan(0.0, 5, new=False) == pytest.approx(time)
-    impatient = Worth(10.0, PATIENCE_S, 0.2, PATIENCE_S / 2)
+    impatient = CandidateValues(10.0, PATIENCE_S, 0.2, PATIENCE_S / 2)
     assert impatient.plan(0.0, 5, new=True) == pytest.approx(40 + time)
 
 
 def test_caution_costs_as_much_as_errors_in_units_of_the_accepted_one():
     plain = AT_FIRST.plan(3.0, 5, new=False)
-    assert AT_FIRST.plan(3.0, 5, False, touches=True) == pytest.approx(plain + 10 * Worth.touch)
+    assert AT_FIRST.plan(3.0, 5, False, touches=True) == pytest.approx(
+        plain + 10 * CandidateValues.touch
+    )

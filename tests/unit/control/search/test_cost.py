@@ -48,7 +48,7 @@ def test_13_sees_samples_only_and_swept_sees_the_corner_cut():
 def test_a_problem_is_taken_from_the_experiment():
     control = {"collision": {"margin": 10, "walls": False}, "obstacle_weight": 5, "period": 0.2}
     spec = experiment(controller={"type": "mpc"} | control)
-    poses = Poses.of(np.zeros((3, 3)))
+    poses = Poses.from_array(np.zeros((3, 3)))
     problem = spec.controller.problem(spec.setup, poses)
     assert problem.targets.tolist() == [[1700, 500], [1700, 1500], [1700, 2000]]
     assert problem.a.tolist() == [6, 4, 3]

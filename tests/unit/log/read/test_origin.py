@@ -24,8 +24,8 @@ PLAIN = {"type": "sim", "camera_rate": 60}
 )
 def test_any_disturbance_disturbs_a_simulation(disturbance):
     info = PlantInfo("sim", True, 60.0, {})
-    assert Origin.of(experiment(plant=PLAIN), info) is Origin.UNDISTURBED
-    assert Origin.of(experiment(plant=PLAIN | disturbance), info) is Origin.DISTURBED
+    assert Origin.from_spec(experiment(plant=PLAIN), info) is Origin.UNDISTURBED
+    assert Origin.from_spec(experiment(plant=PLAIN | disturbance), info) is Origin.DISTURBED
 
 
 @pytest.mark.parametrize(
@@ -38,5 +38,5 @@ def test_any_disturbance_disturbs_a_simulation(disturbance):
 )
 def test_an_emulated_device_makes_an_emulated_lab(facts, origin):
     info = PlantInfo("lab", False, 120.0, facts)
-    assert Origin.of(experiment(plant=DISTURBED), info) is origin
+    assert Origin.from_spec(experiment(plant=DISTURBED), info) is origin
     assert not origin.simulated

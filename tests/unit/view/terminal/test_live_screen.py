@@ -225,7 +225,7 @@ def test_a_plain_view_names_who_entered_an_obstacle_and_no_steps():
         poses = start.setup.starts.array().copy()
         poses[1, :2] = left + 1, bottom + 1
         poses[2, :2] = start.setup.arena.left - 1, bottom
-        observation = Observation(0, 0, 0, Poses.of(poses), np.ones(3, dtype=bool))
+        observation = Observation(0, 0, 0, Poses.from_array(poses), np.ones(3, dtype=bool))
         view.on_samples([Sample(observation, None)])
         view.say("words", "Any key ends")
     last = pictures(console)[-1]

@@ -371,6 +371,6 @@ class Stream:
             sampled_ns=sampled_ns,
             received_ns=received_ns,
             poses=tuple(poses),
-            strangers=tuple(pose for pose in strangers if pose is not None),
+            unknown_objects=tuple(pose for pose in strangers if pose is not None),
             fault=self._fault or (EDIT_MODE if frame.edit_mode else "") or twins,
         )

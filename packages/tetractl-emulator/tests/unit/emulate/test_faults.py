@@ -88,7 +88,7 @@ def state(lab, name):
     robots."""
     camera = lab.camera
     actuator = lab.actuator
-    parts = [*lab.injector.acting.of(name)]
+    parts = [*lab.injector.acting.of_kind(name)]
     if hasattr(camera, "view"):
         parts += [[*camera.clock_errors]]
     if hasattr(actuator, "radio"):
@@ -140,7 +140,7 @@ def test_a_fault_of_pictures_is_taken_back(tmp_path, text):
         (fault,) = lab.emulation.injector.faults
 
         def picture_state():
-            acting = [*lab.emulation.injector.acting.of(fault.fault)]
+            acting = [*lab.emulation.injector.acting.of_kind(fault.fault)]
             return repr([acting, camera._look()])
 
         before = picture_state()
@@ -230,7 +230,7 @@ def test_a_change_of_the_picture_takes_only_itself_back(tmp_path):
     acting = knock.lab.injector.acting
 
     def exposed():
-        view = knock.lab.camera.view.exposed(acting.of("picture"))
+        view = knock.lab.camera.view.exposed(acting.of_kind("picture"))
         return view.shift, view.grown, view.turned
 
     end_knock = knock.begin()
@@ -278,7 +278,7 @@ def test_a_fault_is_over_after_its_time(tmp_path):
         untracked = []
         for tenth in range(5):
             lab.clock.sleep_until((tenth * 10 + 5) * SECOND // 100)
-            untracked.append(len(acting.of("untracked", "green")))
+            untracked.append(len(acting.of_kind("untracked", "green")))
     assert untracked == [0, 1, 1, 0, 0]
 
 
@@ -327,11 +327,11 @@ def test_a_picture_creeps_by_all_changes_and_stays_where_they_brought_it(tmp_pat
     end_sliding = sliding.begin()
     end_turning = sliding.lab.injector.act(turning)
     acting = sliding.lab.injector.acting
-    view.exposed(acting.of("picture"))
+    view.exposed(acting.of_kind("picture"))
     end_sliding()
-    view.exposed(acting.of("picture"))
+    view.exposed(acting.of_kind("picture"))
     end_turning()
-    view.exposed(acting.of("picture"))
+    view.exposed(acting.of_kind("picture"))
     assert view.shift == 3
     assert view.turned == 2 * 0.25
 

@@ -23,7 +23,7 @@ def test_shipped_scripts_are_valid_and_say_what_they_expect(path):
 
 def test_every_fault_has_a_script():
     used = {fault.fault for path in FOLDER.glob("*.yaml") for fault in load_script(path).faults}
-    assert used == set(Sides.of("optitrack", "m3pi-xbee").faults) - {"mark"}
+    assert used == set(Sides.of_types("optitrack", "m3pi-xbee").faults) - {"mark"}
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def test_robots_are_found_by_name_and_by_id_others_are_strangers():
     green, blue = stream.newest.poses
     assert (green.x, green.y, green.heading) == pytest.approx((1000, 250, 0))
     assert (blue.x, blue.y, blue.heading) == pytest.approx((2000, 1000, 0.5))
-    (hand,) = stream.newest.strangers
+    (hand,) = stream.newest.unknown_objects
     assert (hand.x, hand.y) == (500, 500)
 
 

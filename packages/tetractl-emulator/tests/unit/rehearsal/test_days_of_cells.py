@@ -3,9 +3,9 @@
 import pytest
 from testkit.emulator.made_days import at
 from testkit.paths import EXAMPLES
-from tetractl_emulator.rehearsal.day import Day
+from tetractl_emulator.rehearsal.day import DayOutcome
 from tetractl_emulator.rehearsal.day_plan import DayPlan
-from tetractl_emulator.rehearsal.outcome_sentences import outcome_violations
+from tetractl_emulator.rehearsal.outcome_invariants import outcome_violations
 from tetractl_emulator.rehearsal.truth import Truth
 
 from tetractl.spec.load import load_spec
@@ -39,7 +39,7 @@ def test_cells_that_swim_after_the_stop_break_nothing_but_a_wrong_end_does(said,
         exposure(3.0, 0.4),
         exposure(3.4, 0.6),
     ]
-    day = Day(DayPlan(1, {}, [DARK]), events, 1, said, None, "", 1.0)
+    day = DayOutcome(DayPlan(1, {}, [DARK]), events, 1, said, None, "", 1.0)
     limits = load_spec(EXAMPLES / "tetrahymena_dish.yaml").experiment.lab.limits
     truth = Truth(day, SETUP, limits, 0.25, halts=False)
     names = {violation.name for violation in outcome_violations(truth)}

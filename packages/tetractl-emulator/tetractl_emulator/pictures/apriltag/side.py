@@ -338,4 +338,4 @@ class EmulatedAprilTag(StreamedCamera):
     def _draw(self, exposed_ns: int) -> Grey:
         tags = zip(self.renderer.robots, self._visible_now(), strict=True)
         self.renderer.hidden = {robot.tag for robot, is_visible in tags if not is_visible}
-        return self.renderer.picture(lambda t: Poses.of(self._scene_at(t)), exposed_ns)
+        return self.renderer.picture(lambda t: Poses.from_array(self._scene_at(t)), exposed_ns)

@@ -32,11 +32,11 @@ class CoilField:
     def coils(self) -> CoilsSection:
         """The coils as they are now."""
         coils = self._section
-        for fault in self._acting.of("weak_coils"):
+        for fault in self._acting.of_kind("weak_coils"):
             pair: CoilPair = getattr(coils, fault.axis)
             weakened = pair.model_copy(update={"gain_mt_a": fault.share * pair.gain_mt_a})
             coils = coils.model_copy(update={fault.axis: weakened})
-        for fault in self._acting.of("turned_coils"):
+        for fault in self._acting.of_kind("turned_coils"):
             coils = coils.model_copy(update={"rotation": coils.rotation + fault.by})
         return coils
 

@@ -17,7 +17,7 @@ from tetractl.core.setup import Setup
 from tetractl.model.swimmers import Bodies, bodies
 from tetractl.spec.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.spec.lab_section import LabSection
-from tetractl_emulator.fault_rows import SEEN, FaultRow, between, signed, way
+from tetractl_emulator.fault_rows import SEEN, FaultRow, between, signed, vector
 from tetractl_emulator.faults import Fault, Visible, fault_kind
 from tetractl_emulator.pictures.dish.live_dish import CellBody
 from tetractl_emulator.pictures.dish.picture import (
@@ -86,7 +86,7 @@ class EmulatedMicroscope(StreamedCamera):
             "The stage was moved by this displacement [um].",
             Visible.EXPOSED,
             fields={"by_um": tuple[Finite, Finite]},
-            rows=[FaultRow("knocked", SEEN, {"by_um": way(3, 800)})],
+            rows=[FaultRow("knocked", SEEN, {"by_um": vector(3, 800)})],
         ),
         fault_kind(
             "bubble",
@@ -161,15 +161,15 @@ class EmulatedMicroscope(StreamedCamera):
         """Return how pictures look now."""
         acting = self._stage.acting
         look = self._plain_look
-        for light in acting.of("light"):
+        for light in acting.of_kind("light"):
             lit = {"light": look.light * light.share, "contrast": look.contrast * light.share}
             look = replace(look, **lit, flicker=light.flicker)
-        for focus in acting.of("focus"):
+        for focus in acting.of_kind("focus"):
             look = replace(look, focus_um=focus.by_um)
-        for knock in acting.of("knocked"):
+        for knock in acting.of_kind("knocked"):
             corner = look.corner_um[0] + knock.by_um[0], look.corner_um[1] + knock.by_um[1]
             look = replace(look, corner_um=corner)
-        for bubble in acting.of("bubble"):
+        for bubble in acting.of_kind("bubble"):
             x = look.corner_um[0] + look.width * look.um_px / 2
             y = look.corner_um[1] + look.height * look.um_px / 2
             rim = RenderedSpeck(x, y, bubble.size_um, 1.0, 0.0, 0.1, rim=True)

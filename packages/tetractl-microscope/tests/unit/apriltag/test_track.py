@@ -127,5 +127,5 @@ def test_a_number_seen_twice_is_no_robot_and_no_stranger():
     looked = look(mine, renderer)
     assert looked.poses[0] is None
     assert looked.poses[1] is not None
-    assert looked.strangers == ()
+    assert looked.unknown_objects == ()
     assert looked.tags.count(0) == 2

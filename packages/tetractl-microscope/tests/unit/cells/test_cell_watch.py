@@ -91,7 +91,7 @@ def test_the_lab_aborts_where_its_camera_does_not_know_for_long_who_is_who():
             sure[BLUE] = 1.0 if k < 3 else 0.6
             plant.observe()
             plant.send(Steer(1.5))
-            notes += [news.text for news in plant.news() if isinstance(news, Note)]
+            notes += [news.text for news in plant.events() if isinstance(news, Note)]
             lab.clock.sleep_until(lab.clock.now() + SECOND // 5)
     plant.stop()
     plant.close()

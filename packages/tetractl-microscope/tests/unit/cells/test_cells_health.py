@@ -47,7 +47,7 @@ def searches(**changes):
     values = {
         "robots": None,  # which cells they are does not matter to what is said
         "poses": (Pose(0, 0, 0), Pose(1, 1, 0)),
-        "strangers": (),
+        "unknown_objects": (),
         "light": LIGHT,
         "level": 120.0,
         "sharpness": 0.3,

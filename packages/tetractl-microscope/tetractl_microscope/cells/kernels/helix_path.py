@@ -38,25 +38,25 @@ def arrive(m, p, total, model, pieces, first, k):
 
 
 @compiled(**INLINE_EXACT)
-def loosen(p, start, odd, distance):
+def loosen(p, start, distant_count, distance):
     """Make a cell's pose uncertain again after ODD_RUN distant measurements.
 
     Args:
         p: The covariance, to which the pose's variance of a new cell is added.
         start: Covariance of a new cell.
-        odd: Number of distant measurements in a row so far.
+        distant_count: Number of distant measurements in a row so far.
         distance: Squared distance of the newest measurement.
 
     Returns:
         The number of distant measurements in a row.
     """
-    odd = odd + 1 if distance > ODD_DISTANCE else 0
-    if odd >= ODD_RUN:
+    distant_count = distant_count + 1 if distance > ODD_DISTANCE else 0
+    if distant_count >= ODD_RUN:
         for state in range(RATE):
             p[state, state] += start[state, state]
         p[WAY, WAY] += start[0, 0]
         return 0
-    return odd
+    return distant_count
 
 
 @compiled(**ENTRY)

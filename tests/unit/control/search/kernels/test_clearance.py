@@ -17,7 +17,9 @@ pytestmark = pytest.mark.slow
 
 WALLS = st.none() | st.just(Bounds(-8.0, -7.5, 9.0, 7.0))
 REGIONS = st.builds(
-    lambda sections, margin, walls: Obstacles.of([s.shape() for s in sections], margin, walls),
+    lambda sections, margin, walls: Obstacles.from_shapes(
+        [s.shape() for s in sections], margin, walls
+    ),
     st.lists(SHAPES, max_size=3),
     st.sampled_from([0.0, 0.25, 1.0]),
     WALLS,

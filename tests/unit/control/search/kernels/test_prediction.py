@@ -75,7 +75,7 @@ def test_walls_count_as_in_the_readable_prediction(seed, swept, margin):
     """Some robots start outside, and many leave."""
     world = problems.world(seed, 3, 3, "exact", swept)
     shapes = [thing.shape() for thing in world.obstacles]
-    walls = Obstacles.of(shapes, margin, Bounds(50, 50, 750, 750))
+    walls = Obstacles.from_shapes(shapes, margin, Bounds(50, 50, 750, 750))
     problem = replace(problems.problem(world), obstacles=walls)
     signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, (20, 12))
     for sequence in signals[:3]:
@@ -120,7 +120,7 @@ def test_branches_are_the_readable_predictions_of_their_directions(seed, robots,
     turns = rng.random(5)
     path = compiled_branches(problem, start, towards, turns, 0.1)
     for b in range(2):
-        poses = Poses.of(start[b])
+        poses = Poses.from_array(start[b])
         moved = replace(problem, poses=poses, first_period=0.1, period=0.1)
         expected = foresee(moved, towards[b] + turns).path
         assert path[:, b] == pytest.approx(expected, rel=1e-9, abs=1e-9)

@@ -96,7 +96,7 @@ def test_eight_robots_are_led_to_their_targets():
         motion="exact",
         period=0.2,
         first_period=0.2,
-        obstacles=Obstacles.of(),
+        obstacles=Obstacles.from_shapes(),
         obstacle_weight=1000.0,
         swept=False,
     )

@@ -21,7 +21,7 @@ class HoldTask:
     seconds: float
 
 
-class TourMeasure:
+class RouteMeasure:
     """A measurement of how accurately N robots pass their way-points and hold at their targets.
 
     For each control step, call `step` with its leg and observation, then `add` with its frames.

@@ -1,4 +1,4 @@
-"""Each sentence of the observer is broken by a day made up in which it does not hold, and by none
+"""Each invariant of the observer is broken by a day made up in which it does not hold, and by none
 in which it does.
 """
 
@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from testkit.emulator.made_days import at, give_log
 from testkit.paths import ROOT
-from tetractl_emulator.rehearsal.day import Day
+from tetractl_emulator.rehearsal.day import DayOutcome
 from tetractl_emulator.rehearsal.day_plan import DayPlan
-from tetractl_emulator.rehearsal.sentences import SENTENCES, violations
+from tetractl_emulator.rehearsal.invariants import INVARIANTS, violations
 from tetractl_emulator.rehearsal.truth import Truth
 
 from tetractl.core.commands import Steer, Stop, Turn
@@ -66,11 +66,13 @@ def day(events, fault=LOST, said=ERROR, code=1, leftovers="", setup=SETUP):
     """A day of such events without a log."""
     plan = DayPlan(1, {"actuator": {}}, [{"right": "not tracked|emergency stop", **fault}])
     in_order = sorted(events, key=lambda event: event["t_ns"])
-    return Truth(Day(plan, in_order, code, said, None, leftovers, 1.0), setup, LabLimits(), 0.25)
+    return Truth(
+        DayOutcome(plan, in_order, code, said, None, leftovers, 1.0), setup, LabLimits(), 0.25
+    )
 
 
 def broken(events, **more):
-    """Return the sentences that a day without a log breaks, but that a log has to be there."""
+    """Return the invariants that a day without a log breaks, but that a log has to be there."""
     return {violation.name for violation in violations(day(events, **more))} - {"log"}
 
 
@@ -251,9 +253,9 @@ def with_log(poses, fault=FREEZES, **fields):
     return truth
 
 
-def breaks(sentence, name, truth):
-    """Whether a day breaks a sentence, which has this name alone."""
-    names = {violation.name for violation in SENTENCES[sentence](truth)}
+def breaks(invariant, name, truth):
+    """Whether a day breaks a invariant, which has this name alone."""
+    names = {violation.name for violation in INVARIANTS[invariant](truth)}
     assert names <= {name}
     return bool(names)
 
@@ -351,7 +353,7 @@ def test_the_exit_code_is_right(more):
 def complete(fault=LOST, events=(), steps=()):
     """A day that ends with exit code 0, after such events."""
     truth = day([*RUN, *DRIVES, *events, at(2.31, "guard", state="ready", reason=""), END], fault)
-    truth = replace(truth, day=replace(truth.day, exit_code=0, said=""))
+    truth = replace(truth, day=replace(truth.day, exit_code=0, output=""))
     give_log(truth, result=SimpleNamespace(outcome=Outcome.ARRIVED, reason=""), steps=steps)
     return truth
 
@@ -475,7 +477,7 @@ def test_a_pose_may_be_of_just_before_a_robot_is_turned(turn, wrong):
 
 
 def test_a_robot_may_turn_while_no_new_pose_of_it_is_accepted():
-    """Regression: a robot that spun while our program was suspended broke the sentence."""
+    """Regression: a robot that spun while our program was suspended broke the invariant."""
     truth = with_log(STARTS)
     x, y, heading = STARTS[0]
     truth.day.events[-3]["poses"] = [[x, y, heading + 1.2], *STARTS[1:]]
@@ -485,7 +487,7 @@ def test_a_robot_may_turn_while_no_new_pose_of_it_is_accepted():
 
 @pytest.mark.parametrize(("turned_before_s", "wrong"), [(0.3, False), (0.7, True)])
 def test_a_pose_that_repeats_is_not_known_to_be_frozen_at_once(turned_before_s, wrong):
-    """Regression: a robot that turned to rest under a frozen pose broke the sentence.
+    """Regression: a robot that turned to rest under a frozen pose broke the invariant.
 
     `stale` 0.1 s, a packet in the air and the watchdog may pass until no stop acts any more.
     """

@@ -9,7 +9,7 @@ from testkit.mutate import with_entry
 from tetractl.core.errors import SpecError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses, Sample
-from tetractl.core.tour import HoldTask, TourMeasure
+from tetractl.core.route_measure import HoldTask, RouteMeasure
 from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
@@ -73,14 +73,14 @@ def test_the_time_inside_is_the_share_of_the_frames_of_the_hold_in_which_a_robot
     too far in 4, and in 5 not tracked, which counts as outside."""
 
     def at(x):
-        return Poses.of(np.array([[x, 0.0, 0.0]]))
+        return Poses.from_array(np.array([[x, 0.0, 0.0]]))
 
     def frame(number, x, valid=True, true_x=None):
         observation = Observation(number, number, number, at(x), np.array([valid]))
         return Sample(observation, None if true_x is None else at(true_x))
 
     legs = np.array([[[5.0, 0.0]], [[0.0, 0.0]]])
-    measure = TourMeasure(legs, HoldTask(1.0, 9.0), None, np.ones(1))
+    measure = RouteMeasure(legs, HoldTask(1.0, 9.0), None, np.ones(1))
     measure.step(0, frame(0, 9.0).observation)
     measure.add([frame(1, 0.0)])
     measure.step(1, frame(2, 4.0).observation)

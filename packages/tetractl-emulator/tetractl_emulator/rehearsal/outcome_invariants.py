@@ -30,10 +30,10 @@ PROGRAM_ERROR = re.compile(r"\b[A-Z]\w*(Error|Exception|Interrupt)\b|Traceback")
 def outcome_violations(truth: Truth) -> list[Violation]:
     """Check a day of cells: its log, its exit code and the reason of its abort.
 
-    Cells swim on when the field is off, so the sentences about standstill and places do not apply.
+    Cells swim on when the field is off, so the invariants about standstill and places do not apply.
     """
-    sentences = (log_is_whole, exit_code_is_right, reason_names_a_fault)
-    return [violation for sentence in sentences for violation in sentence(truth)]
+    invariants = (log_is_whole, exit_code_is_right, reason_names_a_fault)
+    return [violation for invariant in invariants for violation in invariant(truth)]
 
 
 # The log is readable, and says what was
@@ -82,7 +82,7 @@ def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
     further.
     """
     day = truth.day
-    for text in (truth.reason, day.said):
+    for text in (truth.reason, day.output):
         if PROGRAM_ERROR.search(text):
             yield _wrong_end(text[-500:])
             break

@@ -1,17 +1,17 @@
-"""The seven sentences that hold on every day of robots in an emulated lab.
+"""The seven invariants that hold on every day of robots in an emulated lab.
 
-The observer knows what truly happened, and shares no code with the guard. Each sentence is a
+The observer knows what truly happened, and shares no code with the guard. Each invariant is a
 function, whose docstring says all that is checked:
 
-| sentence | function | main bound |
+| invariant | function | main bound |
 |---|---|---|
 | no robot is driven blind | `driven_blind` | limits of the spec, and `reaction` |
 | robots rest after a stop | `rests_after_a_stop` | `TRANSIT_S`, the watchdog, `ROLL_S` |
 | robots stay inside the arena, apart | `stays_inside` | wrong poses, pushes, the way to stand |
 | poses and the result are true | `poses_are_true` | `POSE_MM`, `POSE_RAD`; `RESULT_MM` |
-| the log is readable, and says what was | `log_is_readable` | in `outcome_sentences` |
-| the exit code is right | `exit_code_is_right` | in `outcome_sentences` |
-| the reason names a fault that was there | `reason_names_a_fault` | in `outcome_sentences` |
+| the log is readable, and says what was | `log_is_readable` | in `outcome_invariants` |
+| the exit code is right | `exit_code_is_right` | in `outcome_invariants` |
+| the reason names a fault that was there | `reason_names_a_fault` | in `outcome_invariants` |
 
 Coarse on purpose: unless a docstring says otherwise, a fault widens a bound, or lifts it, for all
 robots and the whole day, also before it begins. This may miss a violation, and invents none.
@@ -29,7 +29,7 @@ from tetractl.core.poses import Bools, Floats
 from tetractl_emulator.fault_rows import FRAME_S
 from tetractl_emulator.m3pi.wheeled_side import LAG_MAX_S
 from tetractl_emulator.rehearsal.logged import MUTE, SHOWN_S
-from tetractl_emulator.rehearsal.outcome_sentences import (
+from tetractl_emulator.rehearsal.outcome_invariants import (
     exit_code_is_right,
     log_is_readable,
     reason_names_a_fault,
@@ -48,7 +48,7 @@ from tetractl_emulator.rehearsal.truth import (
     time_s,
 )
 
-Sentence = Callable[[Truth], Iterator[Violation]]
+Invariant = Callable[[Truth], Iterator[Violation]]
 
 DRIVING_WINDOW_S = 4.0
 """Time of driving in which each robot has to be shown for half of it; it crosses half the arena."""
@@ -103,8 +103,8 @@ STOPS_FAIL = (
 
 
 def violations(truth: Truth) -> list[Violation]:
-    """Return where a day of robots broke a sentence."""
-    return [violation for sentence in SENTENCES for violation in sentence(truth)]
+    """List where a day of robots violated an invariant."""
+    return [violation for invariant in INVARIANTS for violation in invariant(truth)]
 
 
 # 1: no robot is driven blind
@@ -654,7 +654,7 @@ def _highest_mm(truth: Truth, fault: VisibleFault) -> float:
     return min(limit_mm, BODY_MM + LIFTED_MM)
 
 
-SENTENCES: tuple[Sentence, ...] = (
+INVARIANTS: tuple[Invariant, ...] = (
     driven_blind,
     rests_after_a_stop,
     stays_inside,

@@ -219,7 +219,7 @@ def _complain_of(error: BaseException) -> Exit | None:
 
 
 def _complain_of_module(module: str) -> Exit | None:
-    """Print how to get a module that is not installed; None for one that always is."""
+    """Print how to get a module that is not installed. Ignores modules that always are."""
     if module in UNIX_MODULES:
         problem = f"this does not run on Windows: Python has no '{module}' here"
         return complain(Exit.USAGE, problem, "simulations, tables and reports need none of it")
@@ -239,7 +239,7 @@ def _usage_hint(error: TyperException) -> str | None:
 
 
 def _without_equals_sign() -> str | None:
-    """Return how a `--set PATH VALUE` among the arguments is written, None if there is none."""
+    """Return how a `--set PATH VALUE` among the arguments should be written. None without one."""
     words = sys.argv[1:]
     for option, path, value in zip(words, words[1:], words[2:], strict=False):
         if option == "--set" and "=" not in path:

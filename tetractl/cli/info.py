@@ -69,7 +69,7 @@ def _lines(log: "Overview") -> Iterator[str]:
 
 
 def _digests(log: "Overview") -> dict[str, str]:
-    """Return the content digest that the log states and that of its records; one if they agree."""
+    """Compare the content digest that the log states with that of its records."""
     if log.stated_digest is None:
         return {"computed": log.digest}
     if log.stated_digest == log.digest:

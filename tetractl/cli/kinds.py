@@ -73,7 +73,7 @@ class _ListedKind:
 
     @property
     def problem(self) -> str:
-        """The problem; "" if there is none."""
+        """The problem. Empty if there is none."""
         return f"needs {self.lacks}, which is not installed" if self.lacks else self.broken
 
 
@@ -149,7 +149,11 @@ def _home(kind: "Kind") -> str:
 
 
 def _kind_check() -> Callable[[str, Mapping[str, Any], "Setup"], Sequence[Any]]:
-    """Return the function that checks a kind; UsageError if no installed package brings it."""
+    """Return the function that checks a kind.
+
+    Raises:
+        UsageError: If no installed package brings it.
+    """
     if "kind" not in KIND_CHECKS:
         lack = not_installed(KIND_CHECKS.group, "kind")
         assert lack is not None
@@ -182,7 +186,7 @@ def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
 
 
 def _fields(sets: list[str]) -> dict[str, Any]:
-    """Return the fields that --set gives, by name."""
+    """Return the fields that --set gives, keyed by name."""
     from tetractl.spec.base import with_tuples
     from tetractl.spec.yaml.document import parse_value
 
@@ -196,7 +200,7 @@ def _fields(sets: list[str]) -> dict[str, Any]:
 
 
 def _experiment(spec: Path | None) -> "Experiment":
-    """Return the experiment whose robots and arena are used: a spec's, or that of `init`."""
+    """Return the experiment with the robots and arena for a check: a spec's, or that of `init`."""
     from tetractl.spec.load import parse_spec
 
     if spec is not None:

@@ -280,7 +280,11 @@ def _loaded_on(spec: Path, sets: list[str] | None, plant: str) -> "LoadedSpec":
 
 
 def _xbee(port: str, baud: int) -> "XbeeSection":
-    """Return the radio that --port and --baud describe; UsageError for a wrong value."""
+    """Return the radio that --port and --baud describe.
+
+    Raises:
+        UsageError: If a value is wrong.
+    """
     from pydantic import ValidationError
 
     from tetractl.lab.actuators.xbee.hardware import XbeeSection

@@ -73,7 +73,7 @@ def play(
     yes: options.Yes = False,
     out: options.LogFolder = None,
 ) -> int:
-    """Steer all robots yourself, by one direction; then the spec's controller does.
+    """Steer all robots yourself with one direction, then let the spec's controller try.
 
     The first arrow key starts the robots. An arrow, or a drag of the mouse, sets the direction to
     which all robots turn; dots show where that leads. Steer round obstacles (yellow).
@@ -356,7 +356,7 @@ def _keyed_screen(keys: "HandKeys", view: "LiveView", stop: Callable[[], None]) 
 def _paced(
     view: "LiveView", keys: "HandKeys", speed: float, say_at_end: "Callable[[Result], None]"
 ) -> "Sequence[Observer]":
-    """Return what shows a trial at `speed` times the wall clock, and says how it ended."""
+    """Return the view of a trial at `speed` times the wall clock, which reports its end."""
     from tetractl.run.hand import AtEnd, WallPace
 
     def at_end(result: "Result") -> None:
@@ -406,7 +406,7 @@ def _harder(experiment: "Experiment") -> list[str]:
 
 
 def _line(game: Game) -> str:
-    """Return how well all trials ended, on one line."""
+    """Describe in one line how well all trials ended."""
     first, *others = [_how_well(result, game.experiment) for result in game.yours]
     parts = [f"you {first}", *(f"again {other}" for other in others)]
     if game.theirs is not None:
@@ -415,12 +415,12 @@ def _line(game: Game) -> str:
 
 
 def _was_stopped(result: "Result") -> bool:
-    """Return whether a guard or a fault ended a trial."""
+    """Decide whether a guard or a fault ended a trial."""
     return result.outcome == "aborted"
 
 
 def _best(results: "Sequence[Result]") -> "Result":
-    """Return the result of the least error, of those that are not lost if there are any."""
+    """Return the result with the smallest error, with lost robots only if all have some."""
     not_lost = [r for r in results if not (r.entered_obstacle or r.left_arena or _was_stopped(r))]
     return min(not_lost or results, key=lambda result: result.total_error)
 

@@ -29,7 +29,7 @@ NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
 def example_files(name: str) -> dict[str, str]:
-    """Return the texts of an example and of the files it names, by path in the examples' folder.
+    """Return an example and the files it names, keyed by their path in the examples' folder.
 
     Raises UsageError if there is no such example, or its package is not installed.
     """

@@ -102,7 +102,11 @@ class RunOptions:
 
 
 def wanted_port(serve: bool, port: int | None) -> int | None:
-    """Return the port to serve at, None without --serve; UsageError for a port without --serve."""
+    """Return the port to serve at. None without --serve.
+
+    Raises:
+        UsageError: If a port is given without --serve.
+    """
     if not serve:
         if port is not None:
             raise UsageError("--port needs --serve")

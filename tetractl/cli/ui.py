@@ -109,7 +109,7 @@ def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
 
 
 def announce_compiling(quiet: bool, text: str) -> None:
-    """Print on stderr that code is being compiled; with `quiet`, only if stderr is a terminal."""
+    """Print on stderr that code is being compiled. With `quiet`, only if stderr is a terminal."""
     if not quiet or is_terminal(sys.stderr):
         tell(text)
 
@@ -131,7 +131,11 @@ def refuse_existing(out: Path | None) -> None:
 
 
 def refuse_filled(folder: Path | None) -> None:
-    """Raise UsageError if an output folder exists already, unless it is an empty one."""
+    """Check that an output folder does not exist or is empty.
+
+    Raises:
+        UsageError: If it has files.
+    """
     if folder is None or not folder.exists():
         return
     if not folder.is_dir() or any(folder.iterdir()):

@@ -121,7 +121,7 @@ def give_up_unread() -> None:
 
 
 def _accepts(stream: int) -> bool:
-    """Return whether a stream takes a line without waiting, or fails without waiting."""
+    """Decide whether a stream takes a line, or fails, without making us wait."""
     if not hasattr(select, "poll"):  # Windows
         return True
     poll = select.poll()

@@ -1,4 +1,4 @@
-"""`tetractl verify` and `recover`: check a log, and save what is left of a damaged one."""
+"""`tetractl verify` and `recover`: check a log, and save the intact part of a damaged one."""
 
 import json
 from dataclasses import asdict

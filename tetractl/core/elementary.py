@@ -213,7 +213,7 @@ def atan(x):
 
 
 def atan2(y, x):
-    """Compute the angle of the point (x, y) [rad], from -pi to pi; 0 at the origin."""
+    """Compute the angle of the point (x, y) [rad], from -pi to pi. It is 0 at the origin."""
     total = abs(x) + abs(y)
     if not total > 0.0:
         return 0.0 if total == 0.0 else math.nan

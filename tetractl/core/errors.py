@@ -42,7 +42,7 @@ class TetractlError(Exception):
         return f"{self.message}\nhint: {self.in_python}" if self.in_python else self.message
 
     def _render_traceback_(self) -> list[str]:
-        """Return what IPython prints instead of a traceback.
+        """Return the text that IPython prints instead of a traceback.
 
         That is the message, and the line of the user's code that called tetractl.
         """

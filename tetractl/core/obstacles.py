@@ -124,7 +124,7 @@ class Obstacles:
         return np.stack(distances) if distances else np.empty((0, *x.shape))
 
     def contain(self, x: Floats, y: Floats) -> Bools:
-        """Return whether each point is in an obstacle, p(s) of (13); x, y broadcast."""
+        """Decide which points are in an obstacle: p(s) of equation (13). x and y broadcast."""
         return self.distance(x, y) <= 0
 
     def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:

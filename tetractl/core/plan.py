@@ -128,7 +128,7 @@ class Limits:
         return self.expired is not never
 
     def allow(self, evaluations: int) -> bool:
-        """Return whether a search may use this many evaluations in total."""
+        """Decide whether a search may use this many evaluations in total."""
         return self.evaluations is None or evaluations <= self.evaluations
 
 

@@ -50,7 +50,7 @@ class Plant(Protocol):
         ...
 
     def events(self) -> list[Command | Note]:
-        """Return what else happened since the last call, oldest first.
+        """Return everything else that happened since the last call, oldest first.
 
         This includes notes to the operator, and commands that the plant sent without a call of
         `send`.
@@ -449,7 +449,7 @@ class PlacementPrompt(Protocol):
         ...
 
     def go(self) -> bool:
-        """Return whether the operator lets the robots start."""
+        """Decide whether the operator lets the robots start."""
         ...
 
 

@@ -32,7 +32,7 @@ class Shape:
     radius: float = 0.0
 
     def grown(self, margin: float) -> "Shape":
-        """Return the shape that contains every point within the margin of this one."""
+        """Return the shape of all points that are within the margin of this one."""
         return replace(self, radius=self.radius + margin)
 
     @cached_property
@@ -43,7 +43,7 @@ class Shape:
         return *(low - self.radius).tolist(), *(high + self.radius).tolist()
 
     def contain(self, x: Floats, y: Floats) -> Bools:
-        """Return whether each point lies in the shape, p(s) of the paper's equation (13)."""
+        """Decide which points are in the shape: p(s) of the paper's equation (13)."""
         return self.distance(x, y) <= 0
 
     def distance(self, x: Floats, y: Floats) -> Floats:
@@ -79,7 +79,7 @@ class Shape:
         return near
 
     def _touched(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
-        """Return whether segments (M,) begin inside, or come as near to an edge as the radius."""
+        """Decide which segments (M,) begin inside, or come nearer to an edge than the radius."""
         touched = np.zeros(x0.shape, dtype=np.bool_)
         inside = np.zeros(x0.shape, dtype=np.bool_)
         for ax, ay, bx, by in self._edges():

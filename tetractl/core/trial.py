@@ -114,18 +114,18 @@ class Verdict:
         return cls(nowhere, (False,) * robots, (math.inf,) * robots, can_restart=False)
 
     def in_obstacle(self, radius: float = 0.0) -> list[bool]:
-        """Return which robots (N,) entered an obstacle."""
+        """Return the robots (N,) that entered an obstacle."""
         return [
             entered or gap < radius
             for entered, gap in zip(self.entered, self.clearance, strict=True)
         ]
 
     def over_edge(self, radius: float = 0.0) -> list[bool]:
-        """Return which robots (N,) left the arena; empty if the log does not record it."""
+        """Return the robots (N,) that left the arena. Empty if the log does not record it."""
         return [edge < radius for edge in self.edge]
 
     def touched(self, radius: float = 0.0) -> list[bool]:
-        """Return which robots (N,) touched another one; empty if the log does not record it."""
+        """Return the robots (N,) that touched another one. Empty if the log does not record it."""
         return [apart < 2 * radius for apart in self.apart]
 
 
@@ -285,7 +285,7 @@ class Result:
 
     @property
     def left_arena(self) -> bool:
-        """Whether the centre of any robot left the arena; False if the log does not record it."""
+        """Whether the centre of any robot left the arena. False if the log does not record it."""
         return any(self.verdict.over_edge())
 
 

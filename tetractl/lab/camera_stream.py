@@ -67,7 +67,7 @@ class RepeatDetector:
 
 
 def _each_body_differs(frame: CameraFrame, before: CameraFrame) -> bool:
-    """Return whether each body that is in one of two frames is elsewhere in the other one."""
+    """Decide whether every body in one of two frames has moved in the other one."""
     pairs = zip(frame.poses, before.poses, strict=True)
     seen = [(now, then) for now, then in pairs if now is not None or then is not None]
     return bool(seen) and all(now != then for now, then in seen)
@@ -87,7 +87,7 @@ class RateWindow:
 
     @property
     def hz(self) -> float | None:
-        """The rate of the frames [Hz]; None if they span less than half a second."""
+        """The rate of the frames [Hz]. None if they span less than half a second."""
         times_ns = self._exposed_ns
         if not times_ns or times_ns[-1] - times_ns[0] < SECOND // 2:
             return None
@@ -169,7 +169,7 @@ class CameraStream:
 
     @property
     def slow_text(self) -> str:
-        """A hint for errors that blame a robot; "" unless frames arrive slowly."""
+        """A hint about slow frames, for errors that blame a robot. Empty if frames are not slow."""
         rate = self._rate.hz
         if rate is None or rate >= SLOW_HZ:
             return ""

@@ -47,7 +47,11 @@ class ClientPort(SerialPort, ABC):
         self._thread.start()
 
     def write(self, data: bytes) -> int:
-        """Do nothing, as messages come unasked. AbortError if the port has failed."""
+        """Do nothing, because messages arrive without a request.
+
+        Raises:
+            AbortError: If the port has failed.
+        """
         if self.failure:
             raise AbortError(self.failure, self._hint)
         return self._clock.now()

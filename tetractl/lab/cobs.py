@@ -112,7 +112,7 @@ def unpack_fields(layout: struct.Struct, kind: int, frame: bytes) -> tuple[int, 
 
 
 class Splitter:
-    """Splits a byte stream at every 00; buffers one frame at most, drops a longer one."""
+    """Splits a byte stream at every 00. It keeps one frame at most, and drops longer ones."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()

@@ -30,7 +30,7 @@ class AddsToFrames(Protocol):
     """A camera that knows more of its frames: messages to log."""
 
     def additions(self) -> list[FrameAddition]:
-        """Return what was found in each image since the last call, oldest first."""
+        """Return the findings in each image since the last call, oldest first."""
         ...
 
 

@@ -307,7 +307,7 @@ def _latency_ms(frames: Sequence[CameraFrame]) -> tuple[float, float] | None:
 
 
 def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
-    """Wait until there is no problem, every robot is on its start and the operator, if any, agrees.
+    """Wait until no problem is left, every robot is on its start, and the operator agrees.
 
     Robots that can stand still must stand. While robots are carried, they may be untracked or away
     from their starts: without an operator, for at most `limits.placing`. AbortError lists the

@@ -118,7 +118,7 @@ class Rig:
         self._releases.callback(act)
 
     def emulated(self, camera: Health, actuator: Health) -> tuple[str, ...]:
-        """Return which devices are not real, as the plant or their checks say: "camera"."""
+        """Name the emulated devices ("camera", "actuator"), as the plant or they themselves say."""
         said = {"camera": camera.emulated, "actuator": actuator.emulated}
         return tuple(name for name in said if said[name] or name in self._emulated)
 

@@ -29,7 +29,7 @@ SWITCH_OFF = "switch the robots off by hand if they move"
 
 
 def is_network(name: str) -> bool:
-    """Return whether a port's name is an address, such as udp://HOST:PORT.
+    """Decide whether the name of a port is an address, such as udp://HOST:PORT.
 
     Over a network, each message comes whole or not at all, and nobody sees a device go away.
     """
@@ -227,7 +227,7 @@ def missing_port(name: str, device: str) -> AbortError:
 
 
 class PortGroup:
-    """Some ports as one: after the failure of one, nothing can be sent any more."""
+    """Several ports as one. After one of them has failed, nothing can be sent any more."""
 
     def __init__(self, ports: Iterable[SerialPort]) -> None:
         self.ports = tuple(ports)

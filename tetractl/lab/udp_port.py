@@ -50,7 +50,7 @@ def heard_at(name: str) -> int | None:
 
 
 def _port_number(digits: str) -> int | None:
-    """Parse the number of a port. None if the text is not one."""
+    """Parse the number of a port. None if the text is not a number."""
     if not (digits.isascii() and digits.isdecimal()) or len(digits) > PORT_DIGITS:
         return None
     number = int(digits)
@@ -166,7 +166,7 @@ class UdpPort(SerialPort):
         self._listen(0)
 
     def _listen(self, port: int) -> None:
-        """Read from a port of this computer; 0 means any port.
+        """Read from a port of this computer. The number 0 means any free port.
 
         Raises:
             AbortError: If another program reads from it.

@@ -142,12 +142,12 @@ def host_facts(packages: Mapping[str, str]) -> dict[str, str]:
 
 
 def plugins(packages: Mapping[str, str]) -> dict[str, str]:
-    """Return the versions of packages that provide kinds, by their keys in a log."""
+    """Return the versions of packages that provide kinds, under their keys in a log."""
     return {PLUGIN + name: version for name, version in packages.items()}
 
 
 def is_version(key: str) -> bool:
-    """Return whether a key of the host is of code: not of `host` nor of the process."""
+    """Decide whether a key of the host's facts is a version of code."""
     return key in VERSION_KEYS or key.startswith(PLUGIN)
 
 

@@ -1,4 +1,4 @@
-"""Two-wheeled robots that move like cells, by the paper's equations (21)-(25).
+"""Two-wheeled robots that move like cells, as in the paper's equations (21)-(25).
 
 `Drivetrains` are wheels and their counts, `WheelHost` computes what a host sends, and
 `WheeledRobots` is the robots' true motion. The emulated robots and the lab's actuator use them. The

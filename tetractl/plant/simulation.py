@@ -267,7 +267,7 @@ class SimPlant:
             self._catch_up()
 
     def _let_planning_time_pass(self) -> None:
-        """Sleep as long as planning takes according to the disturbances, by default not at all."""
+        """Sleep as long as planning takes. Without a disturbance, planning takes no time."""
         now_ns = self.clock.now()
         planning_s = sum(
             disturbance.planning_s(now_ns / SECOND) for disturbance in self.disturbances

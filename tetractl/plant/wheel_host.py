@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class SimHost:
-    """The host of N robots on wheels: it computes wheel speeds, and decides when it transmits next.
+    """The host of N robots on wheels. It computes wheel speeds, and decides when to transmit next.
 
     The speeds follow equations (24)-(25) at the headings of the newest frame, and are rounded to
     wheel counts. `random` samples first the true gains, then the true dead zones.

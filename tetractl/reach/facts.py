@@ -11,7 +11,7 @@ from tetractl.tools.table.table import Table, plural
 
 
 def most_similar(setup: Setup) -> tuple[int, int] | None:
-    """Find the two robots whose turning rates a differ least.
+    """Find the two robots with the most similar turning rates a.
 
     Returns:
         The index of the slower and of the faster one. None for a single robot.
@@ -65,5 +65,5 @@ def facts_items(experiment: Experiment) -> dict[str, Any]:
 
 
 def _difference(setup: Setup, slower: int, faster: int) -> float:
-    """Compute the difference of two turning rates relative to the smaller one."""
+    """Compute the difference of two turning rates relative to the smaller rate."""
     return float(setup.a[faster] / setup.a[slower] - 1)

@@ -121,7 +121,7 @@ class Reach:
 
 
 def reach(experiment: Experiment) -> Reach | None:
-    """Compute what the signal of a spec can reach, by the motion of its controller.
+    """Compute what a spec's signal can reach, with the motion of its controller.
 
     None for more than ROBOTS_MAX robots, and for robots that a trial still has to find. Motions
     that advance headings by (6) approximate the exact motion, which is used instead.
@@ -135,7 +135,7 @@ def reach(experiment: Experiment) -> Reach | None:
 
 
 def reach_of(setup: Setup, motion: str) -> Reach:
-    """Return what the signal can reach of the robots of a setup under a motion."""
+    """Compute what the signal can reach, for the robots of a setup under a motion."""
     moves = setup.speed > 0
     ends = _ends(setup, motion)
     spread = _spreads(ends)
@@ -200,7 +200,7 @@ def _identical_groups(ends: Floats, moves: Bools, spread_min: float) -> Iterator
 
 
 def _spread_between(ends: Floats, first: int, second: int) -> float:
-    """Return the least spread of a combination of two robots' ends [s]."""
+    """Return the smallest spread of a combination of two robots' ends [s]."""
     columns = [2 * first, 2 * first + 1, 2 * second, 2 * second + 1]
     return float(_spreads(ends[:, columns])[-1])
 

@@ -121,7 +121,7 @@ def report(
 
 
 def player(logs: Sequence[TrialLog]) -> FramedPage:
-    """Return the player of trials that are read; of more than MANY, without plans and searches."""
+    """Return the player of trials. More than MANY are shown without plans and searches."""
     title = f"{logs[0].experiment.name}: {logs[0].origin}"
     header = f"<header><h1>{escape(title)}</h1>{THEME}</header>"
     trials: list[_CarriedTrial] = []
@@ -340,7 +340,7 @@ def lean(log: TrialLog) -> TrialLog:
 
 
 def figures_of_trial(log: TrialLog) -> str:
-    """Return the figures of a trial; "" for a log without control steps or camera frames."""
+    """Draw the figures of a trial. Empty if its log has no control step or no camera frame."""
     if not (log.steps and len(log.mocap_ns)):
         return ""
     name = Path(log.log).name
@@ -359,7 +359,7 @@ def errors_over_time(name: str, logs: Sequence[TrialLog]) -> str:
 
 
 def total_errors(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) -> str:
-    """Return all total errors as inline SVG, each dot a link to its trial; "" without any error.
+    """Draw all total errors as inline SVG. Each dot links to its trial. Empty without errors.
 
     `numbers` has each trial's number on the page, by path.
     """

@@ -73,7 +73,7 @@ def _controllers_trial(log: TrialLog) -> dict[str, Any]:
 
 
 def _world(spec: LoadedSpec) -> dict[str, Any]:
-    """Return what the page must know of the experiment, with lengths in its unit."""
+    """Return the page's data of the experiment, with lengths in its unit."""
     experiment = spec.experiment
     plant = experiment.plant
     assert isinstance(plant, SimSection), "a spec without disturbances is simulated"

@@ -123,7 +123,7 @@ def _frames(log: TrialLog, until_ns: int, decimals: int) -> dict[str, Any]:
 
 
 def _steps(log: TrialLog) -> dict[str, Any]:
-    """Return what is shown of each control step; of robots that stand, a plan has no cost."""
+    """Return the page's data of each control step. Plans of standing robots have no cost."""
     steps = log.steps
     plans = [step.plan for step in steps]
     return {
@@ -138,7 +138,7 @@ def _steps(log: TrialLog) -> dict[str, Any]:
 
 
 def _final(log: TrialLog, decimals: int) -> dict[str, Any] | None:
-    """Return the poses and errors of the result; None if the log ends early."""
+    """Return the poses and errors of the result. None if the log ends early."""
     result = log.result
     if result is None:
         return None
@@ -176,7 +176,7 @@ def _thinned(log: TrialLog, until_ns: int) -> NDArray[np.intp]:
 
 
 def _dish(log: TrialLog) -> dict[str, Any] | None:
-    """Return a microscope's pictures as JPEG, with their times and corners; None without any."""
+    """Return a microscope's images as JPEG, with times and corners. None if there are none."""
     pictures = DishPictures(log, PICTURES_MAX)
     if not pictures.times:
         return None

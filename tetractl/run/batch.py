@@ -52,7 +52,7 @@ class RunObserver(Protocol):
 
 @dataclass(slots=True)
 class Report:
-    """The result of each trial, or its error if it has no result, by arm and index."""
+    """The result of each trial by arm and index, or its error if it has no result."""
 
     results: dict[tuple[str, int], Result] = field(default_factory=dict)
     errors: dict[tuple[str, int], Exception] = field(default_factory=dict)
@@ -78,7 +78,7 @@ class OnFailure(Enum):
     END = "run no other trial"
 
     def ends_run(self, result: Result | None) -> bool:
-        """Return whether a failed trial ends the run.
+        """Decide whether a failed trial ends the run.
 
         Args:
             result: The result of the trial, which is aborted. None if the trial has no outcome.
@@ -102,7 +102,7 @@ class OnFailure(Enum):
 
 
 class TrialTimes:
-    """Wall times of the trials that have ended, and the number of remaining trials, by arm."""
+    """Wall times of the finished trials, and the number of remaining trials, by arm."""
 
     def __init__(self, tasks: Sequence[Task]) -> None:
         self._left = Counter(task.arm for task in tasks)

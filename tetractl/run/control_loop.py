@@ -182,7 +182,7 @@ class RobotMotion(Enum):
 
     @classmethod
     def from_plan(cls, plan: Plan) -> "RobotMotion":
-        """Return what the robots do under a plan."""
+        """Return the motion of the robots under a plan."""
         if not plan.pauses:
             return cls.DRIVE
         return cls.TURN if isinstance(plan.action, Turn) else cls.STAND
@@ -231,7 +231,7 @@ class Halt:
 def how_it_ended(
     loop: LoopEnd, halt: Halt, fault: PluginTrialError | None, dead: str
 ) -> tuple[Outcome, str]:
-    """Determine the outcome and the reason of a trial, by the list in the module's docstring.
+    """Determine the outcome and the reason of a trial, as the module's docstring lists.
 
     Args:
         loop: How the control loop ended.

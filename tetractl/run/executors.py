@@ -290,7 +290,7 @@ _interrupt: Interrupt = Interrupt()  # the interrupt of this process, if it is a
 
 
 def _start_worker(ending: Event, environment: dict[str, str]) -> None:
-    """Prepare a worker: it ignores all signals except SIGTERM, and ends when its parent ends.
+    """Prepare a worker. It ignores all signals except SIGTERM, and ends when its parent ends.
 
     Its environment variables are set to those that its parent has now. When the server was started,
     they may have been different.

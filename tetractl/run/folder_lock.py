@@ -1,4 +1,4 @@
-"""The lock of a folder, so that two runs never write to the same one."""
+"""Locks a folder, so that two runs never write to the same one."""
 
 import getpass
 import os

@@ -1,4 +1,4 @@
-"""A trial that a person steers: its controller asks for a direction instead of searching for one.
+"""A trial that a person steers. Its controller asks for a direction instead of searching one.
 
 The trial is the same as one of the controller `sequence` with the directions given, and so is its
 log. However, a log begins with its spec, and its directions are only known after the trial. Each

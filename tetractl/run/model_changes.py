@@ -125,7 +125,7 @@ def describe_lag_error(estimate: Estimate, setup: Setup) -> str:
 
 
 def describe_turning(estimate: Estimate, robot: int) -> str:
-    """Describe how a robot's turning differs from one rate a; "" if it does not."""
+    """Describe how a robot's turning differs from one rate a. Empty if it does not."""
     parts = list[str]()
     side = estimate.side
     std = estimate.side_std

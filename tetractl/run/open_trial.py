@@ -1,4 +1,4 @@
-"""A trial that a script steps: it asks the script for directions instead of a controller.
+"""A trial that a script steps. It asks the script for directions instead of a controller.
 
 The trial is the same as one of the controller `sequence` with the directions sent so far: it has
 the same plant, the same random draws and the same end. What a script does is therefore logged,
@@ -120,7 +120,7 @@ class AskingController:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome:
-        """Return what the script decides, unless the trial is over; see `Controller.plan`."""
+        """Return the script's decision, unless the trial is over; see `Controller.plan`."""
         state = self._sequence.step(observation, last_command)
         if isinstance(state, Outcome):
             return state

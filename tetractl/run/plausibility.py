@@ -129,7 +129,7 @@ class CheckContext:
         return self.length_text(float(self.setup.starts.distances(self.setup.targets)[i]))
 
     def driven(self, i: int, seconds: float) -> str:
-        """Return how far robot i drives in a time [s], as text."""
+        """Return the distance that robot i drives in a time [s], as text."""
         return self.length_text(self.setup.speed[i] * seconds)
 
 

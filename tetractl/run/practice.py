@@ -52,7 +52,7 @@ class Practice:
     silence_ns: int
 
     def added_to(self, findings: Preflight, limits: LabLimits) -> Preflight:
-        """Return the findings of a preflight, including those of the practice."""
+        """Add the findings of the practice to those of a preflight."""
         problems = list(findings.problems)
         warnings = list(findings.warnings)
         facts = dict(findings.facts)

@@ -144,7 +144,7 @@ class _Client:
             self.put(foxglove_protocol.message(subscription, entry))
 
     def unsubscribe(self, subscription: bytes) -> None:
-        """End a subscription, if there is such a one."""
+        """End a subscription if it exists."""
         for topic, number in list(self.subscriptions.items()):
             if number == subscription:
                 del self.subscriptions[topic]
@@ -178,7 +178,7 @@ class _Client:
             self._link.close()
 
     def _next(self) -> str | bytes | None:
-        """Wait for the next message; None at the end."""
+        """Wait for the next message. None at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._ending)
             return self._waiting.popleft() if self._waiting else None

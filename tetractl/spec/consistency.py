@@ -117,7 +117,7 @@ def _extent(arena: Arena) -> str:
 
 
 def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
-    """Return whether an obstacle meets the arena's edge or has a corner inside the arena."""
+    """Decide whether an obstacle meets the arena's edge or has a corner inside the arena."""
     bounds = arena.bounds
     x = np.array([bounds.left, bounds.right, bounds.right, bounds.left])
     y = np.array([bounds.bottom, bounds.bottom, bounds.top, bounds.top])

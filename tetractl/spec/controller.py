@@ -152,7 +152,7 @@ class ControllerSection(Model):
         return self
 
     def arrived(self, gaps: Floats) -> bool:
-        """Return whether all robots, at distances `gaps` (N,) from their targets, have arrived.
+        """Decide whether all robots, at distances `gaps` (N,) from their targets, have arrived.
 
         This is the one place where that is decided, for every controller and for scripts.
         """

@@ -72,7 +72,7 @@ class Disturbance:
         return a, speed
 
     def planning_s(self, time_s: float) -> float:
-        """Return how long the controller plans [s], for a frame that it reads at `time_s`.
+        """Return the planning time [s] for a frame that the controller reads at `time_s`.
 
         The planning time ends when the command or stop is sent. The times of all disturbances are
         added.

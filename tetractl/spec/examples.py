@@ -19,7 +19,7 @@ def shipped_folder() -> Path:
 
 
 def examples() -> dict[str, Path]:
-    """Return the files of all examples, including those of other packages, by name.
+    """Return the files of all examples by name, including those of other packages.
 
     The name is the path in its folder, without `.yaml`.
     """

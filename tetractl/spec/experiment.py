@@ -299,7 +299,7 @@ class Experiment(Model):
 
     @model_validator(mode="after")
     def _with_assigned_targets(self) -> Self:
-        """Assign the targets and set `assign` to `given`, so that they are assigned once only."""
+        """Assign the targets, and set `assign` to `given`, so that they are not assigned again."""
         if isinstance(self.robots, TrialRobots):
             # placeholders in the arena's middle, until a trial's robots are known
             arena = self.arena

@@ -110,7 +110,7 @@ def explain(
 
 
 def _is_reported_already(mistake: Mistake, document: Document) -> bool:
-    """Return whether an error follows from another that is a problem already."""
+    """Decide whether an error follows from another one that is reported already."""
     if mistake.kind == "default_factory_not_called":
         return True  # by the field from which this default is computed
     if mistake.kind == "too_short" and len(mistake.value or ()) >= mistake.context["min_length"]:
@@ -184,7 +184,7 @@ def _missing(mistake: Mistake, document: Document, schema: Schema) -> SpecProble
 
 
 def _types(mistake: Mistake, schema: Schema) -> dict[str, str]:
-    """Return a text for each type that can be chosen here, by name."""
+    """Describe each type that can be chosen here, keyed by name."""
     if mistake.context.get("known"):
         return mistake.context["known"]
     tags = map(tag, alternatives(mistake.about, schema))
@@ -220,7 +220,7 @@ def _words(mistake: Mistake) -> str:
 
 
 def list_of(about: Schema) -> str:
-    """Return which list a schema asks for: "a list of 2 numbers" and what it is."""
+    """Describe the list that a schema asks for: "a list of 2 numbers" and what it is."""
     entries = about.get("prefixItems") or [about.get("items") or {}]
     count = f"{len(entries)} " if "prefixItems" in about else ""
     kind = LISTED.get(str(entries[0].get("type")), "entries")

@@ -116,7 +116,7 @@ def _length_unit(document: Document) -> Any:
 
 
 def _listed_robots(document: Document) -> dict[int, dict[str, Any]]:
-    """Return the robots of a spec that are mappings, by their index in the list."""
+    """Return the robots of a spec that are mappings, keyed by their index in the list."""
     robots = document.data.get("robots")
     if not isinstance(robots, list):
         return {}

@@ -345,7 +345,7 @@ Part = TypeVar("Part", bound=RobotPart)
 
 
 def entry(robots: Sequence[Part], name: str) -> Part:
-    """Return the entry of the robot with this name; `mismatches` has found that there is one."""
+    """Return the entry of the robot with this name. `mismatches` has checked that it exists."""
     return next(robot for robot in robots if robot.name == name)
 
 

@@ -133,7 +133,11 @@ def without_lines() -> Iterator[None]:
 
 
 def as_text(contents: Mapping[str, Any], name: str) -> str:
-    """Return contents as YAML text; SpecError if they hold an object that YAML does not."""
+    """Return contents as YAML text.
+
+    Raises:
+        SpecError: If they hold an object that YAML lacks.
+    """
     try:
         return json.dumps(contents)
     except (TypeError, ValueError) as error:
@@ -142,7 +146,7 @@ def as_text(contents: Mapping[str, Any], name: str) -> str:
 
 
 def is_study(document: Document) -> bool:
-    """Return whether the keys of a file are those of a study, not of a spec."""
+    """Decide whether the keys of a file belong to a study instead of a spec."""
     return "base" in document.data and "robots" not in document.data
 
 
@@ -176,7 +180,7 @@ def _controller_file(document: Document) -> tuple[NamedFile, str] | None:
 def _with_identified(
     settled: Document, document: Document, settings: Sequence[SpecSetting]
 ) -> tuple[Document, Attached]:
-    """Take the values of the file of `tetractl identify` that a spec names, if it names one.
+    """Take the values of the `tetractl identify` file that a spec names, if it names one.
 
     They take the places of the spec's own values, but settings take the places of both.
 
@@ -203,7 +207,7 @@ def _with_identified(
 
 
 def _put_controller_file(settled: Document, attached: Attached) -> Attached:
-    """Put the contents of the file that the controller names, if it names one, in the name's place.
+    """Replace the name of the controller's file, if there is one, by the file's contents.
 
     Returns:
         The files for the log, with this one.
@@ -250,7 +254,7 @@ def _estimates(document: Document) -> bool:
 
 
 def _controller_kind(document: Document) -> type[ControllerSection] | None:
-    """Return the class of a document's controller; None if no installed kind has its type."""
+    """Return the class of a document's controller. None if no installed kind has its type."""
     controller = document.data.get("controller", {})
     if not isinstance(controller, dict):
         return None

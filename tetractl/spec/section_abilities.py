@@ -68,7 +68,7 @@ class Searches(Protocol):
 
 @runtime_checkable
 class GivenDirections(Protocol):
-    """A controller that decides nothing: it sends the directions [rad] of its spec."""
+    """A controller that decides nothing, but sends the directions [rad] of its spec."""
 
     directions: tuple[float, ...]
 

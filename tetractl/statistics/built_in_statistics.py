@@ -253,7 +253,7 @@ def _time_inside(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _lost(trial: ResultSummary) -> dict[str, Any]:
-    """Return how many robots were lost; empty if the spec ends a trial when a robot is lost."""
+    """Describe how many robots were lost. Empty if a lost robot ends a trial."""
     return {} if trial.experiment.on_lost == "stop" else {"lost": sum(trial.result.lost)}
 
 
@@ -296,7 +296,7 @@ SETTLING_S = 5.0
 
 
 def discs(log: TrialLog) -> Floats:
-    """Return the diameter (N,) of each robot's disc [length unit]; NaN if no frame counts.
+    """Return the diameter (N,) of each robot's disc [length unit]. NaN if no frame counts.
 
     A robot is in the disc round its target for 95 % of the hold: the diameter is twice the
     0.95-quantile of the distances to the target, by true poses where they are known, without the
@@ -320,7 +320,7 @@ def _discs_of(log: Path, digest: str | None) -> Sequence[float]:
 
 
 def _disc_columns(trial: ResultSummary) -> dict[str, Any]:
-    """Return the diameter of each robot's disc; None without a complete hold."""
+    """Return the diameter of each robot's disc. None without a complete hold."""
     hold = trial.experiment.hold
     if hold is None or hold.time <= SETTLING_S:
         return {}
@@ -423,7 +423,7 @@ def _turned(trials: Sequence[ResultSummary]) -> list[Figure]:
 
 
 def _compared(turns: Sequence[TrialTurn], unusual: Sequence[TrialTurn]) -> str:
-    """Return the text on trials that were compared, of which some are odd."""
+    """Describe the trials that were compared, some of which are unusual."""
     trials = len({turn.log for turn in turns})
     unusual_trials = len({turn.log for turn in unusual})
     text = f"{unusual_trials} of {trials} trials"

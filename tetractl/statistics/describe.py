@@ -166,12 +166,12 @@ class Contrast(Shown):
 
     @property
     def no_controller(self) -> bool:
-        """Whether directions were given, of a batch or both."""
+        """Whether the directions of one batch or of both were given."""
         return self.first.experiment.directions_given or self.second.experiment.directions_given
 
     @property
     def reason(self) -> str | None:
-        """Why there is no verdict, None if there is one."""
+        """Why there is no verdict. None if there is one."""
         if not self.same_origin:
             return "plants are not alike"
         if self.no_controller:
@@ -209,7 +209,7 @@ class Contrast(Shown):
 
     @property
     def compared(self) -> int:
-        """The number of pairs or, without pairs, of trials of the smaller batch."""
+        """The number of pairs. Without pairs, the number of trials of the smaller batch."""
         return self.pairs or min(self.first.counted, self.second.counted)
 
     @property

@@ -347,7 +347,7 @@ class ArmErrors:
 
 
 def numeric(arms: Iterable[ArmErrors]) -> bool:
-    """Return whether all values are numbers."""
+    """Decide whether all values are numbers."""
     return all(
         isinstance(arm.value, int | float) and not isinstance(arm.value, bool) for arm in arms
     )

@@ -100,7 +100,7 @@ def flagged(batch: Batch) -> list[Flagged]:
 
 
 def trial_notes(trial: ResultSummary) -> list[str]:
-    """Return the reasons to flag a trial, without regard to the other ones."""
+    """Return the reasons to flag a trial that follow from this trial alone."""
     result = trial.result
     notes = [f"{', '.join(robots)} {label}" for label, robots in unsafe(trial).items()]
     lost = sum(result.lost)
@@ -120,7 +120,7 @@ def trial_notes(trial: ResultSummary) -> list[str]:
 
 
 def unsafe(trial: ResultSummary) -> dict[str, list[str]]:
-    """Return which robots of a trial did what must not happen, by its label in SAFETY."""
+    """Return the robots of a trial that did what must not happen, by the labels in SAFETY."""
     names = [robot.name for robot in trial.experiment.robots]
     radius = trial.experiment.controller.body_radius
     robots_by_label: dict[str, list[str]] = {}
@@ -186,7 +186,7 @@ def _measured(
 
 
 def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
-    """Describe the robots whose heading is not confirmed by their own motion, by the trial's log.
+    """Describe the robots whose own motion does not confirm their heading, keyed by log.
 
     Robots with LEAST trials are compared by `turned_otherwise` instead.
     """
@@ -209,7 +209,7 @@ def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]
 
 
 def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
-    """Describe the robots that turned differently from their other trials, by the trial's log."""
+    """Describe the robots that turned differently from their other trials, keyed by log."""
     texts = defaultdict[str, list[str]](list)
     for turn in turns_of(trials):
         if turn.unusual:

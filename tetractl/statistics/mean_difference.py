@@ -107,7 +107,7 @@ def welch(n1: int, mean1: float, std1: float, n2: int, mean2: float, std2: float
 
 
 def paired_t(differences: Floats) -> MeanDifference:
-    """Compare two means from the differences (n,) of pairs, by Student's t test."""
+    """Compare two means from the differences (n,) of pairs with Student's t test."""
     n = len(differences)
     differences = np.sort(differences)  # the order of the pairs must not matter
     mean = float(differences.mean()) if n else _NAN
@@ -140,7 +140,7 @@ def from_both_intervals(ours: Distribution, theirs: Distribution) -> Interval:
 
 
 def _reach(values: Distribution) -> tuple[float, float]:
-    """Return the distances from the mean to the ends of its interval; 0 if all values are equal."""
+    """Return the distances from the mean to its interval's bounds. 0 if all values are equal."""
     if values.n > 1 and values.std == 0:
         return 0.0, 0.0
     return values.mean - values.ci95.low, values.ci95.high - values.mean
@@ -217,7 +217,7 @@ def rank_sum(ours: Floats, theirs: Floats) -> float:
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """Return p-values corrected for multiple comparisons, by Holm (Scand. J. Statist. 6, 1979).
+    """Correct p-values for multiple comparisons (Holm, Scand. J. Statist. 6, 1979).
 
     The i-th smallest of k p-values is multiplied by k - i + 1, and raised to the corrected value of
     the next smaller p-value if that is larger. NaN stays NaN and is not counted in k.

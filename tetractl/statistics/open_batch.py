@@ -175,7 +175,11 @@ def batches_in(path: Path | str) -> list[Source]:
 
 
 def one_source(paths: Sequence[Path | str]) -> Source:
-    """Return what all paths hold as one batch; UsageError if a path is a folder of several."""
+    """Return the contents of all paths as one batch.
+
+    Raises:
+        UsageError: If a path is a folder of several.
+    """
     source = Source.from_paths(paths)
     for folder in filter(Path.is_dir, map(Path, paths)):
         batches = len(batches_in(folder))

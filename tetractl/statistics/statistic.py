@@ -160,7 +160,7 @@ def statistics() -> list[Statistic]:
 
 
 def trial_items(trial: ResultSummary) -> dict[str, Any]:
-    """Return the items of one trial in JSON, those of every statistic among them."""
+    """Return the items of one trial in JSON, including those of every statistic."""
     result = trial.result
     items = {
         "log": trial.log,

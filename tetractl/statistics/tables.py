@@ -39,7 +39,7 @@ PAIR = "one - other"
 
 
 def summary(comparison: BatchComparison) -> list[Table]:
-    """Return what one needs: the total errors, and below them the verdict and what is not usual.
+    """Return the main result: the total errors, the verdict below them, and unusual findings.
 
     Of three batches or more, the verdicts are in a table of their own.
     """
@@ -148,7 +148,7 @@ def texts_by_label(group: BatchStatistics) -> dict[str, str]:
 
 
 def _tail(group: BatchStatistics) -> Figure:
-    """Return how many errors are far above the others."""
+    """Describe how many errors are far above the others."""
     arena = group.experiment.arena
     tail = group.total.tail
     tiny = group.total.max < TINY * max(arena.width, arena.height)
@@ -274,7 +274,7 @@ def error_table(
 
 
 def _errors(groups: Sequence[BatchStatistics], named: Sequence[tuple[str, Distribution]]) -> Table:
-    """Return the table of the `named` errors of batches, in the format for the least total."""
+    """Return the table of the `named` errors of batches, formatted for the smallest total."""
     first = groups[0]
     return error_table(
         _errors_title(groups),
@@ -286,14 +286,14 @@ def _errors(groups: Sequence[BatchStatistics], named: Sequence[tuple[str, Distri
 
 
 def _totals(groups: Sequence[BatchStatistics]) -> list[tuple[str, Distribution]]:
-    """Return the total error of each batch, then the published ones."""
+    """Return the total error of each batch, followed by the published ones."""
     if len(groups) == 1:
         return [("total", groups[0].total), *_published(groups)]
     return [*((group.name, group.total) for group in groups), *_published(groups)]
 
 
 def _published(groups: Sequence[BatchStatistics]) -> Iterator[tuple[str, Distribution]]:
-    """Yield each published result once; with the names of their batches, if they differ."""
+    """Yield each published result once. If results differ, their batches are named."""
     names: dict[tuple[int, float, float], list[str]] = {}  # of batches, by n, mean and std
     for group in groups:
         published = group.experiment.reference

@@ -135,7 +135,7 @@ def _number_columns(steps: Sequence[ControllerStep]) -> dict[str, list[float | N
 
 
 def poses(log: TrialLog) -> Table:
-    """Return one row per camera frame and robot: the measured pose, and a simulation's true one.
+    """Return one row per camera frame and robot: the measured pose and, if simulated, the true one.
 
     `valid` is False if the robot was not tracked.
     """

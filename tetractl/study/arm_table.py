@@ -113,7 +113,7 @@ def field_values(store: Store, path: str, arms: Iterable[Arm]) -> list[ArmErrors
 
 
 def given_note(arms: Sequence[Arm]) -> str:
-    """Return which of several arms were given their directions, "" for none."""
+    """Name the arms whose directions were given. Empty if there are none."""
     names = [arm.name for arm in arms if arm.spec.experiment.directions_given]
     return f"{GIVEN_DIRECTIONS}: {', '.join(names)}" if names else ""
 

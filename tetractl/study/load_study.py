@@ -197,7 +197,7 @@ def _base(study: Study, document: Document, folder: Path) -> Document:
 
 
 def _named(study: Study) -> str | None:
-    """Return what a problem with the whole base quotes: its file's name, None for contents."""
+    """Return the file's name that a problem with the whole base quotes. None for contents."""
     return None if isinstance(study.base, dict) else printable(Path(study.base).name)
 
 
@@ -227,7 +227,11 @@ def _arms(
 
 
 def _study(document: Document) -> Study:
-    """Return the study of a document; InvalidSpecError also if it is a spec."""
+    """Return the study of a document.
+
+    Raises:
+        InvalidSpecError: If it is invalid, or a spec.
+    """
     if "robots" in document.data and "base" not in document.data:
         origin = document.origin
         hint = f"run it with: tetractl run {origin}; a study names it as its 'base:'"
@@ -260,7 +264,7 @@ def _points(study: Study) -> list[Mapping[str, Setting]]:
 
 
 def _values(point: Mapping[str, Setting]) -> dict[str, Any]:
-    """Return the values of the swept fields, by path, at a point of the sweep."""
+    """Return the values of the swept fields at a point of the sweep, keyed by path."""
     return {path: setting.value for path, setting in point.items()}
 
 
@@ -272,7 +276,11 @@ def _arm(
     document: Document,
     settings: Sequence[SpecSetting],
 ) -> Arm:
-    """Return one arm; InvalidSpecError with locations in the study if its settings are invalid."""
+    """Return one arm.
+
+    Raises:
+        InvalidSpecError: With locations in the study, if its settings are invalid.
+    """
     fields = study.controllers.get(controller, {})
     placed = [(path, value, ("controllers", controller, path)) for path, value in fields.items()]
     placed += [(path, setting.value, ("sweep", *setting.loc)) for path, setting in point.items()]

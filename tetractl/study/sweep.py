@@ -119,7 +119,7 @@ class Range(Model):
 
 
 class SampledSweep(Sweep):
-    """Points drawn at random from the ranges of some fields, by the study's seed."""
+    """Points sampled at random from the ranges of some fields. The study's seed determines them."""
 
     count: int = Field(ge=1, le=100_000)
     """Number of points. A larger number keeps the points drawn before and adds new ones."""
@@ -153,7 +153,7 @@ class Random(SampledSweep):
 
 
 class Sobol(SampledSweep):
-    """Points of a scrambled Sobol sequence, which fill the ranges more evenly than random ones.
+    """Points of a scrambled Sobol sequence, which fill the ranges more evenly than random points.
 
     They do so best if their number is a power of 2.
     """

@@ -112,7 +112,7 @@ def read_own(file: Path) -> bytes:
 
 
 def _alone_in(group: int) -> bool:
-    """Return whether the user is the only member of a group."""
+    """Decide whether the user is the only member of a group."""
     import grp
     import pwd
 

@@ -130,7 +130,7 @@ def run_tool(
 
 
 def open_in_browser(address: str) -> bool:
-    """Open an address in the browser; return whether there is one."""
+    """Open an address in the browser. Return whether there is a browser."""
     import webbrowser
 
     return webbrowser.open(address)

@@ -11,7 +11,7 @@ from typing import IO
 
 
 def is_terminal(stream: IO[str] | None) -> bool:
-    """Return whether a stream is a terminal with a person at it.
+    """Decide whether a stream is a terminal with a person in front of it.
 
     A command in a cell of a notebook, such as `!tetractl run`, has a pseudo-terminal, but no key
     reaches it, and its output goes into the notebook's file: that is no terminal.
@@ -20,12 +20,12 @@ def is_terminal(stream: IO[str] | None) -> bool:
 
 
 def has_keys() -> bool:
-    """Return whether a person can press keys: whether stdin is a terminal."""
+    """Decide whether a person can press keys, because stdin is a terminal."""
     return is_terminal(sys.stdin)
 
 
 def _is_in_a_cell(environment: Mapping[str, str]) -> bool:
-    """Return whether a process was started by a Jupyter kernel.
+    """Decide whether a Jupyter kernel started this process.
 
     Jupyter sets JPY_PARENT_PID when it starts a kernel. Kernels that other programs start (such as
     VS Code) are known by the settings that every IPython kernel gives its child processes.

@@ -1,4 +1,4 @@
-"""Workers of a pool: processes that make the calls of this one.
+"""Worker processes of a pool, which execute calls for this process.
 
 `children` starts all other child processes, and says what holds of all of them.
 """
@@ -62,7 +62,7 @@ def fresh_context(preload: Sequence[str] = ()) -> BaseContext:
 
 
 def copying_context() -> BaseContext:
-    """Return what starts workers that are copies of this process."""
+    """Return the context that starts workers as copies of this process."""
     return multiprocessing.get_context("fork")
 
 

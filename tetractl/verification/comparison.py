@@ -49,7 +49,7 @@ class Tolerance:
     absolute: float = 0.0
 
     def differs(self, ours: NDArray[Any], logged: NDArray[Any]) -> NDArray[np.bool_]:
-        """Return which elements of two arrays of the same shape differ."""
+        """Find the elements in which two arrays of the same shape differ."""
         if ours.dtype != np.float64 or logged.dtype != np.float64:
             return np.asarray(ours != logged)
         both_nan = np.isnan(ours) & np.isnan(logged)
@@ -84,7 +84,7 @@ def first_difference(
 
 
 def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Iterator[Difference]:
-    """Yield the differences of two records: of their kinds, then of each part.
+    """Yield the differences of two records: of their types, then of each part.
 
     A part that is missing counts as None: a log does not distinguish the two.
     """
@@ -116,7 +116,7 @@ def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Ite
 
 
 def _parts(record: Any) -> Mapping[Any, Any] | None:
-    """Return the parts of a record that count in a comparison, by their names or numbers.
+    """Return the parts of a record that count in a comparison, keyed by name or number.
 
     None for a single value or an array.
     """

@@ -50,7 +50,7 @@ def _topic_difference(again: RawLog, log: RawLog, topic: str) -> Difference | No
 def _entry_difference(
     ours: Entry | None, logged: Entry | None, topic: str, number: int
 ) -> Difference:
-    """Return how a message of the trial run again differs from the message in the log.
+    """Describe how a message of the repeated trial differs from the message in the log.
 
     Args:
         ours: The message of the trial run again; None if it has none of this number.

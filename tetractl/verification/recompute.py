@@ -125,7 +125,7 @@ def _step_difference(
     last: Step | None,
     step: Step,
 ) -> Difference | None:
-    """Decide a step again, and return the first difference from the logged one.
+    """Decide a step again, and return the first difference from the logged decision.
 
     The step follows `last`. None if there is no difference.
     """
@@ -281,7 +281,7 @@ class _LastDecision:
 def _decide_last(
     controller: Controller, log: TrialLog, last: Step | None, observation: Observation
 ) -> _LastDecision:
-    """Return what a controller, for which the log has no more searches, decides.
+    """Return the decision of a controller for which the log has no more searches.
 
     A copy decides, with a copy of its searches, so that each frame is the first after `last`.
     """
@@ -398,7 +398,7 @@ class StepSearches:
         return search
 
     def expired(self) -> bool:
-        """Return whether the time limit is exceeded."""
+        """Decide whether the time limit is exceeded."""
         return self._cpu() > self._until_s
 
     def require_time(self) -> None:

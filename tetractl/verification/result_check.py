@@ -117,7 +117,7 @@ def _turns(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return how fast robots on wheels turn off course, and the standard errors [rad/s].
+    """Return how fast robots on wheels turn off course, with standard errors [rad/s].
 
     They are what a guard finds that sees the trial again. Both are empty if it finds none.
     """

@@ -92,7 +92,7 @@ class Verification(Shown):
 
     @property
     def lines(self) -> Iterator[str]:
-        """The lines on the log: whether it is ok, by which check, and what is wrong."""
+        """The lines about the log: whether it is ok, which check was made, and what is wrong."""
         verdict = self.verdict
         if self.rewritten:
             verdict += f", written again by {self.rewritten}"
@@ -156,7 +156,7 @@ def verify(path: Path, announce: Callable[[str], None] = lambda text: None) -> V
 
 
 def _decisions(log: TrialLog, elsewhere: tuple[str, ...]) -> tuple[Method, Recomputed]:
-    """Return how decisions are checked, and how far they agree.
+    """Describe how decisions are checked, and how far they agree.
 
     Searches are repeated on another host too: if none differs, that is the stricter check; else the
     hosts may be the cause, and the logged searches are evaluated.
@@ -168,7 +168,7 @@ def _decisions(log: TrialLog, elsewhere: tuple[str, ...]) -> tuple[Method, Recom
 
 
 def _end_check(log: TrialLog, why_not_again: str) -> EndCheck:
-    """Return how the end of a trial is checked: the first row of EndCheck that holds."""
+    """Choose the check of a trial's end: the first row of EndCheck that applies."""
     is_simulated = log.start.plant.simulated
     is_disputed = is_simulated != log.experiment.plant.simulated
     if is_disputed or log.damage is not None or log.result is None:
@@ -224,7 +224,7 @@ def _notes(raw: RawLog, log: TrialLog) -> Iterator[str]:
 
 
 def _may_lose_frames(log: TrialLog) -> bool:
-    """Return whether missing frames may be those that the camera lost."""
+    """Decide whether the camera may have lost the missing frames."""
     return log.experiment.plant.loses_frames and log.damage is None
 
 

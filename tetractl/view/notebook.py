@@ -40,7 +40,7 @@ PICTURE_PX = 440
 
 
 def html(value: object) -> str:
-    """Return what a notebook shows of a result; of one that cannot be shown, the reason."""
+    """Return the HTML of a result for a notebook. If it cannot be shown, return the reason."""
     try:
         return shown(value)
     except TetractlError as error:
@@ -49,7 +49,7 @@ def html(value: object) -> str:
 
 @singledispatch
 def shown(value: object) -> str:
-    """Return what is shown of a result, by its kind."""
+    """Return the view of a result, by its type."""
     raise NotImplementedError(type(value))
 
 

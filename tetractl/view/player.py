@@ -50,7 +50,7 @@ class Moment:
 
     @property
     def distances(self) -> Floats:
-        """The distance of each robot to its target, shape (N,); at the end that of the result."""
+        """Distance of each robot to its target, shape (N,). At the end, it is the result's."""
         if self.result is not None:
             return np.array(self.result.robot_errors)
         return self.setup.distances(self.poses[:, :2])

@@ -344,7 +344,7 @@ class _Words:
 
 
 def _followed(moment: Moment) -> Step | None:
-    """Return the control step whose plan robots follow; None before the first and at the end."""
+    """Return the control step whose plan robots follow. None before the first and at the end."""
     return None if moment.result else moment.step
 
 
@@ -402,7 +402,7 @@ class VideoFrames:
 
 
 def _heading(log: TrialLog) -> str:
-    """Return what the trial is, and what its log lacks."""
+    """Describe the trial, and what its log lacks."""
     heading = f"{log.start.setup.name}, trial {log.start.trial}: {log.origin.value}"
     lacks = unfinished(log)
     if lacks:

@@ -126,7 +126,7 @@ class EmulatedLab:
 
     @property
     def port(self) -> str:
-        """The name of the actuator's first port; "" if it has none."""
+        """The name of the actuator's first port. Empty if it has none."""
         actuator = self.actuator
         return actuator.wired[0].port.name if isinstance(actuator, PluggedDevices) else ""
 

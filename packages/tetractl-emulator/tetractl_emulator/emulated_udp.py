@@ -27,7 +27,11 @@ class UdpPlug(PseudoPort):
         self._stalled = False
 
     def plug(self) -> None:
-        """Listen at the port; TetractlError if it is in use."""
+        """Start to listen at the port.
+
+        Raises:
+            TetractlError: If the port is in use.
+        """
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -62,7 +66,7 @@ class UdpPlug(PseudoPort):
         return b""
 
     def write(self, data: bytes) -> None:
-        """Send a datagram to the program that sent the last one."""
+        """Send a datagram to the program from which the last one came."""
         if self._socket is not None and self._sender is not None:
             with suppress(OSError):
                 self._socket.sendto(data, self._sender)

@@ -65,7 +65,10 @@ DrawValue = Callable[[Draw], Any]
 
 
 def between(low: float, high: float) -> DrawValue:
-    """Return the draw of a value from `low` to `high`, by the strength, in equal ratios."""
+    """Create a function that samples a value between two bounds.
+
+    The strength of the fault chooses the value: equal steps of the strength are equal ratios.
+    """
     return lambda d: float(f"{low * (high / low) ** d.strength:.4g}")
 
 

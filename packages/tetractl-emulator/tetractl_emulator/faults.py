@@ -63,7 +63,7 @@ class Fault(Model):
 
     @property
     def subject(self) -> str | None:
-        """The name of the robot or cell that has the fault; None if it is the device's."""
+        """The name of the robot or cell that has the fault. None if the fault is the device's."""
         fields = dict(self)
         return fields.get("robot", fields.get("cell"))
 
@@ -105,7 +105,7 @@ class ActingFaults:
         return [f for f in faults if f.robot == robot] if faults and robot else faults
 
     def newest(self, name: str, robot: str | None = None) -> Any:
-        """Return the newest fault of a kind; None if there is none."""
+        """Return the newest fault of a kind. None if there is none."""
         faults = self.of_kind(name, robot)
         return faults[-1] if faults else None
 

@@ -111,7 +111,7 @@ def _build(codes: list[Path], path: Path) -> None:
 
 
 class CoreEvent(IntEnum):
-    """The result of reading a byte: the kind of frame that the byte completed, if any."""
+    """The result of reading a byte: the kind of frame that the byte completed, or none."""
 
     NOTHING = 0
     ACCEPTED = 1
@@ -168,7 +168,7 @@ class WheelsCore(Core):
     """The firmware core of a robot with two wheels."""
 
     def wheels(self, now_ms: int) -> Counts:
-        """Return the present counts, or speeds, of both wheels.
+        """Return the present counts or speeds of both wheels.
 
         The watchdog may have set them to 0.
         """
@@ -179,7 +179,7 @@ class WheelsCore(Core):
         return Status(self._library["status"](self._copy(), now_ms))
 
     def set_battery(self, battery_mv: int) -> None:
-        """Set the battery voltage that the core reports [mV]; 0 for unknown."""
+        """Set the battery voltage that the core reports [mV]. 0 means unknown."""
         self._call("set_battery", battery_mv)
 
 

@@ -27,7 +27,7 @@ KEPT_NS = 2 * SECOND  # for how long emulated poses are known, longer than frame
 
 
 class Blind:
-    """The emulated camera of a lab with a real one: it shows nothing."""
+    """The emulated camera of a lab whose own camera is real. It shows nothing."""
 
     Settings: ClassVar[type[Model]] = Model
     faults: ClassVar[Sequence[type[Fault]]] = ()
@@ -72,7 +72,7 @@ class MovedCamera:
         return self._camera.damaged
 
     def check(self) -> Health:
-        """Return what the real camera says."""
+        """Check the real camera."""
         return self._camera.check()
 
     def look(self) -> None:
@@ -141,11 +141,11 @@ class TwinActuator:
 
     @property
     def failure(self) -> str | None:
-        """The reason why the real actuator cannot send; None without a fault."""
+        """The reason why the real actuator cannot send. None while it can."""
         return self._real.failure
 
     def check(self) -> Health:
-        """Return what the real actuator says."""
+        """Check the real actuator."""
         return self._real.check()
 
     def send(

@@ -95,7 +95,7 @@ def emulate(
 
 
 def _in_words(event: str, facts: dict[str, Any]) -> str:
-    """Return what is printed of an event."""
+    """Describe an event for printing."""
     match event:
         case "ready":
             where = f"cameras at {facts['camera']}, {facts['actuator']}"

@@ -53,7 +53,7 @@ class MemoryNetwork:
 
 
 class MemorySocket:
-    """A UDP socket of a network in memory; its methods are those of `socket.socket`."""
+    """A UDP socket of a network in memory, with the methods of `socket.socket`."""
 
     def __init__(self, network: MemoryNetwork) -> None:
         self._network = network
@@ -90,7 +90,11 @@ class MemorySocket:
             receiver._queue.append((bytes(data), self._name))
 
     def recvfrom(self, size: int) -> tuple[bytes, tuple[str, int]]:
-        """Return the oldest datagram and its sender's address; BlockingIOError if there is none."""
+        """Return the oldest datagram and its sender's address.
+
+        Raises:
+            BlockingIOError: If no datagram waits.
+        """
         if not self._queue:
             raise BlockingIOError
         data, sender = self._queue.popleft()
@@ -148,7 +152,7 @@ class MemoryPort(PseudoPort):
         self._taken.append(data)
 
     def read(self) -> bytes:
-        """Return the bytes that our end has written, of a network the next datagram."""
+        """Return the bytes that our end has written. On a network, return the next datagram."""
         if not self._taken:
             return b""
         if self._is_network:

@@ -149,7 +149,11 @@ class SerialDevice(ABC):
 
     @abstractmethod
     def _command(self, sealed: bytes) -> dict[str, Any]:
-        """Return the facts of a frame's command, to be recorded; WireError if there is none."""
+        """Return the facts about a frame's command that are recorded.
+
+        Raises:
+            WireError: If the frame has no command.
+        """
 
     def _answer(self, data: bytes) -> None:
         come_ns = self.line.to_port.send(len(data))
@@ -231,7 +235,11 @@ class PseudoPort:
         self._far = -1
 
     def plug(self) -> None:
-        """Create the port and its name; UsageError if the name cannot be created."""
+        """Create the port and its name.
+
+        Raises:
+            UsageError: If the name cannot be created.
+        """
         self.fd, self._far = os.openpty()
         try:
             tty.setraw(self._far)

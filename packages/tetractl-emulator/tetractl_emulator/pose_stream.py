@@ -68,7 +68,7 @@ class Shot:
 
     @property
     def poses(self) -> dict[int, Pose | None]:
-        """The pose x, y [m], heading [rad] of each robot by its place; None if not tracked."""
+        """The pose x, y [m], heading [rad] of each robot, by index. None if it is not tracked."""
         return {body.id: planar_pose(body, UpAxis.Z) for body in self.bodies}
 
 

@@ -49,7 +49,7 @@ class Process:
         self._ports = ports
 
     def signal(self, name: str) -> None:
-        """Send the process a signal, by its name without SIG."""
+        """Send the process a signal. Its name has no prefix SIG."""
         self._act(lambda pid: os.kill(pid, signal.Signals[f"SIG{name}"]))
 
     def stop(self, on: bool) -> None:

@@ -116,7 +116,7 @@ class Sides:
 
     @property
     def faults(self) -> dict[str, type[Fault]]:
-        """Every kind of fault that the lab can have, by its name."""
+        """Every kind of fault that the lab can have, keyed by its name."""
         kinds = (*self.camera.faults, *self.actuator.faults, *PROCESS_FAULTS, MARK)
         return {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in kinds}
 

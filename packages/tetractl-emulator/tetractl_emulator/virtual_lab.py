@@ -57,7 +57,7 @@ class LabClock(VirtualClock):
         read_wires: Callable[[], None] | None = None,
         acting: ActingFaults | None = None,
     ) -> None:
-        """Let an emulation run on this clock from now on, instead of another one.
+        """Move an emulation from another clock to this one.
 
         Args:
             timeline: The events of the emulation.

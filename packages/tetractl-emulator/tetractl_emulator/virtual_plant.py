@@ -25,7 +25,7 @@ from tetractl.plant.lab_plant import LabPlant, RigSection
 
 
 class EmulatedPlantSection(RigSection):
-    """A lab that is emulated in virtual time; no device is used unless `real` names one."""
+    """A lab that is emulated in virtual time. No device is used unless `real` names one."""
 
     type: Literal["emulated"] = "emulated"
     faults: str | dict[str, Any] | None = None
@@ -48,11 +48,11 @@ class EmulatedPlantSection(RigSection):
         return self.real is not None
 
     def bounds(self) -> dict[str, str]:
-        """Return the lab's limits and, if there is one, which device is real, for display."""
+        """Return the lab's limits and the real device, if there is one, for display."""
         return super().bounds() | self.halves()
 
     def halves(self) -> dict[str, str]:
-        """Return what is real and what is emulated, by names; nothing if all is emulated."""
+        """Return the names of the real and the emulated devices. Empty if all are emulated."""
         if self.real is None:
             return {}
         return {REAL_DEVICE: self.real, EMULATED_DEVICES: ", ".join(self.emulated_devices)}

@@ -18,7 +18,11 @@ from tetractl_emulator.port import PseudoPort
 
 
 def bound_udp(address: str, port: int) -> socket.socket:
-    """Return a UDP socket bound to an address; TetractlError if the port is in use."""
+    """Return a UDP socket bound to an address.
+
+    Raises:
+        TetractlError: If the port is in use.
+    """
     bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         bound.setblocking(False)
@@ -35,7 +39,7 @@ def bound_udp(address: str, port: int) -> socket.socket:
 
 @dataclass(frozen=True, slots=True)
 class Wires:
-    """Functions that make the ends of connections; by default those of this computer, in real time.
+    """Functions that open the ends of connections. By default, they use this computer in real time.
 
     Of the emulation: `port` makes a port from the name that programs open, `bound` a UDP
     socket at an address and port, and `clock` its clock; cameras serve pictures over `http` or in

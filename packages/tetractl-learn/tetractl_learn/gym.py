@@ -58,7 +58,7 @@ Features = NDArray[np.float32]
 
 
 class TrialEnv(gymnasium.Env[Features, Features]):
-    """One simulated trial after another, of a spec: a file, a dict or what `load_spec` returns.
+    """A Gymnasium environment that runs one simulated trial of a spec after another.
 
     `trial` is the trial that runs, an `OpenTrial`: its `save` writes a log of a finished episode.
     """
@@ -89,7 +89,11 @@ class TrialEnv(gymnasium.Env[Features, Features]):
 
     @property
     def trial(self) -> OpenTrial:
-        """The trial that runs; UsageError before the first reset."""
+        """The trial that runs.
+
+        Raises:
+            UsageError: Before the first reset.
+        """
         if self._trial is None:
             raise UsageError("no trial runs", "call reset first")
         return self._trial
@@ -163,7 +167,11 @@ class TrialEnv(gymnasium.Env[Features, Features]):
 
 
 def _vector(action: object) -> Floats:
-    """Return an action as a vector (2,); UsageError for anything else."""
+    """Convert an action to a vector (2,).
+
+    Raises:
+        UsageError: For anything else.
+    """
     try:
         vector = np.asarray(action, dtype=np.float64)
     except (TypeError, ValueError):
@@ -177,7 +185,7 @@ def _vector(action: object) -> Floats:
 
 
 def greatest_error(setup: Setup) -> float:
-    """Return the greatest sum of distances to the targets that the arena allows [length unit]."""
+    """Compute the maximum sum of distances to the targets in the arena [length unit]."""
     arena = setup.arena
     x = np.maximum(setup.targets[:, 0] - arena.left, arena.right - setup.targets[:, 0])
     y = np.maximum(setup.targets[:, 1] - arena.bottom, arena.top - setup.targets[:, 1])

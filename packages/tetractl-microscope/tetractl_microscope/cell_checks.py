@@ -75,7 +75,7 @@ class Swims(MotionCheck):
 
 
 def turning_rates(commanded: Floats, a: Floats) -> tuple[Floats, Floats]:
-    """Compute the least and the greatest rate at which cells with a tilted magnet turn.
+    """Compute the minimum and maximum rate at which cells with a tilted magnet turn.
 
     Args:
         commanded: Turning rates of cells whose magnets lie along their axes, shape (N,) [rad/s].

@@ -51,7 +51,7 @@ def _bacteria(slope: float, rng: np.random.Generator) -> Swimmers:
 
 
 def _tracked(strength: float, slope: float, rng: np.random.Generator) -> Sequence[CellSummary]:
-    """Return what `track` finds for the cells of a table, in a field that reverses."""
+    """Return the results of `track` for the cells of a table, in a field that reverses."""
     times = np.arange(round(REVERSALS * HOLD_S * RATE_HZ)) / RATE_HZ
     angles = rng.uniform(-math.pi, math.pi) + math.pi * (times // HOLD_S)
     cells = _bacteria(slope, rng)
@@ -68,7 +68,7 @@ def _tracked(strength: float, slope: float, rng: np.random.Generator) -> Sequenc
 
 
 def fitted(slopes: Floats, deviations: Floats) -> tuple[float, float, float]:
-    """Fit the slope a / B to those of tracks (T,), and return it with its 95 % interval.
+    """Fit the slope a / B from the slopes of tracks (T,), with its 95 % interval.
 
     It is the line through the origin of a on B. Each track is weighted by its own variance and the
     variance among cells. The interval is by Student's t. Tracks more than OUTLIER deviations away
@@ -114,7 +114,7 @@ def interval_width(tables_of_set: Mapping[str, Any]) -> float:
 
 
 def misses_slope(tables_of_set: Mapping[str, Any]) -> bool:
-    """Return whether the interval from a set of tables excludes the slope that was simulated."""
+    """Decide whether the interval from a set of tables excludes the slope that was simulated."""
     _, low, high = _fitted_to(tables_of_set)
     return not low <= tables_of_set["put in"] <= high
 

@@ -98,7 +98,7 @@ class SentDirections:
         return np.asarray(self.strengths * np.exp(1j * self.angles), dtype=np.complex128)
 
     def at(self, times: Floats) -> NDArray[np.complex128]:
-        """Return the direction that acts at times [s], 0 before the first one."""
+        """Return the direction that acts at times [s]. It is 0 before the first direction."""
         now = np.searchsorted(self.times, times, side="right") - 1
         return np.where(now < 0, 0.0, self.acts[now])
 
@@ -111,14 +111,14 @@ class DirectionReading:
         sent: The directions.
         delays_s: Delays after which they may have acted [s].
         response: How robots turn towards them.
-        said: The message if they acted, with the delay.
+        message: The message if they acted, with the delay.
         hint: What to do then.
     """
 
     sent: SentDirections
     delays_s: Floats
     response: Response
-    said: str
+    message: str
     hint: str
 
 
@@ -208,7 +208,7 @@ def image(
         sent=replace(sent, angles=-sent.angles),
         delays_s=DELAYS_S,
         response=rotated,
-        said=f"{poses_file}: {who} turn right where {source} turns left",
+        message=f"{poses_file}: {who} turn right where {source} turns left",
         hint="is the picture mirrored, or y downwards? reverse y and headings, or the directions",
     )
 
@@ -235,7 +235,7 @@ def other_readings(
             sent=sent,
             delays_s=SHIFTS_S,
             response=towards,
-            said=f"{source}: {who} turn {WHEN} its directions",
+            message=f"{source}: {who} turn {WHEN} its directions",
             hint="both files need times of one clock",
         ),
     ]
@@ -270,13 +270,13 @@ def _best_delay(
 
 
 def rotated(basis: Floats, rate: Floats) -> tuple[complex, Floats]:
-    """Return the response to a field that may be rotated, by least squares."""
+    """Fit the response to a field that may be rotated, by least squares."""
     fitted = np.linalg.lstsq(basis, rate, rcond=None)[0]
     return complex(*fitted), basis @ fitted
 
 
 def towards(basis: Floats, rate: Floats) -> tuple[complex, Floats]:
-    """Return the response of a robot that turns towards the field by a rate a of at least 0."""
+    """Fit the rate a >= 0 at which a robot turns towards the field."""
     pull = basis[:, 0]
     squares = float(pull @ pull)
     a = max(0.0, float(rate @ pull) / squares) if squares > 0 else 0.0

@@ -1,1 +1,1 @@
-"""Motion capture of many makes as a camera, by the library libmotioncapture."""
+"""Motion capture of many brands as a camera, with the library libmotioncapture."""

@@ -1,4 +1,4 @@
-"""The process of libmotioncapture: it prints a line of JSON for each frame, and imports little."""
+"""The process of libmotioncapture. It prints a line of JSON per frame, and imports little."""
 
 import ctypes
 import json

@@ -53,7 +53,7 @@ class MotionCapture(PortCamera):
         return ProcessPort(name, *arguments[1:])
 
     def check(self) -> Health:
-        """Return which robots have no body in the stream."""
+        """Report the robots that have no body in the stream."""
         lost = [robot for robot in self.robots if str(robot.body) not in self._bodies]
         streamed = ", ".join(printable(name, NAME_MAX) for name in self._bodies[:NAMES_MAX])
         rest = len(self._bodies) - NAMES_MAX

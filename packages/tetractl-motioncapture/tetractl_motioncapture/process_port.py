@@ -26,7 +26,11 @@ class ProcessPort(ClientPort):
         """Do nothing: the process connects."""
 
     def wait(self) -> None:
-        """Take the next line; AbortError if the process has ended."""
+        """Wait for the next line.
+
+        Raises:
+            AbortError: If the process has ended.
+        """
         assert self._process is not None, "it was opened"
         line = self._process.stdout.readline()
         if not line:

@@ -13,7 +13,7 @@ from tetractl.spec.yaml.problems import Loc
 
 
 class MotionCaptureSection(CameraSection):
-    """Motion capture of many makes, by libmotioncapture in a process of its own."""
+    """Motion capture of many brands, with libmotioncapture in a process of its own."""
 
     device: ClassVar[str] = "tetractl_motioncapture.camera:MotionCapture"
     type: Literal["motioncapture"]

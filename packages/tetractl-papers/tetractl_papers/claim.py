@@ -93,7 +93,7 @@ def share_of(values: Floats) -> OurNumber:
 
 
 def deviation_of(values: Floats) -> OurNumber:
-    """Return the standard deviation of values (n,), with the chi-square interval of normal ones.
+    """Return the standard deviation of values (n,), with a chi-square interval for normal values.
 
     It is NaN if there is only one value.
     """

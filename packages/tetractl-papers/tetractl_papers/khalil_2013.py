@@ -23,7 +23,7 @@ def disc(log: TrialLog) -> float:
 
 
 def disc_over_least(log: TrialLog) -> float:
-    """Return that diameter over 2 v / a of the simulated robot, the least mean diameter."""
+    """Divide that diameter by 2 v / a of the simulated robot, the minimum mean diameter."""
     facts = log.start.plant.facts
     (a,) = json.loads(facts["true_a"])
     (speed,) = json.loads(facts["true_speed"])

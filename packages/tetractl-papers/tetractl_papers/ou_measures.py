@@ -45,7 +45,7 @@ def first_cost(log: TrialLog) -> float:
 
 
 def warm_gain(log: TrialLog) -> float:
-    """Compare the cost of a warm-started plan with that of a plan from nothing [length unit].
+    """Compare the cost of a warm-started plan with the cost of a plan from nothing [length unit].
 
     The result is J of the plan of the middle step, found from a warm start by three searches, minus
     J of the plan that a controller finds there if it searches all lengths from nothing, as in step
@@ -60,7 +60,7 @@ def warm_gain(log: TrialLog) -> float:
 
 
 def off_start(log: TrialLog) -> float:
-    """Return how far robots are from where they began when they come to rest, the mean of them."""
+    """Return the mean distance of stopped robots from where they started."""
     assert log.truth is not None, "the trials are simulated"
     moved = (log.truth[-1] - log.truth[0])[:, :2]
     distances = np.hypot(moved[:, 0], moved[:, 1])
@@ -80,7 +80,7 @@ def early_share(log: TrialLog) -> float:
 
 
 def exponential(log: TrialLog) -> float:
-    """Return R^2 of a line through log J against the iteration, minus that of one through J."""
+    """Compare lines through log J and through J against the iteration, as a difference of R^2."""
     j = chosen_history(log)
     return _straightness(np.log(j)) - _straightness(j)
 
@@ -93,7 +93,7 @@ def _straightness(values: Floats) -> float:
 
 
 def space(log: TrialLog) -> float:
-    """Return the area of the box round all paths, in that of the box round starts and targets."""
+    """Divide the area of the box around all paths by that around starts and targets."""
     setup = log.start.setup
     assert log.truth is not None, "the trials are simulated"
     ends = np.concatenate([setup.starts.xy, setup.targets])
@@ -102,14 +102,14 @@ def space(log: TrialLog) -> float:
 
 
 def _box(points: Floats) -> float:
-    """Return the area of the box round points (n, 2), of which some may be unknown."""
+    """Return the area of the box around points (n, 2), some of which may be unknown."""
     known_points = points[np.isfinite(points).all(axis=1)]
     width, height = np.ptp(known_points, axis=0)
     return float(width * height)
 
 
 def spinning(log: TrialLog) -> float:
-    """Return how long the field turns in one sense through at least a whole turn [s].
+    """Measure how long the field turns in one sense, over at least a whole turn [s].
 
     Reversals up to REVERSAL [s] are ignored.
     """
@@ -135,7 +135,7 @@ def _runs(holds: Bools) -> Integers:
 
 
 def spinning_time(angle: Floats, time_s: Floats) -> float:
-    """Return how long a field spins [s] whose angle [rad], (K,), counts whole turns.
+    """Measure how long a field spins [s]. Its angles (K,) [rad] count whole turns.
 
     The angle is cut where its sense changes by more than REVERSAL; a piece counts from a whole turn
     on.

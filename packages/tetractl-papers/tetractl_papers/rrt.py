@@ -97,7 +97,7 @@ class Rrt(PlainController):
         return ended or given_plan(problem, signals, step_key)
 
     def _towards(self, problem: Problem, key: int) -> float:
-        """Return the direction of the next corner [rad]; a blocked path is replaced by a new one.
+        """Return the direction of the next corner [rad]. A blocked path is replaced by a new one.
 
         No path can begin inside an obstacle grown by the margin, so a robot inside keeps its path.
         A robot too near to its target to turn towards it would circle it for ever; it drives

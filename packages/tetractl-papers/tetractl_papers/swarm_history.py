@@ -106,7 +106,7 @@ def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
 
 
 def _first_request(log: TrialLog, searches: StepSearches) -> SearchRequest:
-    """Return what the log's controller requests of the chosen search.
+    """Return the chosen search as the log's controller requested it.
 
     The controller decides control step 0 again.
 

@@ -62,7 +62,7 @@ def _logs(
     count: int,
     run_batch: RunBatch,
 ) -> list[TrialLog]:
-    """Return the logs of an arm's trials, of which those are run that the folder lacks."""
+    """Return the logs of an arm's trials. Trials that the folder lacks are run."""
     spec = specs[arm.example]
     if arm.plans_of is not None:
         logs = list[TrialLog]()

@@ -87,7 +87,11 @@ def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> list[Findi
 
 
 def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
-    """Return a section of a kind with the fields given; UsageError if they are wrong."""
+    """Create a section of a kind with the given fields.
+
+    Raises:
+        UsageError: If they are wrong.
+    """
     stated = kind.model_fields.get("type")
     names = get_args(stated.annotation) if stated else ()
     if len(names) != 1:

@@ -260,7 +260,7 @@ def _check_ends(run: SimulatedRun, section: ControllerSection, setup: Setup) -> 
 
 
 def _consistent(search: Search) -> bool:
-    """Return whether the record of a search agrees with itself."""
+    """Check that the record of a search agrees with itself."""
     history = np.asarray(search.history)
     finite = bool(np.isfinite(history).all())
     falls = bool((np.diff(history) <= 0).all())

@@ -258,7 +258,7 @@ def check_actuator(
 
 
 def _contradictions(section: ActuatorSection, setup: Setup) -> list[str]:
-    """Return what of a section does not fit the robots, with the field first."""
+    """List the fields of a section that do not fit the robots, each with the reason."""
     texts: list[str] = []
     for loc, text in section.contradictions(setup):
         field = ".".join(map(str, loc))
@@ -291,7 +291,7 @@ def _check_sending(section: ActuatorSection, setup: Setup) -> None:
 
 
 def _at_port(data: Any, port: str) -> Any:
-    """Return a section's data with this port in place of each, also of those of single robots."""
+    """Replace each port in a section's data by this one, also the ports of single robots."""
     match data:
         case dict():
             return {

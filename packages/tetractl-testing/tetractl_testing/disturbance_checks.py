@@ -110,7 +110,7 @@ def _command(now_ns: int, reached: Bools) -> DelayedCommand:
 
 
 def _fits(method: str, section: DisturbanceSection, arguments: Any, result: Any) -> Any:
-    """Return whether a method's result is what `FITS` says."""
+    """Check whether the result of a method is as `FITS` requires."""
     match method:
         case "planning_s":
             return 0 <= result <= section.planning_max_s

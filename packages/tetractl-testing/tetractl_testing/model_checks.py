@@ -70,7 +70,7 @@ class Cases:
         return motion.step(self.x, self.y, heading, self.u + turned, self.a, self.v, seconds)
 
     def distance(self, poses: XYHeading) -> Floats:
-        """Return how far each robot has moved [length unit]."""
+        """Return the distance that each robot has moved [length unit]."""
         return np.hypot(poses[0] - self.x, poses[1] - self.y)
 
 

@@ -58,11 +58,11 @@ class ToioActuator(WheeledActuator):
         )
 
     def check(self) -> Health:
-        """Return whether the cubes are emulated."""
+        """Report whether the cubes are emulated."""
         return Health(emulated=self.link.emulated)
 
     def outputs(self, wished: Floats, may: Bools) -> CountArray:
-        """Return motor speeds (2, N) for wheel speeds (2, N) [mm/s], of cubes that `may` move.
+        """Convert wheel speeds (2, N) [mm/s] to motor speeds (2, N). Cubes that may not move get 0.
 
         A wheel does not turn below SPEED_MIN: what a unit or the least speed cannot give is carried
         to the next command, so that the mean of the speeds sent is the one wished.

@@ -1,4 +1,4 @@
-"""A cube at this computer's Bluetooth adapter, by bleak, as a port. Never tried with a cube."""
+"""A cube at this computer's Bluetooth adapter as a port, with bleak. Never tried with a cube."""
 
 import asyncio
 import threading
@@ -45,7 +45,11 @@ class BluetoothPort(SerialPort):
         self._together = b""
 
     def open(self, alone: bool = True) -> None:
-        """Find the cube and connect; AbortError if that fails."""
+        """Find the cube and connect to it.
+
+        Raises:
+            AbortError: If that fails.
+        """
         self._thread.start()
         if not self._ready.wait(CONNECT_S) or self.failure:
             self.close()
@@ -123,7 +127,7 @@ class BluetoothPort(SerialPort):
             self._lost(str(error) or type(error).__name__)
 
     def _take(self, kind: Characteristic, data: bytearray | bytes) -> None:
-        """Take a message, and pass on messages that arrive together as one.
+        """Take a message, and pass on messages that arrive together as one message.
 
         If a reading was passed on before the next, it would seem as new as that one.
         """

@@ -140,7 +140,7 @@ class ToioCamera:
         ]
 
     def check(self) -> Health:
-        """Return which robots do not see the mat."""
+        """Report the robots that do not see the mat."""
         _, reports = self._reports.now()
         problems = tuple(
             f"{name} does not see the mat: is it on it, and clean below?"
@@ -207,7 +207,7 @@ class ToioCamera:
 
 
 def placed(pose: Sequence[float], origin: tuple[int, int], unit_mm: float) -> CubeReading:
-    """Return what a cube reads at a pose in the spec's coordinates.
+    """Return the reading of a cube at a pose in the spec's coordinates.
 
     Args:
         pose: x, y [mm] and heading [rad].

@@ -37,7 +37,7 @@ class Cubes:
 
     @property
     def failure(self) -> str | None:
-        """The reason why a cube cannot be reached any more; None if all can."""
+        """The reason why a cube can no longer be reached. None if all can."""
         return next((link.failure for link in self._links.values() if link.failure), None)
 
     def open(self, listeners: Mapping[str, Listener]) -> None:
@@ -126,16 +126,20 @@ class CubesLink:
 
     @property
     def failure(self) -> str | None:
-        """The reason why a cube cannot be reached any more; None if all can."""
+        """The reason why a cube can no longer be reached. None if all can."""
         return None if self._run is None else self._run.failure
 
     @property
     def emulated(self) -> bool:
-        """Whether a cube has said that it is emulated."""
+        """Whether a cube has reported that it is emulated."""
         return self._run is not None and self._run.emulated
 
     def open(self) -> None:
-        """Connect; AbortError if that fails."""
+        """Connect to the cubes.
+
+        Raises:
+            AbortError: If that fails.
+        """
         self._run = _RUNS.setdefault(self._clock, Cubes(self._clock, self._ports or make_port))
         self._run.open({cube: partial(self._on_received, i) for i, cube in enumerate(self.cubes)})
 

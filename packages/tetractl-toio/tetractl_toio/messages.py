@@ -126,7 +126,7 @@ def _motor(motor: int, speed: int) -> tuple[int, int, int]:
 
 
 def decode_motor(data: bytes) -> MotorCommand:
-    """Return what a motor command says.
+    """Decode a motor command.
 
     WireError for data that a cube ignores: of another length, with values out of range, or twice
     the same motor.
@@ -144,12 +144,12 @@ def decode_motor(data: bytes) -> MotorCommand:
 
 
 def refused(data: bytes) -> bool:
-    """Return whether a notification of `CONFIGURATION` says that one of these settings failed."""
+    """Decide whether a notification reports that one of these settings failed."""
     return len(data) == 3 and data[0] in (0x98, 0x99) and data[2] != 0
 
 
 def pack(characteristic: Characteristic, data: bytes = b"") -> bytes:
-    """Return what is passed to a port: the characteristic, the number of bytes, and these.
+    """Return what a port receives: the characteristic, the number of bytes, and the bytes.
 
     Without bytes it asks the cube for the characteristic's present value.
     """

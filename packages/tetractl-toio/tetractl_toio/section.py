@@ -74,7 +74,7 @@ class ToioCameraSection(CameraSection):
 
 
 class ToioSection(ActuatorSection):
-    """toio cubes, driven over Bluetooth; each command stops by itself after 250 ms."""
+    """toio cubes, driven over Bluetooth. Each command stops by itself after 250 ms."""
 
     device: ClassVar[str] = "tetractl_toio.actuator:ToioActuator"
     calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"

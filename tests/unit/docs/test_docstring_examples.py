@@ -101,11 +101,14 @@ def parameters_without_entry(tree: ast.AST) -> Iterator[str]:
         yield from (f"{node.name}: {name}" for name in names if name not in entries)
 
 
-@pytest.mark.parametrize("folder", sorted(path.name for path in (ROOT / "tetractl").glob("*/")))
-def test_functions_with_three_parameters_or_more_describe_each_of_them(folder: str):
+FOLDERS = sorted((ROOT / "tetractl").glob("*/")) + sorted((ROOT / "packages").glob("*/tetractl_*"))
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.name)
+def test_functions_with_three_parameters_or_more_describe_each_of_them(folder: Path):
     missing = [
         f"{path.relative_to(ROOT)}: {line}"
-        for path in sorted((ROOT / "tetractl" / folder).rglob("*.py"))
+        for path in sorted(folder.rglob("*.py"))
         for line in parameters_without_entry(ast.parse(path.read_text()))
     ]
     assert not missing

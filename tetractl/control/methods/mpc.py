@@ -214,7 +214,7 @@ class ControlStep:
         return min(self.horizon_max, int(self.signals_left))
 
     def is_new(self, signals: Floats) -> bool:
-        """Return whether signals (L,) are longer than the plan under way and one signal more."""
+        """Decide whether signals (L,) are more than one signal longer than the current plan."""
         return self.warm is None or len(signals) > len(self.warm) + 1
 
     def allows(self, length: int) -> bool:
@@ -293,7 +293,7 @@ class Mpc:
     # legs
 
     def _ends_a_leg_only(self, decision: Decision) -> bool:
-        """Return whether a decision ends a leg after which there is another."""
+        """Decide whether a decision ends a leg that is not the last one."""
         if not isinstance(decision, Outcome) or decision not in END_OF_LEG:
             return False
         gave_up = decision is Outcome.NO_BETTER_PLAN and self.progress.state is State.STUCK
@@ -387,7 +387,7 @@ class Mpc:
         return last.signals[1:] if is_over else last.signals
 
     def _outcome(self, step: ControlStep, observation: Observation) -> Outcome | None:
-        """Return how the leg ends, whatever the robots could do. None if it continues."""
+        """Decide how the leg ends, whatever the robots could do. None if it continues."""
         if self.leg.holds:
             assert self.setup.hold is not None
             if observation.sampled_ns - self.leg.began_ns >= self.setup.hold.seconds * SECOND:
@@ -424,7 +424,7 @@ class Mpc:
         return self._go_on(self._search_under_way(step, warm))
 
     def _near_the_limit(self, step: ControlStep, warm: Floats) -> Decision:
-        """Decide while a plan is under way and no time is left for a new one.
+        """Decide during a plan, when no time is left for a new one.
 
         This applies only to robots that stop at the end, because the log of an outcome has no
         searches. The plan is polished before it is compared with a stop. After a disturbance, its
@@ -591,7 +591,7 @@ class Mpc:
         return replace(plan, state=State.PASSING, path=path)
 
     def _strays(self, planned: Poses, miss: float) -> bool:
-        """Return whether robots that pass would miss their `planned` poses by too much.
+        """Decide whether passing robots would miss their `planned` poses by too much.
 
         A small miss is mended by the next steps, the more of them are left: so a fraction of what
         robots have to go from there is added to the limit. As before a rest, the plan must have
@@ -702,7 +702,7 @@ class Mpc:
         return self._searched(step, certain if by_tree else problem, searcher.found, by_tree)
 
     def _is_good(self, search: Search) -> bool:
-        """Return whether a plan found needs no better one."""
+        """Decide whether a plan is so good that no better one has to be found."""
         return search.cost <= (self.section.optimizer.good_enough or 0.0)
 
     def _searched(
@@ -721,7 +721,7 @@ class Mpc:
         return mix(self.key, self.progress.k)
 
     def _searcher(self, step: ControlStep) -> Searcher:
-        """Return what runs the searches of a step. Their time counts from now."""
+        """Create the searcher of a step. Its time counts from now."""
         return Searcher(self.optimizer, step.problem, self._step_key, self._limits())
 
     def _limits(self) -> Limits:
@@ -755,7 +755,7 @@ class Mpc:
         return step.value.plan(error, len(plan.signals), step.is_new(plan.signals), touches)
 
     def _given(self, problem: Problem, signals: Floats, searches: Iterable[Search] = ()) -> Plan:
-        """Return a plan of given signals (L,); the `searches` before found no better one."""
+        """Return a plan with given signals (L,). The `searches` before it found no better one."""
         foreseen = compiled_foresee(problem, signals)
         all_searches = [*searches, given_search(problem, signals, foreseen)]
         return make_plan(all_searches, len(all_searches) - 1, self._step_key, foreseen)

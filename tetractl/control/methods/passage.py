@@ -50,7 +50,7 @@ NODES_KEPT = 400
 NODES_COMPUTED = 4
 """Bodies' distances are computed for this many times that number of branches, the best ones."""
 DISTANCE_LEFT = 2.3
-"""Sum of the remaining distances from which an optimiser starts, in units of the sum of all v / a."""
+"""Maximum sum of remaining distances at which an optimiser starts, in units of the sum of v / a."""
 STARTS_OF_LEVEL = 6
 """Number of nodes of a level from which an optimiser begins."""
 STARTS_IN_ALL = 100
@@ -66,7 +66,7 @@ TRUSTED_S = 1.0
 
 
 class Nodes(NamedTuple):
-    """K nodes of one level, or branches that may become the next one."""
+    """K nodes of one level, or branches that may become nodes of the next one."""
 
     parents: Integers
     """(K,) numbers of the nodes of the level before from which they grew."""
@@ -119,7 +119,7 @@ class Tree:
         self.levels.append(self._grown.part(branches))
 
     def sequence(self, node: int, levels: int | None = None) -> Floats:
-        """Return the signals (L,) that lead to a node of the last of so many levels, or of all."""
+        """Return the signals (L,) that lead to a node, from the root or from an earlier level."""
         directions = []
         for level in reversed(self.levels[:levels]):
             directions.append(level.directions[node])

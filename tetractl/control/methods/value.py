@@ -1,4 +1,4 @@
-"""The value of a candidate in a control step, by which `mpc` decides.
+"""The value of a candidate in a control step. `mpc` takes the candidate with the lowest value.
 
 The value is an error [length unit]. Lower is better:
 

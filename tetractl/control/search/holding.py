@@ -90,7 +90,7 @@ class CircleSearch(OptimizerSection):
 
 
 def _extended(plan: Floats, length: int) -> Floats:
-    """Return a plan of `length` signals that goes on with the last change of direction of one."""
+    """Extend a plan to `length` signals by continuing its last change of direction."""
     turn = plan[-1] - plan[-2] if len(plan) > 1 else 0.0
     further = plan[-1] + turn * np.arange(1, length + 1)
     return np.append(plan, further)[:length]

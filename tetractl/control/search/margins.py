@@ -136,7 +136,7 @@ class Margins:
         )
 
     def grown(self, poses: Poses, margin: float) -> Obstacles:
-        """Grow the obstacles by a margin of at least one radius, or by what fits.
+        """Grow the obstacles by a margin of at least one radius, or by the margin that fits.
 
         The margin must fit between obstacles and robots. At least the part of a radius that fits
         between obstacles and targets is always kept.

@@ -86,7 +86,7 @@ class OwnRobots(SpeedRobots):
         """
 
     def halt(self, row: int, emergency: bool) -> bytes:
-        """Return the message that stops a robot, by default with speeds of 0.
+        """Return the message that stops a robot. By default, it commands a speed of 0.
 
         If `emergency` is True, the stop should last until the robot is switched off.
         """

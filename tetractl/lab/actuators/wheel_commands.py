@@ -53,7 +53,7 @@ class PolledLink(Protocol):
 
     @property
     def failure(self) -> str | None:
-        """The reason why nothing can be sent any more; None without a fault."""
+        """The reason why nothing can be sent any more. None while sending works."""
         ...
 
     def ask(self) -> tuple[int, int]:
@@ -136,7 +136,7 @@ class RobotLink(Protocol):
 
     @property
     def failure(self) -> str | None:
-        """The reason why nothing can be sent any more; None without a fault."""
+        """The reason why nothing can be sent any more. None while sending works."""
         ...
 
     def open(self) -> None:
@@ -281,7 +281,7 @@ class WheeledActuator(ABC):
     def _transmission(
         self, sent_ns: int, action: Action, speeds: Floats, delivered: tuple[bool, ...]
     ) -> Transmission:
-        """Return what was sent, given the wheel speeds (2, N) [mm/s].
+        """Return the record of a transmission, from the wheel speeds (2, N) [mm/s].
 
         Robots are assumed to have received it, because broadcasts are not acknowledged.
         """

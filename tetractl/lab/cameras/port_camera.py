@@ -98,7 +98,7 @@ class PortCamera(ABC):
         self._port.close()
 
     def check(self) -> Health:
-        """Return whether the camera is emulated."""
+        """Report whether the camera is emulated."""
         return Health(emulated=self.emulated)
 
     def frames(self) -> list[CameraFrame]:

@@ -1,4 +1,4 @@
-"""How late messages are, by stamps of a clock that need not agree with this computer's.
+"""Measures how late messages are, from stamps of a clock that may differ from ours.
 
 The message that came quickest among the last STAMPS is not late. Another message is late by as much
 as it took longer from its stamp to its arrival.

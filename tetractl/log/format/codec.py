@@ -142,7 +142,11 @@ def encode_frames(frames: Frames) -> pb.CameraFrames:
 
 @np.errstate(all="ignore")  # any bits may be a number
 def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
-    """Decode camera frames; ValueError for another number of robots than `robots`."""
+    """Decode camera frames.
+
+    Raises:
+        ValueError: If they do not have `robots` robots.
+    """
     times = unpack_columns(message.times, 3, "<i8")
     poses = unpack_columns(message.poses, 3 * robots, "<f8")
     truth = poses if message.exact else unpack_columns(message.truth, 3 * robots, "<f4")
@@ -188,7 +192,11 @@ def encode_observation(observation: Observation) -> pb.MocapSample:
 
 
 def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
-    """Decode one camera frame; ValueError for another number of robots than `robots`."""
+    """Decode one camera frame.
+
+    Raises:
+        ValueError: If it does not have `robots` robots.
+    """
     counts = {len(column) for column in (message.x, message.y, message.heading, message.valid)}
     if counts != {robots} or len(message.exposed_ns) not in (0, robots):
         raise ValueError(f"a frame has {sorted(counts)} robots instead of {robots}")

@@ -31,7 +31,7 @@ class LogDigests:
         self._heads: dict[str, bytes] = {}  # first bytes of a message, by topic
 
     def add(self, record: Record) -> None:
-        """Add a record, of an attachment without its time."""
+        """Add a record. The time of an attachment does not count."""
         if isinstance(record, Attachment):
             fields = (b"attachment", record.name.encode(), record.media_type.encode(), record.data)
             digest = self._host if record.name in HOST_RECORDS else self._content

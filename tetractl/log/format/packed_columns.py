@@ -1,4 +1,4 @@
-"""Packs columns of numbers without loss, so that zstd finds much alike in their bytes.
+"""Packs columns of numbers without loss, in a form that zstd compresses well.
 
 `pack_columns` does these steps, and `unpack_columns` undoes them in the reverse order:
 

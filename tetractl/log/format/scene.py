@@ -235,7 +235,7 @@ def prism(outline: Floats, height: float) -> tuple[Floats, NDArray[np.int64]]:
 
 
 def triangulate(outline: Floats) -> NDArray[np.int64]:
-    """Return triangles (M - 2, 3) of a simple anticlockwise polygon (M, 2), by ear clipping.
+    """Triangulate a simple anticlockwise polygon (M, 2) by ear clipping, as (M - 2, 3) indices.
 
     An ear is a corner that turns left and whose triangle contains no other corner.
     """

@@ -1,1 +1,1 @@
-"""Reading logs: whole, by their results, and damaged ones."""
+"""Reads logs: complete logs, only their results, and damaged logs."""

@@ -23,7 +23,7 @@ def attempt_name(log: str, number: int) -> str:
 
 
 def is_set_aside(name: str) -> bool:
-    """Return whether a file's name marks a log set aside."""
+    """Decide whether the name of a file marks a log that was set aside."""
     return _SET_ASIDE.search(name) is not None
 
 
@@ -59,7 +59,7 @@ def without_others(paths: Iterable[Path | str]) -> list[Path]:
 
 
 def _hint_without_logs(path: Path) -> str | None:
-    """Return what may have been meant by the path of a file that is not a log."""
+    """Suggest what was meant by the path of a file that is not a log."""
     if path.suffix.lower() in (".yaml", ".yml"):
         return f"run it with: tetractl run {path}"
     logs = sorted(path.parent.glob(f"*{SUFFIX}"), key=_natural)
@@ -69,7 +69,11 @@ def _hint_without_logs(path: Path) -> str | None:
 
 
 def find_log(path: Path | str) -> Path:
-    """Return the only log that `find_logs` finds in a path; UsageError if there are several."""
+    """Return the only log in a path.
+
+    Raises:
+        UsageError: If there are several.
+    """
     logs = find_logs([path])
     if len(logs) > 1:
         raise UsageError(f"{path}: {len(logs)} logs", f"name one of them, such as {logs[0]}")

@@ -65,7 +65,7 @@ class RawLog:
 
     @cached_property
     def attachments(self) -> dict[str, Attachment]:
-        """The attachments by name; of two with the same name, the first."""
+        """The attachments by name. Of two with the same name, it has the first."""
         by_name: dict[str, Attachment] = {}
         for record in self.records:
             if isinstance(record, Attachment):
@@ -90,7 +90,11 @@ class RawLog:
 
     @cached_property
     def run(self) -> Run:
-        """What identifies the trial; LogError if it is lost, unreadable or of another format."""
+        """The message that identifies the trial.
+
+        Raises:
+            LogError: If it is lost, unreadable or of another format.
+        """
         if not self.by_topic[channels.RUN]:
             raise self._without_run()
         try:
@@ -141,7 +145,7 @@ class RawLog:
 
     @property
     def warnings(self) -> int:
-        """The number of operator warnings and errors stated in the log; 0 if not stated."""
+        """The number of operator warnings and errors that the log states. 0 if it states none."""
         return max(0, self._stated(channels.RESULT).warnings)
 
     @cached_property
@@ -235,10 +239,13 @@ def _reason(error: Exception) -> str:
 
 
 def read_file(path: Path) -> bytes:
-    """Return a file's bytes; LogError if it is no file, empty or too large, or cannot be read.
+    """Read a file.
 
     The file is not memory-mapped: if another program shortened a mapped file, reading a missing
     page would kill the process.
+
+    Raises:
+        LogError: If it is no file, is empty or too large, or cannot be read.
     """
     try:
         size = path.stat().st_size
@@ -259,7 +266,7 @@ def read_file(path: Path) -> bytes:
 
 
 def writer(facts: Mapping[str, str]) -> str:
-    """Return the version of tetractl that wrote a log, by the facts of its host."""
+    """Return the version of tetractl that wrote a log, from the facts about its host."""
     version = printable(facts.get("tetractl", "")[:12]) or "of an unknown version"
     commit = printable(facts.get("git_commit", "")[:12])
     return f"tetractl {version}, git commit {commit}" if commit else f"tetractl {version}"

@@ -107,7 +107,7 @@ def decode_errors(contents: RawLog) -> Iterator[None]:
 
 
 def _damage(contents: RawLog, trial: TrialLog) -> Damage:
-    """Return how a log is torn, recovered and unfinished; `trial` is what is left in it."""
+    """Describe whether a log is torn, recovered or unfinished. `trial` is its intact part."""
     source = contents.recovered or Damage((), ())
     problems = [*source.problems, *contents.problems]
     lost = [*source.lost, *contents.lost]
@@ -208,7 +208,11 @@ def content_digest(path: Path) -> str:
 
 
 def _start(contents: RawLog) -> tuple[Experiment, Start]:
-    """Return the experiment and the start of a trial; LogError if they cannot be read."""
+    """Return the experiment and the start of a trial.
+
+    Raises:
+        LogError: If they cannot be read.
+    """
     run = contents.run
     resolved = contents.text(channels.RESOLVED_SPEC)
     if resolved is None:

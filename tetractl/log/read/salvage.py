@@ -100,7 +100,7 @@ def scan(path: Path) -> RawLog:
 
 
 class _Scan:
-    """One reading of a file: verifies its records, keeps the intact ones, and lists problems."""
+    """A pass over a file that verifies its records, keeps the intact ones, and lists problems."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -146,7 +146,7 @@ class _Scan:
         return raw
 
     def summary(self) -> RawLog | None:
-        """Read what `peek` returns; None for a damaged file, or one that others wrote."""
+        """Read what `peek` returns. None for a damaged file, or a file of another program."""
         wanted: set[tuple[int, int, int]] = set()
         chunk: tuple[int, int, int] | None = None  # the last one
         for record in self._walk():
@@ -340,7 +340,7 @@ class _Scan:
         )
 
     def _matches(self, begin: int, end: int) -> bool:
-        """Return whether the checksum at `end` is that of the bytes before it."""
+        """Compare the checksum at `end` with the checksum of the bytes before it."""
         (stated,) = _CHECKSUM.unpack_from(self._data, end)
         is_left_out = self._is_foreign and stated == UNSTATED
         return is_left_out or stated == zlib.crc32(self._view[begin:end])

@@ -111,7 +111,7 @@ def check_plan(plan: Plan, robots: int) -> None:
 
 
 def _numbers_of_estimate(estimate: Estimate, robots: int) -> dict[str, Floats]:
-    """Return all numbers in an estimate of N robots, by what they are.
+    """Return all numbers of an estimate of N robots, keyed by their meaning.
 
     Raises:
         ValueError: If an array is not of N robots.

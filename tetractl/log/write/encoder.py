@@ -108,7 +108,7 @@ class Encoder:
         self._say(0, "info", f"trial {start.trial} of {setup.name} starts")
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
-        """Add camera frames; those of a simulation are collected until their chunk ends."""
+        """Add camera frames. Frames of a simulation are collected until their chunk ends."""
         if not samples:
             return
         for sample in samples:

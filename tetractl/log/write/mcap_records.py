@@ -213,7 +213,7 @@ class FileWriter:
         return self._schemas[key].id
 
     def _write_chunk(self) -> None:
-        """Write the open chunk and the indexes of its messages, and begin the next one."""
+        """Write the open chunk and the indexes of its messages, and begin the next chunk."""
         data = self._chunk.end()
         times = [ns for index in self._messages.values() for ns, _ in index.records]
         chunk = Chunk(

@@ -190,9 +190,12 @@ class Sink:
 
 
 def _owned(path: Path) -> BinaryIO:
-    """Create or empty a file, open and lock it; OSError if another process has locked it.
+    """Create or empty a file, open and lock it.
 
     The lock ends when the process ends, even if it is killed.
+
+    Raises:
+        OSError: If another process has locked it.
     """
     file = path.open("a+b")
     try:

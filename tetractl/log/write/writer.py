@@ -60,7 +60,7 @@ class LogWriter(Relay):
 
     @property
     def failure(self) -> Exception | None:
-        """The reason why the log can no longer be written; None while it can."""
+        """The reason why the log can no longer be written. None while it can."""
         return None if self._log is None else self._log.worker.failure
 
     def on_start(self, start: Start) -> None:

@@ -108,7 +108,7 @@ def alternating(k, first, end, q):
 
 
 def sincos(x):
-    """Compute (sin x, cos x) for |x| <= pi, by halving the angle twice."""
+    """Compute (sin x, cos x) for |x| <= pi by halving the angle twice."""
     t = 0.25 * x
     q = t * t
     s_quarter = t * horner(SINE, q)

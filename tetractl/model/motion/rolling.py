@@ -102,7 +102,7 @@ ENTRIES_AT_FIRST = 8
 
 
 class SentRates(NamedTuple):
-    """The turning rates sent to N robots that still matter: `wish` drops older ones."""
+    """The turning rates sent to N robots that still matter. `wish` drops older ones."""
 
     times_ns: Times
     """When each of them takes effect, oldest first, (Q,).
@@ -122,7 +122,7 @@ class SentRates(NamedTuple):
         return cls(times_ns, np.zeros((ENTRIES_AT_FIRST, robots)), np.zeros(robots))
 
     def with_room(self) -> "SentRates":
-        """Return the same rates with room for another one."""
+        """Return the same rates with space for another one."""
         if self.times_ns[-2] == NEVER:
             return self
         return SentRates(
@@ -135,7 +135,7 @@ class SentRates(NamedTuple):
 def wish(
     heading: Floats, u: Floats, since_ns: int, acts_ns: int, robots: KnownRobots, sent: SentRates
 ) -> Floats:
-    """Compute the wheel speeds (2, N) that turn robots towards directions, by (24)-(25).
+    """Compute the wheel speeds (2, N) that turn robots towards directions, equations (24)-(25).
 
     The speeds, left and right, are computed for the headings at `acts_ns`, when the command takes
     effect. These are predicted from the measured headings. Wheels without a lag have turned by (3)
@@ -319,7 +319,7 @@ def roll(
 
 
 def _step(body: Floats, seconds: float) -> None:
-    """Advance robots (ROWS, N) along the chords of arcs, by (21)-(23).
+    """Advance robots (ROWS, N) along the chords of arcs, equations (21)-(23).
 
     Wheel speeds, distances and headings are exact. Chords are exact for settled wheels. Otherwise,
     their error falls with the square of the time.

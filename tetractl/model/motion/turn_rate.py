@@ -21,7 +21,7 @@ from tetractl.model.motion.polynomials import sincos
 
 
 class RobotParameters(NamedTuple):
-    """The PARAMETERS of the motion of one robot, followed by those of its turning."""
+    """The PARAMETERS of the motion of one robot, followed by the parameters of its turning."""
 
     a: float
     speed: float

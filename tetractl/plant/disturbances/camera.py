@@ -108,7 +108,7 @@ class FrameLossSection(DisturbanceSection):
 
 
 class FrameLoss(Disturbance):
-    """A disturbance that loses frames, by a Markov chain with the states received and lost.
+    """A disturbance that loses frames. A Markov chain changes between received and lost.
 
     The first frame is not lost. A burst with the mean length b ends with the probability 1 / b. The
     probability that a burst begins is such that the fraction `share` of the frames is lost in the

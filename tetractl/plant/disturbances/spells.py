@@ -34,7 +34,7 @@ class Spells:
         self._end_s = self._begin_s + section.duration
 
     def include(self, time_s: float) -> bool:
-        """Return whether a time is within an interval."""
+        """Decide whether a time is within an interval."""
         return bool(((self._begin_s <= time_s) & (time_s < self._end_s)).any())
 
 
@@ -54,7 +54,7 @@ class ByTurns:
         self._until_s = [well_s() for _ in range(robots)]  # when each robot's state changes next
 
     def well(self, time_s: float) -> Bools:
-        """Return whether each robot is undisturbed at a time (N,).
+        """Find the robots that are undisturbed at a time, shape (N,).
 
         Later calls must not have earlier times.
         """

@@ -101,7 +101,11 @@ for _tag, (_pattern, _first) in SCALARS.items():
 
 
 def compose(text: str, origin: str) -> Node | None:
-    """Return the node graph of a text, None if it is empty; InvalidSpecError if it is not YAML."""
+    """Return the node graph of a text. None if it is empty.
+
+    Raises:
+        InvalidSpecError: If it is not YAML.
+    """
     try:
         composer = _Composer(text, origin)
         composer.get_event()  # the stream's start
@@ -160,7 +164,11 @@ def with_space(text: str) -> str:
 
 
 def scalar(tag: str, text: str) -> str | bool | int | float | None:
-    """Return the value of a scalar with a tag; ValueError with the reason if they disagree."""
+    """Return the value of a scalar with a tag.
+
+    Raises:
+        ValueError: With the reason if they disagree.
+    """
     if tag == STR:
         return text
     if tag not in SCALARS or not re.match(SCALARS[tag][0], text):

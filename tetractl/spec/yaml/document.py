@@ -83,12 +83,12 @@ class Document:
             raise InvalidSpecError(self.all_problems)
 
     def key(self, loc: Loc) -> Place:
-        """Return the place of a key or, if unknown, of its value or the enclosing node."""
+        """Return the place of a key. If unknown, return its value's or the enclosing node's."""
         written = self.places.get(loc)
         return (written and written.key) or self.place(loc)
 
     def place(self, loc: Loc) -> Place:
-        """Return the place of a value or, if unknown, of the nearest enclosing node."""
+        """Return the place of a value. If unknown, return the nearest enclosing node's."""
         while loc and loc not in self.places:
             loc = loc[:-1]
         return self.places.get(loc) or Place(self.origin)

@@ -67,7 +67,7 @@ def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
 
 
 def _frozen(value: Any) -> str:
-    """Return a constant as text: its value is frozen into the code; "" for all else."""
+    """Return a constant, whose value is frozen into the code, as text. Empty otherwise."""
     if isinstance(value, np.ndarray):
         return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
     if isinstance(value, tuple):
@@ -81,7 +81,7 @@ def _names(code: CodeType) -> set[str]:
 
 
 def _classes(kinds: Iterable[Any]) -> Iterator[type[Any]]:
-    """Yield the classes of the named tuples among types, of any depth."""
+    """Yield the classes of the named tuples among types, at any depth."""
     for kind in kinds:
         if isinstance(kind, types.NamedTuple | types.NamedUniTuple):
             yield kind.instance_class

@@ -41,7 +41,7 @@ _SEPARATOR_LINE = re.compile(r"sep=(.)$", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class CsvRow:
-    """A row of a CSV file: the number of its line, and its entries by column; "" where none is."""
+    """A row of a CSV file: its line number, and its entries by column. Missing entries are ""."""
 
     line: int
     cells: dict[str, str]
@@ -74,7 +74,7 @@ def csv_lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def columns_of(path: Path) -> tuple[str, ...]:
-    """Return the names of the columns of a CSV file with at least one row; none if it has none."""
+    """Return the column names of a CSV file with at least one row. Empty if it has none."""
     first = next(read_csv(path), None)
     return () if first is None else tuple(first.cells)
 
@@ -93,7 +93,7 @@ def _refuse_archive(path: Path) -> None:
 
 
 def _encoding(path: Path) -> str:
-    """Return the encoding of a file, by its first bytes or by what it can be decoded from."""
+    """Find the encoding of a file from its first bytes, or by trying to decode it."""
     decoder = codecs.getincrementaldecoder("utf-8")()
     with path.open("rb") as file:
         if file.read(2) in UTF_16:
@@ -206,12 +206,12 @@ def csv_entries(line: str, separator: str) -> list[str]:
 
 
 def has_decimal_comma(entry: str) -> bool:
-    """Return whether an entry is a number with a decimal comma."""
+    """Decide whether an entry is a number with a decimal comma."""
     return _DECIMAL_COMMA.fullmatch(entry) is not None
 
 
 def is_number(entry: str) -> bool:
-    """Return whether an entry is a number, with a decimal point."""
+    """Decide whether an entry is a number with a decimal point."""
     try:
         float(entry)
     except ValueError:

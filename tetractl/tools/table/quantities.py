@@ -93,7 +93,11 @@ class NumberColumn:
     largest: float = NUMBER_MAX
 
     def number(self, path: Path, row: CsvRow) -> float:
-        """Return the number in a row; UsageError if it is missing, none, or too large."""
+        """Return the number in a row.
+
+        Raises:
+            UsageError: If it is missing, no number, or too large.
+        """
         value = self.optional(path, row)
         if math.isnan(value):
             raise UsageError(f"{path}, line {row.line}: {printable(self.key)}: not a number")
@@ -132,7 +136,7 @@ def name_and_unit(header: str) -> tuple[str, str]:
 
 
 def factor(unit: str, units: Mapping[str, float]) -> float | None:
-    """Return the factor of a unit, however it is spelled; None if it is none of some units."""
+    """Return the factor of a unit, in any spelling. None if it is not one of these units."""
     text = unit.strip().lower()
     return units.get(SPELLINGS.get(text, text))
 

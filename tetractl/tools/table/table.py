@@ -74,7 +74,7 @@ class Array(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """The values of one quantity, one per row; None or NaN if unknown.
+    """The values of one quantity, one per row. None or NaN means unknown.
 
     A reader sees each value through `format`, below the heading "name [unit]"; a data file holds
     the values themselves, below `name_unit`. Columns of `words` are left-aligned and may be

@@ -1,4 +1,4 @@
-"""Axes of figures: logarithmic ones, and names of categories."""
+"""Axes of figures: logarithmic axes, and names of categories."""
 
 import re
 from collections.abc import Sequence

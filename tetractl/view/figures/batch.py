@@ -124,7 +124,11 @@ def batch_figure(
 def _drawn(
     batches: Sequence[BatchErrors], experiment: Experiment, links: Mapping[str, str], narrow: bool
 ) -> Figure:
-    """Draw the batches that have an error; LogError if none has."""
+    """Draw the batches that have an error.
+
+    Raises:
+        LogError: If no batch has one.
+    """
     drawn = [batch for batch in batches if len(batch.totals)]
     if not drawn:
         raise LogError("no complete trial to plot")
@@ -208,7 +212,7 @@ def _dots(
     color: str,
     links: Mapping[str, str],
 ) -> None:
-    """Draw a dot for each trial about a place of the x axis, those of similar errors apart."""
+    """Draw a dot per trial around a place of the x axis. Dots of similar errors stand apart."""
     rank = np.argsort(np.argsort(batch.totals, kind="stable"))
     dots = axes.scatter(
         place + DOTS_WIDTH * (rank * GOLDEN % 1 - 0.5),

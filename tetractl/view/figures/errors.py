@@ -1,4 +1,4 @@
-"""Figures of errors over time: of one trial, or of the trials of several folders."""
+"""Figures of the error over time, for one trial or for the trials of several folders."""
 
 from collections.abc import Sequence
 
@@ -62,7 +62,7 @@ def errors_at(log: TrialLog, time_s: Floats) -> Floats:
 
 @style.styled()
 def errors_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the error over time, of one trial or of several.
+    """Draw the error over time of one trial or several.
 
     For one trial, the figure shows the error of each robot. For several, it has two panels for each
     folder: the total error of every trial, and the median of each robot's error. Bands contain the
@@ -171,7 +171,7 @@ def _draw_errors(of_total: Axes, of_robots: Axes, logs: Sequence[TrialLog], time
 
 
 def _draw_signs(of_total: Axes, logs: Sequence[TrialLog]) -> list[Artist]:
-    """Draw the published mean, if there is one, and return the signs of the legend."""
+    """Draw the published mean if there is one, and return the signs of the legend."""
     signs: list[Artist] = [
         style.sign("one trial", ls="-", lw=0.5),
         *of_total.get_legend_handles_labels()[0],

@@ -170,7 +170,7 @@ def _draw_solve_times(axes: Axes, log: TrialLog, time_s: Floats) -> None:
 
 
 def _quantities(log: TrialLog) -> list[_Quantity]:
-    """Return what the controller estimated: the quantities that its last estimate states."""
+    """Return the quantities that the controller's last estimate contains."""
     setup = log.start.setup
     estimates = [step.plan.estimate for step in log.steps if step.plan.estimate is not None]
     difference = "difference from the spec [%]"

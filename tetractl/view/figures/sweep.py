@@ -132,7 +132,7 @@ def _draw_trials(
 
 
 def _show_all(axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors]) -> None:
-    """Set the limits to hold a curve: what is shifted does not determine them by itself."""
+    """Set the limits such that they contain a curve. Shifted curves do not do this themselves."""
     points: list[tuple[float, float]] = []
     for place, arm in zip(x, arms, strict=True):
         points += [(place, error) for error in arm.errors]

@@ -313,7 +313,7 @@ def _mark_time(axes: Axes, log: TrialLog, robot: int, color: str, time_s: float)
 
 
 def _visible_truth(log: TrialLog) -> Floats | None:
-    """Return the true positions (M, N, 2) if they differ visibly from the measured ones.
+    """Return the true positions (M, N, 2) if they visibly differ from the measured ones.
 
     None if they are unknown, or if none is further from the measured position than TRUTH_SEEN.
     """
@@ -395,7 +395,7 @@ def _with_errors(names: list[str], errors: list[str]) -> list[str]:
 
 
 def _mean_and_std(errors: Floats) -> str:
-    """Return the mean and, of two or more errors, the standard deviation (n - 1) as text."""
+    """Return the mean as text, and the standard deviation (n - 1) of two or more errors."""
     mean = float(errors.mean())
     digits = 2
     if mean >= 10:

@@ -15,7 +15,11 @@ NAME_LENGTH = 16
 
 
 def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
-    """Return the only log; UsageError if there are several."""
+    """Return the only log.
+
+    Raises:
+        UsageError: If there are several.
+    """
     if len(logs) > 1:
         raise UsageError(
             f"this figure shows one trial, not {len(logs)}",
@@ -84,7 +88,7 @@ def need_frames(log: TrialLog) -> None:
 
 
 def unfinished(log: TrialLog) -> str:
-    """Return the outcome and reason of a trial that was not completed, "" for a complete one."""
+    """Describe how a trial ended that was not completed, and why. Empty for a complete one."""
     if log.result is None:
         return "the log breaks off before the end of the trial"
     if log.result.outcome.complete:

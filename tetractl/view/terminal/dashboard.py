@@ -94,7 +94,7 @@ def _width_of_hints(hints: list[str]) -> int:
 
 
 def _is_given(step: Step) -> bool:
-    """Return whether robots follow a direction that was given: nothing was searched."""
+    """Decide whether robots follow a given direction, without a search."""
     return not step.plan.pauses and step.plan.search.stopped == StopReason.FIXED
 
 
@@ -184,7 +184,7 @@ class Dashboard:
         return lines[:height]
 
     def _head(self) -> list[Text]:
-        """Return what the trial is, the time, the control step and the direction sent."""
+        """Describe the trial, the time, the control step and the direction sent."""
         moment = self._moment
         step = moment.step
         until = "" if moment.end_s is None else f" / {moment.end_s:.1f}"
@@ -304,7 +304,7 @@ class Dashboard:
         ]
 
     def _effort(self) -> list[Text]:
-        """Return how long the newest search took, and its evaluations."""
+        """Describe how long the newest search took, and its evaluations."""
         step = self._moment.step
         if step is None or self._plain or _is_given(step):
             return []
@@ -368,7 +368,7 @@ def printed(rows: Sequence[list[Segment]], width: int) -> RenderResult:
 
 
 def _end_lines(result: Result, width: int) -> list[Text]:
-    """Return how a trial ended and why, as lines."""
+    """Describe in lines how a trial ended, and why."""
     alarm = "bold red" if result.outcome is Outcome.ABORTED else ""
     lines = [Text(f"ended: {result.outcome}", "bold", no_wrap=True)]
     lines += [Text(line, alarm, no_wrap=True) for line in textwrap.wrap(result.reason, width)]

@@ -55,7 +55,7 @@ def print_findings(preflight: Preflight, latency_stated: bool) -> None:
 
 
 def _verdict(preflight: Preflight) -> str:
-    """Return whether a run could start, and of how much is warned."""
+    """Describe whether a run could start, and how many warnings there are."""
     if not preflight.can_start:
         return "not ready"
     number = len(preflight.all_warnings)

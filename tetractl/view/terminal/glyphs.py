@@ -22,7 +22,7 @@ LEAST = 1e-12
 
 
 def arrow(angle: float) -> str:
-    """Return the arrow nearest to an angle [rad], that along +x for an unknown one."""
+    """Return the arrow nearest to an angle [rad]. For an unknown angle, it points along +x."""
     if not math.isfinite(angle):
         return ARROWS[0]
     return ARROWS[round(math.remainder(angle, math.tau) / (math.pi / 4)) % len(ARROWS)]

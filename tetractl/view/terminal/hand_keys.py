@@ -86,7 +86,7 @@ class Wish:
         return None if self.stops else self.direction
 
     def after(self, key: str) -> "Wish":
-        """Return what the person wants after a key or a movement of the mouse.
+        """Return the person's wish after a key or a movement of the mouse.
 
         Other keys change nothing.
         """
@@ -127,7 +127,7 @@ class HandKeys:
         self._can_pause = can_pause
 
     def press(self, key: str) -> None:
-        """Take a key, by its name."""
+        """Take a key, given by its name."""
         name = key.lower() if len(key) == 1 else key  # P is p
         if name != PAUSE or self._can_pause:
             self._wish = self._wish.after(name)
@@ -188,7 +188,7 @@ class HandKeys:
 
 
 def task(setup: Setup, disturbed: bool) -> str:
-    """Return what a person is to do, and what differs between the robots."""
+    """Describe the person's task, and how the robots differ."""
     by_rate = [setup.names[robot] for robot in np.argsort(-setup.a)]
     rates = f" ({by_rate[0]} fastest, {by_rate[-1]} slowest)" if len(by_rate) > 1 else ""
     dots = "about where that leads" if disturbed else "where that leads"
@@ -202,7 +202,7 @@ def task(setup: Setup, disturbed: bool) -> str:
 
 
 class KeyScript:
-    """What a file of keys asks for: each when it is pressed [s] after the first one, in order."""
+    """The keys that a file asks for, in order, each with its time [s] after the first one."""
 
     def __init__(self, keys: list[tuple[float, str]]) -> None:
         self._keys = keys
@@ -217,7 +217,11 @@ class KeyScript:
 
 
 def read_script(path: Path) -> KeyScript:
-    """Read a file of keys; UsageError with file and line for what is wrong."""
+    """Read a file of keys.
+
+    Raises:
+        UsageError: With file and line, if it is wrong.
+    """
     keys: list[tuple[float, str]] = []
     last_s = 0.0
     text = read_text(path, what="keys are lines of text").removeprefix(BYTE_ORDER_MARK)
@@ -244,7 +248,11 @@ def read_script(path: Path) -> KeyScript:
 
 
 def _seconds(word: str, where: str) -> float:
-    """Return a time [s] of a script; UsageError for what is none."""
+    """Return a time [s] of a script.
+
+    Raises:
+        UsageError: If it is not a time.
+    """
     try:
         time_s = float(word)
     except ValueError:

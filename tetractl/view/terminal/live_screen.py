@@ -109,7 +109,7 @@ class TrialSoFar:
         return (*entered, *left)
 
     def _way_out(self, robot: int) -> str:
-        """Return how far and where outside the arena a robot is, or that it was outside."""
+        """Describe how far and where a robot is outside the arena, or that it was outside."""
         arena = self.start.setup.arena
         x, y = self._poses[robot, :2]
         beyond = {
@@ -291,7 +291,7 @@ class TerminalPrompt:
                 self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def go(self) -> bool:
-        """Return whether Enter was pressed since the lines were last printed."""
+        """Decide whether Enter was pressed since the lines were last printed."""
         if not self._entered.is_set():
             return False
         self._entered.clear()

@@ -129,12 +129,12 @@ class StudyProgress(_TrialsBar):
             self._say(", ".join(filter(None, words)))
 
     def _lines(self) -> int:
-        """Return how many of the LINES are due after the trials done."""
+        """Return how many of the LINES are due after the finished trials."""
         return self._done * LINES // self._total
 
 
 def progress_of_script(total: int) -> RunObserver:
-    """Return what shows the progress of a script or, in a notebook, of a cell."""
+    """Return the progress view of a script or, in a notebook, of a cell."""
     if "IPython" in sys.modules:
         shell = resolve_name("IPython:get_ipython")()
         if hasattr(shell, "kernel"):  # a terminal's shell has none
@@ -205,7 +205,7 @@ class NotebookProgress(RunObserver):
 
 
 def _left(ending: Ending) -> str:
-    """Return how long the other trials will take, "" if that is unknown."""
+    """Estimate how long the other trials will take, as text. Empty if that is unknown."""
     return "" if ending.left_s is None else f"{duration(ending.left_s)} left"
 
 

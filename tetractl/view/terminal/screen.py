@@ -7,7 +7,7 @@ from rich.live import Live
 
 
 def shows_pictures(console: Console) -> bool:
-    """Return whether a console is a terminal for pictures: it moves its cursor, and has UTF-8."""
+    """Decide whether a console can show changing screens: it moves its cursor and has UTF-8."""
     return console.is_terminal and not (console.is_dumb_terminal or console.options.ascii_only)
 
 
@@ -41,7 +41,7 @@ class Screen:
         return self._live.is_started
 
     def open(self) -> None:
-        """Take the whole terminal, and show the last picture again if there is one."""
+        """Take over the whole terminal, and show the last screen again if there is one."""
         self._live.start()
         if self._shown:
             self._live.refresh()
@@ -51,6 +51,6 @@ class Screen:
         self._live.stop()
 
     def show(self, picture: RenderableType) -> None:
-        """Show a picture in place of the last one."""
+        """Show a screen instead of the last one."""
         self._shown = True
         self._live.update(picture, refresh=True)

@@ -46,7 +46,7 @@ class Program(Protocol):
         ...
 
     def status(self, now_ms: int) -> Status:
-        """Return whether it runs, is emergency-stopped or silent."""
+        """Return whether the robot runs, is emergency-stopped or silent."""
         ...
 
     def take_reply(self, now_ms: int) -> bytes:

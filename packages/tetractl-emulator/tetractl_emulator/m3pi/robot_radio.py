@@ -59,7 +59,7 @@ class RobotRadio(SerialDevice):
         return 2 if self.acting.of_kind("doubled_packets") else 1
 
     def pass_on(self, message: bytes, arrives_ns: int) -> None:
-        """Let each robot hear a message that arrives at a time, or later, unless it is lost."""
+        """Deliver a message to each robot at a time or later, unless it is lost."""
         if self.acting.of_kind("driven_elsewhere"):
             with suppress(WireError):
                 self.sequence = self._command(message.rstrip(b"\0\n"))["sequence"]
@@ -77,7 +77,7 @@ class RobotRadio(SerialDevice):
         """
 
     def drive_elsewhere(self, sequence: int, counts: Counts) -> None:
-        """Let the robots hear a command of another program; none if they have no such program."""
+        """Deliver a command of another program to the robots that have such a program."""
 
     def poll_answers(self) -> None:
         """Send the answers that robots have ready; to be called about every millisecond."""

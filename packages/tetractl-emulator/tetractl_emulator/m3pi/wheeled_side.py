@@ -141,7 +141,7 @@ class WheeledSide(PluggedDevices):
         return end
 
     def stop_elsewhere(self) -> None:
-        """Let robots hear ten emergency stops of another sender."""
+        """Deliver ten emergency stops of another sender to the robots."""
         for k in range(STOPS):
             for radio in self.radios:
                 at_ns = self.timeline.now_ns + k * STOP_GAP_NS
@@ -206,7 +206,7 @@ class PortedSide(WheeledSide):
 
     @classmethod
     def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
-        """Sample radio and robots for a randomised test run, with gains near those of the section.
+        """Sample radio and robots for a randomised test run, with gains similar to the section's.
 
         Args:
             random: The random generator.

@@ -12,7 +12,11 @@ GROWN = bytes(24)  # extra bytes in descriptions of bodies above protocol 4.3
 
 
 def parse_request(received: bytes) -> natnet.ClientMessage:
-    """Read one datagram of a client; WireError if it cannot be read."""
+    """Read one datagram of a client.
+
+    Raises:
+        WireError: If it cannot be read.
+    """
     kind, payload = wire.split(received)
     match kind:
         case natnet.MessageKind.CONNECT if not payload:  # from libmotioncapture

@@ -194,7 +194,7 @@ class TrackedBody:
         return missing == 0 or self.noise.random.random() >= missing
 
     def _stray(self) -> None:
-        """Be led away by ghosts as far as they go with each new pose; return without one."""
+        """Let a false pose lead the body away, as far as it goes with each new pose."""
         ghosts = self.acting.of_kind("ghost", self.robot.name)
         if not ghosts:
             self.strayed = 0j

@@ -347,7 +347,7 @@ def _rounded(values: Sequence[float]) -> list[float]:
 
 
 def _limits(section: FieldSection) -> DriverLimits:
-    """Return the limits built into the driver, which are those of the spec."""
+    """Return the limits built into the driver. They equal the spec's."""
     milliamperes = round(1000 * section.current_max_a)
     slew = round(1000 * section.slew_max_a_s)
     return DriverLimits(milliamperes, slew, round(1000 * section.watchdog))

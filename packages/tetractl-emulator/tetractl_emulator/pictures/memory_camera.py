@@ -91,7 +91,7 @@ class MemoryCamera:
             self._wire.append(stream.drawn_part(exposed_ns))
 
     def _deliver(self, due: DuePart) -> None:
-        """Pass a part to the program that watches, if any, as faults change it."""
+        """Pass a part to the program that watches, changed by the present faults."""
         sent = self._stream.send(due.drawn)
         if self._take is None:
             return

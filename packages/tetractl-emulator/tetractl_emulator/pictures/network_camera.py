@@ -246,7 +246,7 @@ def cut_before_its_end(sent_part: bytes) -> bytes:
 
 
 def oversized(sent_part: bytes) -> bytes:
-    """Return a part whose JPEG, if it has one, claims to have 32767 x 32767 pixels."""
+    """Change a part so that its JPEG claims to have 32767 x 32767 pixels."""
     size_at = sent_part.find(b"\xff\xc0") + 5
     if size_at < 5:
         return sent_part

@@ -136,7 +136,7 @@ class SceneHistory:
 
 
 class ShownBodies:
-    """Records which bodies the images show, by the times of exposure [ns] on the camera's clock.
+    """Records which bodies the images show, by their time of exposure [ns] on the camera's clock.
 
     For each of `count` bodies, `newest_ns` is when it was exposed in the newest image that has
     shown it to our side, 0 if none has. Each image that arrives ends the memory of those before. If
@@ -219,7 +219,7 @@ class StreamedCamera(ABC):
         """Return the present scene as numbers that can be interpolated in time."""
 
     def _visible_now(self) -> Sequence[bool]:
-        """Return which bodies are neither carried nor covered."""
+        """Find the bodies that are neither carried nor covered."""
         covered = {fault.subject for fault in self._stage.acting.of_kind("untracked")}
         carried = self._stage.acting.carried
         return [not carried and body.name not in covered for body in self._bodies]
@@ -253,7 +253,7 @@ class StreamedCamera(ABC):
 
     @property
     def join(self) -> Any:
-        """The function that gives our camera the pictures of this one, in memory."""
+        """The function that passes this camera's images to our camera in memory."""
         return self.camera.join
 
     def _joined(self) -> None:
@@ -261,7 +261,7 @@ class StreamedCamera(ABC):
         return
 
     def _taken(self, exposed_ns: int) -> Grey:
-        """Return the picture of an exposure; in memory, remember what it shows."""
+        """Return the image of an exposure. In memory, remember what it shows."""
         if self._shown is not None:
             self._shown.expose(exposed_ns, self._visible_now())
         return self._draw(exposed_ns)

@@ -1,4 +1,4 @@
-"""Plays one day of a rehearsal: a script, by `tetractl run` in a process of its own.
+"""Runs one day of a rehearsal: a fault script, by `tetractl run` in a separate process.
 
 The process is forked, so that a signal, a full disk or a kill is that of a whole run, and what it
 leaves behind (threads, open files) can be seen.
@@ -69,7 +69,7 @@ class DayOutcome:
 
 
 class DayFolder:
-    """The folder of a day, with the files that its process leaves for this one."""
+    """The folder of a day, with the files that the day's process leaves."""
 
     def __init__(self, folder: Path) -> None:
         self.script = folder / "script.yaml"
@@ -87,7 +87,7 @@ class DayFolder:
 
 
 def _text(file: Path) -> str:
-    """Return the text of a file; "" if a process has ended before it wrote the file."""
+    """Read a file. Empty if the process ended before it wrote the file."""
     return file.read_text() if file.exists() else ""
 
 

@@ -167,7 +167,7 @@ def _first_blind_command(truth: Truth) -> Violation | None:
 def _unseen_s(
     truth: Truth, command: Event, acts_s: float, off_floor: Sequence[VisibleFault]
 ) -> Floats:
-    """Return how long each robot has not been shown when a command has acted for `acts_s`, (N,).
+    """Compute how long each robot was not shown when a command had acted for `acts_s`, (N,).
 
     A robot that is `off_floor` when the command is sent was taken off.
     """
@@ -440,7 +440,7 @@ def stays_inside(truth: Truth) -> Iterator[Violation]:
 
 
 def _pushed_mm(truth: Truth) -> float:
-    """Return how far people pushed robots on the day, added over all robots and times.
+    """Sum the distances by which people pushed robots on the day [mm].
 
     No frame shows a push at once.
     """
@@ -448,7 +448,7 @@ def _pushed_mm(truth: Truth) -> float:
 
 
 def _rolls_on_s(truth: Truth) -> Floats:
-    """Return how long a robot may roll on beyond `reaction`, for which the guard predicts (T, N).
+    """Compute how long robots may roll on beyond the guard's `reaction` [s], shape (T, N).
 
     This is the sum of the longest time so far for which it was driven unseen, the delay of frames,
     the way of a stop to the robot and its lag; and of its watchdog, where a stop may fail.
@@ -462,7 +462,7 @@ def _rolls_on_s(truth: Truth) -> Floats:
 
 
 def _worst_place(truth: Truth, beyond_mm: Floats, names: Sequence[str]) -> Iterator[Violation]:
-    """Yield the place furthest beyond what is allowed, of robots or pairs of these names."""
+    """Yield the place that is furthest beyond a limit, among these robots or pairs of robots."""
     if (beyond_mm > 0).any():
         row, i = np.unravel_index(int(beyond_mm.argmax()), beyond_mm.shape)
         finding = f"{names[int(i)]} by {beyond_mm[row, i]:.0f} mm more than allowed"
@@ -514,7 +514,7 @@ def _accepted_poses_are_true(truth: Truth) -> Iterator[Violation]:
 
 
 def _least_pose_errors(truth: Truth) -> tuple[Floats, Floats]:
-    """Return how far each accepted pose is from the true poses of its robot.
+    """Compute the distance of each accepted pose from the nearest true pose of its robot.
 
     Only the time in which the pose may have been exposed counts. It ends at the row's exposure and
     lasts for `late_s`. A pose that repeats the previous one to the last bit may be older, because a
@@ -609,7 +609,7 @@ def _result_is_true(truth: Truth) -> Iterator[Violation]:
 
 
 def _result_off_mm(truth: Truth, robot_errors: Sequence[float]) -> Floats:
-    """Return how far the error of each robot in a result is from the nearest true error (N,).
+    """Compare each robot's error in a result with the nearest true error, (N,).
 
     True errors of the last `stale` before the last frame count: a robot that is moved by hand at
     the end is known by its earlier pose.
@@ -644,7 +644,7 @@ def hiding(truth: Truth) -> Iterator[VisibleFault]:
 
 
 def _highest_mm(truth: Truth, fault: VisibleFault) -> float:
-    """Return how high a body may be seen [mm].
+    """Return the maximum height at which a body may be seen [mm].
 
     In a run in which a fault finds the robot driving, it is LIFTED_MM above its place on the robot.
     """

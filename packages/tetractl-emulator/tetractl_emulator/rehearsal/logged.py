@@ -54,7 +54,7 @@ def _commands(truth: Truth) -> Iterator[Violation]:
 
 
 def _false_command(truth: Truth, command: Command, logged_s: Floats) -> str:
-    """Return what a logged command says otherwise than it was; "" if it is true.
+    """Describe how a logged command differs from the true one. Empty if it does not.
 
     It may have been sent as several messages, one for each robot.
     """
@@ -74,7 +74,7 @@ def _false_command(truth: Truth, command: Command, logged_s: Floats) -> str:
 
 
 def _reached(delivered: Sequence[bool], drives: Sequence[Sequence[bool]]) -> bool:
-    """Return whether each robot to which a command was delivered is driven by a message."""
+    """Check that a message drives each robot to which a command was delivered."""
     driven = [any(messages) for messages in zip(*drives, strict=False)]
     return all(drove for got, drove in zip(delivered, driven, strict=False) if got)
 

@@ -16,7 +16,7 @@ FIELDS = frozenset({"day", "digest", "seconds", "ended", "reason", "met", "viola
 
 
 def row_of(day: int, truth: Truth, violations: Sequence[Violation], observed_s: float) -> DayRow:
-    """Return what is kept of a day.
+    """Return the summary of a day that is kept.
 
     Args:
         day: Number of the day.
@@ -40,7 +40,7 @@ def row_of(day: int, truth: Truth, violations: Sequence[Violation], observed_s: 
 
 
 def _noticed_s(truth: Truth, began_s: float) -> float | None:
-    """Return the time from a fault to the guard's abort or hold [s]; None if there was neither."""
+    """Return the time from a fault to the guard's abort or hold [s]. None if there was neither."""
     for event in truth.events("guard"):
         at_s = time_s(event)
         if at_s >= began_s and event["state"] in ("hold", "abort"):
@@ -75,7 +75,7 @@ def reasons(rows: Sequence[DayRow]) -> str:
 
 
 def summary(rows: Sequence[DayRow]) -> str:
-    """Return how the days ended, and what a day took."""
+    """Summarise how the days ended, and how long a day took."""
     count = max(len(rows), 1)
     ended = Counter(row["ended"] for row in rows)
     shares = "".join(f"{n} {how} ({n / count:.0%}); " for how, n in ended.most_common())

@@ -219,7 +219,7 @@ class Truth:
 
     @cached_property
     def wheel_speed_mm_s(self) -> Floats:
-        """Greatest speed of a robot's wheels at the exposures (T, N); 0 if it is not known."""
+        """Maximum speed of a robot's wheels at the exposures, shape (T, N). 0 if unknown."""
         count = len(self.setup.names)
         at_rest = [[0.0, 0.0]] * count
         wheels = np.array([exposure.get("wheels", at_rest) for exposure in self.exposures])
@@ -239,7 +239,7 @@ class Truth:
         return np.array(rows_of_robots).reshape(-1, count) / 1000
 
     def has_status(self, bit: int) -> Bools:
-        """Return whether the firmware of robots has a status at the exposures (T, N).
+        """Find the robots whose firmware has a status at the exposures, shape (T, N).
 
         The status is `RUNNING`, `LATCHED` or `SILENT`. The result is False if it is unknown.
         """
@@ -268,7 +268,10 @@ class Truth:
         return np.array([*map(time_s, self.commands)])
 
     def drives(self, command: Event) -> list[bool]:
-        """Return which robots a command drives: as it says, or those whose wheels it turns."""
+        """Find the robots that a command drives.
+
+        It may say so itself. Otherwise, they are the robots whose wheels it turns.
+        """
         if "drives" in command:
             return command["drives"]
         may_run = bool(command["flags"] & RUN)
@@ -290,7 +293,7 @@ class Truth:
 
     @cached_property
     def undirected_s(self) -> Floats:
-        """How long before each command (C,) the controller last gave a direction, by the log.
+        """Time since the controller's last direction before each command, shape (C,), from the log.
 
         If robots were to turn on the spot, the end of their turn counts. It is 0 before the first
         direction, without a log, and after the last in an incomplete log.
@@ -333,7 +336,7 @@ class Truth:
 
     @cached_property
     def abort_s(self) -> float:
-        """Time of the guard's abort; infinite without one."""
+        """Time of the guard's abort. Infinite if there was none."""
         return self.first_s("guard", state="abort")
 
     @cached_property
@@ -355,12 +358,12 @@ class Truth:
 
     @property
     def pressed_s(self) -> float:
-        """Time of the first emergency stop that is pressed; infinite without one."""
+        """Time of the first emergency stop that was pressed. Infinite if there was none."""
         return self.first_s("fault", name="emergency", phase="start")
 
     @cached_property
     def left_s(self) -> float:
-        """Time from which no process drives: of the end or a kill, whichever was first."""
+        """Time from which no process drives the robots: the end or a kill, whichever came first."""
         return min([self.ended_s, *(fault.span.began_s for fault in self.faults if fault.is_kill)])
 
     # Faults
@@ -382,7 +385,7 @@ class Truth:
         return [fault for fault in self.faults if fault.name in names]
 
     def robot_of(self, fault: VisibleFault) -> int:
-        """Return which robot has a fault."""
+        """Return the robot that has a fault."""
         return self.setup.names.index(fault.fields["robot"])
 
     def delay_s(self, *names: str) -> float:
@@ -390,7 +393,7 @@ class Truth:
         return sum(fault.fields["by"] for fault in self.faults_of(*names))
 
     def met(self, *names: str) -> bool:
-        """Return whether one of these faults became visible, by the names of scripts."""
+        """Check whether one of these faults became visible. Faults are named as in scripts."""
         return bool(self.faults_of(*names))
 
     @cached_property
@@ -444,7 +447,7 @@ class Truth:
 
     @cached_property
     def dated(self) -> bool:
-        """Whether frames have times of their own, too: readings of a mat have those of arrival."""
+        """Whether frames have times of their own. toio's readings have times of arrival."""
         return self.numbered and not self.setup.sight.coarse
 
     @cached_property
@@ -457,7 +460,7 @@ class Truth:
 
     @cached_property
     def longest_delay_s(self) -> float:
-        """By how much frames came late at most: delayed ones, and those that waited in the wire."""
+        """Maximum delay of a frame, including frames that waited in the wire."""
         late_s = self.delay_s(*LATE_FRAMES)
         suspended_s = sum(fault.fields["for"] for fault in self.faults_of("stopped"))
         busy_s = sum(fault.fields["seconds"] for fault in self.faults_of("busy"))
@@ -467,7 +470,7 @@ class Truth:
 
     @cached_property
     def log(self) -> TrialLog | str:
-        """The log, or why it cannot be read; "" if there is none."""
+        """The log, or the reason why it cannot be read. Empty if there is none."""
         if self.day.log is None:
             return ""
         try:
@@ -477,7 +480,11 @@ class Truth:
 
     @cached_property
     def raw(self) -> RawLog:
-        """The records of the log; LogError if it has none."""
+        """The records of the log.
+
+        Raises:
+            LogError: If it has none.
+        """
         assert self.day.log is not None, "there is a log"
         return scan(self.day.log)
 
@@ -488,7 +495,7 @@ class Truth:
 
     @property
     def reason(self) -> str:
-        """Why the trial was aborted, or the run refused; "" if it was neither."""
+        """Why the trial was aborted or the run refused. Empty if neither happened."""
         if self.trial is not None and self.trial.result is not None:
             result = self.trial.result
             return result.reason if result.outcome == "aborted" else ""
@@ -589,13 +596,13 @@ class Truth:
 
     @cached_property
     def error_mm(self) -> Floats:
-        """Distance between a pose accepted and the true one (T, N); 0 before the first."""
+        """Distance of accepted poses from the true ones, shape (T, N). 0 before the first pose."""
         off = self.accepted - self.poses
         return np.nan_to_num(np.hypot(off[..., 0], off[..., 1]))
 
     @cached_property
     def outside_mm(self) -> Floats:
-        """How far a robot is beyond the rim or inside an obstacle (T, N); 0 if it is not.
+        """Depth of robots in an obstacle or beyond the arena's edge, shape (T, N). 0 if neither.
 
         The rim is for centres, as in the spec; obstacles are grown by the body's radius.
         """

@@ -48,17 +48,17 @@ class OwnProgram:
         return self._speeds if now_ms - self._heard_ms < self._watchdog_ms else (0, 0)
 
     def status(self, now_ms: int) -> Status:
-        """Return whether it drives, or stands because no message came."""
+        """Return whether the robot drives, or stands because no message arrived."""
         if now_ms - self._heard_ms >= self._watchdog_ms:
             return Status.SILENT
         return Status.RUNNING if any(self._speeds) else Status(0)
 
     def take_reply(self, now_ms: int) -> bytes:
-        """Return nothing: it does not answer."""
+        """Return nothing: the robot does not answer."""
         return b""
 
     def set_battery(self, battery_mv: int) -> None:
-        """Do nothing: it does not measure its battery."""
+        """Do nothing: the robot does not measure its battery."""
 
 
 class ReadsMessages(Protocol):

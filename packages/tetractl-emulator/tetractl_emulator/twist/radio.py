@@ -40,7 +40,7 @@ class LineRadio(RobotRadio):
         self._witnessed = b""
 
     def hear(self, data: bytes) -> None:
-        """Take bytes that have come over the line; robots hear whole lines or none."""
+        """Take bytes that arrived over the line. Robots receive whole lines or none."""
         *lines, self._line = self._split(self._line + data)
         for line in lines:
             self.pass_on(line + self.end, self._timeline.now_ns + DELAY_NS)

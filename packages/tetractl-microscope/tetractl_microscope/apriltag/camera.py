@@ -186,7 +186,7 @@ def _calibrated(section: AprilTagSection, plane: Plane) -> Iterator[Finding]:
 
 
 def _is_odd(ratio: float, side_px: float, size_mm: float, distance_mm: float) -> bool:
-    """Return whether neither noise, a ruler nor the tag's height explain the size of a robot's tag.
+    """Decide whether the size of a robot's tag is unexplained by noise, print scale and tag height.
 
     `ratio` is the measured side divided by `size_mm`, `side_px` the side in the picture [px], and
     `distance_mm` how far the camera is above the tag [mm].

@@ -106,7 +106,7 @@ class AprilTagSection(PictureSection):
 
 
 def _flat(points: Sequence[Point]) -> bool:
-    """Return whether points lie nearly on one line."""
+    """Decide whether points lie nearly on one line."""
     (x0, y0), *others = points
     spans = [(x - x0, y - y0) for x, y in others]
     longest = max(x * x + y * y for x, y in spans)

@@ -361,10 +361,10 @@ class CellCamera(PictureCamera[SeenDish]):
         return self._near_wall_in(self._view, x, y)
 
     def _near_wall_in(self, view: CellsInView, x: Floats, y: Floats) -> Bools:
-        """Return whether a wall may turn cells at positions (R,) in the picture of a view [um]."""
+        """Find the robots at image positions (R,) [um] whose cells a wall may turn."""
         to_edge = self._arena.inside(*self._placed(view, x, y))
         return to_edge < WALL_UM * 1e-6 / self._metres
 
     def _field(self, start: float, end: float) -> Sequence[Piece]:
-        """Return the field between two times [s] in the picture's axes, by the directions sent."""
+        """Return the field between two times [s] in the image's axes, from the directions sent."""
         return self._sent.record(self.section.rotation).pieces(start, end)

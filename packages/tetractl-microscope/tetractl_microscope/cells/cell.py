@@ -1,4 +1,4 @@
-"""A cell in one picture, and what is said of it: its name, and where it appeared."""
+"""A cell in one image, with its name and the place where it appeared."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -23,7 +23,7 @@ class PathBlob(NamedTuple):
     wide: float
 
     def moved(self, x: float, y: float) -> "PathBlob":
-        """Return it at another place, by x, y [um] away."""
+        """Return the cell moved by x, y [um]."""
         return self._replace(x=self.x + x, y=self.y + y)
 
 
@@ -35,7 +35,7 @@ class BodySize(NamedTuple):
 
     @property
     def area_um2(self) -> float:
-        """Length times width, by which bodies and blobs are compared."""
+        """Length times width, the measure by which bodies and blobs are compared."""
         return self.long * self.wide
 
 

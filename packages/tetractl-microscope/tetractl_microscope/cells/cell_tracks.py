@@ -233,7 +233,7 @@ class WhichIsWhich:
         return tuple(order.tolist()), not_unknown * (shares @ (self.orders == order))
 
     def ends(self, now_s: float) -> bool:
-        """Return whether the answer is certain enough, or has been waited for long enough."""
+        """Decide whether the answer is certain enough, or was awaited for long enough."""
         open_s = now_s - self.since_s
         return open_s > PATIENCE_S or (open_s > LEAST_S and self.probabilities().max() > SURE)
 

@@ -139,7 +139,7 @@ def dish_lines(
 
 
 def faint_line(contrast: float | None, limit: float) -> str | None:
-    """Return a line if objects have so little `contrast` that cells may be missed; None if not.
+    """Warn if the `contrast` of objects is so low that cells may be missed. None if it is not.
 
     `contrast` is the median over objects, None without objects, and `limit` the least contrast
     at which one is found [grey levels].
@@ -157,7 +157,7 @@ def faint_line(contrast: float | None, limit: float) -> str | None:
 
 
 def cell_count(searches: Sequence[PictureSearch[SeenDish]]) -> int:
-    """Return the median, over one or more pictures, of the number of cells in view."""
+    """Return the median number of cells in view over one or more images."""
     dishes = [search.result for search in searches]
     counts = [
         len(dish.unknown_objects) + len(dish.poses) - dish.poses.count(None) for dish in dishes

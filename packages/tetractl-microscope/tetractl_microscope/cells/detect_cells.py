@@ -195,7 +195,7 @@ NO_BODY = SearchLimits(low=math.inf, high=math.inf, least_px2=0.0, most_px2=0.0)
 
 
 class SearchArrays:
-    """The newest picture, and what differs in it from the background; of pictures of one shape.
+    """The newest image, and its differences from the background. All images have one shape.
 
     `smooth` is the blurred picture, `difference` that from the background, `mean` its averages over
     squares, `mask` those above the lower of `limits`. `stripe` is the stripe of the background that
@@ -521,7 +521,7 @@ def _blob(
 
 
 def _square(least_px2: float) -> Grey:
-    """Return the square over which differences are averaged; its side [px] is odd."""
+    """Return the square over which differences are averaged, an odd number of pixels wide."""
     return np.ones((2 * int(BOX * math.sqrt(least_px2) / 2) + 1,) * 2, np.uint8)
 
 
@@ -541,7 +541,7 @@ def _sparse(picture: np.ndarray) -> np.ndarray:
 
 
 def _median(pictures: Sequence[Grey], gains: Floats) -> NDArray[np.float32]:
-    """Return the median of scaled pictures; for some rows at a time, to save memory."""
+    """Compute the median of scaled images, some rows at a time to save memory."""
     median = np.empty(pictures[0].shape, np.float32)
     tall = max(1, min(SPARSE, ROWS_PX // median[0].size))
     for top in range(0, len(median), tall):

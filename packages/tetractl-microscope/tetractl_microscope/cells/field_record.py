@@ -1,4 +1,4 @@
-"""The field over time, of tracks or of a dish, as pieces of constant field for the filter."""
+"""The field over time, for tracks or a dish, as pieces of constant field for the filter."""
 
 import math
 import threading

@@ -92,7 +92,7 @@ def check_state(
 
 
 def _is_astray(bank: HelixFilter, reading: BlobReading, body_um: float) -> bool:
-    """Return whether the filter has a cell too far away from its blob, whose place is certain."""
+    """Decide whether the filter's position of a cell is too far away from the cell's blob."""
     x, y, _ = reading.values
     state = bank.mean[reading.cell.row, :2].tolist()
     is_certain = reading.deviations[0] < MERGED[0] * body_um

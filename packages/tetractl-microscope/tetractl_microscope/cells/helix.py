@@ -110,7 +110,7 @@ class NewCell(NamedTuple):
 
 
 def new_cell(organism: Organism, field_known: bool) -> NewCell:
-    """Return what is thought of a new cell; `field_known` as in `HelixFilter`."""
+    """Return the initial estimate of a new cell. `field_known` is as in `HelixFilter`."""
     body_um = organism.body_um[0]
     slowest_um_s = organism.slowest_um_s
     rate, rate_sd = math.tau * np.array(organism.helix_hz)

@@ -37,7 +37,7 @@ def shift_of(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
 
 
 def _both(shift: float, size: int) -> slice:
-    """Return what two pictures of a size, one shifted, both show."""
+    """Return the parts of two images of one size, one of them shifted, that both show."""
     begin = max(0, math.ceil(shift))
     end = size + min(0, math.floor(shift))
     return slice(begin, end)
@@ -63,6 +63,6 @@ def _even(picture: np.ndarray, scale: float) -> NDArray[np.float32]:
 
 
 def _features(even: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return what stands out of an even picture; noise, also a fixed pattern, becomes 0."""
+    """Return the features that stand out of an even image. Noise and fixed patterns become 0."""
     least = STANDS_OUT * float(np.median(np.abs(even[::4, ::4])))
     return even - np.clip(even, -least, least)

@@ -1,4 +1,4 @@
-"""Assigns the blobs of a picture to tracks, in one assignment of least cost.
+"""Assigns the blobs of an image to tracks, in one assignment of minimum cost.
 
 Costs are squared deviations: the negative log-likelihood, doubled. A cell may have
 
@@ -138,7 +138,7 @@ def speck_costs(
     passed_s: float,
     organism: Organism,
 ) -> SpeckCosts:
-    """Compute the costs of assigning blobs to specks, by where their last motion leads.
+    """Compute the costs of assigning blobs to specks, from where their last motion leads.
 
     Args:
         specks: The S specks.

@@ -235,7 +235,7 @@ class Names:
         return [by_number.get(track.number, track.certainty) for track in tracks]
 
     def _ask(self, meeting: Meeting, places: Floats, seconds: float) -> None:
-        """Ask which cell is on which track after a meeting, by where the tracks are (K, 3)."""
+        """Ask which cell is on which track after a meeting, with the tracks at `places` (K, 3)."""
         tracks = meeting.tracks
         table = self._meetings.log_densities(meeting, places, np.full(len(tracks), PLACE_SD))
         not_unknown = self._meetings.not_unknown(meeting, table)

@@ -33,7 +33,7 @@ FROM_EDGE = 2.3  # a new cell nearer than this to the picture's edge has swum in
 
 @dataclass(frozen=True, slots=True)
 class FreeBlob:
-    """A blob that no cell has: that of a `speck`, or of an object that was not seen before."""
+    """A blob without a cell: it belongs to a `speck`, or to an object that was not seen before."""
 
     track_blob: TrackBlob
     speck: Speck | None

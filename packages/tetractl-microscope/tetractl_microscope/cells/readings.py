@@ -70,7 +70,7 @@ def note_own_blob(cell: CellTrack, newest: TrackBlob, seconds: float) -> None:
 
 
 def note_own_reading(reading: BlobReading) -> None:
-    """Note what a cell's own blob said, and its size unless the blob is odd."""
+    """Record what a cell's own blob shows. Its size is recorded unless the blob is unusual."""
     cell = reading.cell
     newest = reading.newest
     if not _is_odd(cell, newest):
@@ -82,7 +82,7 @@ def note_own_reading(reading: BlobReading) -> None:
 
 
 def _is_odd(cell: CellTrack, newest: TrackBlob) -> bool:
-    """Return whether a cell's own blob is too large or too small for it, or cut off."""
+    """Decide whether a cell's own blob is too large or too small for it, or cut off."""
     _, _, _, long, wide = newest.place.tolist()
     is_smaller = long * wide < cell.size.area_um2 / LARGE**2
     return newest.is_large or is_smaller or newest.blob.at_edge

@@ -81,7 +81,7 @@ def usual_size(path: Floats) -> BodySize:
 
 
 def straight(path: Floats) -> tuple[tuple[float, float], Floats]:
-    """Fit uniform motion to a path (M, >= 3) of time [s], x and y [um], by least squares.
+    """Fit a uniform motion to a path (M, >= 3) of time [s], x and y [um], by least squares.
 
     Returns the velocity [um/s] and the fitted positions (M, 2) [um].
     """

@@ -253,7 +253,7 @@ class CellTracker:
             self._meet([cell], now)
 
     def _readings(self, group: CellsInBlob, now: PictureNow) -> list[BlobReading]:
-        """Return what a blob says of its cells."""
+        """Return the measurements that a blob gives of its cells."""
         body_um = self.bank.organism.body_um[0]
         if group.newest.is_shared:
             return shared_readings(group.cells, group.newest, group.expected, now, body_um)
@@ -268,7 +268,7 @@ class CellTracker:
         self._names.meet(cells, now.seconds, any(self._may_join(cell, now) for cell in cells))
 
     def _may_join(self, cell: CellTrack, now: PictureNow) -> bool:
-        """Return whether an object that is not followed may be about to enter a cell's blob."""
+        """Decide whether an untracked object may be about to enter a cell's blob."""
         if cell.is_new:
             return True
         body_um = self.bank.organism.body_um[0]
@@ -316,7 +316,7 @@ class CellTracker:
         self._cells = remaining
 
     def _has_swum(self, cell: CellTrack) -> bool:
-        """Return whether a cell has swum so far that it is new no more."""
+        """Decide whether a cell has swum so far that it no longer counts as new."""
         if cell.start is None:
             return True
         way_um = math.dist(cell.last.tolist(), cell.start.tolist())

@@ -90,7 +90,7 @@ def linearise(problem: Problem, signals: Floats) -> Linear:
     later = by_heading[1:]
 
     def of_ends(of_step: Floats) -> Floats:
-        """Return the derivatives (L, N, 2) of the ends from those of one step (L, N, 3)."""
+        """Convert the derivatives of one step (L, N, 3) to those of the ends (L, N, 2)."""
         return of_step[..., :2] + later * of_step[..., 2:]
 
     ends = path[-1]
@@ -167,7 +167,7 @@ class Noise:
 
     @classmethod
     def from_plant(cls, plant: PlantSection) -> "Noise":
-        """Return the noise of a simulated plant; 0 for a lab, whose section states no noise.
+        """Return the noise of a simulated plant. It is 0 for a lab, whose section states none.
 
         An error uniform in [-e, e] has the standard deviation e / sqrt(3).
         """
@@ -222,7 +222,7 @@ def end_covariance(
 
 
 def _corrected(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertainty:
-    """Return what is left after the controller measured, and corrects by signals k, k + 1, ..."""
+    """Compute the uncertainty after a measurement and a correction by signals k, k + 1, ..."""
     p = before.ends
     eye = np.eye(len(p))
     ways_to_correct = np.hstack([TURN * plan.by_signal[:, k:], plan.onward])
@@ -240,7 +240,7 @@ def _corrected(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncer
 
 
 def _moved(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertainty:
-    """Return what the deviations are after the robots moved by signal k."""
+    """Compute the deviations after the robots moved by signal k."""
     d = np.hstack([_columns(plan.by_a[k]), _columns(plan.by_speed[k])])
     variances = before.parameters
     ends = before.ends + d @ (variances[:, None] * d.T) + d @ before.cross.T + before.cross @ d.T
@@ -250,7 +250,7 @@ def _moved(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertain
 
 
 def _identified(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertainty:
-    """Return what is left after the controller identified a and speed by signal k."""
+    """Compute the uncertainty after the controller identified a and speed from signal k."""
     share = 1 / (1 + before.parameters * information(plan, noise, k))  # S
     return Uncertainty(before.ends, before.cross * np.sqrt(share), before.parameters * share)
 

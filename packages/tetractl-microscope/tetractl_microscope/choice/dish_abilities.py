@@ -14,7 +14,7 @@ from tetractl_microscope.choice.candidate import RobotCandidate
 
 @runtime_checkable
 class TracksCells(Protocol):
-    """A camera that tracks all cells in view, of which some are the robots.
+    """A camera that tracks all cells in view, some of which are the robots.
 
     Trials that choose their robots need it, and robots that are replaced after their loss.
     """
@@ -52,7 +52,11 @@ class SettlesRobots(Protocol):
 
 
 def tracker_of(rig: Rig) -> TracksCells:
-    """Return the camera of a rig, which tracks cells; AbortError if it does not."""
+    """Return the camera of a connected lab that tracks cells.
+
+    Raises:
+        AbortError: If it does not track cells.
+    """
     if not isinstance(rig.camera, TracksCells):
         raise AbortError("this camera tracks its robots only, and finds no others")
     return rig.camera

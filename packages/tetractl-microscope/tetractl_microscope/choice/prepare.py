@@ -1,4 +1,4 @@
-"""Finds the robots of a trial among the cells of a dish, or of a simulation of one."""
+"""Finds the robots of a trial among the cells of a real or simulated dish."""
 
 from collections.abc import Sequence
 

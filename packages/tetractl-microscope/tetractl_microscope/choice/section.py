@@ -90,7 +90,7 @@ class Choice(TrialRobots):
 
     @property
     def goals(self) -> Floats:
-        """The targets (M, 2), at least as many as robots."""
+        """The targets, shape (M, 2). There are at least as many as robots."""
         points = self.targets if self.ring is None else self.ring.points(self.choose)
         return np.array(points, dtype=np.float64)
 

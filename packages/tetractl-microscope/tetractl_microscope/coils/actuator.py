@@ -102,7 +102,7 @@ class FieldActuator:
 
     @property
     def failure(self) -> str | None:
-        """The reason why the driver no longer makes a field; None without a fault."""
+        """The reason why the driver no longer makes a field. None while it does."""
         return self.driver.failure
 
     def send(
@@ -166,7 +166,7 @@ class FieldActuator:
         return inspect(reply, self.section, self._reference_mt)
 
     def _room(self, passed_ns: int) -> float:
-        """Return the greatest change of a current [A] within a time [ns]."""
+        """Return the maximum change of a current [A] within a time [ns]."""
         return self.section.slew_max_a_s * passed_ns / SECOND
 
     def _now(self, now_ns: int) -> Pair:

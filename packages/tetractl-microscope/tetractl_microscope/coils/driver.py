@@ -117,7 +117,7 @@ class Driver:
 
     @property
     def failure(self) -> str | None:
-        """The reason why the driver no longer makes a field; None without a fault."""
+        """The reason why the driver no longer makes a field. None while it does."""
         newest = self.newest
         now_ns = self._clock.now()
         if self._port.failure is not None:
@@ -138,7 +138,11 @@ class Driver:
         return newest is not None and DriverStatus.EMERGENCY_STOPPED in newest.status
 
     def open(self, alone: bool = True) -> None:
-        """Open the port, exclusively if `alone`; AbortError if that is not possible."""
+        """Open the port, exclusively if `alone`.
+
+        Raises:
+            AbortError: If that is not possible.
+        """
         self._port.open(alone)
 
     def send(self, flags: Flag, x_ma: int = 0, y_ma: int = 0) -> int:

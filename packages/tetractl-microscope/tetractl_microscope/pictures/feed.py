@@ -41,7 +41,11 @@ class Feed(Protocol):
         return 0
 
     def read(self) -> Picture:
-        """Wait for the next picture; SourceEndedError if the source has ended."""
+        """Wait for the next image.
+
+        Raises:
+            SourceEndedError: If the source has ended.
+        """
         ...
 
     def interrupt(self) -> None:

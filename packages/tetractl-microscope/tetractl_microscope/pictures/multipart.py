@@ -86,7 +86,7 @@ class Multipart:
 
 
 def _content_length(head: bytes) -> int | None:
-    """Return a part's Content-Length, None without one, -1 if it is not a number."""
+    """Return the Content-Length of a part. None if it is missing, and -1 if it is no number."""
     for line in head.split(b"\r\n"):
         name, _, value = line.partition(b":")
         if name.strip().lower() == b"content-length":

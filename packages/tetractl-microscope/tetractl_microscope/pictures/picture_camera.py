@@ -93,7 +93,7 @@ class PictureQueue:
             self._changed.notify_all()
 
     def take(self) -> NumberedPicture | None:
-        """Wait for a picture and return it; None once the queue is closed."""
+        """Wait for an image and return it. None once the queue is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting is not None or self._closed)
             if self._closed:
@@ -142,7 +142,7 @@ class PictureSearches(Generic[R]):
             self.changed.notify_all()
 
     def end(self, reason: str) -> None:
-        """Say why no more pictures come, unless an error has said it."""
+        """Record why no more images arrive, unless an error was recorded before."""
         with self.changed:
             if self.failure is None:
                 self.end_reason = reason
@@ -268,7 +268,11 @@ class PictureCamera(ABC, Generic[R]):
         return [frame for frame, _ in self._searches.take_frames()]
 
     def __enter__(self) -> Self:
-        """Open the source and wait for a first frame; AbortError if none comes."""
+        """Open the source and wait for a first frame.
+
+        Raises:
+            AbortError: If none arrives.
+        """
         wait_s = self._source.connect
         if self._join is not None:
             self._feed = self._join(self._search_jpeg)
@@ -374,7 +378,7 @@ class PictureCamera(ABC, Generic[R]):
         self._wake()
 
     def _repeats(self, grey: Grey) -> bool:
-        """Return whether a picture is the newest one again, noise and all, and not just black."""
+        """Decide whether an image repeats the newest one to the last bit, and is not black."""
         newest = self._newest_picture
         return newest is not None and np.array_equal(newest, grey) and int(np.ptp(grey)) > 0
 

@@ -35,7 +35,7 @@ def search_ms(searches: Sequence[PictureSearch[Any]]) -> float:
 
 
 def searched_hz(searches: Sequence[PictureSearch[Any]]) -> float | None:
-    """Return the rate of pictures [Hz], those that were not searched included; None if unknown."""
+    """Return the rate of images [Hz], searched or not. None if it is unknown."""
     received_ns = [search.received_ns for search in searches]
     return rate_hz([search.number for search in searches], received_ns)
 

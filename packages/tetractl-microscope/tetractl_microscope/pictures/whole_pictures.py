@@ -29,7 +29,7 @@ class PictureLog:
     def messages(
         self, picture: Grey, exposed_ns: int, background: Grey | None
     ) -> tuple[tuple[str, bytes], ...]:
-        """Return topic and bytes of the messages about an image, if any is due.
+        """Return topic and bytes of the messages that are due for an image.
 
         Args:
             picture: The image.

@@ -83,7 +83,7 @@ def _text(entry: Any, decimals: int) -> str:
 
 
 def value_of(entry: Any) -> float | None:
-    """Return the value of an entry of a cell, with or without an interval; None if unknown."""
+    """Return an entry of a cell, with or without an interval. None if it is unknown."""
     return entry["value"] if isinstance(entry, Mapping) else entry
 
 

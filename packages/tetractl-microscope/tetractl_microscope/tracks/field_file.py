@@ -43,7 +43,7 @@ def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]
 def clock_remarks(
     field: FieldRecord, source: str, tracks: str, begin: float, end: float
 ) -> tuple[str, ...]:
-    """Return a warning if the field's times hardly overlap with those of the tracks.
+    """Warn if the times of the field hardly overlap with the times of the tracks.
 
     Args:
         field: The field.

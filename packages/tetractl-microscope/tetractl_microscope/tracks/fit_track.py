@@ -83,7 +83,7 @@ class CellPath:
 
 @dataclass(frozen=True, slots=True)
 class CellSummary:
-    """The results for one cell, by the keys of `cell_tables.QUANTITIES`.
+    """The results for one cell, keyed by the names in `cell_tables.QUANTITIES`.
 
     Attributes:
         cell: The track's number in the table.
@@ -310,7 +310,7 @@ class _Fit:
 
 
 def _interval(value: float, sd: float, error: float) -> SampleInterval:
-    """Return a value's 95 % interval for a standard deviation and a relative one."""
+    """Return a value's 95 % interval from an absolute and a relative standard deviation."""
     value = float(value)
     half = float(NORMAL * math.hypot(sd, error * value))
     return SampleInterval(value, value - half, value + half)

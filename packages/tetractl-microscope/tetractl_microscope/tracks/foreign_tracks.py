@@ -154,10 +154,13 @@ def spot_tracks(
 
 
 def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTable:
-    """Return the spots of tracks in a table; UsageError if a column of it is missing.
+    """Return the spots of the tracks in a table.
 
     Their times are those of a column with a unit of time, or else the numbers of pictures from the
     first one on, which a rate that is given makes of any table.
+
+    Raises:
+        UsageError: If a column is missing.
     """
     rows = read_csv(path)
     first = next(rows, None)
@@ -316,7 +319,7 @@ def _require_one_place(path: Path, number: float, times: Floats) -> None:
 def _size(
     path: Path, option: str, states: str, stated: float | None, step: AxisStep
 ) -> float | None:
-    """Return what one unit means, as an option or else the table states it.
+    """Return what one unit means. An option wins over the table.
 
     Raises:
         UsageError: If an option is given, but nothing is counted.
@@ -373,7 +376,7 @@ def _graph(path: Path) -> SpotTable:
 
 
 def _problem_of(error: Exception) -> str:
-    """Return what is wrong with a graph, of a library's many lines what says so."""
+    """Describe what is wrong with a graph: the decisive line of a library's many lines."""
     problems: Any = getattr(error, "errors", None)  # pydantic's, each with its place and a text
     if callable(problems):
         first: Any = problems(include_url=False)[0]  # pyright: ignore[reportIndexIssue]
@@ -417,7 +420,7 @@ def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
 
 
 def _step(axis: Any, units: Mapping[str, float]) -> AxisStep:
-    """Return what 1 stands for along an axis, in one of some units."""
+    """Return the length of one unit along an axis, in one of some units."""
     scaled = factor(axis.scaled_unit or "", units)
     if scaled is not None and axis.scale:
         return AxisStep(axis.scale * scaled)

@@ -58,7 +58,7 @@ class Onward:
 
 
 def onward(places: Floats, apart: int) -> Onward:
-    """Return how alike displacements over `apart` steps along places (K, 2) are."""
+    """Measure how similar displacements over `apart` steps along places (K, 2) are."""
     moved = places[apart:] - places[:-apart]
     before = moved[:-apart]
     after = moved[apart:]
@@ -68,7 +68,7 @@ def onward(places: Floats, apart: int) -> Onward:
 
 
 def hardly_any_goes_on(going_on: Sequence[bool]) -> bool:
-    """Return whether so few objects go on that these may do so by chance."""
+    """Decide whether so few objects move on steadily that they may do so by chance."""
     return sum(going_on) < FEW * len(going_on)
 
 

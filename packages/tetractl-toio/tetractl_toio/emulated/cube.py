@@ -101,7 +101,7 @@ class CubeProgram:
 
 
 def _turning(speed: int) -> int:
-    """Return the speed at which a motor turns that is set to one."""
+    """Return the speed of a motor for a speed setting."""
     return speed if abs(speed) >= SPEED_MIN else 0
 
 

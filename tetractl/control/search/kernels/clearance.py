@@ -139,7 +139,7 @@ def _enters_obstacle(i, grown, path):
 
 @compiled(**INLINE_EXACT)
 def _touches_obstacle(i, grown, path):
-    """Return whether the centre of body i is in a grown obstacle anywhere on its way."""
+    """Decide whether the centre of body i touches a grown obstacle anywhere on its path."""
     for m in range(1, path.shape[0]):
         if crosses(grown, path[m - 1, i, 0], path[m - 1, i, 1], path[m, i, 0], path[m, i, 1]):
             return True

@@ -142,7 +142,7 @@ def _room_for(thread: int, robots: int, obstacles: int, pairs: int, length: int)
 
 @compiled(**INLINE_FAST)
 def polish(problem, room, u, settings, budget, merits, state, pause):
-    """Improve a sequence in place, by Levenberg-Marquardt iterations.
+    """Improve a sequence in place by Levenberg-Marquardt iterations.
 
     It ends when the merit is at most the tolerance, when no step helps, when the merit has not
     fallen to the fraction PROGRESS within `patience` iterations, after `iterations_max` iterations,
@@ -389,7 +389,7 @@ def _solve(room, residuals, damping):
 
 @compiled(**INLINE_FAST)
 def _factorise(room, residuals, damping):
-    """Fill `factor` with F of F F' = J J' + damping I (Cholesky); return whether there is one."""
+    """Fill `factor` with F of F F' = J J' + damping I (Cholesky). Return whether it exists."""
     gram = room.gram
     factor = room.factor
     for p in range(residuals):

@@ -78,7 +78,7 @@ class FlatProblem(NamedTuple):
 
 @lru_cache(maxsize=2)  # the searches of one control step need the same arrays
 def flatten(problem: Problem) -> FlatProblem:
-    """Return a problem's arrays. Every call returns the same ones, which must not be changed."""
+    """Return the arrays of a problem. Repeated calls return the same arrays: do not change them."""
     heading = problem.poses.heading
     robots = all_in_rows(problem)
     count = len(robots)
@@ -121,7 +121,7 @@ def robot_of(robots, i):
 
 @compiled(**INLINE_FAST)
 def saturates(robot):
-    """Return whether a robot's motors may turn it less quickly than (3) does."""
+    """Decide whether a robot's motors may turn it more slowly than equation (3)."""
     return robot.saturation < 1
 
 

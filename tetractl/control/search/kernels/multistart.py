@@ -131,7 +131,7 @@ class Rounds(NamedTuple):
         self.state.best_cost = math.inf
 
     def evaluations_if_finished(self) -> int:
-        """Return how many evaluations the search will have used if it is finished now."""
+        """Return the number of evaluations that the search will have used if it ends now."""
         if self.state.stage == WARM:
             return 1
         if self.polish.evaluations > 0:

@@ -102,7 +102,7 @@ class M3piSection(XbeeSection, ActuatorSection):
         return self.robots.index(robot) if robot.index is None else robot.index
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
-        """Return the wheel count for a 127th of full speed, and a robot's largest one."""
+        """Return the wheel count for a 127th of full speed, and the largest count of a robot."""
         return 1.0, min(limit, entry(self.robots, name).limit)
 
     def measured(self, calibrated: Found) -> dict[str, Any]:

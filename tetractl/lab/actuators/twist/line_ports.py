@@ -92,7 +92,7 @@ class TwistLink(PortGroup):
         return drained(self._replies)
 
     def _send(self, flags: Flag, entries: Sequence[Entry]) -> int:
-        """Send each port a line with the entries of the robots there; robots without one stop."""
+        """Send each port a line with the entries of its robots. Robots without an entry stop."""
         self._sequence = (self._sequence + 1) % 256
         lines: list[bytes] = []
         for indices_here in self._indices_at.values():

@@ -39,7 +39,7 @@ FAMILIES = (  # HV codes of a family, and its protocol by the first digit of VR;
 
 
 def protocols(hardware: bytes) -> dict[str, str]:
-    """Return the protocols of a module's family, by the first digit of VR.
+    """Return the protocols of a module's family, keyed by the first digit of VR.
 
     The key "" stands for all other digits. The result is empty if the HV value is unknown.
     """

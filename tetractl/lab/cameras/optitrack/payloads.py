@@ -114,7 +114,7 @@ class Cursor:
         return self.take(I32)[0]
 
     def count(self, smallest: int) -> int:
-        """Read a number of elements, which have at least `smallest` bytes each.
+        """Read the number of elements, each of at least `smallest` bytes.
 
         This limits loops and memory by the datagram's size.
 

@@ -1,4 +1,4 @@
-"""Decides which datagrams come from the camera server, by their address and port.
+"""Decides by address and port which datagrams come from the camera server.
 
 The server answers from the port that commands are sent to. Its frames come from one other port: in
 unicast, the port that SERVERINFO reports (since protocol 3.0), otherwise the port of the first

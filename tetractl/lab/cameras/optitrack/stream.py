@@ -40,7 +40,7 @@ class Echo:
 
 
 class ClockSync:
-    """Maps the ticks of a server's clock to the host's clock. It needs at least one echo."""
+    """Converts ticks of a server's clock to times of the host's clock, after one echo."""
 
     def __init__(self, clock_hz: int) -> None:
         self.clock_hz = clock_hz
@@ -142,7 +142,7 @@ class StreamCounts:
 
 
 class OpenRequests:
-    """The requests that a server has not answered yet. Of text requests, only the last is kept."""
+    """The requests that a server has not answered yet. Only the last text request is kept."""
 
     def __init__(self) -> None:
         self._text: str | None = None

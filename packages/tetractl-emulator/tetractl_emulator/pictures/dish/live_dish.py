@@ -17,7 +17,7 @@ DROP = 0.25  # largest distance of a drop's cells from the dish's middle, in wid
 
 
 class CoilField:
-    """The field of coils, which are those of a section unless faults change them.
+    """The magnetic field of coils. A fault can change the coils.
 
     At the strength `reference_mt` [mT], the cells' turning rates are their a of equation (3) of the
     paper.

@@ -158,7 +158,7 @@ class EmulatedMicroscope(StreamedCamera):
         return np.array([scene.x, scene.y, scene.height, scene.axis, scene.tilt])
 
     def _look(self) -> PictureLook:
-        """Return how pictures look now."""
+        """Return how images look now: their light, contrast and noise."""
         acting = self._stage.acting
         look = self._plain_look
         for light in acting.of_kind("light"):

@@ -90,7 +90,7 @@ def test_a_side_of_its_own_takes_part_with_its_faults(monkeypatch):
         )
 
     camera = Sides.of_types("optitrack", "twist").camera
-    monkeypatch.setattr(Sides, "of", lambda *_: Sides(camera, Own))
+    monkeypatch.setattr(Sides, "of_types", lambda *_: Sides(camera, Own))
     rows = {row.name: row for row in rows_of_spec(TWIST_SPEC)}
     assert rows["drip"].fault == "flood"
     assert "frames lost" in rows

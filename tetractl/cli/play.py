@@ -154,10 +154,21 @@ def _write_page(spec: "LoadedSpec", file: Path) -> int:
 class Game:
     """The trials of one `play`: those of the person, and one of the controller.
 
-    The person's trials all begin in the same way. `yours` are the results of those in which a
-    direction was given, and `theirs` is the controller's. A trial that an emulated lab's guard
-    stops is a lost try, and the game goes on. The game is `over` once a trial was interrupted or
-    had no direction, or once real robots or an emergency stop ended it. Then `error` is the reason.
+    All trials of the person begin in the same way. A trial that an emulated lab's guard stops is a
+    lost try, and the game goes on. The game is over once a trial was interrupted or had no
+    direction, or once real robots or an emergency stop ended it.
+
+    Args:
+        loaded: The spec, with its controller.
+        directed: The same spec for a person who steers.
+        folder: Folder for the logs.
+        interrupt: Requests to end.
+
+    Attributes:
+        yours: Results of the person's trials in which a direction was given.
+        theirs: Result of the controller's trial. None before it.
+        over: Whether the game has ended.
+        error: Why real robots or an emergency stop ended it. Empty otherwise.
     """
 
     def __init__(

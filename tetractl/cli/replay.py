@@ -73,10 +73,18 @@ def replay(
 
 
 class Playlist:
-    """The logs to play; `damaged` says whether one that was opened is damaged.
+    """The logs to play.
 
-    The first log that is shown is played from `start_s` to `until_s`, others whole; without a
-    terminal, where no key turns to another log, each is printed from `start_s` to `until_s`.
+    The first log that is shown is played from `start_s` to `until_s`, and the others are played
+    whole. Without a terminal, no key can turn to another log, and each is printed from `start_s` to
+    `until_s`.
+
+    Args:
+        paths: The files of the logs.
+        rate: Playing speed, as a multiple of real time. None for the default.
+        start_s: Time of the trial at which the first log begins [s].
+        until_s: Time at which it ends [s]. None for the end of the trial.
+        loop: Whether to begin again at the end.
     """
 
     def __init__(

@@ -25,9 +25,14 @@ class Exit(IntEnum):
 class TetractlError(Exception):
     """An error that the user can fix, with a one-line message, a hint and an exit code.
 
-    The command line prints `message` and `hint`. In Python, `str` returns the message, and the hint
-    on a second line. If the hint names a command-line option, which functions do not have,
-    `in_python` replaces it.
+    The command line prints the message and the hint. In Python, `str` returns the message, and the
+    hint on a second line.
+
+    Args:
+        message: What is wrong, in one line.
+        hint: What to do. None without a hint.
+        in_python: The hint in Python, where options of the command line do not exist. None if it is
+            the same.
     """
 
     exit = Exit.FAILED

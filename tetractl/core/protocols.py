@@ -15,7 +15,7 @@ from tetractl.core.trial import Note, PlantInfo, Result, Start, Step, Verdict
 class Plant(Protocol):
     """The robots of a trial, simulated or real, under one control signal.
 
-    Calls come in this order: `open`, then any of `observe`, `send`, `samples` and `news`, then
+    Calls come in this order: `open`, then any of `observe`, `send`, `samples` and `events`, then
     `stop`, `settle` and `close`. Times are nanoseconds on the clock with which the plant was
     created. That clock is at 0 when the trial starts.
     """

@@ -194,10 +194,10 @@ class Result:
         wheel_lag_s: Lag of the wheels that the controller has found [s], the mean of the robots.
             None if it does not estimate the lag.
 
-    To add a number, add a field here and compute it in `of` from the arguments of its callers
-    (`run/control_loop.py`, and `verification/result_check.py`, which checks it). Then add a field
-    to the message in `log/format/tetractl.proto`, and write and read it in `run_records.py`; older
-    logs leave it empty.
+    To add a number, add a field here and compute it in `from_verdict` from the arguments of its
+    callers (`run/control_loop.py`, and `verification/result_check.py`, which checks it). Then add a
+    field to the message in `log/format/tetractl.proto`, and write and read it in `run_records.py`;
+    older logs leave it empty.
     """
 
     outcome: Outcome

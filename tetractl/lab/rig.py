@@ -19,13 +19,21 @@ from tetractl.spec.lab_section import LabLimits, LabSection
 
 
 class Rig:
-    """The parts between the devices and a plant; a context manager. Times are ns on `clock`.
+    """A connected lab: the parts between the devices and a plant, as a context manager.
 
-    It is opened once, and stays closed once it is closed. Opening it opens the actuator and the
-    camera and starts the inner loop: in a thread or, if `threaded` is False, at each call of
-    `loop.step`. `wake` must be the camera's own event.
-    `emulated` names the devices that the plant emulates, whether or not they say so. `checks_of`
-    makes the guard's checks.
+    It can be opened once. Opening it opens the actuator and the camera, and starts the inner loop.
+
+    Args:
+        camera: The camera.
+        actuator: The actuator.
+        limits: The limits of the lab.
+        setup: The constants of the experiment.
+        clock: The clock for times [ns].
+        emergency: Set by the operator for an emergency stop. None for a new event.
+        wake: The camera's own event, set after each frame. None for a new event.
+        threaded: Whether the inner loop runs in a thread. Otherwise, the caller calls `loop.step`.
+        emulated: Names of the devices that the plant emulates, whether or not they report it.
+        checks_of: Creates the guard's checks.
     """
 
     def __init__(

@@ -118,11 +118,19 @@ def hold(name: str) -> int:
 
 
 class UdpPort(SerialPort):
-    """The devices at `udp://host:port`; see SerialPort. Its `baud` has no meaning here.
+    """The devices at `udp://host:port`, as a port.
 
     A refusal belongs to an earlier datagram, so it does not fail the port: the device may be
     starting, or out of the network's reach. The refusal is kept until data arrives, because only
     some of many datagrams are refused. An empty datagram, which anybody may send, is ignored.
+
+    Args:
+        name: The address, `udp://host:port`.
+        baud: Without meaning here.
+        device: What is connected, for messages.
+        clock: The clock for times.
+        heard: Called with received bytes and their time [ns]; see `SerialPort`.
+        hint: The hint of the errors raised.
     """
 
     def __init__(

@@ -24,6 +24,11 @@ class PathCheck:
 
     Distances are in the spec's length unit, arrays have shape (N,).
 
+    Args:
+        obstacles: The obstacles.
+        arena: The arena.
+        count: Number of robots N.
+
     Attributes:
         entered: Whether the path of each robot touched an obstacle.
         clearance: Minimum distance of each robot's samples to an obstacle. Negative inside, inf

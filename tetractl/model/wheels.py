@@ -117,9 +117,12 @@ class Drivetrains:
 class WheelHost:
     """Computes the wheel speeds of N robots that all get the same direction.
 
-    `a` [rad/s], `speed` [length unit/s] and `radius` [length unit], the distance from a wheel to
-    the centre, are (N,). The wheels are known to follow commands with the time constant `lag_s`
-    [s], 0 to neglect it. `drivetrains` are the wheels as calibrated.
+    Args:
+        a: Turning rates [rad/s], shape (N,).
+        speed: Speeds [length unit/s], shape (N,).
+        radius: Distance from a wheel to the centre [length unit], shape (N,).
+        lag_s: Time constant with which the wheels follow commands [s]. 0 to neglect it.
+        drivetrains: The wheels as calibrated.
     """
 
     def __init__(

@@ -25,9 +25,16 @@ class CellDrive:
     """The motion of N simulated cells, a `Drive`.
 
     Simulated cells do not swim before the first command or after a stop, so that a trial ends with
-    the poses at the stop. Real cells swim on. `a` and the speeds have shape (N,). Whatever the spec
-    does not state is sampled from the trial's `seed`. `walk` is the random walk of the headings
-    [rad/sqrt(s)].
+    the poses at the stop. Real cells swim on.
+
+    Args:
+        section: The fields of the culture in the spec. What they do not state is sampled.
+        setup: The constants of the experiment.
+        a: Turning rates [rad/s], shape (N,).
+        speed: Speeds [length unit/s], shape (N,).
+        starts: Poses at the start.
+        walk: Random walk of the headings [rad/sqrt(s)].
+        seed: Determines everything random.
     """
 
     host = None  # no host computes wheel speeds

@@ -27,9 +27,13 @@ STOPS_MAX = 3000
 class CommandSender:
     """Sends commands to N robots, and returns them as the host logs them.
 
-    It puts the commands into `transit`. `host` computes wheel speeds; it is None for robots that
-    receive the direction itself. `random` decides which transmissions are lost. Every call answers
-    a camera frame.
+    Args:
+        settings: The fields of the simulation in the spec.
+        setup: The constants of the experiment.
+        host: Computes wheel speeds. None for robots that receive the direction itself.
+        transit: Receives the commands on their way to the robots.
+        disturbances: The disturbances of the trial.
+        random: Decides which transmissions are lost.
     """
 
     def __init__(

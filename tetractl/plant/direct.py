@@ -23,9 +23,15 @@ def aim(action: Steer | Turn | FieldOff, heading: Floats) -> Floats:
 
 
 class DirectDrive:
-    """A `Drive` of N robots with turning rates a [rad/s] and speeds [length unit/s], both (N,).
+    """A `Drive` of N robots that follow the direction without wheels.
 
     Between two commands the motion is known in closed form, so the path is sampled, not integrated.
+
+    Args:
+        motion: The model of motion.
+        a: Turning rates [rad/s], shape (N,).
+        speed: Speeds [length unit/s], shape (N,).
+        starts: Poses at the start.
     """
 
     host = None  # robots are sent the direction itself

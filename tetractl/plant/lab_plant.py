@@ -173,7 +173,12 @@ class LabFrames:
 class LabPlant:
     """The robots of a lab, as a `Plant`.
 
-    `kind` is the type of its section. After a fault, every call raises AbortError with the reason.
+    After a fault, every call raises AbortError with the reason.
+
+    Args:
+        rig: The connected lab.
+        supervision: How people supervise the trial.
+        kind: The type of the plant's section.
     """
 
     def __init__(self, rig: Rig, supervision: LabSupervision, kind: str = "lab") -> None:

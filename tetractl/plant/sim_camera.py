@@ -16,7 +16,13 @@ class SimCamera:
     """A simulated camera of N robots. Disturbances change, delay and lose its frames.
 
     A frame goes through `expose`, when it is taken, `receive`, when it reaches the host, and
-    `samples`, when the host reads it. `random` is the generator of the noise.
+    `samples`, when the host reads it.
+
+    Args:
+        robots: Number of robots.
+        noise: The measurement noise.
+        disturbances: The disturbances of the trial.
+        random: Generator of the noise.
     """
 
     def __init__(

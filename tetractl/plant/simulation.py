@@ -109,11 +109,17 @@ def build_drive(
 
 
 class SimPlant:
-    """Simulated robots, as a `Plant`. `seed` determines everything random.
+    """Simulated robots, as a `Plant`.
 
     Calls come in this order: `open` exposes the first frame; then `observe` and `send` for each
-    control step, and `samples` and `news` at any time; `stop` once, and `settle` after it. The
+    control step, and `samples` and `events` at any time; `stop` once, and `settle` after it. The
     public attributes are for code that needs the truth. Nothing changes them from outside.
+
+    Args:
+        settings: The fields of the simulation in the spec.
+        setup: The constants of the experiment.
+        clock: The clock, which this plant advances.
+        seed: Determines everything random.
     """
 
     def __init__(

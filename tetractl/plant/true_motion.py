@@ -119,7 +119,10 @@ class Drive(Protocol):
 class MotionDisturbances:
     """The disturbances that move N robots, or vary their true turning rates a and speeds.
 
-    `a` [rad/s] and `speed` [length unit/s] (N,) are the trial's values, before they vary.
+    Args:
+        disturbances: The disturbances of the trial.
+        a: Turning rates before they vary [rad/s], shape (N,).
+        speed: Speeds before they vary [length unit/s], shape (N,).
     """
 
     def __init__(self, disturbances: Sequence[Disturbance], a: Floats, speed: Floats) -> None:
@@ -200,10 +203,20 @@ class MotionStep:
 class TrueMotion:
     """Moves N robots in continuous time, exposes the camera's frames, and checks the true path.
 
-    Commands for the robots are sent into `transit`. When the host transmits again, `sender` does
-    so; `repeated` holds these commands. At each frame, the headings of moving robots take a step of
-    a random walk with the standard deviation `walk_rad` [rad], sampled from `walking`. 0 means no
-    random walk.
+    `repeated` holds the commands that the host transmitted again.
+
+    Args:
+        drive: How the robots move.
+        camera: The simulated camera.
+        timetable: When events happen.
+        transit: The commands on their way to the robots.
+        watchdogs: The robots' watchdogs.
+        disturbances: The disturbances of the motion.
+        walk_rad: Standard deviation of a step of the headings' random walk, at each frame, for
+            moving robots [rad]. 0 for no random walk.
+        walking: Generator of the random walk.
+        check: The check of the true path.
+        sender: Sends commands, also when the host transmits again.
     """
 
     def __init__(

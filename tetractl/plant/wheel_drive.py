@@ -24,9 +24,16 @@ REST = 1e-10
 class WheelDrive(WheeledRobots):
     """A `Drive` of N robots on wheels.
 
-    `a` and `speed` (N,) are the true values: turning rates and speeds are scaled by the ratio of
-    the true value to the setup's value. The headings' random walk goes on from sample to sample of
-    the true path, not from frame to frame.
+    Turning rates and speeds are scaled by the ratio of the true value to the setup's value. The
+    headings' random walk goes on from sample to sample of the true path, not from frame to frame.
+
+    Args:
+        section: The fields of the simulation in the spec.
+        setup: The constants of the experiment.
+        a: True turning rates [rad/s], shape (N,).
+        speed: True speeds [length unit/s], shape (N,).
+        starts: Poses at the start.
+        seed: Determines everything random.
     """
 
     sampled = True

@@ -21,7 +21,12 @@ class SimHost:
     """The host of N robots on wheels. It computes wheel speeds, and decides when to transmit next.
 
     The speeds follow equations (24)-(25) at the headings of the newest frame, and are rounded to
-    wheel counts. `random` samples first the true gains, then the true dead zones.
+    wheel counts.
+
+    Args:
+        section: The fields `plant.drive` of the spec.
+        setup: The constants of the experiment.
+        random: Samples first the true gains, then the true dead zones.
     """
 
     def __init__(

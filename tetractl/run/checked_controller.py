@@ -41,6 +41,12 @@ class CheckedController:
 
     A controller from another package gets its own setup, and its plans are copied. If it later
     writes into arrays, neither the commands nor the log change.
+
+    Args:
+        section: The section of the controller.
+        setup: The constants of the experiment.
+        key: Seed of the controller's random numbers.
+        host: Gives the timer, and wraps the optimiser.
     """
 
     def __init__(

@@ -257,8 +257,14 @@ def message_of(error: BaseException) -> str:
 class Trial:
     """One trial, which can be run once.
 
-    The plant's description is added to `start` when the plant is opened. `stated` holds the values
-    of the spec that estimates can contradict. It is None if wrong values should not be reported.
+    Args:
+        start: The start of the trial. The plant adds its description when it is opened.
+        plant: The plant.
+        controller: The controller.
+        clock: The clock of the trial.
+        observers: Notified of everything that happens.
+        interrupt: Requests to end.
+        stated: Values of the spec that estimates can contradict. None to report no contradiction.
     """
 
     def __init__(

@@ -86,8 +86,10 @@ def on_this_machine(jobs: int, tasks: int, interrupt: Interrupt) -> Executor:
 class Here:
     """An executor that runs one trial after another in this process.
 
-    `observers` are notified of every trial. `supervision` tells how people supervise trials in a
-    lab.
+    Args:
+        interrupt: Requests to end.
+        observers: Notified of every trial.
+        supervision: How people supervise trials in a lab. None if nobody does.
     """
 
     workers = 1

@@ -56,8 +56,14 @@ def go_on(plan_of: Callable[[float], Plan]) -> None:
 class HandController(PlainController):
     """The controller of a trial that a person steers, for a spec from `directed_spec`.
 
-    `directions` are those sent so far [rad]. While the robots drive, a plan shows where they go if
-    the direction is held.
+    While the robots drive, a plan shows where they go if the direction is held. `directions` are
+    the directions sent so far [rad].
+
+    Args:
+        spec: The spec.
+        trial: Index of the trial.
+        ask: Asks the person for a direction.
+        pause: Called while the person pauses.
     """
 
     def __init__(self, spec: LoadedSpec, trial: int, ask: Ask, pause: Pause = go_on) -> None:

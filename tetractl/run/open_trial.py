@@ -150,6 +150,11 @@ class OpenTrial:
     Call `step` until `result` is no longer None, or end the trial with `stop`. Then `save` writes
     its log. A trial runs once: open another trial for the next run. A trial that is dropped ends
     like a stopped trial, but without a result.
+
+    Args:
+        spec: The spec.
+        trial: Index of the trial.
+        seed: Seed of the trials.
     """
 
     def __init__(self, spec: LoadedSpec, trial: int, seed: int) -> None:

@@ -174,9 +174,13 @@ class Store:
 class RecordStore:
     """A folder of numbered results that are not trials, such as the days of a rehearsal.
 
-    Each number has a JSON file, which is written completely or not at all. `identity` describes
-    what the records belong to. Each record has at least `fields`. A file that cannot be read does
-    not count, and its result is computed again.
+    Each number has a JSON file, which is written completely or not at all. A file that cannot be
+    read does not count, and its result is computed again.
+
+    Args:
+        folder: The folder.
+        identity: Describes what the records belong to.
+        fields: Fields that each record has at least.
     """
 
     def __init__(self, folder: Path, identity: str, fields: Collection[str]) -> None:

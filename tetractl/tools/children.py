@@ -33,11 +33,19 @@ def python(module: str, *arguments: str) -> list[str]:
 
 
 class Child:
-    """A process of `command`, whose standard error is kept; see `subprocess.Popen` for the others.
+    """A process of a command, whose standard error is kept.
 
-    `stdin` is a pipe if `fed`, else empty. `alone` gives it a session of its own, which Ctrl-C of
-    the terminal does not reach. `environment` is added to this process's. OSError if it cannot be
-    started.
+    See `subprocess.Popen` for its other attributes.
+
+    Args:
+        command: The program and its arguments.
+        fed: Whether `stdin` is a pipe. Otherwise, it is empty.
+        alone: Whether the process has a session of its own, which Ctrl-C of the terminal does not
+            reach.
+        environment: Variables added to those of this process. None for none.
+
+    Raises:
+        OSError: If the process cannot be started.
     """
 
     def __init__(

@@ -40,14 +40,18 @@ def _nothing() -> float | None:
 class Worker:
     """A thread with a queue of calls.
 
-    The queue is too slow if it stays full, with `size` calls, for `wait_s` in `put`, or does not
-    empty within `patience_s` in `drain` or `close`: `too_slow` is the error for it.
+    The first error is kept as `failure`: that a call raised it, or that the queue is too slow. The
+    next `put`, `drain` or `check` raises it, once, and later calls are dropped.
 
-    The first error, that of a queue that is too slow or one raised by a call, is kept as `failure`:
-    the next `put`, `drain` or `check` raises it, once, and later calls are dropped. The thread
-    calls `idle` after each call, and again after the time [s] that `idle` returned, unless that is
-    None. The thread collects calls for `batch_s` before it makes them, since switching threads at
-    every call may take longer than the calls.
+    Args:
+        name: Name of the thread.
+        size: Maximum number of calls in the queue.
+        wait_s: Time for which the queue may stay full in `put` [s].
+        patience_s: Time in which it has to become empty in `drain` or `close` [s].
+        too_slow: The error for a queue that is too slow.
+        idle: Called after each call, and again after the time [s] that it returned. None ends that.
+        batch_s: Time for which calls are collected before they are made [s], because switching
+            threads at every call may take longer than the calls.
     """
 
     def __init__(

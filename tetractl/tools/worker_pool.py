@@ -67,10 +67,17 @@ def copying_context() -> BaseContext:
 
 
 class WorkerPool:
-    """A pool of processes, each of which calls `prepare(*arguments)` first; a context manager.
+    """A pool of worker processes, as a context manager.
 
-    What workers print or say is passed to `tell`, a line at a time, after `who`. At its end running
-    calls are waited for, and those that wait are dropped.
+    At its end, it waits for running calls, and drops those that have not begun.
+
+    Args:
+        context: Starts the processes.
+        workers: Number of processes.
+        who: Put before each line that a worker prints.
+        tell: Called with each of these lines.
+        prepare: Called first in each process. None for nothing.
+        arguments: Arguments of `prepare`.
     """
 
     def __init__(

@@ -162,13 +162,21 @@ class Playback(StrEnum):
 
 
 class Player:
-    """Plays a span [ns] of a recording, `rate` times as fast as the wall clock, controlled by keys.
+    """Plays a span of a recording, controlled by keys.
 
     Call `update` before reading `now`, and `press` with the name of each key: "space" pauses and
     resumes, and at the end plays again from the start. "left" and "right" seek 1 s back and
     forward, "home" and "end" go to the ends of the span. "." and "," go to the next and the
     previous control step, "e" and "E" to the next and the previous event, and pause. "+" and "-"
     double and halve the rate, "q" quits.
+
+    Args:
+        recording: The recording.
+        wall: The wall clock.
+        span_ns: Begin and end of the span [ns].
+        rate: Playing speed, as a multiple of the wall clock.
+        loop: Whether to begin again at the end.
+        paused: Whether to start in a pause.
     """
 
     def __init__(

@@ -37,10 +37,16 @@ from tetractl.spec.controller import Host
 
 
 class Algorithm2:
-    """The controller of one trial; `key` seeds all its random numbers.
+    """The published controller of one trial.
 
-    `plan` is called once a control step. Between two steps it keeps the number of the next one,
-    `k`, and `warm`, the signals left of the sequence chosen last.
+    `plan` is called once a control step. Between two steps, it keeps the number of the next step,
+    `k`, and `warm`, the remaining signals of the last chosen sequence.
+
+    Args:
+        section: The fields of the controller in the spec.
+        setup: The constants of the experiment.
+        key: Seed of all random numbers.
+        host: Gives the timer, and wraps the optimiser.
     """
 
     def __init__(self, section: PsoMpc, setup: Setup, key: int, host: Host) -> None:

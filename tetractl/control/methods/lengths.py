@@ -63,6 +63,12 @@ class Searcher:
     """Runs the searches of one control step, and collects their results in `found`.
 
     Once the limits' time has passed, only the first search is done.
+
+    Args:
+        optimizer: Searches a plan of a given length.
+        problem: The robots, targets and obstacles of the step.
+        step_key: Seed of the step's random numbers.
+        limits: The time and the number of evaluations that the searches may use.
     """
 
     def __init__(

@@ -240,11 +240,16 @@ class Searched(NamedTuple):
 
 
 class Mpc:
-    """The controller of one trial.
+    """The recommended controller of one trial.
 
-    `plan` is called once a control step. Between two steps it keeps the `leg`, the `progress` of
-    the trial, and what the `estimator` and the `time` have counted. `key` seeds all random numbers;
-    the timer of the `host` is read for deadlines alone.
+    `plan` is called once a control step. Between two steps, the controller keeps the `leg`, the
+    `progress` of the trial, and the records of the `estimator` and the `time`.
+
+    Args:
+        section: The fields of the controller in the spec.
+        setup: The constants of the experiment.
+        key: Seed of all random numbers.
+        host: Gives the timer, which is read only for deadlines, and wraps the optimiser.
     """
 
     def __init__(self, section: RecommendedMpc, setup: Setup, key: int, host: Host) -> None:

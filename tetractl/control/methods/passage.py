@@ -84,7 +84,12 @@ class Tree:
     """A tree of directions. The nodes of its last level can grow branches.
 
     A node holds the robots' poses (N, 3) after the signals that lead to it. A branch is one
-    direction, held for `held` signals. `key` seeds the first direction of each level.
+    direction that is held for several signals.
+
+    Args:
+        problem: The robots, targets and obstacles.
+        key: Seed of the first direction of each level.
+        held: Number of signals for which a branch is held.
     """
 
     def __init__(self, problem: Problem, key: int, held: int) -> None:

@@ -54,8 +54,12 @@ class PlainSection(ControllerSection):
 class PlainController:
     """A controller without a search, for one trial. Derive from it and implement `decided`.
 
-    It counts the control steps, k, and estimates the robots' poses. `key` seeds all its random
-    numbers.
+    It counts the control steps, k, and estimates the robots' poses.
+
+    Args:
+        section: The fields of the controller in the spec.
+        setup: The constants of the experiment.
+        key: Seed of all random numbers.
     """
 
     def __init__(self, section: PlainSection, setup: Setup, key: int) -> None:

@@ -37,7 +37,13 @@ class SequenceSection(PlainSection):
 
 
 class SequenceController(PlainController):
-    """The controller of one trial. No random numbers are drawn; `key` is only used for the log."""
+    """The controller of one trial that sends the directions of its spec.
+
+    Args:
+        section: The fields of the controller in the spec.
+        setup: The constants of the experiment.
+        key: Only logged, because nothing is random.
+    """
 
     def __init__(self, section: SequenceSection, setup: Setup, key: int) -> None:
         super().__init__(section, setup, key)

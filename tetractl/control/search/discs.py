@@ -45,7 +45,13 @@ def gaps(obstacles: Obstacles, x: Floats, y: Floats) -> Floats:
 
 
 class Discs:
-    """Discs of a `radius` among the `shapes` and, if given, the four walls of the arena."""
+    """Discs, such as robots' bodies, among obstacles and walls.
+
+    Args:
+        radius: Radius of each disc [length unit].
+        shapes: The obstacles.
+        walls: The walls of the arena. None if it has none.
+    """
 
     def __init__(self, radius: float, shapes: Sequence[Shape], walls: Bounds | None) -> None:
         self._radius = radius

@@ -90,10 +90,13 @@ def fit(margin: float, gap: Floats) -> Floats:
 
 
 class Margins:
-    """The margins that robots keep to obstacles and, if they are given, to the walls of the arena.
+    """The margins that robots keep to obstacles and walls. The object never changes.
 
-    There are N `targets` (N, 2) and O obstacles: the `shapes` and the four `walls`. The object
-    never changes.
+    Args:
+        collision: The fields `collision` of the controller.
+        shapes: The obstacles.
+        walls: The walls of the arena. None if it has none.
+        targets: Targets of the N robots [length unit], shape (N, 2).
     """
 
     def __init__(

@@ -59,9 +59,17 @@ class SpeedRobots(WheeledActuator):
 class OwnRobots(SpeedRobots):
     """The actuator for robots that do not answer. A subclass packs the speeds of their wheels.
 
-    See `tetractl.core.protocols.Actuator`. `robots` are their entries in the section, and `radii`
-    (N,) the distances r from their wheels to their centres [mm], in the order of the setup. `ports`
-    can create other ports, such as those in memory.
+    See `tetractl.core.protocols.Actuator`.
+
+    Args:
+        section: The fields of the actuator in the spec.
+        setup: The constants of the experiment.
+        clock: The clock for times.
+        ports: Creates the ports, such as ports in memory. None for ports of this computer.
+
+    Attributes:
+        robots: The entry of each robot in the section, in the order of the setup.
+        radii: Distance of each robot's wheels from its centre [mm], shape (N,).
     """
 
     def __init__(

@@ -151,10 +151,17 @@ class RobotLink(Protocol):
 class WheeledActuator(ABC):
     """The base class of actuators for robots on two wheels; see `tetractl.core.protocols.Actuator`.
 
-    It sends `rate` commands per second [Hz] over a `link`. `ask` polls the robots; it is None if
-    they cannot answer. A battery below `warn_v` is low. The robots' wheels are `drivetrains`, at
-    the distances `stated_radii_mm` (N,) from their centres; None means the spec's distance. A
-    command reaches the robots `delay_ns` after it is sent.
+    Args:
+        setup: The constants of the experiment.
+        clock: The clock for times.
+        link: The connection to the robots.
+        stated_radii_mm: Distance of each robot's wheels from its centre [mm], N entries. None for
+            the spec's distance.
+        drivetrains: The robots' wheels and motors.
+        delay_ns: Time from sending a command to its arrival [ns].
+        rate: Commands sent per second [Hz].
+        ask: Polls the robots within a time [s]. None if they cannot answer.
+        warn_v: A battery below this voltage is low [V].
     """
 
     halts = True

@@ -26,7 +26,14 @@ class PortCamera(ABC):
 
     A frame was exposed the section's `latency` [s] before its message arrived, unless messages have
     stamps (`stamp_s`). If the port fails, the robots stop at once. A subclass sets `emulated` once
-    a message says that the camera is emulated. `ports` creates another port, such as one in memory.
+    a message reports that the camera is emulated.
+
+    Args:
+        section: The fields of the camera in the spec.
+        setup: The constants of the experiment.
+        clock: The clock for times [ns].
+        wake: Called after every new frame.
+        ports: Creates the port, such as one in memory. None for a port of this computer.
     """
 
     connect_s = 3.0  # longest wait for the first frame

@@ -65,10 +65,15 @@ class RecordSink(Protocol):
 class Encoder:
     """An observer that adds the records of one trial to a sink.
 
-    If not `hosted`, the host records, which differ from run to run, are left out. A message has two
-    times [Unix ns]: log_time, when the host received or sent it, and publish_time, when its content
-    was sampled. `warnings` counts the operator messages that are warnings or errors, except the
-    message about the end of the trial, which repeats the outcome.
+    A message has two times [Unix ns]: log_time, when the host received or sent it, and
+    publish_time, when its content was sampled. `warnings` counts the operator messages that are
+    warnings or errors. The message about the end of the trial does not count, because it repeats
+    the outcome.
+
+    Args:
+        sink: Receives the records.
+        real_time: Whether the trial runs in real time.
+        hosted: Whether to add the host records, which differ from run to run.
     """
 
     def __init__(self, sink: RecordSink, real_time: bool = False, hosted: bool = False) -> None:

@@ -59,8 +59,11 @@ class Sink:
     NAME.part. Later calls do nothing, so that stopping a trial because of a full disk raises no
     second error.
 
-    If `part` is not ".part", the file is a copy of a log, whose channels are `others`: an
-    unfinished earlier copy is replaced, unless a process is still writing it.
+    Args:
+        path: The file when it is complete.
+        part: The suffix while it is not. If it is not ".part", the file is a copy of a log: an
+            unfinished earlier copy is replaced, unless a process is still writing it.
+        others: Channels of the log that is copied.
     """
 
     def __init__(

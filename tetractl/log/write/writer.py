@@ -32,15 +32,19 @@ class _OpenLog:
 
 
 class LogWriter(Relay):
-    """Stores one trial as `path`, which is called `path`.part until the trial has ended.
-
-    `part` is another suffix for that, of a copy that replaces no other log. If `keeps_part` is
-    True, the log keeps its suffix at the end, because another log takes its place.
+    """Stores one trial in a file, which has another suffix until the trial has ended.
 
     One thread encodes and writes; calls only put records in a queue. While the queue is full, a
     call waits: up to DISK_PATIENCE_S in a simulation, which runs faster than any disk, and not at
-    all in `real_time`. If the queue stays full or a write fails, the log is given up: the next
-    call raises LogError, later calls do nothing, and the records in the file stay readable.
+    all in real time. If the queue stays full or a write fails, the log is given up: the next call
+    raises LogError, later calls do nothing, and the records in the file stay readable.
+
+    Args:
+        path: The file when the trial has ended.
+        real_time: Whether the trial runs in real time.
+        part: The suffix before that. A copy that replaces no other log has another suffix.
+        keeps_part: Whether the log keeps its suffix at the end, because another log takes its
+            place.
     """
 
     def __init__(

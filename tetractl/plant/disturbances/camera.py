@@ -34,7 +34,13 @@ class TrackingLossSection(DisturbanceSection):
 
 
 class TrackingLoss(Disturbance):
-    """Makes each robot alternately tracked and not tracked; all are tracked at first."""
+    """Makes each robot alternately tracked and not tracked; all are tracked at first.
+
+    Args:
+        section: The fields of the disturbance in the spec.
+        robots: Number of robots.
+        rng: Generator of the random times.
+    """
 
     def __init__(self, section: TrackingLossSection, robots: int, rng: np.random.Generator) -> None:
         self._tracked = ByTurns(

@@ -35,7 +35,13 @@ class RadioSection(DisturbanceSection):
 
 
 class Radio(Disturbance):
-    """Delays each transmission, and draws which robots receive it."""
+    """Delays each transmission, and samples which robots receive it.
+
+    Args:
+        section: The fields of the disturbance in the spec.
+        robots: Number of robots.
+        rng: Generator of delays and losses.
+    """
 
     def __init__(self, section: RadioSection, robots: int, rng: np.random.Generator) -> None:
         self._section = section

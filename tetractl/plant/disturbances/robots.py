@@ -84,7 +84,13 @@ class StickingSection(DisturbanceSection):
 
 
 class Sticking(Disturbance):
-    """Makes each robot stick, independently of the others."""
+    """Makes each robot stick, independently of the others.
+
+    Args:
+        section: The fields of the disturbance in the spec.
+        robots: Number of robots.
+        rng: Generator of the random times.
+    """
 
     def __init__(self, section: StickingSection, robots: int, rng: np.random.Generator) -> None:
         self._free = ByTurns(
@@ -118,7 +124,13 @@ class WanderSection(DisturbanceSection):
 
 
 class Wander(Disturbance):
-    """Draws errors of turning rate and speed, with statistics independent of the rate of calls."""
+    """Varies turning rates and speeds randomly, with statistics independent of the rate of calls.
+
+    Args:
+        section: The fields of the disturbance in the spec.
+        robots: Number of robots.
+        rng: Generator of the random errors.
+    """
 
     def __init__(self, section: WanderSection, robots: int, rng: np.random.Generator) -> None:
         self._deviations = np.array([[section.a], [section.speed]])

@@ -41,8 +41,12 @@ class Spells:
 class ByTurns:
     """The state of N robots, each of which alternates between undisturbed and disturbed.
 
-    Each robot does so independently of the others. All are undisturbed (well) at first. `well_s`
-    and `unwell_s` sample the durations of the two states [s].
+    Each robot does so independently of the others. All are undisturbed (well) at first.
+
+    Args:
+        robots: Number of robots.
+        well_s: Samples how long a robot is undisturbed [s].
+        unwell_s: Samples how long it is disturbed [s].
     """
 
     def __init__(

@@ -61,8 +61,12 @@ class WobbleSection(DisturbanceSection):
 class Wobble(Disturbance):
     """A disturbance that moves cells sideways along their helices.
 
-    The cells have speeds (N,) [length unit/s] and begin at phases (N,) [rad]. The true heading is
-    the axis's direction. The camera measures the body's direction.
+    The true heading is the axis's direction. The camera measures the body's direction.
+
+    Args:
+        section: The fields of the disturbance in the spec.
+        speed: Speeds of the cells [length unit/s], shape (N,).
+        phase: Phases of the helices at the start [rad], shape (N,).
     """
 
     def __init__(self, section: WobbleSection, speed: Floats, phase: Floats) -> None:

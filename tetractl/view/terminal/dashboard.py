@@ -101,10 +101,15 @@ def _is_given(step: Step) -> bool:
 class Dashboard:
     """Shows a trial at one instant, on all the space available.
 
-    `heading` names the trial, `notes` are warnings such as a log's damage, and `aside` is text
-    below the notes. A `plain` one, for who steers by hand, leaves out the numbers of
-    the step and its search, events that are no warnings, and how the trial ended unless it was cut
-    short: the aside says it.
+    Args:
+        moment: The instant.
+        heading: The name of the trial.
+        footer: The lines at the bottom.
+        notes: Warnings, for example about a damaged log.
+        aside: Text below the notes.
+        plain: Whether a person steers by hand. Then the numbers of the step and its search are left
+            out, and so are events that are no warnings. How the trial ended is shown only if it was
+            cut short; otherwise, `aside` says it.
     """
 
     def __init__(

@@ -162,11 +162,15 @@ NO_KEY = "no terminal: there is no key to stop the robots"
 
 
 class StopKey:
-    """Calls `stop` on space, Esc, or when the terminal is closed; a context manager.
+    """Calls a function on space, Esc, or when the terminal is closed; a context manager.
 
-    Enter calls `enter`; other keys, such as arrows, do nothing. With `steer`, which is called with
-    each key, the space bar is one of these. With `unattended`, a closed terminal does not call
-    `stop`. Works only if stdin is a terminal: then `listening` is True.
+    It works only if stdin is a terminal: then `listening` is True.
+
+    Args:
+        stop: Called to stop.
+        enter: Called on Enter.
+        unattended: Whether a closed terminal does not stop.
+        steer: Called with every other key, then also with the space bar. None to ignore other keys.
     """
 
     def __init__(

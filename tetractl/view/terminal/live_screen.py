@@ -150,11 +150,16 @@ class TrialSoFar:
 class LiveView(Observer):
     """Shows one trial after another on the terminal; a context manager.
 
-    It is an `Observer` of each trial and a `RunObserver`. It draws at most 12 images per second;
-    `wall` returns the wall time [s]. While its screen is closed, it draws nothing. `hints` say what
-    keys do, if they do more than stop the robots, and `aside` is shown instead of the results so
-    far. A `plain` view is for a person who steers by hand: it also warns of obstacles and edges,
-    and does not show the number of the trial.
+    It is an `Observer` of each trial and a `RunObserver`. It draws at most 12 images per second,
+    and nothing while its screen is closed.
+
+    Args:
+        console: The terminal.
+        wall: Returns the wall time [s].
+        hints: What keys do, if they do more than stop the robots.
+        aside: Shown instead of the results so far.
+        plain: Whether a person steers by hand. The view then also warns of obstacles and edges, and
+            does not show the number of the trial.
     """
 
     def __init__(
@@ -300,11 +305,17 @@ class TerminalPrompt:
 
 
 class LabWatch(LiveView):
-    """Shows a batch in the lab: a line per trial and, if `live`, a live view of each trial.
+    """Shows a batch in the lab: a line per trial and, if wanted, a live view of each trial.
 
-    Notes are printed on `console`, and so is the line of a trial that failed. The lines of other
-    trials are printed on `quiet`, which may be silent. `unit` is the length unit. Between trials,
-    while robots are placed, the live view is closed: it opens when a trial starts.
+    Between trials, while robots are placed, the live view is closed. It opens when a trial starts.
+
+    Args:
+        console: Notes, and the line of a trial that failed, are printed here.
+        quiet: The lines of other trials are printed here. It may be silent.
+        unit: The length unit.
+        live: Whether to show a live view.
+        hints: What keys do, if they do more than stop the robots.
+        aside: Shown instead of the results so far.
     """
 
     def __init__(

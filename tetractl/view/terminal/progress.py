@@ -80,7 +80,12 @@ class _TrialsBar(RunObserver):
 class BatchProgress(_TrialsBar):
     """A `RunObserver` of a batch that shows a bar with the errors so far.
 
-    Without a terminal, it prints a line for each trial. `unit` is the experiment's length unit.
+    Without a terminal, it prints a line for each trial.
+
+    Args:
+        console: Where to print.
+        total: Number of trials.
+        unit: The experiment's length unit.
     """
 
     def __init__(self, console: Console, total: int, unit: str = "mm") -> None:
@@ -100,8 +105,12 @@ class BatchProgress(_TrialsBar):
 class StudyProgress(_TrialsBar):
     """A `RunObserver` of a study that prints failures and the expected duration.
 
-    Without a terminal, it also prints a line after each tenth of the trials. With `quiet`, it
-    prints only failures.
+    Without a terminal, it also prints a line after each tenth of the trials.
+
+    Args:
+        console: Where to print.
+        total: Number of trials.
+        quiet: Whether to print only failures.
     """
 
     def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
@@ -169,7 +178,10 @@ class ScriptProgress(RunObserver):
 class NotebookProgress(RunObserver):
     """A `RunObserver` for notebooks: one output of the cell, a bar that grows as trials end.
 
-    `display` is IPython's function of this name, which every front end supports.
+    Args:
+        total: Number of trials.
+        display: IPython's function of this name, which every front end supports.
+        now_s: Returns the time [s].
     """
 
     def __init__(

@@ -21,7 +21,14 @@ RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until it reaches 
 
 
 class M3piActuator(WheeledActuator):
-    """Drives the setup's robots; see `tetractl.core.protocols.Actuator`. `ports` is for `Link`."""
+    """Drives m3pi robots over an XBee; see `tetractl.core.protocols.Actuator`.
+
+    Args:
+        section: The fields of the actuator in the spec.
+        setup: The constants of the experiment.
+        clock: The clock for times.
+        ports: Creates the serial port of the `Link`. None for a port of this computer.
+    """
 
     def __init__(
         self, section: M3piSection, setup: Setup, clock: Clock, ports: Ports | None = None

@@ -81,7 +81,13 @@ def decode_reply(frame: bytes) -> Reply:
 
 
 class Broadcaster:
-    """Sends all robots one frame over a link; robot i has the number `indices[i]`."""
+    """Sends all robots one frame over a link.
+
+    Args:
+        link: The connection to the XBee.
+        clock: The clock for times.
+        indices: Number of each robot, N entries, in the order of the setup.
+    """
 
     def __init__(self, link: Link, clock: Clock, indices: Sequence[int]) -> None:
         self._link = link

@@ -17,7 +17,11 @@ from tetractl.spec.lab_section import entry
 class TwistActuator(WheeledActuator):
     """The actuator for robots that take lines of text; see `tetractl.core.protocols.Actuator`.
 
-    `ports` is passed to `TwistLink`.
+    Args:
+        section: The fields of the actuator in the spec.
+        setup: The constants of the experiment.
+        clock: The clock for times.
+        ports: Creates the ports of the `TwistLink`. None for ports of this computer.
     """
 
     def __init__(

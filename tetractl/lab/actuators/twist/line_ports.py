@@ -30,8 +30,13 @@ PENDING_MAX = 1000  # most bytes kept of a line that has not ended
 class TwistLink(PortGroup):
     """Connections to the robots of a section, on one port or several.
 
-    Times are ns on `clock`. After a failure, which raises AbortError, nothing can be sent any more.
-    `ports` creates a port; the default is `open_port`.
+    After a failure, which raises AbortError, nothing can be sent any more.
+
+    Args:
+        section: The fields of the actuator in the spec.
+        names: Names of the robots, in the order of the setup.
+        clock: The clock for times [ns].
+        ports: Creates a port. None for `open_port`.
     """
 
     def __init__(

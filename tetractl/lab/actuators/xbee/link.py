@@ -24,9 +24,13 @@ MODULE_LOST_HINT = "the robots stop by their watchdog; plug the module in and st
 class Link:
     """A connection to the XBee module.
 
-    Times are ns on `clock`. After a failure, which raises AbortError, nothing can be sent any more.
-    `questions` about the module are for the operator. `ports` creates the serial port; the default
-    is SerialPort.
+    After a failure, which raises AbortError, nothing can be sent any more. `questions` about the
+    module are for the operator.
+
+    Args:
+        radio: The fields of the radio in the spec.
+        clock: The clock for times [ns].
+        ports: Creates the serial port. None for `SerialPort`.
     """
 
     def __init__(self, radio: XbeeSection, clock: Clock, ports: Ports | None = None) -> None:

@@ -35,11 +35,15 @@ WAIT_S = 0.02  # longest wait for a datagram, after which a request to close is 
 
 
 class OptitrackCamera:
-    """Tracks the setup's robots with their rigid bodies; see `tetractl.core.protocols.Camera`.
+    """Tracks robots by their rigid bodies in OptiTrack; see `tetractl.core.protocols.Camera`.
 
-    Times are ns on `clock`. `wake` is called, in the receiver's thread, after every new frame. If
-    `make_socket` creates UDP sockets in memory, these call `turn`, its argument, instead of using a
-    thread.
+    Args:
+        section: The fields of the camera in the spec.
+        setup: The constants of the experiment.
+        clock: The clock for times [ns].
+        wake: Called in the receiver's thread after every new frame.
+        make_socket: Creates a UDP socket in memory, which calls its argument instead of using a
+            thread. None for sockets of this computer.
     """
 
     def __init__(

@@ -83,7 +83,13 @@ MARKER_DESCRIPTION = 16
 
 
 class Cursor:
-    """A read position in a payload of little-endian fields. It only moves forward, up to `end`."""
+    """A read position in a payload of little-endian fields. It only moves forward.
+
+    Args:
+        data: The payload.
+        end: Position at which reading ends. None for the end of the payload.
+        begin: Position at which reading begins.
+    """
 
     __slots__ = ("at", "data", "end")
 

@@ -189,15 +189,23 @@ class OpenRequests:
 
 
 class Stream:
-    """What is known of a server, and its newest frame.
+    """The knowledge about an OptiTrack server, and its newest frame.
 
-    `pinned` is the version that CONNECT requested, in unicast; `up` is the vertical axis if the
-    spec gives it. `feed` never raises, whatever the datagram. Times are ns on the host's clock.
+    `feed` never raises, whatever the datagram is. Times are ns on the host's clock.
 
-    `up_answer` is the server's answer to `UpAxis`, `unit_mm` its unit of length [mm].
-    `models_changed`: bodies have changed since the last MODELDEF; `changing`: the newest frame
-    reports a change. `seen` are the ids of the bodies in the newest frame, `unread_frame` is the
-    newest frame that could not be read.
+    Args:
+        robots: The robots, with their rigid bodies.
+        placement: Converts the server's coordinates to the spec's.
+        pinned: The version that CONNECT requested in unicast. None if it requested none.
+        up: The vertical axis that the spec states. None if it states none.
+
+    Attributes:
+        up_answer: The server's answer to `UpAxis`.
+        unit_mm: The server's unit of length [mm].
+        models_changed: Whether bodies have changed since the last MODELDEF.
+        changing: Whether the newest frame reports a change.
+        seen: Ids of the bodies in the newest frame.
+        unread_frame: The newest frame that could not be read.
     """
 
     def __init__(

@@ -77,11 +77,11 @@ def ranked(
     """Rank the choices of cells for an experiment that chooses its robots.
 
     Errors are predicted from the cells' poses with a linearised closed loop: first along a few
-    plans for the COMPARED choices with the largest `rate_choice`, then along more plans for the best of
-    them (successive halving), with the same random numbers. If no plan reaches the targets in the
-    first round, there are no further rounds. Only cells with a magnet count, and no choice has two
-    similar cells. A choice with a cell near the edge, whose turning rate is unreliable, comes after
-    all other choices that reach the targets.
+    plans for the COMPARED choices with the largest `rate_choice`, then along more plans for the
+    best of them (successive halving), with the same random numbers. If no plan reaches the targets
+    in the first round, there are no further rounds. Only cells with a magnet count, and no choice
+    has two similar cells. A choice with a cell near the edge, whose turning rate is unreliable,
+    comes after all other choices that reach the targets.
 
     Args:
         experiment: The experiment.

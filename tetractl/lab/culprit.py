@@ -60,9 +60,12 @@ SWAPPED = "{} and {} move as the other is commanded: are their numbers or bodies
 class Culprit:
     """The search for the cause of an abort.
 
-    It looks at what the N robots of `rules` did in `frames`: at least one frame, oldest first,
-    within the last RECENT_NS. All poses that the camera shows count, accepted or not. `drift`
-    follows the robots' motion.
+    All poses that the camera shows count, accepted or not.
+
+    Args:
+        rules: The rules of the guard, for N robots.
+        drift: The check that follows the robots' motion.
+        frames: Frames of the last RECENT_NS, oldest first. There is at least one.
     """
 
     def __init__(self, rules: GuardRules, drift: DriftCheck, frames: Sequence[CameraFrame]) -> None:

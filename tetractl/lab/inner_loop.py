@@ -77,10 +77,21 @@ class HeldAction:
 class InnerLoop:
     """Runs a guard between a camera and an actuator.
 
-    `wake` is set by the camera after each frame, `emergency` by the operator. `frames` are the
-    accepted frames, `last` is the last transmission of a run, and `driven_ns` the time of the last
-    that let a robot move, 0 before. `idle` is a function of time [ns]: the direction u [rad] sent
-    before robots are steered. Without `start`, the caller must call `step` or `step_if_due`.
+    Without `start`, the caller must call `step` or `step_if_due`.
+
+    Args:
+        camera: The camera.
+        actuator: The actuator.
+        guard: The guard.
+        clock: The clock for times [ns].
+        wake: Set by the camera after each frame.
+        emergency: Set by the operator for an emergency stop.
+
+    Attributes:
+        frames: The accepted frames.
+        last: The last transmission of a run.
+        driven_ns: Time of the last transmission that let a robot move [ns]. 0 before that.
+        idle: Returns the direction u [rad] that is sent before robots are steered, at a time [ns].
     """
 
     def __init__(

@@ -174,10 +174,14 @@ class MotionSinceRest:
 class MotionCheck(GuardCheck):
     """A check that refuses a pose if the robot moves as no command of the last `limits.delay` does.
 
-    During a pause, it reports which of the N robots of `rules` has moved in this way for
-    UNTRACKED_STOP_S: a stop may be lost, and is sent again. `share` is the relative error g of the
-    wheels. `noise` is the maximum error of a position [length unit]. The slack contains it once,
-    although a motion has the errors of two positions.
+    During a pause, it reports which of the N robots has moved in this way for UNTRACKED_STOP_S: a
+    stop may be lost, and is sent again.
+
+    Args:
+        rules: The rules of the guard.
+        noise: Maximum error of a position [length unit]. The slack contains it once, although a
+            motion has the errors of two positions.
+        share: Relative error g of the wheels.
     """
 
     statistical = True

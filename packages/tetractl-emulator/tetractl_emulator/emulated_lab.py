@@ -34,10 +34,20 @@ _as_json = json.JSONEncoder(separators=(",", ":")).encode
 
 
 class EmulatedLab:
-    """An emulated lab at the ends of `wires`, by default real sockets and ports.
+    """An emulated lab at the ends of connections, as a context manager.
 
-    It is a context manager: leaving it always releases ports and names. `report(event, facts)` is
-    called with events for display.
+    Leaving it always releases ports and names.
+
+    Args:
+        lab: The section of the lab in the spec.
+        setup: The constants of the experiment.
+        script: The script of faults.
+        options: Options of the emulation.
+        report: Called with the name and the facts of each event, for display.
+        make_loop: Creates the loop that runs the devices.
+        wires: Opens the ends of connections. None for real sockets and ports.
+        process_of: Returns the process that drives the robots. None if there is none.
+        blind: The camera of a lab whose own camera is real. None otherwise.
     """
 
     def __init__(

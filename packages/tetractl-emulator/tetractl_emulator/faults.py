@@ -203,11 +203,13 @@ MARK = fault_kind(
 
 
 class Injector:
-    """Schedules the faults of a script.
+    """Schedules the faults of a script. `acting` holds the faults that act now.
 
-    `device_of` returns the device of a fault. `acting` holds the faults that act now.
-    `report(phase, fault)` is called with the phase "start" when a fault becomes visible, and with
-    the phase "end" when it ends.
+    Args:
+        timeline: The timeline of the emulation.
+        faults: The faults of the script.
+        device_of: Returns the device of a fault.
+        report: Called with "start" when a fault becomes visible, and with "end" when it ends.
     """
 
     def __init__(

@@ -196,9 +196,12 @@ class RobotCore(WheelsCore):
 
 
 class TwistCore(WheelsCore):
-    """The core of robot `index`, which takes lines of text.
+    """The firmware core of a robot that takes lines of text. Its wheels have speeds [mm/s].
 
-    Its wheels have speeds [mm/s], and are `radius_mm` from its centre.
+    Args:
+        index: The robot's index in the lines.
+        radius_mm: Distance of the wheels from the robot's centre [mm].
+        library: The compiled firmware. None to load it.
     """
 
     name = "twist"

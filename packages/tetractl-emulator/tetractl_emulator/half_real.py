@@ -47,6 +47,12 @@ class MovedCamera:
     """A real camera above stationary robots, with their poses moved as emulated robots drive.
 
     See `tetractl.core.protocols.Camera`. `look` must be called every millisecond.
+
+    Args:
+        camera: The real camera.
+        emulation: The emulated robots.
+        clock: The clock for times.
+        mm: The spec's length unit [mm].
     """
 
     def __init__(self, camera: Camera, emulation: EmulatedLab, clock: Clock, mm: float) -> None:

@@ -168,7 +168,14 @@ class MemoryPort(PseudoPort):
 
 
 class MemorySerial(SerialPort):
-    """Our end of a serial port in memory, without a thread; `bits_a_second` is its speed."""
+    """Our end of a serial port in memory, without a thread.
+
+    Args:
+        network: The network in memory.
+        name: Name of the port.
+        baud: Its speed [bits per second].
+        rest: The further arguments of `SerialPort`.
+    """
 
     def __init__(self, network: MemoryNetwork, name: str, baud: int, *rest: Any) -> None:
         super().__init__(name, baud, *rest)

@@ -52,7 +52,10 @@ class OneWay:
 class SerialLine:
     """The line between a port and a device, with the faults `baud` and `bad_bytes`.
 
-    It carries `baud` bits per second in each direction.
+    Args:
+        timeline: The timeline of the emulation.
+        baud: Bits per second in each direction.
+        acting: The faults that act now.
     """
 
     def __init__(self, timeline: Timeline, baud: int, acting: ActingFaults) -> None:
@@ -78,10 +81,16 @@ class SerialLine:
 
 
 class SerialDevice(ABC):
-    """A device that receives and answers through `port`, with the delays of its `line`.
+    """A device that receives and answers through a port, with the delays of its `line`.
 
-    `note(event, **facts)` records each command when it is read from the port, None if no record is
-    kept; `garbled` is the number of chunks sent at another baud rate than the device's.
+    `garbled` is the number of chunks sent at another baud rate than the device's.
+
+    Args:
+        timeline: The timeline of the emulation.
+        port: The port.
+        baud: Speed of the device [bits per second].
+        note: Called with each command when it is read from the port. None if no record is kept.
+        acting: The faults that act now. None for none.
     """
 
     def __init__(

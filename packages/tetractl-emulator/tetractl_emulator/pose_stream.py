@@ -76,6 +76,11 @@ class PoseStream(PoseCamera):
     """Sends `packed` frames to the program that has opened the section's `address`.
 
     It starts when the program has written something, or at once if the program only listens.
+
+    Args:
+        stage: The data and functions that the lab's emulated devices share.
+        settings: The settings of the camera.
+        bodies: The bodies that the camera sees.
     """
 
     Settings: ClassVar[type[Model]] = PoseSettings

@@ -39,8 +39,12 @@ SIGNALS = Literal["INT", "TERM", "HUP", "QUIT", "KILL"]
 class Process:
     """The process that drives the robots of an emulated lab.
 
-    It has locked the port of the actuator, which it opens with `ports`. If no process has, nothing
-    is done.
+    It has locked the port of the actuator. If no process has, nothing is done.
+
+    Args:
+        lab: The section of the lab in the spec.
+        clock: The clock for times.
+        ports: Opens the port of the actuator.
     """
 
     def __init__(self, lab: Any, clock: Clock, ports: Ports = SerialPort) -> None:
@@ -87,10 +91,14 @@ class Process:
 
 
 class ThisProcess(Process):
-    """This process, in virtual time on `clock`.
+    """This process, in virtual time, as the process that drives the robots.
 
-    `supervision` belongs to its trial. `outlive` lets the emulated lab continue alone, and closes
-    it.
+    Args:
+        lab: The section of the lab in the spec.
+        ports: Opens the port of the actuator.
+        clock: The virtual clock.
+        supervision: How people supervise the trial.
+        outlive: Lets the emulated lab continue alone, and closes it.
     """
 
     def __init__(

@@ -180,8 +180,13 @@ class EmulatedPlantSection(RigSection):
 class BusyPlant(LabPlant):
     """A `LabPlant` in virtual time, on a computer that is busy.
 
-    Between a frame and the action that is planned from it, some time passes. `halves` says what is
-    real, for the log.
+    Between a frame and the action that is planned from it, some time passes.
+
+    Args:
+        rig: The connected lab.
+        supervision: How people supervise the trial.
+        kind: The type of the plant's section.
+        halves: Names of the real and the emulated devices, for the log.
     """
 
     def __init__(

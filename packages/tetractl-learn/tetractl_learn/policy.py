@@ -115,7 +115,13 @@ class PolicySection(PlainSection):
 
 
 class PolicyController(PlainController):
-    """The controller of one trial. No random numbers are drawn; `key` is only used for the log."""
+    """The controller of one trial that sends what a learnt policy decides.
+
+    Args:
+        section: The fields of the controller in the spec.
+        setup: The constants of the experiment.
+        key: Only logged, because nothing is random.
+    """
 
     def __init__(self, section: PolicySection, setup: Setup, key: int) -> None:
         super().__init__(section, setup, key)

@@ -22,9 +22,14 @@ NAMES_MAX = 20
 
 
 class MotionCapture(PortCamera):
-    """Tracks the setup's robots with their rigid bodies; see `tetractl.core.protocols.Camera`.
+    """Tracks robots by their rigid bodies; see `tetractl.core.protocols.Camera`.
 
-    `ports` creates another port than the one to the library's process.
+    Args:
+        section: The fields of the camera in the spec.
+        setup: The constants of the experiment.
+        clock: The clock for times.
+        wake: Called after every new frame.
+        ports: Creates another port than the one to the library's process. None for that one.
     """
 
     connect_s = 10.0

@@ -18,7 +18,13 @@ from tetractl_motioncapture.section import MotionCaptureSection
 
 
 class EmulatedMotionCapture(PoseStream):
-    """Bodies as the library gives them: position [m] and quaternion, in the system's axes."""
+    """Bodies as the library gives them: position [m] and quaternion, in the system's axes.
+
+    Args:
+        stage: The data and functions that the lab's emulated devices share.
+        settings: The settings of the camera.
+        bodies: The bodies that the camera sees.
+    """
 
     faults: ClassVar[Sequence[type[Fault]]] = (
         *PoseStream.faults,

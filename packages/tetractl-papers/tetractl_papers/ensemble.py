@@ -70,9 +70,14 @@ class HeldDirection(NamedTuple):
 
 
 class Ensemble(PlainController):
-    """The controller of one trial. No random numbers are drawn; `key` is only used for the log.
+    """The controller of one trial by Feedback Ensemble Control.
 
-    At each step it asks what is less: V after driving without a field, or V now less `fall`.
+    At each step, it compares V after driving without a field with V now, less `fall`.
+
+    Args:
+        section: The fields of the controller in the spec.
+        setup: The constants of the experiment.
+        key: Only logged, because nothing is random.
     """
 
     def __init__(self, section: EnsembleSection, setup: Setup, key: int) -> None:

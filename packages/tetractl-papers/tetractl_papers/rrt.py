@@ -79,7 +79,13 @@ class RrtSection(PlainSection):
 
 
 class Rrt(PlainController):
-    """The controller of one trial; `key` seeds all its random numbers."""
+    """The controller of one trial by a rapidly-exploring random tree with feedback.
+
+    Args:
+        section: The fields of the controller in the spec.
+        setup: The constants of the experiment.
+        key: Seed of all random numbers.
+    """
 
     def __init__(self, section: RrtSection, setup: Setup, key: int) -> None:
         super().__init__(section, setup, key)

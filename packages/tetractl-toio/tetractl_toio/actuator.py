@@ -32,7 +32,11 @@ EMPTY = 10  # charge below which a cube would soon stop [%]
 class ToioActuator(WheeledActuator):
     """The actuator for toio cubes; see `tetractl.core.protocols.Actuator`.
 
-    `ports` is passed to `CubesLink`.
+    Args:
+        section: The fields of the actuator in the spec.
+        setup: The constants of the experiment.
+        clock: The clock for times.
+        ports: Creates the ports of the `CubesLink`. None for Bluetooth, or emulated cubes.
     """
 
     def __init__(

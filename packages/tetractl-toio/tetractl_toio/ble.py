@@ -31,7 +31,16 @@ def is_cube(wanted: str, name: str | None, address: str) -> bool:
 
 
 class BluetoothPort(SerialPort):
-    """The cube `name`; see SerialPort, whose `baud` has no meaning here."""
+    """A toio cube at this computer's Bluetooth adapter, as a port.
+
+    Args:
+        name: Name of the cube.
+        baud: Without meaning here.
+        device: What is connected, for messages.
+        clock: The clock for times.
+        on_received: Called with received bytes and their time [ns]; see `SerialPort`.
+        hint: The hint of the errors raised.
+    """
 
     def __init__(
         self, name: str, baud: int, device: str, clock: Clock, on_received: Heard, hint: str

@@ -71,11 +71,18 @@ class CubeReports:
 
 
 class ToioCamera:
-    """Tracks the setup's robots with their own readings; see `tetractl.core.protocols.Camera`.
+    """Tracks toio cubes by their own readings; see `tetractl.core.protocols.Camera`.
 
     A frame has all readings since the previous frame. A cube without a new reading keeps the last
     one, with its old time. The frame's number counts the events of the connections that brought
-    readings. `ports` is passed to `CubesLink`.
+    readings.
+
+    Args:
+        section: The fields of the camera in the spec.
+        setup: The constants of the experiment.
+        clock: The clock for times.
+        wake: Called after every new frame.
+        ports: Creates the ports of the `CubesLink`. None for Bluetooth, or emulated cubes.
     """
 
     def __init__(

@@ -105,10 +105,13 @@ _RUNS: dict[Clock, Cubes] = {}
 
 
 class CubesLink:
-    """A device's share of the connections to cubes, which belong to the run with this clock.
+    """The connections to cubes as one device uses them. They belong to the run with this clock.
 
-    `heard` is called for the notifications of `cubes`, with each cube's index, characteristic, data
-    and time.
+    Args:
+        clock: The clock of the run.
+        cubes: Names of the cubes.
+        ports: Creates the ports. None for Bluetooth, or emulated cubes.
+        on_received: Called for notifications with the cube's index, characteristic, data and time.
     """
 
     def __init__(

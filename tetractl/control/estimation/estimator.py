@@ -26,9 +26,14 @@ from tetractl.core.poses import Bools, Floats, Observation
 class StateEstimator:
     """Estimates the state and motion of the robots in one trial.
 
-    `problem` has the spec's values of turning rate a and speed; with an uncertain `prior` both are
-    identified. Robots that the `loss` rule counts as lost (`losses.lost`) are left out of every
-    result.
+    Robots that are lost (`losses.lost`) are left out of every result.
+
+    Args:
+        problem: The spec's values of turning rate a and speed. With an uncertain prior, both are
+            identified.
+        period_s: The control period [s].
+        prior: The uncertainty at the start.
+        loss: The rule by which a robot is lost. None if no robot can be lost.
     """
 
     def __init__(

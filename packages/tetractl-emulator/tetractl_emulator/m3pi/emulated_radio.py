@@ -53,11 +53,19 @@ def at_response(frame_id: int, command: bytes, value: bytes | None) -> bytes:
 
 
 class EmulatedRadio(RobotRadio):
-    """The PC's module on its port, and one module per robot.
+    """The PC's radio module on its port, and one module per robot.
 
-    `versions` are the hardware version (HV) and firmware version (VR) of the PC's module.
-    `note(event, **facts)` records each command when it is read from the port, with `sequence`,
-    `flags` and the `wheels` of all robots.
+    Args:
+        timeline: The timeline of the emulation.
+        port: The port of the PC's module.
+        baud: Speed of the port [bits per second].
+        versions: Hardware version (HV) and firmware version (VR) of the PC's module.
+        robots: The robots.
+        loss: Fraction of the transmissions that are lost.
+        seed: Determines what is lost and late.
+        note: Called with each command when it is read from the port: `sequence`, `flags`, and the
+            `wheels` of all robots. None if no record is kept.
+        acting: The faults that act now. None for none.
     """
 
     def __init__(

@@ -59,10 +59,14 @@ class Program(Protocol):
 
 
 class EmulatedRobot:
-    """One robot, in a row of `EmulatedRobots`, which moves it.
+    """One robot with its program. `EmulatedRobots` moves it.
 
-    `index` is the number in broadcasts that was built into its firmware. It has those of the faults
-    that are `acting` which name it; others `switch` it off, or `renumber` it.
+    Args:
+        name: Its name.
+        index: The number in broadcasts that was built into its firmware.
+        battery_mv: Voltage of its battery [mV].
+        make_core: Creates the program for an index.
+        acting: The faults that act now, of which it has those that name it. None for none.
     """
 
     robots: "EmulatedRobots"
@@ -193,11 +197,19 @@ class EmulatedRobot:
 class EmulatedRobots:
     """The true state of N robots, in the spec's axes.
 
-    They stand still at `start_ns`. Their `pose` (3, N) is x, y [mm] and heading [rad], their
-    `wheels` (2, N) the speeds of the left and right wheels [mm/s]. The motors' counts are read once
-    a millisecond, as the firmware does. `drivetrains` gives the true wheel speeds for counts,
-    `radius` (N,) [mm] the distance from a wheel to the centre, `lag_s` (N,) [s] the wheels' time
-    constants.
+    The robots stand still at the start. The motors' counts are read once a millisecond, as the
+    firmware does.
+
+    Args:
+        robots: The robots.
+        drivetrains: Converts counts to true wheel speeds.
+        radius: Distance from a wheel to the centre [mm], shape (N,).
+        lag_s: Time constants of the wheels [s], shape (N,).
+        start_ns: Time of the start [ns].
+
+    Attributes:
+        pose: x, y [mm] and heading [rad], shape (3, N).
+        wheels: Speeds of the left and right wheels [mm/s], shape (2, N).
     """
 
     def __init__(

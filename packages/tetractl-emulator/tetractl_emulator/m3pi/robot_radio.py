@@ -19,9 +19,17 @@ from tetractl_emulator.port import PseudoPort, SerialDevice
 
 
 class RobotRadio(SerialDevice):
-    """A radio to robots that loses at least the fraction `loss` of its transmissions.
+    """A radio to robots that loses at least a given fraction of its transmissions.
 
-    `seed` determines what is lost and late.
+    Args:
+        timeline: The timeline of the emulation.
+        port: The port of the radio.
+        baud: Speed of the port [bits per second].
+        note: Called with each command. None if no record is kept.
+        robots: The robots.
+        loss: Fraction of the transmissions that are lost.
+        seed: Determines what is lost and late.
+        acting: The faults that act now. None for none.
     """
 
     def __init__(

@@ -197,9 +197,16 @@ class PortedSide(WheeledSide):
     """A `WheeledSide` whose section has an entry for each robot.
 
     The entry's `radius_mm`, `left_gain` and `right_gain` of the wheels are true unless the settings
-    differ. `stated` are these entries, and `radii` (N,) the distances from the wheels to the
-    centres [mm], in the order of the setup. `limit` is the maximum count, and the speed of a count
-    [mm/s].
+    differ.
+
+    Args:
+        stage: The data and functions that the lab's emulated devices share.
+        settings: The settings of the emulated robots.
+        limit: The maximum count, and the speed of a count [mm/s].
+
+    Attributes:
+        stated: The entries, in the order of the setup.
+        radii: Distances from the wheels to the centres [mm], shape (N,).
     """
 
     Settings: ClassVar[type[Model]] = WheelsSettings

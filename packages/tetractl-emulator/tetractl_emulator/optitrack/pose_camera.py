@@ -30,10 +30,17 @@ class Exposure:
 
 
 class PoseCamera(ABC):
-    """Exposes bodies `rate` times a second, each frame to be sent `latency_s` [s] later.
+    """Exposes bodies at a rate, and sends each frame later.
 
     Exposures are numbered from 1, without gaps. `shown_ns` is when each robot was exposed in the
     newest frame sent in which it is tracked.
+
+    Args:
+        stage: The data and functions that the lab's emulated devices share.
+        tracked: The bodies.
+        rate: Exposures per second [Hz].
+        latency_s: Time from an exposure to sending its frame [s].
+        view: The scene that the camera sees.
     """
 
     numbered: ClassVar[bool] = True

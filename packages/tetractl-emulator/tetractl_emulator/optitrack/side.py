@@ -100,10 +100,18 @@ class ServerPorts:
 class EmulatedOptitrack(PoseCamera):
     """An emulated Motive server, with rigid bodies on the robots.
 
-    `names` are the names and numbers of bodies that it reports. It serves `clients` by unicast, and
-    has `greeted` addresses. It counts RECORDED events in `counts`, and how often it was asked for
-    its models. For clocks that drift, `clock_errors` gives what its clock has gained [ns] by a time
-    on the host's clock [ns].
+    Args:
+        stage: The data and functions that the lab's emulated devices share.
+        settings: The settings of the server.
+        bodies: The bodies that carry markers.
+
+    Attributes:
+        names: Names and numbers of the bodies that it reports.
+        clients: Addresses that it serves by unicast.
+        greeted: Addresses that it has answered.
+        counts: Number of each of the RECORDED events, and of requests for its models.
+        clock_errors: For clocks that drift: what its clock has gained [ns] by a time on the host's
+            clock [ns].
     """
 
     Settings: ClassVar[type[Model]] = OptitrackSettings

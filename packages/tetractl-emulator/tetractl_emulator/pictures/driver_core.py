@@ -27,7 +27,13 @@ class DriverLimits:
 
 
 class DriverCore(Core):
-    """The firmware core of a current driver, switched on at `now_ms`."""
+    """The firmware core of a current driver.
+
+    Args:
+        limits: The limits built into the driver.
+        now_ms: Time at which it is switched on [ms].
+        library: The compiled firmware. None to load it.
+    """
 
     name = "field"
     reply_size = 28

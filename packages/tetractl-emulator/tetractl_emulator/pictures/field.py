@@ -50,10 +50,19 @@ COOL_DC = 250
 
 
 class CurrentDriver(SerialDevice):
-    """A current driver, switched on at the timeline's present time; its owner plugs in `port`.
+    """A current driver, switched on at the timeline's present time. Its owner plugs in the port.
 
-    `currents` [A] are the true currents; `lag_s` is their time constant [s], and `supply_mv` the
-    voltage of its supply without a fault.
+    `currents` [A] are the true currents.
+
+    Args:
+        timeline: The timeline of the emulation.
+        port: The port of the driver.
+        limits: The limits built into the driver.
+        baud: Speed of the port [bits per second].
+        lag_s: Time constant of the currents [s].
+        note: Called with each command. None if no record is kept.
+        supply_mv: Voltage of the supply without a fault [mV].
+        acting: The faults that act now. None for none.
     """
 
     def __init__(

@@ -21,12 +21,17 @@ from tetractl_emulator.virtual_lab import LabClock
 
 
 class MemoryCamera:
-    """A camera on a LabClock that shows a `stream` in memory; a context manager.
+    """A camera on a LabClock that shows a stream of images in memory; a context manager.
 
-    It is at the spec's `port`, which is not opened. It is also the `Feed` of the program that
-    watches it, which `join` returns. `shown(exposed_ns)` is called when the image of an exposure
-    arrives undamaged. While no program watches, before `join` and after `interrupt`, nothing is
-    drawn. If more than `WAITING_MAX` images are on the wire, the oldest are lost.
+    It is also the `Feed` of the program that watches it, which `join` returns. While no program
+    watches, before `join` and after `interrupt`, nothing is drawn. If more than `WAITING_MAX`
+    images are on the wire, the oldest are lost.
+
+    Args:
+        stream: The images.
+        clock: The clock for times.
+        port: The spec's port, which is not opened.
+        shown: Called with the time of an exposure [ns] when its image arrives undamaged.
     """
 
     live = emulated = True

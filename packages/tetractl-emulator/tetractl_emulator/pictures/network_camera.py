@@ -42,12 +42,18 @@ class DuePart:
 
 
 class PictureStream:
-    """The pictures of an emulated camera, as parts of a multipart stream, with the faults that act.
+    """The images of an emulated camera, as parts of a multipart stream, with the faults that act.
 
-    The middle of picture k's exposure, which lasts `exposure_s`, is k / `rate_hz` after the camera
-    was entered, and the picture is sent `latency_s` after the middle; `half_ns` is half the time of
-    an exposure. `draw(exposed_ns)` returns the picture whose exposure has its middle at a time on
-    the camera's clock. `seed` draws which parts the fault `bad_pictures` spoils.
+    The middle of the exposure of image k is k / `rate_hz` after the camera was entered. `half_ns`
+    is half the time of an exposure.
+
+    Args:
+        draw: Returns the image whose exposure has its middle at a time on the camera's clock [ns].
+        rate_hz: Images per second [Hz].
+        exposure_s: Time of an exposure [s].
+        latency_s: Time from the middle of an exposure to sending the image [s].
+        acting: The faults that act now. None for none.
+        seed: Determines which parts the fault `bad_pictures` spoils.
     """
 
     def __init__(
@@ -102,13 +108,18 @@ class PictureStream:
 
 
 class EmulatedNetworkCamera:
-    """Serves a stream of images at http://127.0.0.1:`port`/, by default any free port.
+    """Serves a stream of images at http://127.0.0.1:`port`/, as a context manager.
 
-    It is a context manager, and raises TetractlError if the port is in use. While anybody watches,
-    one thread exposes images and puts each into the queue of every client. A busy host skips some
-    exposures. A thread for each client sends what is in its queue when it is due. A client that
-    reads slowly misses images. `_lock` protects what they share: the queues of the clients, and the
-    stream. A camera that `drips` sends an endless header byte by byte.
+    Entering it raises TetractlError if the port is in use. While anybody watches, one thread
+    exposes images and puts each into the queue of every client. A busy host skips some exposures. A
+    thread for each client sends what is in its queue when it is due. A client that reads slowly
+    misses images. `_lock` protects what they share: the queues of the clients, and the stream.
+
+    Args:
+        stream: The images.
+        clock: The clock for times.
+        port: The port. 0 for any free port.
+        drips: Whether to send an endless header byte by byte.
     """
 
     def __init__(

@@ -162,9 +162,14 @@ class ShownBodies:
 
 
 class StreamedCamera(ABC):
-    """Base class of emulated cameras that serve pictures as MJPEG; a thread draws the pictures.
+    """Base class of emulated cameras that serve images as MJPEG. A thread draws the images.
 
     A subclass returns the present scene as numbers, and draws the scene at an exposure.
+
+    Args:
+        stage: The data and functions that the lab's emulated devices share.
+        settings: The settings of the camera.
+        bodies: The bodies that the camera sees.
     """
 
     Settings: ClassVar[type[Model]]

@@ -17,9 +17,16 @@ DELAY_NS = 2 * MILLISECOND  # guess: from the end of a line at the radio to the 
 
 
 class LineRadio(RobotRadio):
-    """Passes lines on `port` to `robots`, and their replies back.
+    """Passes lines on a port to robots, and their replies back.
 
-    `indices` are the numbers of all robots of the setup.
+    Args:
+        stage: The data and functions that the lab's emulated devices share.
+        port: The port.
+        baud: Its speed [bits per second].
+        robots: The robots at this port.
+        indices: The numbers of all robots of the setup.
+        loss: Fraction of the lines that are lost.
+        seed: Determines what is lost.
     """
 
     end = b"\n"  # of a line

@@ -53,7 +53,13 @@ class Seen:
 
 
 class Tracker:
-    """Finds the robots' and floor tags in pictures; `metres` is the spec's length unit [m]."""
+    """Finds the robots' and floor tags in images.
+
+    Args:
+        section: The fields of the camera in the spec.
+        names: Names of the robots.
+        metres: The spec's length unit [m].
+    """
 
     def __init__(self, section: AprilTagSection, names: Sequence[str], metres: float) -> None:
         self.robots = [entry(section.robots, name) for name in names]
@@ -210,6 +216,13 @@ class AprilTagCamera(PictureCamera[Seen]):
 
     A robot is not tracked (None) while its tag is not seen, is seen twice, or has the wrong size.
     No robot is tracked before the floor tags have calibrated the camera.
+
+    Args:
+        section: The fields of the camera in the spec.
+        setup: The constants of the experiment.
+        clock: The clock for times.
+        wake: Called after every new frame.
+        join: Opens a source in memory; see `PictureCamera`. None for the spec's source.
     """
 
     def __init__(

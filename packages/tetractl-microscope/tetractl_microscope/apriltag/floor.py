@@ -218,10 +218,16 @@ MISFIT_MM = 10.0  # larger errors of floor tags mean that a tag's position in th
 class Floor:
     """Keeps the camera calibrated by the floor tags.
 
-    Corners are averaged over `AVERAGED` pictures, since neither camera nor floor tags move. If a
-    corner moves by more than `MOVED_PX`, the calibration is discarded until a picture shows all
+    Corners are averaged over `AVERAGED` images, since neither camera nor floor tags move. If a
+    corner moves by more than `MOVED_PX`, the calibration is discarded until an image shows all
     floor tags again. A calibration by which a floor tag is more than `MISFIT_MM` away from its
     position in the spec is not used; it is kept in `misfit`.
+
+    Args:
+        tags: The floor tags with their positions.
+        metres: The spec's length unit [m].
+        lens: The lens. None to estimate it.
+        highest_mm: Maximum height of a robot's tag [mm].
     """
 
     def __init__(

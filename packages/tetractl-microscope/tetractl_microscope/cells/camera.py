@@ -156,13 +156,20 @@ class CellCamera(PictureCamera[SeenDish]):
     """Tracks N cells; a `Camera`.
 
     Once at least as many cells are in view as the spec has robots, the cells nearest to the starts
-    become the robots. A cell that is lost, after half a second without a blob, is a stranger if it
-    reappears. `steered` tells the camera the common direction; without it, cells that
-    have met are distinguished only by their paths.
+    become the robots. A cell that is lost, after half a second without a blob, is an unknown object
+    if it reappears. `steered` tells the camera the common direction. Without it, cells that have
+    met are distinguished only by their paths.
 
-    A thread of the base class searches the pictures: `_see` and what it calls. The trial's thread
+    A thread of the base class searches the images: `_see` and what it calls. The trial's thread
     changes which cells are the robots, by `settle` and `replace`: `robot_cells` has the rule by
     which neither disturbs the other. A frame in which others were the robots is dropped.
+
+    Args:
+        section: The fields of the camera in the spec.
+        setup: The constants of the experiment.
+        clock: The clock for times.
+        wake: Called after every new frame.
+        join: Opens a source in memory; see `PictureCamera`. None for the spec's source.
     """
 
     def __init__(

@@ -31,9 +31,13 @@ class Identities:
 
 
 class CellWatch:
-    """A `RobotWatch` for the cells of a camera, which adds to `waiting` for each image.
+    """A `RobotWatch` that loses a robot if the identity of its cell is unknown for too long.
 
-    A robot is lost if its identity has been unknown for `patience_s` [s].
+    Args:
+        camera: The camera of the cells.
+        waiting: The identities of each image, which the camera adds.
+        setup: The constants of the experiment.
+        patience_s: Time for which an identity may be unknown [s].
     """
 
     def __init__(

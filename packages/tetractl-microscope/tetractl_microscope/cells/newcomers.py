@@ -47,9 +47,14 @@ class FreeBlob:
 
 
 class Newcomers:
-    """The specks of a dish, and how they become cells; `bank` is the filter.
+    """The specks of a dish, and how they become cells.
 
-    For each picture `follow` is called once, after the cells have their blobs and names.
+    For each image, `follow` is called once, after the cells have their blobs and names.
+
+    Args:
+        bank: The filter of the cells.
+        names: The names of the cells.
+        organism: What the cells are.
     """
 
     def __init__(self, bank: HelixFilter, names: Names, organism: Organism) -> None:

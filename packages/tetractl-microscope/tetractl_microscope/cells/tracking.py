@@ -67,11 +67,16 @@ class CellsInBlob:
 
 
 class CellTracker:
-    """Tracks the cells in images with the scale `um_px` [um/px].
+    """Tracks the cells in images.
 
     Images must be given in the order of time, after `finder` has learned the background. Positions
-    come from `picture_now`. `field_known` tells whether the field is known, `near_wall` where a
-    wall may turn cells, and `organism` which objects are cells.
+    come from `picture_now`.
+
+    Args:
+        um_px: Scale of the images [um/px].
+        field_known: Whether the field is known.
+        near_wall: Returns where a wall may turn cells.
+        organism: Decides which objects are cells.
     """
 
     def __init__(

@@ -22,7 +22,13 @@ ALIKE = 0.08
 
 
 class RankedChoice:
-    """A choice of cells, and the errors predicted for it along the plans of its first trials."""
+    """A choice of cells, and the errors predicted for it along the plans of its first trials.
+
+    Args:
+        experiment: The experiment.
+        cells: The chosen cells.
+        noise: The noise of camera and motion.
+    """
 
     def __init__(
         self, experiment: Experiment, cells: Sequence[RobotCandidate], noise: Noise

@@ -57,8 +57,13 @@ class FieldActuator:
 
     No cell can be held still: every transmission, even a stop, states that all cells move at their
     own speed. A transmission's `outputs` are the currents requested from the driver, `current_x_a`
-    and `current_y_a` [A], and the field that they make, `field_mt` and `field_direction_rad`. Times
-    are ns on `clock`. `ports` is for the Driver.
+    and `current_y_a` [A], and the field that they make, `field_mt` and `field_direction_rad`.
+
+    Args:
+        section: The fields of the actuator in the spec.
+        setup: The constants of the experiment.
+        clock: The clock for times [ns].
+        ports: Creates the driver's port. None for a port of this computer.
     """
 
     halts = False

@@ -96,10 +96,16 @@ HINT = "the driver switches the field off by its watchdog; cells swim on"
 
 
 class Driver:
-    """A current driver on a serial port. Times are ns on `clock`.
+    """A current driver on a serial port.
 
     Every frame polls the driver, so that `failure` can tell whether the driver has become silent,
-    too hot or emergency-stopped. `ports` makes the serial port, SerialPort by default.
+    too hot or emergency-stopped.
+
+    Args:
+        port: Name of the port.
+        baud: Its speed [bits per second].
+        clock: The clock for times [ns].
+        ports: Creates the serial port. None for `SerialPort`.
     """
 
     def __init__(self, port: str, baud: int, clock: Clock, ports: Ports | None = None) -> None:

@@ -89,6 +89,11 @@ class MicroManagerFeed(Feed):
 
     An image has the upper eight bits of the camera's grey levels or, for a colour camera, the mean
     of red, green and blue.
+
+    Args:
+        source: The fields of the source in the spec.
+        clock: The clock for times.
+        timeout_s: Time to wait for an image [s].
     """
 
     def __init__(self, source: MicroManagerSource, clock: Clock, timeout_s: float) -> None:

@@ -179,13 +179,19 @@ class PictureSearches(Generic[R]):
 class PictureCamera(ABC, Generic[R]):
     """Base class of cameras that track robots in images. Subclasses implement `_see` and `_health`.
 
-    `wake` is called, in the searching thread, after every new frame. A frame has the number of its
-    image: if a live source is faster than the search, numbers are missing. The `fault` of a frame
-    is never set. An image that repeats the previous one is no frame. `join` opens a source in
-    memory that calls a function with each image, without a thread; None opens the spec's source.
+    A frame has the number of its image: if a live source is faster than the search, numbers are
+    missing. The `fault` of a frame is never set. An image that repeats the previous one is no
+    frame.
 
     Only the searching thread uses `_size`, `_newest_picture`, and what a subclass adds. Only that
     thread counts in `_unread`.
+
+    Args:
+        section: The fields of the camera in the spec.
+        clock: The clock for times.
+        wake: Called, in the searching thread, after every new frame.
+        join: Opens a source in memory that calls a function with each image, without a thread. None
+            for the spec's source.
     """
 
     def __init__(

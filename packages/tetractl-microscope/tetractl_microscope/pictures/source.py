@@ -67,7 +67,13 @@ def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | Non
 
 
 class DeviceFeed(Feed):
-    """A camera at this computer, opened by OpenCV; not tested with a real camera."""
+    """A camera at this computer, opened by OpenCV. Not tested with a real camera.
+
+    Args:
+        source: The fields of the source in the spec.
+        clock: The clock for times.
+        timeout_s: Time to wait for an image [s].
+    """
 
     def __init__(self, source: DeviceSource, clock: Clock, timeout_s: float) -> None:
         self.rate_hz = source.rate
@@ -126,7 +132,13 @@ class DeviceFeed(Feed):
 
 
 class FileFeed(Feed):
-    """A film that imageio reads, played at its own rate or at the source's."""
+    """A film that imageio reads, played at its own rate or at the source's.
+
+    Args:
+        source: The fields of the source in the spec.
+        clock: The clock for times.
+        timeout_s: Time to wait for an image [s].
+    """
 
     live = False
     emulated = True  # robots in a film cannot be steered
@@ -196,7 +208,13 @@ def _single_images(film: Any) -> Iterator[np.ndarray]:
 
 
 class MjpegFeed(Feed):
-    """A network camera's multipart stream over HTTP."""
+    """A network camera's multipart stream over HTTP.
+
+    Args:
+        source: The fields of the source in the spec.
+        clock: The clock for times.
+        timeout_s: Time to wait for an image [s].
+    """
 
     def __init__(self, source: MjpegSource, clock: Clock, timeout_s: float) -> None:
         self._url = source.url

@@ -106,9 +106,17 @@ def _turning(speed: int) -> int:
 
 
 class Connection(RobotRadio):
-    """The connection to one cube, with events every `interval_ns`, beginning at `phase_ns`.
+    """The connection to one cube, with events at regular intervals.
 
-    `robots` are all cubes of the setup. The connection reaches only `robot`.
+    Args:
+        stage: The data and functions that the lab's emulated devices share.
+        port: The port of the cube.
+        robot: The cube that the connection reaches.
+        robots: All cubes of the setup.
+        interval_ns: Time between two events [ns].
+        phase_ns: Time of the first event [ns].
+        loss: Fraction of the packets that are lost.
+        seed: Determines what is lost.
     """
 
     def __init__(

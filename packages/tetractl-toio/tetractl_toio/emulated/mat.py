@@ -64,6 +64,11 @@ class EmulatedMat:
 
     Each event of a connection that passes readings on counts as an exposure and a frame, whenever a
     program reads them.
+
+    Args:
+        stage: The data and functions that the lab's emulated devices share.
+        settings: The settings of the mat.
+        bodies: The cubes.
     """
 
     Settings: ClassVar[type[Model]] = MatSettings

@@ -50,7 +50,14 @@ class CubesSettings(WheelsSettings):
 
 
 class ConnectedCube(EmulatedRobot):
-    """An emulated cube, its program and its connection."""
+    """An emulated cube, its program and its connection.
+
+    Args:
+        name: Its name.
+        index: Its index in the setup.
+        battery_mv: Voltage of its battery [mV].
+        acting: The faults that act now.
+    """
 
     program: CubeProgram
     connection: Connection

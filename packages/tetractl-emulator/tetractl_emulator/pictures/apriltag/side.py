@@ -137,8 +137,15 @@ Shades = NDArray[np.float32]
 class Renderer:
     """Draws the robots' tags and the floor tags as the optics see them.
 
-    The same seed gives the same images. `metres` is the spec's length unit [m]. Tags with numbers
-    in `hidden` are not drawn. The tags in `strays` are also drawn on the floor.
+    The same seed gives the same images. Tags with numbers in `hidden` are not drawn. The tags in
+    `strays` are also drawn on the floor.
+
+    Args:
+        robots: The robots' tags.
+        floor: The floor tags.
+        metres: The spec's length unit [m].
+        optics: The camera's lens and sensor.
+        seed: Determines the noise.
     """
 
     def __init__(
@@ -303,7 +310,13 @@ class AprilTagSettings(StreamSettings):
 
 
 class EmulatedAprilTag(StreamedCamera):
-    """A network camera above robots with tags."""
+    """A network camera above robots with tags.
+
+    Args:
+        stage: The data and functions that the lab's emulated devices share.
+        settings: The settings of the camera.
+        bodies: The bodies that carry tags.
+    """
 
     Settings: ClassVar[type[Model]] = AprilTagSettings
     faults: ClassVar[Sequence[type[Fault]]] = (

@@ -19,8 +19,11 @@ DROP = 0.25  # largest distance of a drop's cells from the dish's middle, in wid
 class CoilField:
     """The magnetic field of coils. A fault can change the coils.
 
-    At the strength `reference_mt` [mT], the cells' turning rates are their a of equation (3) of the
-    paper.
+    Args:
+        section: The coils in the spec.
+        reference_mt: Strength at which the cells' turning rates are their a of the paper's equation
+            (3) [mT].
+        acting: The faults that act now.
     """
 
     def __init__(self, section: CoilsSection, reference_mt: float, acting: ActingFaults) -> None:
@@ -53,10 +56,16 @@ class CoilField:
 class Dish:
     """Cells between the coils of a driver.
 
-    `driver` is a `CurrentDriver`, or an object with its `currents`, `running` and `advance`.
-    `walls` [um] are the edges along which cells slide, None for a dish without edges. If `held`, a
-    placed cell stays at its place until the driver makes a field, as if a helper held it with a
-    pipette. A trial then begins with the cells on their starts.
+    If `held`, a placed cell stays at its place until the driver makes a field, as if a helper held
+    it with a pipette. A trial then begins with the cells on their starts.
+
+    Args:
+        driver: A `CurrentDriver`, or an object with its `currents`, `running` and `advance`.
+        field: The field of the coils.
+        cells: The cells.
+        start_ns: Time of the start [ns].
+        seed: Determines everything random.
+        walls: The edges along which cells slide [um]. None for a dish without edges.
     """
 
     def __init__(
@@ -126,6 +135,11 @@ class CellBody:
 
     The heading is the direction of its helix's axis. A cell never stands still. It counts as
     standing still while the driver makes no field.
+
+    Args:
+        name: Its name.
+        dish: The dish.
+        row: Index of the cell in the dish.
     """
 
     def __init__(self, name: str, dish: Dish, row: int) -> None:

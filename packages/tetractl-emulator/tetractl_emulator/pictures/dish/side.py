@@ -52,9 +52,14 @@ class MicroscopeSettings(StreamSettings):
 
 
 class EmulatedMicroscope(StreamedCamera):
-    """A microscope's network camera above cells; every picture is synthetic.
+    """A microscope's network camera above cells. Every image is synthetic.
 
     When a client begins to watch, the cells are scattered again, like a fresh drop.
+
+    Args:
+        stage: The data and functions that the lab's emulated devices share.
+        settings: The settings of the microscope.
+        bodies: The cells.
     """
 
     Settings: ClassVar[type[Model]] = MicroscopeSettings

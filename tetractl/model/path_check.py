@@ -91,28 +91,33 @@ class PathCheck:
         """Find the samples (N, M) that may be the nearest to an obstacle so far.
 
         The last sample before a step that touches an obstacle also counts.
+
+        `at_least` is a lower bound of each sample's distance, and cheap. A sample can be left out
+        if this bound exceeds two values: the smallest distance found so far, because the sample
+        then is not the nearest; and the longest step, because a path that touches an obstacle
+        before the next sample is nearer to it than that.
         """
         at_least = self.obstacles.at_least(x, y)
         robots = np.arange(len(x))
         nearest = np.where(np.isnan(at_least), np.inf, at_least).argmin(1)
         distance = self.obstacles.distance(x[robots, nearest], y[robots, nearest])
         clearance = np.fmin(self.clearance, distance)  # that of the whole path is not greater
-        step_max = _greatest_step(x) + _greatest_step(y)
+        step_max = _longest_step(x) + _longest_step(y)
         return at_least <= (np.fmax(clearance, step_max) + self._slack)[:, None]
 
     def verdict(self, final: Poses, not_at_rest: str = "") -> Verdict:
         """Return the verdict on the path so far, with the final poses `final`."""
         return Verdict(
-            final,
-            tuple(bool(entered) for entered in self.entered),
-            tuple(self.clearance.tolist()),
-            not_at_rest,
-            tuple(self.edge.tolist()),
-            tuple(self.apart.tolist()),
+            final=final,
+            entered=tuple(bool(entered) for entered in self.entered),
+            clearance=tuple(self.clearance.tolist()),
+            not_at_rest=not_at_rest,
+            edge=tuple(self.edge.tolist()),
+            apart=tuple(self.apart.tolist()),
         )
 
 
-def _greatest_step(coordinates: Floats) -> Floats:
+def _longest_step(coordinates: Floats) -> Floats:
     """Return the maximum difference between successive samples (N, M) of each robot, (N,)."""
     return np.fmax.reduce(np.abs(np.diff(coordinates)), axis=1, initial=0.0)
 

@@ -108,12 +108,20 @@ class MovedCamera:
         ]
         return replace(frame, poses=tuple(poses))
 
+    def _emulated_at(self, at_ns: int) -> Any:
+        """Return the newest emulated poses up to a time [ns], or the oldest that are kept."""
+        past = tuple(self._past)  # a copy, because another thread may add poses
+        for t_ns, poses in reversed(past):
+            if t_ns <= at_ns:
+                return poses
+        _, oldest = past[0]
+        return oldest
+
     def _at(self, i: int, at_ns: int, pose: Pose | None) -> Pose | None:
         home = self._home[i]
         if pose is None or home is None:
             return None
-        past = tuple(self._past)
-        x, y, heading = next((poses for t, poses in reversed(past) if t <= at_ns), past[0][1])[i]
+        x, y, heading = self._emulated_at(at_ns)[i]
         return replace(
             pose,
             x=x / self._mm + pose.x - home.x,

@@ -19,7 +19,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 from llvmlite import binding
@@ -37,18 +37,26 @@ from tetractl.tools.cache import (
 )
 from tetractl.tools.kernels import sources
 
-_dumps: Any
-_rebuild: Any
-_reduce: Any
-try:
-    from numba.core import compiler, serialize
 
-    _dumps = serialize.dumps
-    result = compiler.CompileResult
-    _rebuild = result._rebuild
-    _reduce = result._reduce
-except (ImportError, AttributeError):  # they are private: without them nothing is kept
-    _rebuild = None
+class _Internals(NamedTuple):
+    """Private functions of Numba that store and restore compiled code."""
+
+    dumps: Callable[..., bytes]
+    rebuild: Callable[..., Any]
+    reduce: Callable[..., Any]
+
+
+@cache
+def _internals() -> _Internals | None:
+    """Return Numba's private functions. None if this version lacks one: then nothing is kept."""
+    try:
+        from numba.core import compiler, serialize
+
+        result: Any = compiler.CompileResult
+        return _Internals(serialize.dumps, result._rebuild, result._reduce)
+    except (ImportError, AttributeError):
+        return None
+
 
 _SUM = hashlib.sha256().digest_size  # bytes of the checksum before a stored kernel
 LEVEL = "x86-64-v3"  # processors for which kernels are shipped
@@ -143,12 +151,14 @@ class KernelCache:
         """Return the compiled code for a signature, None if there is none or it is damaged."""
         target_context.refresh()
         system = target_context.codegen().magic_tuple()
-        places = ((self._place, system), (shipped(), (system[0], LEVEL, "")))
-        loaded = (self._load(place, self._key(sig, code), target_context) for place, code in places)
-        return next((code for code in loaded if code is not None), None)
+        own = self._load(self._place, self._key(sig, system), target_context)
+        if own is not None:
+            return own
+        return self._load(shipped(), self._key(sig, (system[0], LEVEL, "")), target_context)
 
     def _load(self, place: Path | None, key: tuple[Any, ...], target_context: Any) -> Any:
-        if place is None:
+        internals = _internals()
+        if place is None or internals is None:
             return None
         try:
             path = self._path(place, key)
@@ -157,7 +167,7 @@ class KernelCache:
                 raise ValueError("its checksum does not match")
             stored_key, payload = pickle.loads(stored[_SUM:])
             if stored_key == key:
-                return _rebuild(target_context, *payload)
+                return internals.rebuild(target_context, *payload)
         except FileNotFoundError:
             pass
         except PermissionError as error:
@@ -168,11 +178,12 @@ class KernelCache:
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the compiled code for a signature."""
-        if self._place is None:
+        internals = _internals()
+        if self._place is None or internals is None:
             return
         key = self._key(sig, data.codegen.magic_tuple())
         try:
-            stored = _dumps((key, _reduce(data)))
+            stored = internals.dumps((key, internals.reduce(data)))
             with tempfile.NamedTemporaryFile(dir=self._place, delete=False) as file:
                 try:
                     file.write(hashlib.sha256(stored).digest() + stored)
@@ -207,7 +218,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         if options.get("no_cpython_wrapper"):
             return dispatcher
         place = folder()
-        if _rebuild is None:
+        if _internals() is None:
             say_once(f"compiled code is not kept: numba {numba.__version__} is not known")
         elif place is not None or shipped() is not None:
             dispatcher._cache = KernelCache(function, place)

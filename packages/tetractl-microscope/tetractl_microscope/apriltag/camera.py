@@ -166,7 +166,7 @@ def _findings(
             yield True, f"{robot.name}: tag {robot.tag} is not seen{others}"
         elif sizes:
             ratio = statistics.median(sizes)
-            if _is_odd(ratio, min(sides_px), robot.size_mm, above_mm - robot.height_mm):
+            if _is_unexplained(ratio, min(sides_px), robot.size_mm, above_mm - robot.height_mm):
                 off = f"{abs(100 * (ratio - 1)):.1f} % {'larger' if ratio > 1 else 'smaller'}"
                 yield (
                     abs(ratio - 1) >= ODD_SIZE,
@@ -191,7 +191,7 @@ def _calibrated(section: AprilTagSection, plane: Plane) -> Iterator[Finding]:
         )
 
 
-def _is_odd(ratio: float, side_px: float, size_mm: float, distance_mm: float) -> bool:
+def _is_unexplained(ratio: float, side_px: float, size_mm: float, distance_mm: float) -> bool:
     """Decide whether the size of a robot's tag is unexplained by noise, print scale and tag height.
 
     `ratio` is the measured side divided by `size_mm`, `side_px` the side in the picture [px], and

@@ -51,12 +51,7 @@ class Detector:
         parameters.perspectiveRemovePixelPerCell = 8
         parameters.perspectiveRemoveIgnoredMarginPerCell = 0.33  # the rim of a module is blurred
         self._detector = cv2.aruco.ArucoDetector(_family(), parameters)
-        self._top_left = 0
-        # OpenCV's dictionary is rotated against the AprilTag project's pictures, by an angle that
-        # depends on the release: a picture of tag 0 shows which corner is the top left one
-        square = np.kron(_zero(), np.ones((10, 10), np.uint8))
-        (sighting,) = self.find(np.pad(square, 20, constant_values=255))
-        self._top_left = int(np.argmin(sighting.corners.sum(axis=1)))
+        self._top_left = _top_left_corner(self._detector)
 
     def find(self, picture: Grey) -> list[Sighting]:
         """Return every tag in the picture; two tags with the same number are both returned."""
@@ -84,6 +79,17 @@ def tag_picture(number: int) -> Grey:
     printed = _zero()
     turns = next(k for k in range(4) if np.array_equal(drawn[k], printed))
     return np.ascontiguousarray(np.rot90(_drawn(number), turns))
+
+
+def _top_left_corner(detector: cv2.aruco.ArucoDetector) -> int:
+    """Find which of the corners that OpenCV reports is the top left one of a printed tag.
+
+    OpenCV's dictionary is rotated against the AprilTag project's pictures, by an angle that depends
+    on the release. A picture of tag 0 shows the angle.
+    """
+    square = np.kron(_zero(), np.ones((20, 20), np.uint8))
+    corners, _, _ = detector.detectMarkers(np.pad(square, 40, constant_values=255))
+    return int(np.argmin(np.array(corners[0], float).reshape(4, 2).sum(axis=1)))
 
 
 def _family() -> cv2.aruco.Dictionary:

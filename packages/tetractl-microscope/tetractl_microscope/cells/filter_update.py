@@ -95,7 +95,7 @@ def _is_astray(bank: HelixFilter, reading: BlobReading, body_um: float) -> bool:
     """Decide whether the filter's position of a cell is too far away from the cell's blob."""
     x, y, _ = reading.values
     state = bank.mean[reading.cell.row, :2].tolist()
-    is_certain = reading.deviations[0] < MERGED[0] * body_um
+    is_certain = reading.deviations[0] < MERGED.position * body_um
     return is_certain and math.dist((x, y), state) > ASTRAY * body_um
 
 

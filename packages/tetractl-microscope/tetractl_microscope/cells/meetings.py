@@ -117,7 +117,7 @@ class Meetings:
         """
         tracks = meeting.tracks
         places, _ = self._bank.expected(np.array([track.row for track in tracks]))
-        deviations = [MERGED[0] if track.is_shared else PLACE_SD for track in tracks]
+        deviations = [MERGED.position if track.is_shared else PLACE_SD for track in tracks]
         table = self.log_densities(meeting, places, np.array(deviations))
         not_unknown = np.diagonal(self.not_unknown(meeting, table))
         if len(tracks) > ORDERED_MOST:

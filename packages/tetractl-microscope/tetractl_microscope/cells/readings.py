@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,15 +14,28 @@ from tetractl_microscope.cells.match import LARGE
 from tetractl_microscope.cells.picture_now import PictureNow
 from tetractl_microscope.cells.specks import usual_size
 
+
+class Spread(NamedTuple):
+    """Standard deviations of a measurement from a blob.
+
+    Attributes:
+        position: Of the position [lengths of a cell].
+        axis: Of the axis [rad].
+    """
+
+    position: float
+    axis: float
+
+
 # standard deviations of a blob's measured position
 POSITION_PX = 0.2
 POSITION_UM = 0.4
 AXIS = 0.02
-# deviations of position [lengths of a cell] and axis [rad]: for a blob cut off or too large; in a
-# shared blob; and in a shared blob that is only as large as one of its cells
-ODD = (0.15, 0.5)
-MERGED = (0.13, 10.0)
-HIDDEN = (0.57, 10.0)
+# for a blob that is cut off, too large or too small; for a shared blob; and for a shared blob that
+# is only as large as one of its cells
+UNUSUAL = Spread(0.15, 0.5)
+MERGED = Spread(0.13, 10.0)
+HIDDEN = Spread(0.57, 10.0)
 ROUND = 0.01  # least elongation of a blob, 1 - width / length, of which the axis says something
 OFF_SHARE = 0.3  # deviation of a cell's position per excess length of its blob
 LONGER = 1.35  # ratio of blob to cell length above which it shows two cells in a row
@@ -73,7 +87,7 @@ def note_own_reading(reading: BlobReading) -> None:
     """Record what a cell's own blob shows. Its size is recorded unless the blob is unusual."""
     cell = reading.cell
     newest = reading.newest
-    if not _is_odd(cell, newest):
+    if not _is_unusual(cell, newest):
         _, _, _, long, wide = newest.place.tolist()
         cell.size = BodySize(
             cell.size.long + SHAPE_SHARE * (long - cell.size.long),
@@ -81,7 +95,7 @@ def note_own_reading(reading: BlobReading) -> None:
         )
 
 
-def _is_odd(cell: CellTrack, newest: TrackBlob) -> bool:
+def _is_unusual(cell: CellTrack, newest: TrackBlob) -> bool:
     """Decide whether a cell's own blob is too large or too small for it, or cut off."""
     _, _, _, long, wide = newest.place.tolist()
     is_smaller = long * wide < cell.size.area_um2 / LARGE**2
@@ -104,20 +118,19 @@ def own_reading(
         body_um: Length of a body [um].
     """
     x, y, axis, long, wide = newest.place.tolist()
+    if not _is_unusual(cell, newest):
+        min_um = POSITION_UM + POSITION_PX * now.um_px
+        axis_sd = AXIS / max(1 - wide / long, ROUND)
+        return BlobReading(cell, newest, (x, y, axis), (min_um, min_um, axis_sd))
     if newest.is_large and not newest.blob.at_edge:
         opposite = (*(2 * newest.place[:2] - expected[:2]), axis)
         points = now.points_of(newest.blob)
-        x, y = match.centres_in_blob([cell, cell], np.array([expected, opposite]), points)[
-            0
-        ].tolist()
-        sd_um = MERGED[0] * body_um
+        centres = match.centres_in_blob([cell, cell], np.array([expected, opposite]), points)
+        x, y = centres[0].tolist()
+        sd_um = MERGED.position * body_um
     else:
-        sd_um = max(ODD[0] * body_um, OFF_SHARE * (long - cell.size.long))
-    if _is_odd(cell, newest):
-        return BlobReading(cell, newest, (x, y, axis), (sd_um, sd_um, ODD[1]))
-    least_um = POSITION_UM + POSITION_PX * now.um_px
-    axis_sd = AXIS / max(1 - wide / long, ROUND)
-    return BlobReading(cell, newest, (x, y, axis), (least_um, least_um, axis_sd))
+        sd_um = max(UNUSUAL.position * body_um, OFF_SHARE * (long - cell.size.long))
+    return BlobReading(cell, newest, (x, y, axis), (sd_um, sd_um, UNUSUAL.axis))
 
 
 def shared_readings(
@@ -138,11 +151,11 @@ def shared_readings(
     """
     long, wide = newest.place[3:]
     is_as_one_cell = long * wide < LARGE * max(cell.size.area_um2 for cell in cells)
-    length_sd, axis_sd = HIDDEN if is_as_one_cell else MERGED
-    sd_um = length_sd * body_um
+    spread = HIDDEN if is_as_one_cell else MERGED
+    sd_um = spread.position * body_um
     points = now.points_of(newest.blob)
     middles = match.centres_in_blob(cells, expected, points).tolist()
     return [
-        BlobReading(cell, newest, (x, y, axis), (sd_um, sd_um, axis_sd))
+        BlobReading(cell, newest, (x, y, axis), (sd_um, sd_um, spread.axis))
         for cell, axis, (x, y) in zip(cells, expected[:, 2].tolist(), middles, strict=True)
     ]

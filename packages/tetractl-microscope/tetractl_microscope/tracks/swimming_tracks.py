@@ -206,6 +206,6 @@ def track_record(
             "organism": organism.name,
             "cells": items,
             "notes": notes,
-            "field": field and field.items(),
+            "field": None if field is None else field.items(),
         }
     )

@@ -90,6 +90,11 @@ class DrivenTrack:
         From lag dr/dt = u - r the integral of r is that of u less lag times the rise of r, hence
         the difference of U(t) - lag r(t) between a step's ends, with U the integral of u. Between
         two commands r tends to u as exp(-t / lag); robots have the first command's rates before it.
+
+        Args:
+            dead_time: Time from the sending of a command until it acts [s].
+            lag: Time constant with which the rates follow the commands [s].
+            drift: How fast the times of the commands run apart from those of the poses [s/s].
         """
         if len(self.pose_s) < 2 or not len(self.sent_s):
             return np.zeros((len(self.steps.turned), 2))
@@ -222,7 +227,14 @@ class UsedSteps:
 def integrals_of(
     tracks: Sequence[DrivenTrack], dead_time: float, lag: float, drift: float = 0.0
 ) -> Floats:
-    """Return the integrals over all steps of some tracks (S, 2)."""
+    """Return the integrals over all steps of some tracks, shape (S, 2).
+
+    Args:
+        tracks: The tracks.
+        dead_time: Time from the sending of a command until it acts [s].
+        lag: Time constant with which the rates follow the commands [s].
+        drift: How fast the times of the commands run apart from those of the poses [s/s].
+    """
     return np.concatenate([track.integrals(dead_time, lag, drift) for track in tracks])
 
 

@@ -109,7 +109,13 @@ UNITS = {
 
 
 def response_table(responses: Sequence[RobotResponse], title: str, unit: str) -> Table:
-    """Return a table of robots' values with their 95 % intervals; a row per value."""
+    """Return a table of robots' values with their 95 % intervals, with a row per value.
+
+    Args:
+        responses: The robots' responses. There is at least one.
+        title: The title of the table.
+        unit: The length unit.
+    """
     units = {name: UNITS[name] for name in responses[0].quantities}
     labels = [*labels_of(units, unit), "turning explained", "distance explained", "left out"]
     columns = [Column("quantity", labels)]

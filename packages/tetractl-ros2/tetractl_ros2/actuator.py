@@ -159,7 +159,7 @@ class Ros2Robots(SpeedRobots):
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Send each robot its command; robots not `moving` stand."""
+        """Send each robot its command; see `tetractl.core.protocols.Actuator.send`."""
         self._vector = _vector(action)
         return super().send(action, poses, moving, exposed_ns)
 
@@ -222,10 +222,16 @@ def _vector(action: Steer | Turn) -> Vector3:
 
 
 def stop_all(section: Ros2Section, setup: Setup, clock: Clock, alone: bool) -> str:
-    """Stop every robot by ten messages within 200 ms; return a summary.
+    """Stop every robot by ten messages within 200 ms, and return a summary.
 
-    While nobody subscribes to some of the topics, at most DISCOVERY_S, the other robots are sent
-    more of these messages.
+    While nobody subscribes to some of the topics, for at most DISCOVERY_S, the other robots are
+    sent more of these messages.
+
+    Args:
+        section: The fields of the actuator in the spec.
+        setup: The constants of the experiment.
+        clock: The clock for times.
+        alone: Whether to open the topics exclusively.
 
     Raises:
         AbortError: If nobody subscribes to a robot's topic; the others are stopped.

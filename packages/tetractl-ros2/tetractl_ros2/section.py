@@ -200,7 +200,11 @@ class Ros2Section(SpeedSection):
         limit: int,
         report: Callable[[str], None],
     ) -> Measured:
-        """Calibrate the robots as `ActuatorSection` does; those that steer themselves cannot be."""
+        """Calibrate the robots; see `ActuatorSection.calibrate`.
+
+        Raises:
+            UsageError: If the robots steer themselves.
+        """
         if self.message == DIRECTION:
             raise UsageError("robots that steer themselves cannot be calibrated")
         return super().calibrate(lab, make_rig, setup, names, limit, report)

@@ -34,7 +34,13 @@ EMULATED = "/tetractl/emulated"
 
 
 def pose_topics(section: Ros2CameraSection, setup: Setup, publishes: bool = False) -> list[Topic]:
-    """Return the topics of the poses, one for all robots or one for each in the setup's order."""
+    """Return the topics of the poses: one for all robots, or one for each in the setup's order.
+
+    Args:
+        section: The fields of the camera in the spec.
+        setup: The constants of the experiment.
+        publishes: Whether this program publishes on the topics.
+    """
     message = POSES[section.message]
     return [Topic(name, message, publishes) for name in section.topics(setup)]
 
@@ -45,7 +51,13 @@ def emulated_topic(publishes: bool = False) -> Topic:
 
 
 def command_topics(section: Ros2Section, setup: Setup, publishes: bool = True) -> list[Topic]:
-    """Return the topics of the robots' commands, in the setup's order."""
+    """Return the topics of the robots' commands, in the setup's order.
+
+    Args:
+        section: The fields of the actuator in the spec.
+        setup: The constants of the experiment.
+        publishes: Whether this program publishes on the topics.
+    """
     message = COMMANDS[section.message]
     robots = [entry(section.robots, name) for name in setup.names]
     return [Topic(robot.topic, message, publishes) for robot in robots]
@@ -54,7 +66,13 @@ def command_topics(section: Ros2Section, setup: Setup, publishes: bool = True) -
 def battery_topics(
     section: Ros2Section, setup: Setup, publishes: bool = False
 ) -> list[Topic | None]:
-    """Return the topics of the robots' batteries in the setup's order, None for one without."""
+    """Return the topics of the robots' batteries in the setup's order. None for a robot without.
+
+    Args:
+        section: The fields of the actuator in the spec.
+        setup: The constants of the experiment.
+        publishes: Whether this program publishes on the topics.
+    """
     names = [entry(section.robots, name).battery for name in setup.names]
     return [None if name is None else Topic(name, BatteryState, publishes) for name in names]
 

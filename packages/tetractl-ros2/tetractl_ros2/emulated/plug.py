@@ -87,6 +87,11 @@ def on_topics(stage: Stage, domain: int, topics: Iterable[Topic]) -> Stage:
     """Return a stage whose ports with the names of these topics are topics of a ROS 2 graph.
 
     If its wires are in memory, the stage stays as it is.
+
+    Args:
+        stage: The data and functions that the lab's emulated devices share.
+        domain: The ROS domain.
+        topics: The topics.
     """
     if stage.wires.ports is not None:
         return stage

@@ -138,7 +138,7 @@ class EmulatedRos2Robots(PortedSide):
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults
     ) -> EmulatedRobot:
-        """Return the robot in a row of the setup, with its driver."""
+        """Create the robot in a row of the setup, with its driver; see `PortedSide.make_robot`."""
         make: Callable[[int], TwistProgram] = partial(self._program, battery_mv)
         return EmulatedRobot(name, row, battery_mv, make, acting)
 

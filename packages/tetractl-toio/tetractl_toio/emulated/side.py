@@ -110,7 +110,7 @@ class EmulatedCubes(PortedSide):
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults
     ) -> ConnectedCube:
-        """Return the cube in a row of the setup; see `Side.make_robot`."""
+        """Return the cube in a row of the setup; see `PortedSide.make_robot`."""
         return ConnectedCube(name, row, battery_mv, acting)
 
     def switch(self, on: bool) -> None:

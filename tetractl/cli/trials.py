@@ -83,9 +83,18 @@ def load_to_run(
 class RunOptions:
     """How trials are run: the options of `run`, with their defaults.
 
-    Without `out`, logs go to a new folder in ./logs. With `port`, trials are served to viewers.
-    `keep_going` is None for the default of the plant. With `rate`, simulated trials are slowed down
-    to that many times life speed.
+    Attributes:
+        out: Folder for the logs. None for a new folder in ./logs.
+        jobs: Number of trials that run at the same time.
+        resume: Whether to run only the trials that are missing in `out`.
+        keep_going: Whether the batch goes on after an aborted trial. None for the plant's default.
+        dry_run: Whether only to check the spec.
+        quiet: Whether to print only the result.
+        yes: Whether robots may move without a question.
+        port: Port at which trials are served to viewers. None for none.
+        json: Whether to print the result as JSON.
+        unattended: Whether a closed terminal does not stop the robots.
+        rate: Speed of simulated trials as a multiple of real time. None for as fast as possible.
     """
 
     out: Path | None = None

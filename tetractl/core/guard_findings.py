@@ -30,7 +30,13 @@ class Excess:
 
 @dataclass(frozen=True, slots=True)
 class Refuse:
-    """The newest pose of a robot is rejected, because the robot cannot have come there."""
+    """The newest pose of a robot is refused, because the robot cannot have come there.
+
+    Attributes:
+        robot: Index of the robot.
+        text: The reason.
+        excess: The measured value with its limit. None if there is none.
+    """
 
     robot: int
     text: str
@@ -47,9 +53,12 @@ class Moved:
 
 @dataclass(frozen=True, slots=True)
 class Lose:
-    """A robot is lost, and the run goes on without it.
+    """A robot is lost, and the run goes on without it. If the spec does not allow that, it aborts.
 
-    If the spec does not allow that, the run is aborted.
+    Attributes:
+        robot: Index of the robot.
+        text: The reason.
+        excess: The measured value with its limit. None if there is none.
     """
 
     robot: int

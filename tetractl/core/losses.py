@@ -26,11 +26,14 @@ DEAD_S = 5.0  # way, as a time of driving, that one robot drives until another o
 
 @dataclass(frozen=True, slots=True)
 class LossRule:
-    """A robot that was not tracked for `after_s` is lost, and the trial goes on without it.
+    """The rule by which a robot counts as lost, so that the trial goes on without it.
 
-    If `replaced`, a body that is tracked again under the robot's name counts as another robot,
-    which takes over the lost robot's target. If `dead`, a robot that is seen but dead (see
-    `Standing`) is lost too; a trial that `ends` ends then, and its robots are never lost.
+    Attributes:
+        after_s: Time for which a robot must be untracked to be lost [s].
+        replaced: Whether a body that is tracked again under the robot's name counts as another
+            robot, which takes over the lost robot's target.
+        dead: Whether a robot that is seen but dead (see `Standing`) is also lost.
+        ends: Whether the trial ends then. Its robots are never lost.
     """
 
     after_s: float

@@ -36,11 +36,16 @@ POSE_MAX = 1e9
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where one robot is: x, y [length unit], and its heading, anticlockwise from +x [rad].
+    """Position and heading of one robot.
 
-    `height` is the height of the tracked body's origin above the floor [length unit], `tilt` the
-    angle between the body's own upward axis and the vertical [rad, 0 to pi]; each is None if the
-    camera cannot measure it.
+    Attributes:
+        x: x [length unit].
+        y: y [length unit].
+        heading: Heading, anticlockwise from +x [rad].
+        height: Height of the tracked body's origin above the floor [length unit]. None if the
+            camera cannot measure it.
+        tilt: Angle between the body's own upward axis and the vertical [rad], from 0 to pi. None if
+            the camera cannot measure it.
     """
 
     x: float
@@ -158,12 +163,17 @@ class CameraFrame:
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """How well a camera sees robots, as far as it is known: 0 is for not known.
+    """How well a camera sees robots. 0 means unknown.
 
-    `noise_mm` and `noise_rad` are the standard deviations of a measured position [mm] and heading
-    [rad], `rate_hz` is the number of frames a second. A camera may measure on a grid, as robots do
-    that read a printed mat: then it shows positions in steps of `grid_mm` [mm] and headings in
-    steps of `grid_rad` [rad], and the deviations are those without the grid.
+    A camera may measure on a grid, as robots do that read a printed mat. The deviations are then
+    those without the grid.
+
+    Attributes:
+        grid_mm: Step of measured positions [mm].
+        grid_rad: Step of measured headings [rad].
+        noise_mm: Standard deviation of a measured position [mm].
+        noise_rad: Standard deviation of a measured heading [rad].
+        rate_hz: Frames per second [Hz].
     """
 
     grid_mm: float = 0.0

@@ -32,10 +32,16 @@ REAL_DEVICE = "real"
 
 @dataclass(frozen=True, slots=True)
 class PlantInfo:
-    """A description of an open plant: `kind` is its type, and the log's metadata hold its `facts`.
+    """A description of an open plant.
 
     The fact HALTS of a lab is "yes" if its robots stand still after a stop, otherwise "no". The
     fact EMULATED_DEVICES names the lab's devices that are not real, such as "camera".
+
+    Attributes:
+        kind: Type of the plant.
+        simulated: Whether it is a simulation.
+        camera_rate_hz: Frame rate of its camera [Hz].
+        facts: Facts that the log's metadata hold.
     """
 
     kind: str
@@ -133,9 +139,19 @@ class Verdict:
 class Start:
     """The start of a trial.
 
-    `resolved` is the spec as YAML with all fields, including defaults and `--set`; `spec_hash` is
-    the SHA-256 of its values, as 64 hex digits. `packages` are name and version of the
-    packages, other than tetractl, that provide a kind used by the spec.
+    Attributes:
+        setup: The constants of the experiment.
+        spec_text: The spec as written.
+        spec_name: Name of the spec's file.
+        resolved: The spec as YAML with all fields, including defaults and `--set`.
+        spec_hash: SHA-256 of the spec's values, as 64 hex digits.
+        seed: Seed of the trials.
+        trial: Index of the trial.
+        plant: Description of the plant.
+        start_unix_ns: Time of the start [Unix ns].
+        attached: Name and text of further files.
+        packages: Name and version of the packages, other than tetractl, that provide a kind used by
+            the spec.
     """
 
     setup: Setup = field(repr=False)
@@ -154,10 +170,16 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One control step k: observation, plan and command.
+    """One control step.
 
-    `solve_ns` is the wall time of planning; `deadline_missed` is True if it exceeds the control
-    period. Both values differ from run to run on the same seed.
+    Attributes:
+        k: Number of the step, from 0.
+        observation: The observation.
+        plan: The plan.
+        command: The command that was sent.
+        solve_ns: Wall time of planning [ns]. It differs from run to run.
+        deadline_missed: Whether planning took longer than the control period. It differs from run
+            to run.
     """
 
     k: int

@@ -57,10 +57,21 @@ def speed_factor(celsius: float) -> float:
 class Swimmers:
     """The true state of N cells: one number per cell in each array (N,).
 
-    x, y [um] and `heading` [rad] describe the helix's axis, `depth` [um] is the axis's height
-    from focus, `phase` [rad] the body's position on the helix. `a` [rad/s] is the turning rate at
-    the reference field, 0 for a cell without magnet, `bias` [rad] the dipole's angle from the axis,
-    `walk` [rad/sqrt(s)] the random walk of the heading. `resting` cells do not swim.
+    Attributes:
+        x: x of the helix's axis [um].
+        y: y of the helix's axis [um].
+        heading: Direction of the axis [rad].
+        depth: Height of the axis from focus [um].
+        phase: Position of the body on the helix [rad].
+        length: Length of the body [um].
+        width: Width of the body [um].
+        speed: Speed along the axis [um/s].
+        helix_um: Radius of the helix [um].
+        helix_hz: Turns of the helix per second [Hz].
+        a: Turning rate at the reference field [rad/s]. 0 for a cell without a magnet.
+        bias: Angle of the dipole from the axis [rad].
+        walk: Random walk of the heading [rad/sqrt(s)].
+        resting: Whether the cell rests instead of swimming.
     """
 
     x: Floats
@@ -238,10 +249,14 @@ def walls_of(setup: Setup, rim_um: float = 0.0) -> Bounds:
 
 @dataclass(frozen=True, slots=True)
 class Bodies:
-    """The bodies of N cells as a camera sees them: x, y [um], `height` from focus [um] (N,).
+    """The bodies of N cells as a camera sees them, arrays of shape (N,).
 
-    `axis` [rad] is the body's direction in the picture, which sways about the helix's axis, and
-    `tilt` [rad] its angle out of the picture's plane.
+    Attributes:
+        x: x [um].
+        y: y [um].
+        height: Height from focus [um].
+        axis: Direction of the body in the image, which sways about the helix's axis [rad].
+        tilt: Angle of the body out of the image's plane [rad].
     """
 
     x: Floats

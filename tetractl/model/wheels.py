@@ -68,10 +68,14 @@ def body_velocity(
 class Drivetrains:
     """The wheels of N robots, as calibrated or as they truly are.
 
-    `gain` (2, N) [length unit/s per count] of left and right wheels is negative for a wheel that
-    positive counts drive backwards; `dead_zone` (2, N) is the largest count without motion. `limit`
-    (N,) is the largest count that is sent. `swap` (N,): the left wheel is connected to the second
-    motor channel. Counts (2, N) are in the order of the channels, speeds (2, N) left and right.
+    Counts (2, N) are in the order of the motor channels; speeds (2, N) are left and right.
+
+    Attributes:
+        gain: Speed per count of left and right wheels [length unit/s per count], shape (2, N).
+            Negative for a wheel that positive counts drive backwards.
+        dead_zone: Largest count without motion, shape (2, N).
+        limit: Largest count that is sent, shape (N,).
+        swap: Whether the left wheel is connected to the second motor channel, shape (N,).
     """
 
     gain: Floats

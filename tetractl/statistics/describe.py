@@ -132,19 +132,26 @@ def _from_published(
 
 @dataclass(frozen=True, slots=True)
 class Contrast(Shown):
-    """Comparison of the total errors of two batches; differences are `first` minus `second`.
+    """Comparison of the total errors of two batches. Differences are `first` minus `second`.
 
-    `pairs` is the number of pairs of trials with the same disturbances; without pairs,
-    `why_unpaired` is the reason. `difference` is tested by the paired t test, or without pairs by
-    Welch's t test; `from_both_means` is another interval of this difference, computed from the
-    intervals of the two means. `rank_p` is the p-value of Wilcoxon's signed-rank test or, without
-    pairs, rank-sum test. `p_holm` and `rank_p_holm` are the p-values for means and ranks, corrected
-    for the number of contrasts. `detects` is the difference that the test finds in 80 % of all
-    studies of this size, in standard deviations of the paired differences or, without pairs, of the
-    values. `differs` lists the fields in which both specs differ. Groups with different plants
-    (`same_origin` False) are not tested: their p-values are NaN. The same holds if the directions
-    of one batch were given, perhaps with hindsight (`no_controller`): such a batch has no rank
-    among controllers.
+    Groups with different plants (`same_origin` False) are not tested: their p-values are NaN. The
+    same holds if the directions of one batch were given, perhaps with hindsight (`no_controller`):
+    such a batch has no rank among controllers.
+
+    Attributes:
+        first: The first batch.
+        second: The second batch.
+        pairs: Number of pairs of trials with the same disturbances.
+        why_unpaired: Why there are no pairs. Empty if there are.
+        difference: Difference of the means, with the paired t test or, without pairs, Welch's t
+            test.
+        from_both_means: Another interval of the difference, from the intervals of the two means.
+        rank_p: p-value of Wilcoxon's signed-rank test or, without pairs, rank-sum test.
+        detects: Difference that the test finds in 80 % of all studies of this size, in standard
+            deviations of the paired differences or, without pairs, of the values.
+        differs: Fields in which both specs differ.
+        p_holm: p-value of the difference, corrected for the number of contrasts.
+        rank_p_holm: p-value of the ranks, corrected for the number of contrasts.
     """
 
     first: BatchStatistics

@@ -66,12 +66,18 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Tail:
-    """How many of n values are above a `bound`, and Wilson's interval of their fraction of n.
+    """How many of n values are above a bound.
 
     The mean of a few values does not show rare large ones: an event with a probability of 2 % is
-    missing in two of three batches of 20 trials. `stated` is whether the spec states the bound;
-    otherwise the bound is 10 times the median. Without values, or with a median that is not
-    positive, `bound` is NaN.
+    missing in two of three batches of 20 trials.
+
+    Attributes:
+        bound: The bound: the spec's, or 10 times the median. NaN without values, or if the median
+            is not positive.
+        above: Number of values above it.
+        n: Number of values.
+        stated: Whether the spec states the bound.
+        ci95: Wilson's interval of the fraction above / n.
     """
 
     bound: float

@@ -26,11 +26,16 @@ from tetractl.tools.table.table import lengths
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A figure of a batch: its `label` and `text` in tables, and its items of JSON.
+    """A figure of a batch.
 
-    `brief` is the text next to those of other batches; None if it is the same, "" if the figure is
-    left out there. A figure with the label "" is in JSON only. An `unusual` figure is one that a
-    reader must see, such as damaged logs: the other ones are shown with `--full` only.
+    Attributes:
+        label: Its label in tables. Empty if it is in JSON only.
+        text: Its text in tables.
+        items: Its items of JSON.
+        unusual: Whether a reader must see it, such as damaged logs. The others are shown only with
+            `--full`.
+        brief: The text next to those of other batches. None if it is the same, empty if the figure
+            is left out there.
     """
 
     label: str

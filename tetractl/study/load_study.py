@@ -49,8 +49,14 @@ SWEEP_KEY = (0,)
 class Arm:
     """One arm of a study: the spec of its trials, and its differences from the study's base spec.
 
-    `values` has the values of the swept fields by path. `hash` is the SHA-256 of the experiment
-    without the number of trials.
+    Attributes:
+        name: Name of the arm.
+        controller: Name of its controller.
+        values: Values of the swept fields, by path.
+        sets: Differences from the base, in the form of `--set`.
+        spec: The spec.
+        hash: SHA-256 of the experiment without the number of trials.
+        code: Digest of the code that the arm uses.
     """
 
     name: str  # name of the arm's folder

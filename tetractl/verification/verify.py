@@ -62,9 +62,17 @@ class EndCheck(Enum):
 class Verification(Shown):
     """The result of verifying one log.
 
-    `rewritten` is the program that wrote the file again from a log of tetractl, "" if none did.
-    `method` is REEVALUATED only if `elsewhere` names differences between the host that wrote the
-    log and this one. `checked` is the number of steps whose repeated decision agrees with the log.
+    Attributes:
+        log: The log.
+        rewritten: Program that wrote the file again from a log of tetractl. Empty if none did.
+        steps: Number of control steps.
+        checked: Number of steps whose repeated decision agrees with the log.
+        method: How decisions were checked. REEVALUATED only if `elsewhere` names a difference.
+        elsewhere: Differences between the host that wrote the log and this one.
+        problems: What is wrong.
+        unchecked: What could not be checked.
+        notes: Further remarks.
+        seconds: Time that the check took [s].
     """
 
     log: str

@@ -26,13 +26,20 @@ Facts = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Options of the emulation. A port of 0 means any free port, None the spec's port.
+    """Options of the emulation.
 
-    `link` is the name of the serial port, None for the spec's. `record` is a file for the true
-    events, None for no file. `replace_after` [s]: robots that have stood still for this time after
-    a run are switched off, put back on their starts and switched on; None leaves them where they
-    are. `chosen`: trials choose their cells, so the emulation's settings give the cells in the
-    dish, drawn by the seed `dish`, by default `seed`. An `address` of None is that of the spec.
+    Attributes:
+        address: Address at which devices listen. None for the spec's.
+        command_port: UDP port for commands. 0 for any free port, None for the spec's.
+        data_port: UDP port for frames. 0 for any free port, None for the spec's.
+        link: Name of the serial port. None for the spec's.
+        record: File for the true events. None for no file.
+        replace_after: Robots that have stood still for this time after a run [s] are switched off,
+            put back on their starts and switched on. None leaves them where they are.
+        seed: Determines everything random.
+        chosen: Whether trials choose their cells. The emulation's settings then give the cells in
+            the dish.
+        dish: Seed of these cells. None for `seed`.
     """
 
     address: str | None = "127.0.0.1"
@@ -48,13 +55,20 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """The data and functions shared by both devices; `setup` and `lab` come from the spec.
+    """The data and functions that the lab's emulated devices share.
 
-    `note(event, **facts)` adds an event to the record; it is None if none is kept. A camera calls
-    `exposed(exposure, frame)`, with the numbers of exposure and frame, at each exposure;
-    `sent(exposure)` when the exposure's frame is sent or would be sent without a fault; and
-    `client(address)` for each new client. `wires` makes the ends of the connections; `acting` are
-    the faults that act now.
+    Attributes:
+        lab: The section of the lab in the spec.
+        setup: The constants of the experiment.
+        timeline: The timeline of the emulation.
+        options: Options of the emulation.
+        note: Adds an event with its facts to the record. None if no record is kept.
+        exposed: A camera calls it at each exposure, with the numbers of exposure and frame.
+        sent: A camera calls it with the number of an exposure when its frame is sent, or would be
+            sent without a fault.
+        client: A camera calls it with the address of each new client.
+        wires: Opens the ends of connections.
+        acting: The faults that act now.
     """
 
     lab: LabSection

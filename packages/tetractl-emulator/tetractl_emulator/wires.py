@@ -41,9 +41,13 @@ def bound_udp(address: str, port: int) -> socket.socket:
 class Wires:
     """Functions that open the ends of connections. By default, they use this computer in real time.
 
-    Of the emulation: `port` makes a port from the name that programs open, `bound` a UDP
-    socket at an address and port, and `clock` its clock; cameras serve pictures over `http` or in
-    memory. Of programs: `ports` and `make_socket`, None for the devices' own.
+    Attributes:
+        clock: Returns the clock of the emulation.
+        port: Creates the emulation's end of a port, from the name that programs open.
+        bound: Creates the emulation's UDP socket at an address and port.
+        http: Whether cameras serve images over HTTP, not in memory.
+        ports: Creates the programs' end of a port. None for the devices' own.
+        make_socket: Creates the programs' UDP socket. None for the devices' own.
     """
 
     clock: Callable[[], Clock] = MonotonicClock

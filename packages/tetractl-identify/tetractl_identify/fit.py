@@ -128,14 +128,21 @@ In trials of the bench it is at most 0.010, for robots that slip by 20 % in half
 
 @dataclass(frozen=True, slots=True)
 class FittedRobot:
-    """The likeliest values of a robot with their 95 % intervals; lengths in the tracks' unit.
+    """The most probable values of a robot, with 95 % intervals. Lengths are in the tracks' unit.
 
-    `a` [rad/s], `speed` [length unit/s], `heading_bias` [rad] as in `core.motion_estimate`;
-    `heading_noise` [rad] is the standard deviation of measured headings, `position_noise` [length
-    unit] that of measured positions along the path. `heading_walk` [rad/sqrt(s)] is the standard
-    deviation after one second of the heading's random walk. `lost` is the number of commands that
-    the robot probably lost, `intervals` the number of intervals used. `misfits` names what the
-    model does not explain: a speed that wanders, or residuals of the heading that are not white.
+    Attributes:
+        name: The robot.
+        a: Turning rate [rad/s].
+        speed: Speed [length unit/s].
+        heading_bias: Heading to which the robot turns, minus the direction sent [rad].
+        position_noise: Standard deviation of measured positions along the path [length unit].
+        heading_noise: Standard deviation of measured headings [rad].
+        heading_walk: Standard deviation of the heading's random walk after one second
+            [rad/sqrt(s)].
+        lost: Number of commands that the robot probably lost.
+        intervals: Number of intervals used.
+        misfits: What the model does not explain: a speed that wanders, or residuals of the heading
+            that are not white.
     """
 
     name: str

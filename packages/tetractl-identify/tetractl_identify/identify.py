@@ -78,13 +78,23 @@ class Doubt(Enum):
 class IdentifiedRobots:
     """The identified values of all robots.
 
-    `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is the median time from
-    the exposure of a frame to the sending of the direction decided on it, None if unknown.
-    `strength` is that of the field in `strength_unit`, None if the logs do not state it.
-    `may_lag` says that robots are on wheels whose lag nothing states and that would explain their
-    turns, `turns_uniformly` that all directions turn at one rate, and `rates_unstated` is as in
-    `Track`. `turning_explained` and `distance_explained` have how much of the turning and of the
-    distance travelled of each robot the directions explain.
+    Attributes:
+        origin: The plant of the logs.
+        sources: Names of the logs or files.
+        unit: The length unit.
+        commands: Number of commands.
+        dead_time: Time from the sending of a direction until it acts [s].
+        frame_age: Median time from the exposure of a frame to the sending of the direction decided
+            on it [s]. None if unknown.
+        robots: The values of each robot.
+        strength: Strength of the field, in `strength_unit`. None if the logs do not state it.
+        strength_unit: Unit of `strength`.
+        may_lag: Whether robots are on wheels whose lag nothing states and that would explain their
+            turns.
+        turns_uniformly: Whether all directions turn at one rate.
+        rates_unstated: As in `Track`.
+        turning_explained: How much of each robot's turning the directions explain.
+        distance_explained: How much of each robot's distance travelled they explain.
     """
 
     origin: str

@@ -113,7 +113,13 @@ Decide = Callable[[OurNumber], Fate]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """What is asked: in words for the table, of which number, and how that decides."""
+    """The question that a claim asks.
+
+    Attributes:
+        words: The question in words, for the table.
+        number: Computes the number that is asked.
+        decide: Decides the verdict.
+    """
 
     words: str
     number: Callable[[Floats], OurNumber]
@@ -177,9 +183,16 @@ def _holds(published: float) -> Decide:
 class Claim:
     """One row of a paper's table, before our trials are measured.
 
-    `measure` turns a trial of the arm `arm` into a number, or a fact into 1 or 0, in `unit`. With
-    `minus`, the same is measured of that arm, and the paired differences are assessed. `expected`
-    is the verdict that the page states, and `why` explains a difference from what is published.
+    Attributes:
+        figure: The figure or table of the paper.
+        published: The published value, as text.
+        arm: The arm that is measured.
+        measure: Turns a trial of the arm into a number in `unit`, or a fact into 1 or 0.
+        asked: The question.
+        unit: Unit of the number.
+        minus: Another arm, whose measure is subtracted in pairs. None for none.
+        expected: The verdict that the page states.
+        why: Why the result differs from what is published.
     """
 
     figure: str

@@ -17,8 +17,14 @@ from tetractl_papers.claim import Claim, NumberKind, OurNumber, Row
 class Runs:
     """Trials of a shipped spec with values replaced.
 
-    With `plan_of`, all trials send, open loop, the plan of step 0 of the first trial of that arm;
-    with `plans_of`, each trial sends that of another trial.
+    Attributes:
+        example: Name of the spec.
+        sets: The replaced values, as for `--set`.
+        trials: Number of trials.
+        plan_of: An arm. All trials send, open loop, the plan of step 0 of its first trial. None for
+            none.
+        plans_of: An arm. Each trial sends, open loop, the plan of step 0 of another trial of it.
+            None for none.
     """
 
     example: str

@@ -47,11 +47,14 @@ class Frame:
 class SwarmHistory:
     """A particle swarm search, reduced to two dimensions: the first two signals of each sequence.
 
-    `path` (Z + 1, 2) is the course of the first particle over Z iterations, `path_best` (2,) that
-    particle's local best at the end. `costs` (GRID, GRID) is J on a grid over the range of the two
-    signals, given by the paper's equation (12), with the lowest row first; the other signals are
-    those of u_gb, the best sequence found. `repeated` is whether J(u_gb) agrees with the log in
-    every iteration.
+    Attributes:
+        frames: The swarm in each iteration.
+        path: Course of the first particle over Z iterations, shape (Z + 1, 2).
+        path_best: That particle's local best at the end, shape (2,).
+        costs: J on a grid over the range of the two signals, which the paper's equation (12) gives,
+            shape (GRID, GRID), with the lowest row first. The other signals are those of u_gb, the
+            best sequence found.
+        repeated: Whether J(u_gb) agrees with the log in every iteration.
     """
 
     frames: tuple[Frame, ...]

@@ -34,10 +34,15 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """A robot's reply to a poll; `sequence` is copied from the command that polled it.
+    """A robot's reply to a poll.
 
-    `battery_mv` is 0 if unknown. `received` and `rejected` count frames with a right and a wrong
-    CRC, modulo 65536.
+    Attributes:
+        id: Number of the robot.
+        sequence: Copied from the command that polled it.
+        status: Its status.
+        battery_mv: Voltage of its battery [mV]. 0 if unknown.
+        received: Number of frames with a right CRC, modulo 65536.
+        rejected: Number of frames with a wrong CRC, modulo 65536.
     """
 
     id: int

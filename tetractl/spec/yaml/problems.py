@@ -21,8 +21,13 @@ MICRO = str.maketrans({"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})
 class SpecProblem:
     """One problem of a spec, to be fixed by its author.
 
-    `origin` is the spec's file name, or `--set PATH=VALUE` for a value from that option; `line` and
-    `column` count from 1 and are None if unknown.
+    Attributes:
+        origin: The spec's file name, or `--set PATH=VALUE` for a value from that option.
+        message: What is wrong.
+        line: The line, from 1. None if unknown.
+        column: The column, from 1. None if unknown.
+        field: Path of the field.
+        value: The value as written. None if unknown.
     """
 
     origin: str

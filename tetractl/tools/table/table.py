@@ -76,9 +76,12 @@ class Array(Protocol):
 class Column:
     """The values of one quantity, one per row. None or NaN means unknown.
 
-    A reader sees each value through `format`, below the heading "name [unit]"; a data file holds
-    the values themselves, below `name_unit`. Columns of `words` are left-aligned and may be
-    wrapped; all others are numbers.
+    Attributes:
+        name: Name of the quantity. A data file has the values below `name_unit`.
+        values: The values.
+        unit: Unit of the values.
+        format: Returns a value as a reader sees it, below the heading "name [unit]".
+        words: Whether the column is left-aligned and may be wrapped. All others are numbers.
     """
 
     name: str

@@ -85,7 +85,13 @@ NEAR_S = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """A broken sentence: its name, when [s], and what was found then."""
+    """A violation of an invariant.
+
+    Attributes:
+        name: Name of the invariant.
+        at_s: When it was violated [s].
+        finding: What was found then.
+    """
 
     name: str
     at_s: float
@@ -94,7 +100,12 @@ class Violation:
 
 @dataclass(frozen=True, slots=True)
 class TimeSpan:
-    """A time from `began_s` to `ended_s`; infinite if it did not end."""
+    """A span of time.
+
+    Attributes:
+        began_s: Its begin [s].
+        ended_s: Its end [s]. Infinite if it did not end.
+    """
 
     began_s: float
     ended_s: float
@@ -102,7 +113,12 @@ class TimeSpan:
 
 @dataclass(frozen=True, slots=True)
 class VisibleFault:
-    """A fault and the time in which it could be seen; `fields` are those that were drawn."""
+    """A fault, and when it could be seen.
+
+    Attributes:
+        span: The time in which it could be seen.
+        fields: The sampled fields of the fault.
+    """
 
     span: TimeSpan
     fields: Event
@@ -164,10 +180,14 @@ def nearest_exposures(
 
 @dataclass
 class Truth:
-    """The truth of a day in a lab of N robots; all is computed when it is first asked for.
+    """The truth of a day in a lab of N robots. Each value is computed when it is first needed.
 
-    `watchdog_s` is the time after which a robot that hears no command stops by itself [s]. `halts`
-    is False for cells, which never stand still.
+    Attributes:
+        day: The outcome of the day.
+        setup: The constants of the experiment.
+        limits: The limits of the lab.
+        watchdog_s: Time after which a robot that receives no command stops by itself [s].
+        halts: Whether robots can stand still. False for cells.
     """
 
     day: DayOutcome

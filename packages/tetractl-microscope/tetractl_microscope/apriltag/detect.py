@@ -20,12 +20,15 @@ ZERO = 0xD5D628584  # the AprilTag project's tag 0: one bit per module, row by r
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """One tag in a picture.
+    """One tag in an image.
 
-    `corners` (4, 2) [px] are columns and rows, with pixel centres at whole numbers, of the black
-    square's corners: top left, top right, bottom right and bottom left as the tag is read upright.
-    `blur_px` is the standard deviation of the Gaussian that blurs a sharp edge to the width of the
-    square's edges.
+    Attributes:
+        tag: Number of the tag.
+        corners: Columns and rows of the black square's corners [px], with pixel centres at whole
+            numbers, shape (4, 2): top left, top right, bottom right and bottom left, as the tag is
+            read upright.
+        blur_px: Standard deviation of the Gaussian that blurs a sharp edge to the width of the
+            square's edges [px].
     """
 
     tag: int

@@ -33,11 +33,16 @@ ALIKE_PX = 0.15  # fits that differ less cannot be distinguished: corners are fo
 class Plane:
     """A calibrated camera over the floor.
 
-    `matrix` is K (3, 3), `distortion` OpenCV's coefficients, `rotation` R (3, 3) and `shift` t (3,)
-    [m]. Of the distances between the floor tags' corners as measured and as given in the spec,
-    `error_mm` is the root mean square and `worst_mm` the largest. `doubt_mm` is the position error,
-    at the height of the highest robot's tag, that results if the estimated lens is wrong by two
-    standard deviations; 0 if the lens is given.
+    Attributes:
+        matrix: The camera matrix K, shape (3, 3).
+        distortion: OpenCV's distortion coefficients.
+        rotation: Rotation R of the camera, shape (3, 3).
+        shift: Translation t of the camera [m], shape (3,).
+        error_mm: Root mean square of the errors of distances between the floor tags' corners, as
+            measured and as in the spec [mm].
+        worst_mm: Largest of these errors [mm].
+        doubt_mm: Position error, at the height of the highest robot's tag, that results if the
+            estimated lens is wrong by two standard deviations [mm]. 0 if the lens is given.
     """
 
     matrix: Floats

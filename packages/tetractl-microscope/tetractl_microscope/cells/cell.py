@@ -13,7 +13,16 @@ POINT_UM = 1e-6  # length and width that stand for those of a blob without a siz
 
 
 class PathBlob(NamedTuple):
-    """A blob: time [s], x, y [um], axis [rad], length and width [um], NaN if it is cut off."""
+    """A blob on the path of a cell.
+
+    Attributes:
+        seconds: Time of the image [s].
+        x: x of its centre [um].
+        y: y of its centre [um].
+        axis: Direction of its axis [rad].
+        long: Its length [um]. NaN if the image's edge cuts it off.
+        wide: Its width [um]. NaN if the image's edge cuts it off.
+    """
 
     seconds: float
     x: float
@@ -46,16 +55,24 @@ def _unknown() -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class SeenCell:
-    """One cell in one picture.
+    """One cell in one image. The defaults are those of a cell that no filter follows.
 
-    x, y [um] is the middle of the body, `axis` [rad] its direction, `heading` [rad] the direction
-    of the helix's axis, which turns by equation (3) of the paper. `mean` (16,) is the filter's
-    state, with the standard deviations `sd` (16,). `probability` is the probability that this is
-    the cell with the number `identity`. `has_blob`: the picture shows it; `merged`: its blob shows
-    other cells, too.
-    `track` is the number of the cell's track. `blob_um` (5,) are x, y [um], axis [rad], length and
-    width [um] of the blob, these NaN if the picture's edge cuts it off; None if the cell has none.
-    The defaults are those of a cell that no filter follows.
+    Attributes:
+        identity: Number of the cell.
+        track: Number of its track.
+        x: x of the middle of the body [um].
+        y: y of the middle of the body [um].
+        axis: Direction of the body [rad].
+        heading: Direction of the helix's axis, which turns by equation (3) of the paper [rad].
+        mean: The filter's state, shape (16,).
+        sd: Its standard deviations, shape (16,).
+        probability: Probability that this is the cell with the number `identity`.
+        has_blob: Whether the image shows the cell.
+        merged: Whether its blob also shows other cells.
+        long_um: Length of the body [um].
+        wide_um: Width of the body [um].
+        blob_um: x, y [um], axis [rad], length and width [um] of the blob, shape (5,). Length and
+            width are NaN if the image's edge cuts it off. None if the cell has no blob.
     """
 
     identity: int
@@ -128,8 +145,10 @@ class TrackName:
 class CellAnswer:
     """Which cell is on which track after cells have met.
 
-    `named` are the tracks' names; `met` are the cells that met, and `probability` is that of the
-    likeliest assignment of them.
+    Attributes:
+        named: The tracks' names.
+        probability: Probability of the most probable assignment.
+        met: The cells that met.
     """
 
     named: tuple[TrackName, ...]

@@ -57,19 +57,26 @@ class TrackBlob:
 
 @dataclass(slots=True, eq=False)
 class CellTrack:
-    """A cell that the tracker follows by its `row` of the filter.
+    """A cell that the tracker follows.
 
-    `path` holds its newest own blobs, `last` is the position of its last blob (2,) [um], `missed_s`
-    the time since then [s]. A cell that has not swum far yet has a `start`, its first place (2,)
-    [um]; it began at `began_s`. `outliers_in_row` counts successive blobs far from where the filter
-    expected them.
-
-    The size of its blobs tells how many cells they show: a blob of its own last had the cell's size
-    at `size_seen_s` [s].
-
-    `Names` finds out its `identity`, which has the probability `certainty` as long as the cell is
-    in no `meeting` and there is no open `question`; `together_s` is when it was last too near to
-    another cell to be distinguished [s].
+    Attributes:
+        number: Number of the track.
+        row: The cell's row of the filter.
+        size: Usual size of its blobs, which tells how many cells a blob shows.
+        last: Position of its last blob [um], shape (2,).
+        path: Its newest own blobs.
+        missed_s: Time since the last blob [s].
+        newest: Its newest blob. None without one.
+        size_seen_s: When a blob of its own last had the cell's size [s].
+        start: First place of a cell that has not swum far yet [um], shape (2,). None for others.
+        began_s: When the track began [s].
+        outliers_in_row: Number of successive blobs far from where the filter expected them.
+        identity: Number of the cell, which `Names` finds out.
+        certainty: Probability of the identity, as long as the cell is in no meeting and no question
+            is open.
+        meeting: The meeting in which the cell is. None for none.
+        question: The open question about its name. None for none.
+        together_s: When it was last too near to another cell to be distinguished [s].
     """
 
     number: int

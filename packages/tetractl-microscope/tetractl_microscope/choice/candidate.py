@@ -9,10 +9,16 @@ RESPONDS = 3.5  # standard deviations of a above 0: one cell of 4000 is there by
 
 @dataclass(frozen=True, slots=True)
 class RobotCandidate:
-    """A cell of the dish: its number, its pose in the spec's unit, and its response to the field.
+    """A cell of the dish that may become a robot.
 
-    `a` [rad/s] is known with a standard deviation `a_sd`, `speed` [length unit/s] with `speed_sd`.
-    A cell that was near the arena's edge is not `free`, as a wall may have turned it.
+    Attributes:
+        number: Its number.
+        pose: Its pose in the spec's unit.
+        a: Its turning rate [rad/s].
+        a_sd: Standard deviation of `a` [rad/s].
+        speed: Its speed [length unit/s].
+        speed_sd: Standard deviation of `speed` [length unit/s].
+        free: Whether it stayed away from the arena's edge. Otherwise, a wall may have turned it.
     """
 
     number: int

@@ -51,15 +51,21 @@ from tetractl.spec.section_abilities import Noisy
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """A plan of L signals for N robots, linearised; lengths in the spec's unit.
+    """A plan of L signals for N robots, linearised. Lengths are in the spec's unit.
 
-    `miss` (N,) is the planned distance of each robot's end to its target. Derivatives of the ends
-    are `by_signal` (2N, L), of x_1, y_1, x_2, ... with respect to the signals [1/rad]; `by_heading`
-    (L + 1, N, 2), with respect to the heading before each signal and at the end [1/rad]; `by_a` and
-    `by_speed` (L, N, 2), with respect to the logarithms of turning rate and speed during one signal
-    alone. `turn_by_a` (L, N) is the derivative of one signal's turn with respect to ln a [rad].
-    `onward` (2N, 1) is the displacement of the ends by one more signal of straight motion, and
-    `seconds` (L,) the duration of each signal [s].
+    Attributes:
+        miss: Planned distance of each robot's end to its target, shape (N,).
+        by_signal: Derivative of the ends x_1, y_1, x_2, ... with respect to the signals [1/rad],
+            shape (2N, L).
+        by_heading: Derivative with respect to the heading before each signal and at the end
+            [1/rad], shape (L + 1, N, 2).
+        by_a: Derivative with respect to the logarithm of the turning rate during one signal, shape
+            (L, N, 2).
+        by_speed: Derivative with respect to the logarithm of the speed during one signal, shape (L,
+            N, 2).
+        turn_by_a: Derivative of one signal's turn with respect to ln a [rad], shape (L, N).
+        onward: Displacement of the ends by one more signal of straight motion, shape (2N, 1).
+        seconds: Duration of each signal [s], shape (L,).
     """
 
     miss: Floats
@@ -154,9 +160,12 @@ REGULAR_MIN = 1e-30
 class Noise:
     """Standard deviations of a simulated plant's disturbances.
 
-    `a_std` and `speed_std` are relative errors; `position_std` [length unit] and `heading_std`
-    [rad] are errors of one measurement, `heading_walk` [rad/sqrt(s)] is the random walk of the
-    heading.
+    Attributes:
+        a_std: Relative error of the turning rates.
+        speed_std: Relative error of the speeds.
+        heading_walk: Random walk of the heading [rad/sqrt(s)].
+        position_std: Error of a measured position [length unit].
+        heading_std: Error of a measured heading [rad].
     """
 
     a_std: float = 0.0
@@ -187,9 +196,10 @@ class Noise:
 class Uncertainty:
     """The joint covariance of the ends' deviations e and the relative errors q.
 
-    `ends` (2N, 2N) is the covariance of x_1, y_1, x_2, ... [length unit^2], `cross` (2N, 2N) that
-    of these (rows) with q [length unit], and `parameters` (2N,) are the variances of q: those of ln
-    a of each robot, then those of ln speed.
+    Attributes:
+        ends: Covariance of x_1, y_1, x_2, ... [length unit^2], shape (2N, 2N).
+        cross: Covariance of these (rows) with q [length unit], shape (2N, 2N).
+        parameters: Variances of q, shape (2N,): of ln a of each robot, then of ln speed.
     """
 
     ends: Floats

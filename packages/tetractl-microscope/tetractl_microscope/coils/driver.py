@@ -48,13 +48,21 @@ class FieldCommand:
 
 @dataclass(frozen=True, slots=True)
 class FieldReply:
-    """The driver's reply to a poll; `sequence` is copied from the command that polled it.
+    """The driver's reply to a poll.
 
-    `x_ma` and `y_ma` are the measured currents [mA]. `temperature_dc` is in tenths of a degree
-    Celsius, `UNKNOWN_TEMPERATURE` if not known; `supply_mv` is 0 if not known. `received` and
-    `rejected` count frames with a right and a wrong CRC, modulo 65536. The last three fields are
-    the driver's own limits: the greatest current [mA], the greatest change of a current [mA/s], and
-    the time without a frame after which the watchdog switches the field off [ms].
+    Attributes:
+        sequence: Copied from the command that polled it.
+        status: The driver's status.
+        version: Version of the protocol.
+        x_ma: Measured current of the x coils [mA].
+        y_ma: Measured current of the y coils [mA].
+        supply_mv: Voltage of the supply [mV]. 0 if unknown.
+        temperature_dc: Temperature in tenths of a degree Celsius. `UNKNOWN_TEMPERATURE` if unknown.
+        received: Number of frames with a right CRC, modulo 65536.
+        rejected: Number of frames with a wrong CRC, modulo 65536.
+        current_max_ma: The driver's limit of a current [mA].
+        slew_ma_s: The driver's limit of a change of a current [mA/s].
+        watchdog_ms: Time without a frame after which its watchdog switches the field off [ms].
     """
 
     sequence: int

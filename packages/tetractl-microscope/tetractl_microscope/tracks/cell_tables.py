@@ -21,10 +21,16 @@ Record = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A quantity of each cell: its `name` in data files, heading and decimals in printed tables.
+    """A quantity of each cell.
 
-    One without a heading is only in data files; of one that is `averaged`, the mean over the cells
-    is printed. One with an `interval` is {"value": ..., "ci95": [low, high]} in the record.
+    Attributes:
+        name: Its name in data files.
+        unit: Its unit.
+        heading: Its heading in printed tables. Empty if it is only in data files.
+        decimals: Its decimals in printed tables.
+        averaged: Whether the mean over the cells is printed.
+        interval: Whether it has an interval. It then is {"value": ..., "ci95": [low, high]} in the
+            record.
     """
 
     name: str

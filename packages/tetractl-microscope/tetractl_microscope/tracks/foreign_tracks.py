@@ -109,7 +109,12 @@ class SpotTable:
 
 @dataclass(frozen=True, slots=True)
 class SpotTrack:
-    """A track of another program: rows (K, 3) of time [s], x and y [um], y upwards, in order."""
+    """A track of another program.
+
+    Attributes:
+        number: Its number.
+        rows: Time [s], x and y [um], y pointing up, shape (K, 3), in the order of time.
+    """
 
     number: float
     rows: Floats

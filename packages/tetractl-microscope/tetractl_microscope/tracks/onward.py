@@ -46,7 +46,12 @@ TO_AND_FRO = "what moves goes to and fro, as beads do: nothing swims"
 
 @dataclass(frozen=True, slots=True)
 class Onward:
-    """The sum of products of successive displacements of an object, and its most."""
+    """How steadily an object moves on.
+
+    Attributes:
+        alike: Sum of products of successive displacements.
+        most: The maximum that this sum can have.
+    """
 
     alike: float
     most: float

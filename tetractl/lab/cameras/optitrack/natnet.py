@@ -60,10 +60,14 @@ class MessageKind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class RigidBody:
-    """One rigid body of a frame.
+    """One rigid body of a frame, in the server's axes.
 
-    `position` [m] and `quaternion` (qx, qy, qz, qw) are in the server's axes. An untracked body
-    stays in the frames, with its last pose and with `tracking_valid` False.
+    Attributes:
+        id: Number of the body.
+        position: Its position [m].
+        quaternion: Its orientation, (qx, qy, qz, qw).
+        tracking_valid: Whether it is tracked. An untracked body stays in the frames, with its last
+            pose.
     """
 
     id: int

@@ -36,12 +36,19 @@ VIEW = 2 * math.tan(1.1 / 2)  # a picture's width over the focal length: 63 degr
 
 @dataclass(frozen=True, slots=True)
 class Optics:
-    """A pinhole camera that looks from `position` at `target` [m, z up], and its imperfections.
+    """A pinhole camera and its imperfections. Up in the image is +y on the floor.
 
-    Up in the picture is +y on the floor. `distortion` contains OpenCV's k1, k2, p1, p2 and,
-    optionally, k3. `blur_px` is the standard deviation of the lens's Gaussian blur, `exposure_s`
-    the exposure time, `gain` multiplies the light, and `noise` is the standard deviation of each
-    pixel in grey levels at gain 1.
+    Attributes:
+        width: Width of the image [px].
+        height: Height of the image [px].
+        focal_px: Focal length [px].
+        position: Place of the camera [m], z up.
+        target: Place at which it looks [m].
+        distortion: OpenCV's k1, k2, p1, p2 and, optionally, k3.
+        blur_px: Standard deviation of the lens's Gaussian blur [px].
+        exposure_s: Time of an exposure [s].
+        noise: Standard deviation of each pixel at gain 1 [grey levels].
+        gain: Factor of the light.
     """
 
     width: int

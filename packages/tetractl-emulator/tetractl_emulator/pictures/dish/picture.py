@@ -53,14 +53,24 @@ class RenderedSpeck:
 
 @dataclass(frozen=True, slots=True)
 class PictureLook:
-    """The properties of an emulated microscope's pictures.
+    """The properties of an emulated microscope's images.
 
-    `bright` is whether cells are brighter than the medium. `light` is the medium's grey level in
-    the middle of the picture, `contrast` the difference between cell and medium [grey levels].
-    `vignetting` is the fraction of light lost in the corners. The light changes by the fraction
-    `light_drift` [1/s] and flickers at 100 Hz by the fraction `flicker`. `noise` [grey levels]
-    includes shot noise; `quality` is the JPEG quality, None for no JPEG. `focus_um` is the height
-    in focus, `corner_um` the position of the picture's lower left corner in the dish.
+    Attributes:
+        width: Width [px].
+        height: Height [px].
+        um_px: Scale [um/px].
+        exposure_s: Time of an exposure [s].
+        bright: Whether cells are brighter than the medium.
+        light: Grey level of the medium in the middle of the image.
+        contrast: Difference between cell and medium [grey levels].
+        vignetting: Fraction of the light that is lost in the corners.
+        light_drift: Relative change of the light [1/s].
+        flicker: Relative flicker of the light at 100 Hz.
+        noise: Noise of each pixel, including shot noise [grey levels].
+        quality: JPEG quality. None for no JPEG.
+        focus_um: Height in focus [um].
+        corner_um: Position of the lower left corner of the image in the dish [um].
+        specks: Specks that are drawn.
     """
 
     width: int = 1024

@@ -50,7 +50,7 @@ def sender(transit, setup=SETUP, disturbances=(), seed=1, **settings):
 
 
 def frame(sampled_ns=0, headings=(0.0, 0.5, -2.0)):
-    poses = Poses.of(np.column_stack([np.zeros((ROBOTS, 2)), np.array(headings)]))
+    poses = Poses.from_array(np.column_stack([np.zeros((ROBOTS, 2)), np.array(headings)]))
     return Observation(1, sampled_ns, sampled_ns, poses, np.ones(ROBOTS, dtype=bool))
 
 

@@ -393,7 +393,7 @@ def test_a_plant_that_fails_in_a_step_has_the_frames_before_it_in_the_log():
             raise AbortError("the radio is gone")
         return []
 
-    fakes.plant.news = fail_in_the_second_step
+    fakes.plant.events = fail_in_the_second_step
     assert fakes.run().reason == "the radio is gone"
     frames = [sample.observation.frame for sample in fakes.observers[0].samples]
     assert frames == list(range(2 + 10 + 1))  # ten a second: 0.2 s of steps, 1 s to settle

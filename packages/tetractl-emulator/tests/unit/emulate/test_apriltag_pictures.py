@@ -35,7 +35,7 @@ def renderer(robots=(), floor=(), seed=0, **optics):
 
 def at(*places):
     poses = np.array(places, dtype=float).reshape(-1, 3)
-    return lambda _: Poses.of(poses)
+    return lambda _: Poses.from_array(poses)
 
 
 def pixel(x_mm, y_mm):
@@ -130,7 +130,7 @@ def test_a_robot_that_moves_is_smeared_along_its_way_over_the_exposure():
     scene = renderer([robot], exposure_s=0.1)
 
     def drives(time_ns):
-        return Poses.of(np.array([[400.0 + 400.0 * (time_ns / SECOND - 1.0), 400.0, 0.0]]))
+        return Poses.from_array(np.array([[400.0 + 400.0 * (time_ns / SECOND - 1.0), 400.0, 0.0]]))
 
     moved = scene.picture(drives, SECOND).astype(float)  # 40 mm in the exposure
     still = scene.picture(at((400.0, 400.0, 0.0)), SECOND).astype(float)

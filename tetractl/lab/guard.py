@@ -98,8 +98,8 @@ from tetractl.core.guard_findings import (
     Warn,
 )
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.lab.abort_cause import RECENT_NS, AbortCause
 from tetractl.lab.camera_stream import CameraStream
-from tetractl.lab.culprit import RECENT_NS, Culprit
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.frame_buffer import FrameBuffer
 from tetractl.lab.frames import AcceptedFrame
@@ -284,7 +284,7 @@ class Guard:
             if robot.decision.refused and robot.hidden:
                 robot.ghost = robot.decision.refused
 
-    def name_culprit(self, frames: FrameBuffer) -> None:
+    def name_cause(self, frames: FrameBuffer) -> None:
         """Correct the reason of an abort, once, if the suspected robot is not the cause.
 
         This is judged by the last frames. It is slow, and therefore called after the robots were
@@ -295,8 +295,8 @@ class Guard:
             return
         self._suspect = None
         recent = [accepted.frame for accepted in frames.last(RECENT_NS)]
-        culprit = Culprit(self.rules, self.drift, recent)
-        reason = culprit.why(suspect, self.reason) or self.reason
+        cause = AbortCause(self.rules, self.drift, recent)
+        reason = cause.why(suspect, self.reason) or self.reason
         self.reason = self._with_cause(reason, recent[-1].received_ns)
 
     def lose_robot(self, i: int, reason: str, excess: Excess | None = None) -> None:

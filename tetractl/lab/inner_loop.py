@@ -309,7 +309,7 @@ class InnerLoop:
             self._begin_stops_of_abort(now)
         if self._stops_left:
             self._repeat_stop(now)
-            self.guard.name_culprit(self.frames)  # slow, so after the first stop
+            self.guard.name_cause(self.frames)  # slow, so after the first stop
         elif ruling.state in (GuardState.RUN, GuardState.HOLD) and self._held is not None:
             return self._send_held(self._held, ruling, now)
         elif ruling.state in (GuardState.PREFLIGHT, GuardState.READY) and self.idle is not None:

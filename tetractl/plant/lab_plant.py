@@ -18,7 +18,7 @@ from tetractl.core.poses import FrameAddition, Observation, Poses, Sample
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
 from tetractl.core.trial import HALTS, Note, PlantInfo, Verdict
-from tetractl.lab.culprit import CAMERA
+from tetractl.lab.abort_cause import CAMERA
 from tetractl.lab.device_abilities import AddsToFrames, RobotWatch, WatchesRobots
 from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.guard import GuardState
@@ -26,7 +26,7 @@ from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import (
     LONGER,
     STANDS_NS,
-    Rest,
+    Standstill,
     drifting_robots,
     joined,
     wait_for_rest,
@@ -311,7 +311,7 @@ class LabPlant:
             unrest=rest.unrest,
             turn=turn,
             turn_std=turn_std,
-            can_restart=rest == Rest()
+            can_restart=rest == Standstill()
             and not guard.emergency
             and self.rig.actuator.failure is None,
         )
@@ -389,10 +389,10 @@ class LabPlant:
         self._returned.add(first.sent_ns)
         return replace(first, delivered=(self.rig.actuator.failure is None,) * robots)
 
-    def _come_to_rest(self) -> Rest:
+    def _come_to_rest(self) -> Standstill:
         """Stop the robots until all have been seen to stand; return how they came to rest."""
         if self.rig.loop.frames.newest is None:
-            return Rest()
+            return Standstill()
         return wait_for_rest(self.rig, self._supervision.cancelled)
 
     def _refused(self, error: AbortError) -> AbortError:

@@ -535,7 +535,7 @@ def test_the_computer_is_named_first_where_its_own_steps_were_late(frames_since,
     course.frame()
     shown = FrameBuffer()
     shown.append(course.accepted)
-    course.guard.name_culprit(shown)
+    course.guard.name_cause(shown)
     assert course.guard.reason == BUSY * named + "green is not tracked (0.36 s)"
 
 
@@ -565,7 +565,7 @@ def test_slow_pictures_are_named_where_a_robot_is_blamed(hz, named, suspect):
         course.guard.lose_robot(0, f"green moves{PUSHED}")
     else:
         course.guard.abort(f"green moves{PUSHED}", suspect=suspect)
-    course.guard.name_culprit(shown)
+    course.guard.name_cause(shown)
     slow = f"; only {hz} pictures per second came, 20 or more are needed: is this computer busy?"
     assert course.guard.reason == "green moves" + (slow if named else PUSHED)
 

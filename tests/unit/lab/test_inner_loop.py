@@ -129,12 +129,12 @@ def test_a_loop_that_is_not_ready_steers_nothing():
 
 
 def test_robots_are_stopped_before_it_is_asked_who_is_at_fault(lab, monkeypatch):
-    """Regression: naming the culprit takes some 10 ms, and the stop waited for it."""
+    """Regression: finding the cause takes some 10 ms, and the stop waited for it."""
     guard = lab.plant.rig.loop.guard
     sent = []
 
     class Asked:
-        """Stands for who finds the culprit; it looks what was sent last when it is asked."""
+        """Stands for the search for the cause; it looks what was sent last when it is asked."""
 
         def __init__(self, rules, drift, frames):
             assert frames
@@ -143,7 +143,7 @@ def test_robots_are_stopped_before_it_is_asked_who_is_at_fault(lab, monkeypatch)
             sent.append(lab.actuator.sent[-1].direction)
             return "the camera"
 
-    monkeypatch.setattr("tetractl.lab.guard.Culprit", Asked)
+    monkeypatch.setattr("tetractl.lab.guard.AbortCause", Asked)
     guard.abort("green moves as no command does", suspect=0)
     lab.plant.rig.loop.step()
     lab.plant.rig.loop.step()

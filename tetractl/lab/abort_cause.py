@@ -57,7 +57,7 @@ RADIO = "all robots move as they were commanded {:.1f} s before: is the radio sl
 SWAPPED = "{} and {} move as the other is commanded: are their numbers or bodies swapped?"
 
 
-class Culprit:
+class AbortCause:
     """The search for the cause of an abort.
 
     All poses that the camera shows count, accepted or not.

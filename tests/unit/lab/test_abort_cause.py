@@ -9,14 +9,14 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.robot_step import RobotStep
 from tetractl.core.setup import Bounds
-from tetractl.lab.culprit import (
+from tetractl.lab.abort_cause import (
     CAMERA,
     MISFIT_NOISE,
     RADIO,
     RECENT_NS,
     SHARE,
     SWAPPED,
-    Culprit,
+    AbortCause,
     squares_of,
 )
 from tetractl.lab.drift_check import DriftCheck
@@ -147,7 +147,7 @@ def accused(
             drift.frame(now_ns, times_ns, poses)
         before = poses
     shown = [frame for frame in frames if now_ns - frame.sampled_ns <= RECENT_NS]
-    return Culprit(rules, drift, shown).why(suspect, reason)
+    return AbortCause(rules, drift, shown).why(suspect, reason)
 
 
 def pushed(who):

@@ -36,7 +36,7 @@ class ClientPort(SerialPort, ABC):
 
     def take(self, message: bytes, waited_ns: int = 0) -> None:
         """Pass on a message that came `waited_ns` ago."""
-        self._heard(message, self._clock.now() - waited_ns)
+        self._on_received(message, self._clock.now() - waited_ns)
 
     def lost(self, why: object) -> None:
         """Say that nothing more will come."""

@@ -50,8 +50,8 @@ class PortHeldError(AbortError):
         self.port = port
 
 
-Heard = Callable[[bytes, int], None]
-Ports = Callable[[str, int, str, Clock, Heard, str], "SerialPort"]
+OnReceived = Callable[[bytes, int], None]
+Ports = Callable[[str, int, str, Clock, OnReceived, str], "SerialPort"]
 """Makes a port from the arguments of SerialPort: on this computer, or in memory."""
 
 
@@ -63,13 +63,13 @@ class SerialPort:
         baud: Speed [bits per second].
         device: What is connected to it, for messages.
         clock: The clock for times.
-        heard: Called in the reader's thread with received bytes and their time [ns], and with b""
-            when the port has failed.
+        on_received: Called in the reader's thread with received bytes and their time [ns], and with
+            b"" when the port has failed.
         hint: The hint of the errors raised.
     """
 
     def __init__(
-        self, name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
+        self, name: str, baud: int, device: str, clock: Clock, on_received: OnReceived, hint: str
     ) -> None:
         self.failure: str | None = None
         self.refusal: str | None = None
@@ -79,7 +79,7 @@ class SerialPort:
         self._device = device
         self._hint = hint
         self._clock = clock
-        self._heard = heard
+        self._on_received = on_received
         self._sending = threading.Lock()
         self._closing = threading.Event()
         self._port: serial.Serial | None = None
@@ -159,7 +159,7 @@ class SerialPort:
         """Fail, and say that nothing more will come, unless the port is being closed."""
         if not self._closing.is_set():
             self.failure = self.failure or why
-            self._heard(b"", self._clock.now())
+            self._on_received(b"", self._clock.now())
 
     def _read(self) -> None:
         port = self._port
@@ -173,7 +173,7 @@ class SerialPort:
                 self._end(f"the port {self._name} of {self._device} is gone: {_why(error)}")
                 return
             if data:
-                self._heard(data, self._clock.now())
+                self._on_received(data, self._clock.now())
 
 
 def _put(fd: int, data: bytes) -> None:

@@ -18,7 +18,7 @@ from typing import Any
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
-from tetractl.lab.serial_port import Heard, PortHeldError, SerialPort
+from tetractl.lab.serial_port import OnReceived, PortHeldError, SerialPort
 from tetractl.tools.files import lock_file as take_lock
 
 SCHEME = "udp://"  # beginning of an address of such a port
@@ -129,14 +129,14 @@ class UdpPort(SerialPort):
         baud: Without meaning here.
         device: What is connected, for messages.
         clock: The clock for times.
-        heard: Called with received bytes and their time [ns]; see `SerialPort`.
+        on_received: Called with received bytes and their time [ns]; see `SerialPort`.
         hint: The hint of the errors raised.
     """
 
     def __init__(
-        self, name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
+        self, name: str, baud: int, device: str, clock: Clock, on_received: OnReceived, hint: str
     ) -> None:
-        super().__init__(name, baud, device, clock, heard, hint)
+        super().__init__(name, baud, device, clock, on_received, hint)
         self._socket: socket.socket | None = None
         self._to: Any = None  # host and port
         self._no_listener = f"no device listens at {name}"
@@ -240,7 +240,7 @@ class UdpPort(SerialPort):
         while not self._closing.is_set():
             data = self._received()
             if data:
-                self._heard(data, self._clock.now())
+                self._on_received(data, self._clock.now())
 
     def _received(self) -> bytes:
         """Wait for a datagram.
@@ -264,7 +264,7 @@ class UdpPort(SerialPort):
 
 
 def open_port(
-    name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
+    name: str, baud: int, device: str, clock: Clock, on_received: OnReceived, hint: str
 ) -> SerialPort:
     """Create the port with this name, without opening it.
 
@@ -275,8 +275,8 @@ def open_port(
         baud: Speed [bits per second]. Without meaning for UDP.
         device: What is connected to it, for messages.
         clock: The clock for times.
-        heard: Called with received bytes and their time [ns].
+        on_received: Called with received bytes and their time [ns].
         hint: The hint of the errors raised.
     """
     make = UdpPort if name.startswith(SCHEME) else SerialPort
-    return make(name, baud, device, clock, heard, hint)
+    return make(name, baud, device, clock, on_received, hint)

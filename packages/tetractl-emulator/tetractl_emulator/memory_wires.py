@@ -216,4 +216,4 @@ class MemorySerial(SerialPort):
         """Receive bytes from the device; fail if there are none, since it was unplugged."""
         if not data:
             self._fail("is gone: Input/output error")
-        self._heard(data, self._clock.now())
+        self._on_received(data, self._clock.now())

@@ -13,7 +13,10 @@ from tetractl.tools.children import Child, python
 
 
 class ProcessPort(ClientPort):
-    """The library's process, read like a port: `heard` gets each line; `name` is its argument."""
+    """The library's process, read like a port. `on_received` gets each line of its output.
+
+    `name` is its argument.
+    """
 
     _process: Child | None = None
 

@@ -39,7 +39,7 @@ from cyclonedds.topic import Topic as DdsTopic
 from tetractl.core.clock import MILLISECOND, SECOND, Clock
 from tetractl.core.errors import AbortError
 from tetractl.lab.client_port import ClientPort
-from tetractl.lab.serial_port import UNREADABLE, Heard, Ports
+from tetractl.lab.serial_port import UNREADABLE, OnReceived, Ports
 from tetractl.lab.udp_port import hold
 
 SCHEME = "ros2://"
@@ -213,9 +213,16 @@ class TopicPort(ClientPort):
     """A topic as the port of a device; see `SerialPort`, whose `baud` has no meaning here."""
 
     def __init__(
-        self, topic: Topic, name: str, baud: int, device: str, clock: Clock, heard: Heard, hint: str
+        self,
+        topic: Topic,
+        name: str,
+        baud: int,
+        device: str,
+        clock: Clock,
+        on_received: OnReceived,
+        hint: str,
     ) -> None:
-        super().__init__(name, baud, device, clock, heard, hint)
+        super().__init__(name, baud, device, clock, on_received, hint)
         self.end = TopicEnd(topic, domain_of(name))
         self._lock: int | None = None  # descriptor of the file that is locked
         self._ready_ns = 0  # when it stops waiting for subscribers

@@ -7,7 +7,7 @@ from typing import Any
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
-from tetractl.lab.serial_port import Heard, SerialPort
+from tetractl.lab.serial_port import OnReceived, SerialPort
 from tetractl_toio.messages import SERVICE, TOGETHER_S, Characteristic, Unpacker, pack
 
 FIND_S = 10.0  # longest search for a cube
@@ -43,7 +43,7 @@ class BluetoothPort(SerialPort):
     """
 
     def __init__(
-        self, name: str, baud: int, device: str, clock: Clock, on_received: Heard, hint: str
+        self, name: str, baud: int, device: str, clock: Clock, on_received: OnReceived, hint: str
     ) -> None:
         super().__init__(name, baud, device, clock, on_received, hint)
         self._ready = threading.Event()
@@ -147,7 +147,7 @@ class BluetoothPort(SerialPort):
     def _pass_on(self, at_ns: int) -> None:
         together = self._together
         self._together = b""
-        self._heard(together, at_ns)
+        self._on_received(together, at_ns)
 
     def _gone(self, _: Any) -> None:
         if not self._closing.is_set():
@@ -155,4 +155,4 @@ class BluetoothPort(SerialPort):
 
     def _lost(self, why: str) -> None:
         self._fail(f"is gone: {why}")
-        self._heard(b"", self._clock.now())
+        self._on_received(b"", self._clock.now())

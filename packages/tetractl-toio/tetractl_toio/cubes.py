@@ -10,7 +10,7 @@ from functools import partial
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
-from tetractl.lab.serial_port import Heard, Ports, SerialPort
+from tetractl.lab.serial_port import OnReceived, Ports, SerialPort
 from tetractl.lab.udp_port import SCHEME, UdpPort
 from tetractl_toio.messages import TOGETHER_S, Characteristic, Unpacker, pack, refused
 
@@ -82,7 +82,7 @@ class Cubes:
                 link.close()
         return self._users == 0
 
-    def _receiver_of(self, cube: str) -> Heard:
+    def _receiver_of(self, cube: str) -> OnReceived:
         unpacker = Unpacker()
 
         def receive(data: bytes, at_ns: int) -> None:
@@ -175,11 +175,11 @@ class EmulatedCubePort(UdpPort):
                 self._closing.wait(TOGETHER_S)
                 while select.select([self._socket], [], [], 0)[0]:
                     data += self._received()
-                self._heard(data, at_ns)
+                self._on_received(data, at_ns)
 
 
 def make_port(
-    name: str, baud: int, device: str, clock: Clock, on_received: Heard, hint: str
+    name: str, baud: int, device: str, clock: Clock, on_received: OnReceived, hint: str
 ) -> SerialPort:
     """Create the port to a cube, without opening it; see `open_port`.
 

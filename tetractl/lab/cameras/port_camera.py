@@ -58,7 +58,7 @@ class PortCamera(ABC):
         self._waiting = deque[CameraFrame](maxlen=FRAMES_WAITING_MAX)
         self._stamps = StampClock()
         make = ports or (open_port if section.address.startswith(SCHEME) else self.port)
-        self._port = make(section.address, PORT_BAUD, "the camera", clock, self._heard, self.hint)
+        self._port = make(section.address, PORT_BAUD, "the camera", clock, self._receive, self.hint)
 
     def port(self, *arguments: Any) -> SerialPort:
         """Create the port that receives the messages, with the arguments of `SerialPort`.
@@ -112,7 +112,7 @@ class PortCamera(ABC):
         """Return every frame since the last call, oldest first."""
         return drained(self._waiting)
 
-    def _heard(self, data: bytes, at_ns: int) -> None:
+    def _receive(self, data: bytes, at_ns: int) -> None:
         """Take a message; without data, the port has failed."""
         fault = "" if data else self._port.failure or "the camera's port has failed"
         robots = len(self.setup.names)

@@ -230,9 +230,9 @@ def test_of_readings_that_come_together_the_newest_counts(folder):
             if NOTIFY_READINGS in data:
                 self.requests += 1
             if data == pack(Characteristic.ID):  # though the settings are lost
-                self._heard(event, 9 * MILLISECOND)
+                self._on_received(event, 9 * MILLISECOND)
             elif NOTIFY_READINGS in data and self.requests == 2:
-                self._heard(event + answer, 9 * MILLISECOND)
+                self._on_received(event + answer, 9 * MILLISECOND)
             return 0
 
         def close(self): ...

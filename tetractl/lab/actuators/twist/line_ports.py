@@ -19,7 +19,7 @@ from tetractl.lab.actuators.twist.lines import (
 from tetractl.lab.actuators.twist.section import TwistSection
 from tetractl.lab.actuators.wheel_commands import Reply, polled
 from tetractl.lab.cobs import Flag
-from tetractl.lab.serial_port import Heard, PortGroup, Ports, stop_all_at
+from tetractl.lab.serial_port import OnReceived, PortGroup, Ports, stop_all_at
 from tetractl.lab.udp_port import open_port
 from tetractl.tools.worker import WAITING_MAX, drained
 
@@ -106,7 +106,7 @@ class TwistLink(PortGroup):
             lines.append(encode_command(command))
         return self.send(lines)
 
-    def _taker(self, port: str) -> Heard:
+    def _taker(self, port: str) -> OnReceived:
         """Return a function that takes the replies of the robots on a port."""
         indices_here = self._indices_at[port]
 

@@ -8,9 +8,10 @@ from tetractl_identify.response import respond
 from tetractl_identify.robot_response import response_table
 from tetractl_identify.step_regression import ResponseParameters
 from tetractl_identify.tracks import Track, rows_apart
-from tetractl_identify.unusual import USUAL
+from tetractl_identify.unusual import USUAL, unusual_values
 
 from tetractl.core.errors import UsageError
+from tetractl.tools.likelihood import SampleInterval
 
 TRUE = {
     "dead_time": 0.12,  # [s], as both lags
@@ -248,6 +249,16 @@ def test_a_car_that_slips_to_one_side_is_neither_refused_nor_called_rotated():
 
 
 @pytest.mark.long
+@pytest.mark.parametrize(
+    ("interval", "is_named"),
+    [((550.0, 272.0, 828.0), True), ((35.0, -10.0, 81.0), False), ((1.3, 0.4, 2.2), False)],
+)
+def test_a_gain_that_is_hardly_known_is_named_if_it_is_surely_unusual(interval, is_named):
+    """Regression: nothing was said of a speed gain of 550 (272 to 828)."""
+    said = unusual_values([("one", {"speed_gain": SampleInterval(*interval)})])
+    assert ("speed gain of one is" in said) == is_named
+
+
 def test_a_rotated_body_is_printed_with_the_checklist():
     (response,) = respond([with_motion_aside(track_of_one_robot(22), 0.5)])
     assert response.heading_offset.value == pytest.approx(0.5, abs=0.02)

@@ -40,7 +40,11 @@ def is_determined(name: str, value: SampleInterval) -> bool:
 
 def may_be_usual(name: str, value: SampleInterval) -> bool:
     """Decide whether the interval of a value contains usual values."""
-    low, high = USUAL[name]
+    return _overlaps(value, *USUAL[name])
+
+
+def _overlaps(value: SampleInterval, low: float, high: float) -> bool:
+    """Decide whether the interval of a value overlaps a range."""
     return value.low <= high and value.high >= low
 
 
@@ -66,8 +70,8 @@ def unusual_values(
             value = values.get(quantity)
             if value is None or not _is_unusual(quantity, value, low, high):
                 continue
-            if not is_determined(quantity, value):
-                continue
+            if _overlaps(value, low, high) and not is_determined(quantity, value):
+                continue  # it may as well be usual
             what = f"{quantity.replace('_', ' ')} of {printable(name)} is {value.value:.3g}"
             said.append(f"{what} (usual: {low:.3g} to {high:.3g})")
     return f"{'; '.join(said)}: {CHECKLIST}" if said else ""

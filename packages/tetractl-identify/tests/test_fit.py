@@ -1,0 +1,190 @@
+"""The steps of the fit, with passes whose likelihood a test knows, and its intervals."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+from tetractl_identify import fit
+from tetractl_identify.fit import (
+    BLOCK_S,
+    BLOCKS_LEAST,
+    FAR,
+    RESOLVED,
+    UNKNOWN_S,
+    USUAL_S,
+    _Fit,
+    _is_correlated,
+    block_numbers,
+    wider_of_blocks,
+)
+
+NORMAL = 1.959964
+
+
+def fitted(**values):
+    """A fit of two robots in mid-course, without having run a pass."""
+    made = object.__new__(_Fit)
+    made.frames = [SimpleNamespace(lag=0.0)]
+    made.mean = np.array(
+        [[math.log(4.0), math.log(200.0), 0.1], [math.log(2.0), math.log(150.0), 0.0]]
+    )
+    made.std = np.array([[0.02, 0.01, 0.03], [0.05, 0.02, 0.04]])
+    made.noise = np.array([[0.5, 2.0, -0.3, -1.5], [0.0, 1.0, 0.0, 1.0]])
+    made.noise_std = np.full((2, 4), 0.2)
+    made._unit = np.array([[0.4, 3.0, 0.02, 0.05], [0.3, 2.0, 0.02, 0.05]])
+    made.tau = 0.12
+    made.tau_std = 0.02
+    for name, value in values.items():
+        setattr(made, name, value)
+    return made
+
+
+def pass_of(likelihood, mean, std):
+    """Stands for a pass: the likelihood of each dead time, and what it found of each robot."""
+
+    def run(frames, rows, prior, tau, *_, watched=False, blocks=()):
+        return SimpleNamespace(
+            likelihood=np.array([likelihood(t) for t in tau]),
+            mean=np.array([mean(t) for t in tau]),
+            std=np.array([std for _ in tau]),
+        )
+
+    return run
+
+
+@pytest.mark.parametrize("best_s", [0.10, 0.12, 0.135])
+@pytest.mark.parametrize("width_s", [0.01, 0.03])
+def test_a_parabola_gives_the_likeliest_dead_time_and_its_deviation(monkeypatch, best_s, width_s):
+    per_robot = lambda t: [-((t - best_s) ** 2) / (4 * width_s**2)] * 2  # noqa: E731 of two
+    slopes = np.array([[3.0, 0.5, -2.0], [1.0, 0.0, 0.4]])  # per second of dead time
+    at_best = fitted().mean + 0.01
+    std = np.full((2, 3), 0.015)
+    run = pass_of(per_robot, lambda t: at_best + slopes * (t - best_s), std)
+    monkeypatch.setattr(fit, "run", run)
+    made = fitted()
+    made.fit_motion()
+    assert made.tau == pytest.approx(best_s)
+    assert made.tau_std == pytest.approx(width_s)
+    assert made.mean == pytest.approx(at_best)
+    assert made.std == pytest.approx(np.hypot(std, slopes * width_s))
+
+
+def test_a_dead_time_far_off_is_approached_and_a_flat_likelihood_is_unknown(monkeypatch):
+    steady = fitted().mean
+    far = pass_of(lambda t: [-((t - 5.0) ** 2) / (4 * 0.5**2)] * 2, lambda _: steady, steady * 0)
+    monkeypatch.setattr(fit, "run", far)
+    made = fitted()
+    made.fit_motion()
+    assert made.tau == pytest.approx(0.12 + 4 * 0.02)  # twice the range of the parabola
+    assert made.tau_std == pytest.approx(5 * 0.02)
+    made.fit_motion()
+    assert made.tau_std == UNKNOWN_S
+    flat = pass_of(lambda _: [0.0, 0.0], lambda _: steady, steady * 0)
+    monkeypatch.setattr(fit, "run", flat)
+    made = fitted()
+    made.fit_motion()
+    assert made.tau_std == pytest.approx(5 * 0.02)
+
+
+@pytest.mark.parametrize(
+    ("best_s", "found"), [(0.8, 0.8), (-0.2, -0.2), (-3.0, USUAL_S), (9.0, USUAL_S)]
+)
+def test_an_unknown_dead_time_is_searched_and_must_be_inside_the_range(monkeypatch, best_s, found):
+    rates = len(fit.RATES)
+    monkeypatch.setattr(
+        fit, "run", pass_of(lambda t: [-abs(t - best_s)] * rates * 2, lambda _: 0, 0)
+    )
+    assert fit._searched(None, np.zeros(2 * rates), None) == pytest.approx(found, abs=0.026)
+
+
+def test_the_likeliest_dead_time_is_that_of_the_best_rates_of_all_robots():
+    likelihood = np.full((3, 2 * len(fit.RATES)), -9.0)
+    likelihood[0, 0] = 5.0  # robot 0 alone
+    likelihood[1, 1] = likelihood[1, len(fit.RATES)] = 3.0  # both, each at a rate of its own
+    assert fit._likeliest(SimpleNamespace(likelihood=likelihood)) == 1
+
+
+def test_intervals_are_the_values_with_two_deviations_on_either_side():
+    made = fitted()
+    motion = made._motion_intervals()
+    assert motion[0, 0] == pytest.approx(4 * np.exp([0, -NORMAL * 0.02, NORMAL * 0.02]), rel=1e-4)
+    assert motion[1, 1] == pytest.approx(150 * np.exp([0, -NORMAL * 0.02, NORMAL * 0.02]), rel=1e-4)
+    assert motion[0, 2] == pytest.approx([0.1, 0.1 - NORMAL * 0.03, 0.1 + NORMAL * 0.03], rel=1e-3)
+    noise = made._noise_intervals()
+    half = NORMAL * 0.2
+    assert noise[0, 0] == pytest.approx(0.4 * np.exp([0.5, 0.5 - half, 0.5 + half]), rel=1e-4)
+    assert noise[0, 1] == pytest.approx([6.0, 3.0 * (2 - half), 3.0 * (2 + half)], rel=1e-4)
+    assert noise[0, 3] == pytest.approx(
+        [0.05 * 1.5, 0.05 * (1.5 - half), 0.05 * (1.5 + half)], rel=1e-4
+    )
+    small = fitted(noise_std=np.full((2, 4), 2.0))._noise_intervals()
+    assert small[1, 1, 1] == 0.0  # a walk is not below 0
+
+
+def test_an_end_too_far_away_is_unknown():
+    made = fitted(std=np.array([[FAR[0] / NORMAL * 1.01, 0.01, FAR[2] / NORMAL * 0.99]] * 2))
+    motion = made._motion_intervals()
+    assert motion[0, 0].tolist()[1:] == [0.0, math.inf]
+    assert np.isfinite(motion[0, 2]).all()
+
+
+def test_the_delay_that_a_host_assumes_widens_a_alone_and_only_with_lagging_wheels():
+    lagging = fitted(frames=[SimpleNamespace(lag=0.0), SimpleNamespace(lag=0.1)])
+    plain, wider = fitted()._motion_intervals(), lagging._motion_intervals()
+    assert wider[0, 0, 2] > plain[0, 0, 2]
+    expected = 4 * math.exp(NORMAL * math.hypot(0.02, 4 * fit.DELAY_S))
+    assert wider[0, 0, 2] == pytest.approx(expected, rel=1e-4)
+    assert (wider[:, 1:] == plain[:, 1:]).all()
+
+
+@pytest.mark.parametrize(
+    ("tau", "std", "ends"),
+    [
+        (0.12, 0.01, (0.12, 0.12 - NORMAL * 0.01, 0.12 + NORMAL * 0.01)),
+        (0.01, 0.02, (0.01, 0.0, 0.01 + NORMAL * 0.02)),  # none acts before it is sent
+        (-0.2, 0.01, (-0.2, -0.2 - NORMAL * 0.01, -0.2 + NORMAL * 0.01)),  # of two clocks
+        (0.12, UNKNOWN_S, (0.12, 0.0, math.inf)),
+    ],
+)
+def test_a_dead_time_is_not_below_0_if_it_may_be_above(tau, std, ends):
+    interval = fitted(tau=tau, tau_std=std)._dead_time_interval()
+    assert (interval.value, interval.low, interval.high) == pytest.approx(ends, rel=1e-4)
+
+
+def test_residuals_that_follow_each_other_are_correlated_and_white_ones_are_not():
+    rng = np.random.default_rng(8)
+    white = rng.normal(0, 0.01, 600)
+    smooth = np.convolve(rng.normal(0, 0.01, 604), np.ones(5) / 2, "valid")
+    alternating = white * 0.2 + 0.01 * (-1.0) ** np.arange(600)
+    tiny = smooth / smooth.std() * RESOLVED * 0.5
+    gaps = np.where(np.arange(600) % 7 == 0, np.nan, white)
+    outlier = white.copy()
+    outlier[100] = 3.0
+    series = np.column_stack([white, smooth, alternating, tiny, gaps, outlier])
+    assert _is_correlated(series) == [False, True, True, False, False, False]
+
+
+@pytest.mark.parametrize(("seconds", "count"), [(10.0, 8), (150.0, 8), (200.0, 10), (1000.0, 50)])
+def test_blocks_are_as_many_as_the_time_has_and_eight_at_least(seconds, count):
+    duration_s = np.random.default_rng(2).uniform(0.04, 0.06, round(seconds * 20))
+    duration_s *= seconds / duration_s.sum()
+    blocks = block_numbers(duration_s)
+    assert len(set(blocks)) == count == max(BLOCKS_LEAST, round(seconds / BLOCK_S))
+    assert (np.diff(blocks) >= 0).all()
+    lengths = np.bincount(blocks, duration_s)
+    assert lengths == pytest.approx(np.full(count, seconds / count), rel=0.1)
+
+
+def test_equal_blocks_have_the_quantile_of_the_t_distribution():
+    for blocks in (2, 8, 50):
+        expected = stats.t.ppf(0.975, blocks - 1) / stats.norm.ppf(0.975)
+        assert wider_of_blocks(np.ones((blocks, 1))) == pytest.approx([expected], rel=1e-4)
+    few = np.zeros((50, 1))
+    few[:3] = 2.0  # the robot turns in three blocks only
+    expected = stats.t.ppf(0.975, 2) / stats.norm.ppf(0.975)
+    assert wider_of_blocks(few) == pytest.approx([expected], rel=1e-4)
+    negative = np.vstack([few, [[-7.0]]])
+    assert wider_of_blocks(negative) == pytest.approx(wider_of_blocks(few))
+    assert np.isfinite(wider_of_blocks(np.zeros((5, 2)))).all()

@@ -24,7 +24,7 @@ LENS = Lens(focal_px=FOCAL_PX)
 
 
 def camera(position=(1.0, -0.4, 2.2), target=(1.0, 0.8, 0.0), focal_px=FOCAL_PX, bend=0.0):
-    """Return a function from points (..., 3) [m] to the pixels of a camera that looks at a target."""
+    """Return a function from points (..., 3) [m] to pixels of a camera that looks at a target."""
     forward = np.subtract(target, position)
     forward /= np.linalg.norm(forward)
     right = np.cross(forward, (0.0, 1.0, 0.0))

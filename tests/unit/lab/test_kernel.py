@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
@@ -44,6 +46,27 @@ def test_a_robot_is_predicted_on_the_arc_that_it_is_commanded():
     assert not places(speed=200.0).enters(0, Pose(290.0, 500.0, 0.0))
     assert not places(speed=200.0, turning=math.pi).enters(0, Pose(330.0, 500.0, 0.0))
     assert not places(speed=200.0).enters(0, Pose(310.0, 500.0, math.pi))
+
+
+@given(
+    x=st.floats(250, 750),
+    y=st.floats(250, 750),
+    heading=st.floats(-math.pi, math.pi),
+    speed=st.floats(0, 400),
+    turning=st.floats(-math.pi, math.pi),
+)
+def test_a_robot_enters_an_obstacle_if_the_end_of_its_arc_is_inside(x, y, heading, speed, turning):
+    """The arc is that of half a second, the reaction time, in a thousand straight pieces."""
+    moments_s = (np.arange(1000) + 0.5) / 2000
+    courses = heading + turning * moments_s
+    end_x = x + speed * 0.5 * np.cos(courses).mean()
+    end_y = y + speed * 0.5 * np.sin(courses).mean()
+    outside_now = math.hypot(x - 500, y - 500) - 100
+    outside_then = math.hypot(end_x - 500, end_y - 500) - 100
+    assume(outside_now > 20)  # it does not touch the obstacle yet
+    assume(abs(outside_then) > 0.1)
+    enters = places(speed, turning).enters(0, Pose(x, y, heading))
+    assert enters == (outside_then < 0)
 
 
 def test_a_robot_that_touches_an_obstacle_at_the_start_may_leave_but_not_go_deeper_again():

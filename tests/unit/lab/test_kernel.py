@@ -49,24 +49,23 @@ def test_a_robot_is_predicted_on_the_arc_that_it_is_commanded():
 
 
 @given(
-    x=st.floats(250, 750),
-    y=st.floats(250, 750),
+    bearing=st.floats(-math.pi, math.pi),
+    away=st.floats(60, 140),
     heading=st.floats(-math.pi, math.pi),
-    speed=st.floats(0, 400),
+    speed=st.floats(100, 400),
     turning=st.floats(-math.pi, math.pi),
 )
-def test_a_robot_enters_an_obstacle_if_the_end_of_its_arc_is_inside(x, y, heading, speed, turning):
+def test_a_robot_enters_an_obstacle_if_the_end_of_its_arc_is_inside(
+    bearing, away, heading, speed, turning
+):
     """The arc is that of half a second, the reaction time, in a thousand straight pieces."""
     moments_s = (np.arange(1000) + 0.5) / 2000
     courses = heading + turning * moments_s
-    end_x = x + speed * 0.5 * np.cos(courses).mean()
-    end_y = y + speed * 0.5 * np.sin(courses).mean()
-    outside_now = math.hypot(x - 500, y - 500) - 100
-    outside_then = math.hypot(end_x - 500, end_y - 500) - 100
-    assume(outside_now > 20)  # it does not touch the obstacle yet
-    assume(abs(outside_then) > 0.1)
-    enters = places(speed, turning).enters(0, Pose(x, y, heading))
-    assert enters == (outside_then < 0)
+    x = 500 + away * math.cos(bearing) - speed * 0.5 * np.cos(courses).mean()
+    y = 500 + away * math.sin(bearing) - speed * 0.5 * np.sin(courses).mean()
+    assume(math.hypot(x - 500, y - 500) > 120)  # it does not touch the obstacle yet
+    assume(abs(away - 100) > 0.1)
+    assert places(speed, turning).enters(0, Pose(x, y, heading)) == (away < 100)
 
 
 def test_a_robot_that_touches_an_obstacle_at_the_start_may_leave_but_not_go_deeper_again():

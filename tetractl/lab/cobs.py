@@ -83,10 +83,14 @@ def checked_payload(frame: bytes) -> bytes:
 
 
 def pack_fields(layout: struct.Struct, *fields: int) -> bytes:
-    """Return the frame for a payload with a fixed layout.
+    """Pack fields into a payload, and return its frame: with a checksum, encoded, and terminated.
+
+    Args:
+        layout: The layout of the payload.
+        *fields: The values of its fields, in order.
 
     Raises:
-        WireError: If a field does not fit.
+        WireError: If a value is outside the range of its field.
     """
     try:
         return frame_with_crc(layout.pack(*fields))

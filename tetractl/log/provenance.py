@@ -153,7 +153,13 @@ def is_version(key: str) -> bool:
 
 @cache
 def environment() -> str:
-    """Return machine, versions, installed packages and local changes, as JSON."""
+    """Describe the environment of a run as JSON text.
+
+    Returns:
+        An object with the `host`, the `versions` of tetractl and its dependencies, the `python`
+        version, and the installed `packages`. If the checkout has uncommitted changes, it also has
+        these changes.
+    """
     facts: dict[str, object] = {
         "host": dict(host()),
         "versions": {**versions(), **git_state()},

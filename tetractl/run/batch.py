@@ -52,12 +52,17 @@ class RunObserver(Protocol):
 
 @dataclass(slots=True)
 class Report:
-    """The result of each trial by arm and index, or its error if it has no result."""
+    """The results of a batch, which may have trials of several specs (the arms of a study).
+
+    Attributes:
+        results: The result of each trial that has one, by the name of its arm and its index.
+        errors: The errors of the other trials that were run, by the same keys.
+        left: Number of trials that have neither a result nor an error.
+    """
 
     results: dict[tuple[str, int], Result] = field(default_factory=dict)
     errors: dict[tuple[str, int], Exception] = field(default_factory=dict)
     left: int = 0
-    """Number of trials that have neither a result nor an error."""
 
     @property
     def interrupted(self) -> bool:

@@ -52,7 +52,15 @@ class Practice:
     silence_ns: int
 
     def added_to(self, findings: Preflight, limits: LabLimits) -> Preflight:
-        """Add the findings of the practice to those of a preflight."""
+        """Return the findings of a preflight with those of the practised control steps added.
+
+        Late steps become a problem or a warning, and so does a pause of the camera. The delays are
+        added to the facts.
+
+        Args:
+            findings: The findings so far.
+            limits: The limits of the lab. Frames may be missing for at most its `stale` time.
+        """
         problems = list(findings.problems)
         warnings = list(findings.warnings)
         facts = dict(findings.facts)

@@ -82,8 +82,14 @@ class BatchStatistics(Shown):
 def describe(batch: Batch, name: str = "") -> BatchStatistics:
     """Describe the trials of one experiment.
 
-    Raises UsageError if there are none but earlier attempts, if they belong to several experiments,
-    or if a simulated trial occurs twice; LogError if no log can be read.
+    Args:
+        batch: The trials.
+        name: Name to show. The name of the experiment if it is empty.
+
+    Raises:
+        UsageError: If the trials belong to several experiments, if a simulated trial occurs twice,
+            or if every log is an attempt that was later repeated.
+        LogError: If no log can be read.
     """
     experiment = experiment_of(batch)
     origin = batch.trials[0].origin

@@ -57,7 +57,7 @@ class MeanDifference:
         return cls(value, Interval.none(why), _NAN, degrees)
 
     def text(self, unit: str, show: Callable[[float], str], p: float) -> str:
-        """Format the difference with its interval and a p-value.
+        """Format this difference of two means, with its interval and a p-value.
 
         Args:
             unit: Unit of the difference.

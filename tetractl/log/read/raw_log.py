@@ -266,7 +266,12 @@ def read_file(path: Path) -> bytes:
 
 
 def writer(facts: Mapping[str, str]) -> str:
-    """Return the version of tetractl that wrote a log, from the facts about its host."""
+    """Describe the version of tetractl that wrote a log, for people.
+
+    Args:
+        facts: Facts about the computer that wrote the log. `tetractl` is the version, and
+            `git_commit` the commit; both may be missing.
+    """
     version = printable(facts.get("tetractl", "")[:12]) or "of an unknown version"
     commit = printable(facts.get("git_commit", "")[:12])
     return f"tetractl {version}, git commit {commit}" if commit else f"tetractl {version}"

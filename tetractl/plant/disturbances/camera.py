@@ -29,7 +29,7 @@ class TrackingLossSection(DisturbanceSection):
     """Mean time for which a robot stays lost [s], exponentially distributed."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "TrackingLoss":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         return TrackingLoss(self, len(setup.names), rng)
 
 
@@ -71,7 +71,7 @@ class CameraLatencySection(DisturbanceSection):
     """Largest additional latency of a late frame [s]; the addition is uniformly distributed."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "CameraLatency":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         return CameraLatency(self, rng)
 
 
@@ -109,7 +109,7 @@ class FrameLossSection(DisturbanceSection):
         return self.share > 0
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "FrameLoss":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         return FrameLoss(self, rng)
 
 
@@ -151,7 +151,7 @@ class FrozenCameraSection(SpellsSection):
         return not self.repeats
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "FrozenCamera":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         return FrozenCamera(self.repeats, self.draw(rng))
 
 
@@ -184,7 +184,7 @@ class MarkerOffSection(DisturbanceSection):
     """Size of the offset of the measured heading [rad]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "MarkerOff":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         return MarkerOff(self.heading * rng.choice([-1.0, 1.0], len(setup.names)))
 
 
@@ -207,7 +207,7 @@ class StaleCameraSection(SpellsSection):
     """Age of the poses shown [s]. Frames before this time of the trial show the first poses."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StaleCamera":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         return StaleCamera(self.age, self.draw(rng))
 
 

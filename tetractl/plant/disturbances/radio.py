@@ -30,7 +30,7 @@ class RadioSection(DisturbanceSection):
     """Probability that a robot does not receive a transmission."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Radio":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         return Radio(self, len(setup.names), rng)
 
 
@@ -77,7 +77,7 @@ class SilentRadioSection(SpellsSection):
     type: Literal["silent-radio"]
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "SilentRadio":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         return SilentRadio(self.draw(rng))
 
 
@@ -109,7 +109,7 @@ class PlanningTimeSection(DisturbanceSection):
         return self.least + self.spread
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "PlanningTime":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         return PlanningTime(self, rng)
 
 

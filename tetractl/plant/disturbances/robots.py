@@ -24,7 +24,7 @@ class BatterySection(DisturbanceSection):
     """Time from the start of the trial over which the robots slow down [s]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Battery":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         return Battery(self)
 
 
@@ -54,7 +54,7 @@ class HeadingDriftSection(DisturbanceSection):
     """
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "HeadingDrift":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         return HeadingDrift(self.rate * rng.uniform(-1, 1, len(setup.names)))
 
 
@@ -79,7 +79,7 @@ class StickingSection(DisturbanceSection):
     """Time for which a stuck robot neither moves nor turns [s]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Sticking":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         return Sticking(self, len(setup.names), rng)
 
 
@@ -119,7 +119,7 @@ class WanderSection(DisturbanceSection):
     """Correlation time of the errors [s]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Wander":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         return Wander(self, len(setup.names), rng)
 
 
@@ -159,7 +159,7 @@ class StartErrorSection(DisturbanceSection):
     """Largest error of the heading, uniformly distributed [rad]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StartError":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         return StartError(self, rng)
 
 

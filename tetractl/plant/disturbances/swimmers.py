@@ -21,7 +21,7 @@ class FlowSection(DisturbanceSection):
     """Direction of the flow, anticlockwise from +x [rad]. Default: sampled in every trial."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Flow":
-        """Return this disturbance for one trial."""
+        """Create the disturbance that this section of the spec describes, for one trial."""
         angle = rng.uniform(-np.pi, np.pi)  # drawn in any case: it is part of the result
         if self.direction is not None:
             angle = self.direction

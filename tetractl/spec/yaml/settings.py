@@ -39,10 +39,11 @@ SpecSetting = str | FieldValue
 
 
 def with_settings(document: Document, settings: Sequence[SpecSetting]) -> Document:
-    """Return a copy of a document with settings; errors are added to the copy's problems.
+    """Return a copy of a document in which settings replace values or add them.
 
-    A step of a setting's path is a key, an index, or the `name` of an entry: `robots.0.a`,
-    `robots.green.a`. Mappings that the spec omits are created.
+    Errors in the settings are added to the problems of the copy. The path of a setting consists of
+    steps that are separated by dots. Each step is a key, an index, or the `name` of an entry, as in
+    `robots.0.a` and `robots.green.a`. Mappings that the spec omits are created.
     """
     changed = replace(
         document,

@@ -92,7 +92,12 @@ class TwistLink(PortGroup):
         return self._sequence, sent_ns
 
     def hear(self, timeout_s: float) -> list[Reply]:
-        """Wait for replies for at most a time [s]; return those that have come."""
+        """Return the replies received so far, or wait until one arrives.
+
+        Args:
+            timeout_s: The longest wait [s]. The list is empty if nothing arrives in this time, or
+                if the port fails.
+        """
         wait_for(self._clock, lambda: bool(self._replies) or self.failure is not None, timeout_s)
         return drained(self._replies)
 

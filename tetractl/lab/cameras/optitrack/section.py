@@ -83,7 +83,7 @@ class OptitrackSection(CameraSection):
             yield ("version",), "can only be requested in unicast; leave it out"
 
     def bounds(self) -> dict[str, str]:
-        """Return the server's address as {name: text}, for display."""
+        """Return the server's address for display, under the key `cameras`."""
         return {"cameras": f"{self.server}:{self.command_port}, {self.transport}"}
 
     def heading_offset(self, name: str) -> float:

@@ -1,6 +1,6 @@
-"""The style of every figure (marks, lines, sizes of type and paper), and saving a figure.
+"""The style of every figure (marks, lines, sizes of type and paper), and the saving of figures.
 
-What the colours mean is said in `core/colors.py`.
+`core/colors.py` explains what the colours mean.
 """
 
 import io

@@ -1,10 +1,12 @@
-"""Labs of which one device is real and the other emulated, in real time.
+"""Labs in which one device is real and the other is emulated, in real time.
 
-With a real camera the robots stand switched off below it, and emulated ones drive in their place:
-what the camera sees of each is moved by what the emulated robot has driven, so that rate, latency,
-losses and noise are the camera's. With a real actuator robots drive wherever they are, such as on
-blocks with their wheels in the air; a second actuator sends the same to emulated robots, which the
-emulated camera shows.
+With a real camera, the robots stand switched off below it, and emulated robots drive instead. Each
+pose that the camera measures is moved by the distance that the emulated robot has driven. The rate,
+latency, losses and noise are therefore the camera's own.
+
+With a real actuator, the robots drive wherever they are, for example on blocks with their wheels in
+the air. A second actuator sends the same commands to emulated robots, which the emulated camera
+shows.
 """
 
 from collections import deque

@@ -147,7 +147,7 @@ class EmulatedCamera(EmulatedSide, Protocol):
 
 
 class EmulatedActuator(EmulatedSide, Protocol):
-    """Moves its `bodies`, in the setup's order; constructed with (stage, settings)."""
+    """An emulated actuator, which moves its `bodies`. It is constructed with (stage, settings)."""
 
     @property
     def bodies(self) -> Sequence[Body]:

@@ -1,4 +1,4 @@
-"""Named curves over time, which `errors` and `over_time` draw: one of each robot, or of all."""
+"""Named curves over time, one for each robot or one for all, for `errors` and `over_time`."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace

@@ -444,7 +444,7 @@ def _name_signs(
 def arena_picture(setup: Setup, ways: Floats) -> NDArray[np.uint8]:
     """Draw an image (H, W, 3) of a trial that is still running.
 
-    It shows the scene, and the robots' positions so far, `ways` (M, N, 2).
+    It shows the scene, and the robots' positions so far in `ways`, shape (M, N, 2).
     """
     arena = setup.arena
     scale = PICTURE_SIDE_IN / arena.longer_side

@@ -1,4 +1,4 @@
-"""Draws what is to happen on a day of a rehearsal: its faults, its emulated world, its settings."""
+"""Samples the faults, the emulated world and the settings of a day of a rehearsal."""
 
 import math
 from collections.abc import Mapping, Sequence

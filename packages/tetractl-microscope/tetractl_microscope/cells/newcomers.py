@@ -39,7 +39,7 @@ class FreeBlob:
     speck: Speck | None
 
     def entry(self, seconds: float) -> PathBlob:
-        """Return it as the newest blob of a path, at a time [s]; a cut one has no size."""
+        """Return the blob for a cell's path, at a time [s]. If it is cut off, its size is NaN."""
         x, y, axis, long, wide = self.track_blob.place.tolist()
         if self.track_blob.blob.at_edge:
             return PathBlob(seconds, x, y, axis, math.nan, math.nan)

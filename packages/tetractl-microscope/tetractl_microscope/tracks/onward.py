@@ -1,11 +1,14 @@
-"""Whether objects go on as they went, as swimmers do, or to and fro, as beads in water do.
+"""Decides whether objects swim, or only diffuse like beads in water.
 
-Over a time t, the mean square way of a swimmer grows with t^2, and that of a bead with t. Of
-displacements a and b over successive times of equal length, |a + b|^2 = |a|^2 + |b|^2 + 2 a.b: the
-way doubles (a.b = |a||b|) of what swims straight, and a.b is 0 in the mean of what diffuses.
+Over a time t, the mean square displacement of a swimmer grows with t^2, and that of a bead with t.
+Let a and b be displacements over two successive times of equal length. Then
 
-Where pictures are rare a swimmer may turn by any angle from one to the next. It is known by its
-steps, which are as long as one another: those of a bead vary by half of their mean.
+    |a + b|^2 = |a|^2 + |b|^2 + 2 a.b
+
+A straight swimmer has a.b = |a||b|, so its displacement doubles. For a bead, the mean of a.b is 0.
+
+If images are rare, a swimmer may turn by any angle from one image to the next. It is then known by
+its steps, which have similar lengths. The lengths of a bead's steps vary by half of their mean.
 """
 
 from collections.abc import Sequence

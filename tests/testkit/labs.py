@@ -14,7 +14,7 @@ from tetractl.core.setup import Setup
 from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.rig import Rig
 from tetractl.model.motion.exact import step as exact
-from tetractl.model.motion.rolling import wheel_speeds
+from tetractl.model.motion.wheel_equations import wheel_speeds
 from tetractl.plant.lab_plant import LabPlant
 from tetractl.spec.lab_section import LabLimits
 

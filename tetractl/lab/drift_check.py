@@ -31,10 +31,10 @@ import numpy as np
 
 from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
+from tetractl.core.guard_check import GuardCheck
 from tetractl.core.guard_findings import Abort, Excess
 from tetractl.core.linear import inverse, product, solve
 from tetractl.core.poses import Floats, Pose
-from tetractl.core.protocols import GuardCheck
 from tetractl.core.robot_step import EXACT, PARTS, RobotStep
 from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
@@ -44,7 +44,7 @@ from tetractl.lab.motion_check import (
     CommandHistory,
     MotionCheck,
 )
-from tetractl.model.motion.rolling import rolled
+from tetractl.model.motion.wheel_equations import rolled
 
 BLOCK_NS = SECOND // 20
 """Length of a block."""

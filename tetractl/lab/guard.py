@@ -107,7 +107,7 @@ from tetractl.lab.guard_checks import ChecksOf, robot_checks
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.kernel import Pace, asleep, frameless, may_move, overdue, undirected, untracked
 from tetractl.lab.motion_check import COMPARED_NS, DOES_NOT_MOVE, PUSHED, REPEATS
-from tetractl.lab.robot_track import JUMPED, MISSING, PoseDecision, RobotTrack
+from tetractl.lab.robot_track import MISSING, PoseDecision, RobotTrack
 
 DAMAGED_MAX = 20
 """Maximum number of images or datagrams per second that may be damaged."""
@@ -469,12 +469,11 @@ class Guard:
             return MISSING
         if not robot.is_new:
             return None
-        fault = robot.ghost or robot.fault(pose, robot.read_ns, self._pace.driven)
-        if not fault and self._stream.repeats:
-            fault = FROZEN
-        if fault:
-            jump = robot.jump(pose, robot.read_ns) if fault == JUMPED else None
-            return PoseDecision(refused=fault, excess=jump)
+        refusal = robot.refusal(pose, robot.read_ns, self._pace.driven)
+        if refusal is None and self._stream.repeats:
+            refusal = Refuse(i, FROZEN)
+        if refusal is not None:
+            return PoseDecision(refused=refusal.text, excess=refusal.excess)
         if last is None or not self._pace.driven:
             return PoseDecision(pose)
         checks = self._checks

@@ -13,7 +13,7 @@ itself checks with its `RobotTrack` whether a body is lifted, or jumps.
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from tetractl.core.protocols import GuardCheck
+from tetractl.core.guard_check import GuardCheck
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.kernel import Places

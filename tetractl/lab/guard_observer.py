@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from tetractl.core.clock import SECOND
+from tetractl.core.guard_check import GuardCheck
 from tetractl.core.guard_findings import Excess, Finding, RobotPlace, Warn
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.core.protocols import GuardCheck
 from tetractl.lab.frames import AcceptedFrame
 from tetractl.lab.guard import FROZEN, Guard, GuardState, Ruling
 from tetractl.lab.guard_checks import ChecksOf, GuardChecks, robot_checks

@@ -27,13 +27,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.core.clock import SECOND
+from tetractl.core.guard_check import GuardCheck
 from tetractl.core.guard_findings import Abort, Excess, Finding, RobotPlace
 from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import Pose
-from tetractl.core.protocols import GuardCheck
 from tetractl.core.setup import Bounds
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.model.motion.rolling import rolled
+from tetractl.model.motion.wheel_equations import rolled
 
 FASTER = 2.0
 """Multiple of a robot's speed and turning limits above which its pose jumped."""
@@ -201,24 +201,31 @@ class Places(GuardCheck):
             if outside(arena, then[name]) > outside(arena, pose):
                 excess = beyond_edge(self._rules, i, then[name])
                 yield Abort(f"{name} is about to leave the arena", excess=excess)
-            if self.enters(i, pose):
-                depth_mm = self._depth_then(i, pose) * self._rules.mm
-                excess = Excess("obstacle", depth_mm, 0.0, "mm", i)
+            excess = self.entered(i, pose)
+            if excess is not None:
                 yield Abort(f"{name} is about to enter an obstacle", excess=excess)
         yield from too_close(now, then, self._rules)
 
-    def enters(self, i: int, pose: Pose) -> bool:
+    def entered(self, i: int, pose: Pose) -> Excess | None:
         """Check whether robot i is in an obstacle, or will be after its reaction time.
 
         The prediction uses the rates of the last transmission. A robot that has touched an obstacle
-        since the run started may leave it, but not go deeper.
+        since the run started may leave it, but not go deeper than it was at the least.
+
+        Returns:
+            The depth, now or after the reaction, and its limit. None if it is within the limit.
         """
         noise = self._largest_error
         depth = self._depth(pose.x, pose.y)
         least = self._least[i] = min(depth, self._least.get(i, depth))
+        limit = 0.0
         if least > -noise:
-            return depth > max(least, 0.0) + noise
-        return depth > 0.0 or self._depth_then(i, pose) > 0.0
+            limit = max(least, 0.0) + noise
+        elif depth <= limit:
+            depth = self._depth_then(i, pose)
+        if depth <= limit:
+            return None
+        return Excess("obstacle", depth * self._rules.mm, limit * self._rules.mm, "mm", i)
 
     def _depth_then(self, i: int, pose: Pose) -> float:
         """Return how deep robot i will be in an obstacle after its reaction."""

@@ -57,9 +57,9 @@ from itertools import pairwise
 import numpy as np
 
 from tetractl.core.clock import SECOND
+from tetractl.core.guard_check import GuardCheck
 from tetractl.core.guard_findings import Excess, Finding, Moved, Refuse
 from tetractl.core.poses import Bools, Floats, Pose
-from tetractl.core.protocols import GuardCheck
 from tetractl.core.robot_step import PARTS, RobotStep
 from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules

@@ -13,7 +13,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from tetractl.core.clock import SECOND
-from tetractl.core.guard_findings import Excess, Finding
+from tetractl.core.guard_findings import Excess, Finding, Refuse
 from tetractl.core.poses import Pose
 from tetractl.lab.frames import TimedPose
 from tetractl.lab.guard_rules import GuardRules
@@ -186,8 +186,8 @@ class RobotTrack:
         if not remembered or exposed_ns - remembered[-1].exposed_ns >= JUMP_SPACING_NS:
             remembered.append(TimedPose(exposed_ns, pose))
 
-    def fault(self, pose: Pose, exposed_ns: int, driving: bool) -> str:
-        """Explain why a pose cannot belong to the robot. Empty if it can.
+    def refusal(self, pose: Pose, exposed_ns: int, driving: bool) -> Refuse | None:
+        """Explain why a pose cannot belong to the robot. None if it can.
 
         Args:
             pose: The pose.
@@ -195,10 +195,13 @@ class RobotTrack:
             driving: Whether robots drive. Robots that do not may be carried, so only the limits of
                 height and tilt are checked.
         """
-        fault = self._off_the_floor(pose)
-        if fault or not driving:
-            return fault
-        return self._lifted(pose) or (JUMPED if self.jump(pose, exposed_ns) else "")
+        fault = self.ghost or self._off_the_floor(pose)
+        if not fault and driving:
+            fault = self._lifted(pose)
+        if fault:
+            return Refuse(self.i, fault)
+        jump = self._jump(pose, exposed_ns) if driving else None
+        return None if jump is None else Refuse(self.i, JUMPED, jump)
 
     def _off_the_floor(self, pose: Pose) -> str:
         """Explain why a body's height or tilt is wrong for a robot on the floor.
@@ -227,7 +230,7 @@ class RobotTrack:
             return f"its body is {-higher_mm:.0f} mm lower than at the start: was it set down?"
         return ""
 
-    def jump(self, pose: Pose, exposed_ns: int) -> Excess | None:
+    def _jump(self, pose: Pose, exposed_ns: int) -> Excess | None:
         """Check that the robot can have come to `pose` from each pose that is remembered."""
         if self.last is None:
             return None

@@ -10,7 +10,7 @@ from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.commands import Command, FieldOff, Steer, Stop, Turn
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
-from tetractl.model.motion.rolling import wheel_speeds
+from tetractl.model.motion.wheel_equations import wheel_speeds
 from tetractl.plant.direct import aim
 from tetractl.plant.sim_section import SimSection
 from tetractl.plant.transit import Transit

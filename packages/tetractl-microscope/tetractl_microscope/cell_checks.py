@@ -17,9 +17,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from tetractl.core.guard_check import GuardCheck
 from tetractl.core.guard_findings import Finding, Lose, RobotPlace, Warn
 from tetractl.core.poses import Floats, Pose
-from tetractl.core.protocols import GuardCheck
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard_checks import GuardChecks
 from tetractl.lab.guard_rules import GuardRules

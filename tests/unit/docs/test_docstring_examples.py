@@ -10,24 +10,36 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.paths import ROOT
 
 import tetractl
-from tetractl import api
 
-ROOT = Path(__file__).parents[3]
+ARGS = re.compile(r"^Args:\n((?: .*\n?)*)", re.MULTILINE)
+"""The section `Args` of a docstring."""
 ENTRY = re.compile(r"^ +\**(\w+)(?: \([^)]*\))?: ", re.MULTILINE)
+"""The entry of a parameter in it."""
+PAGE = ROOT / "docs" / "site" / "api.rst"
 INTERFACES = (
     "tetractl.core.protocols:Optimizer",
     "tetractl.core.protocols:Controller",
     "tetractl.core.protocols:Observer",
-    "tetractl.core.protocols:GuardCheck",
+    "tetractl.core.guard_check:GuardCheck",
 )
 """Classes that plug-ins implement or derive from, each of which shows how."""
 
 
 def api_functions() -> list[str]:
-    """The names of all functions of `import tetractl`, in the order of api.py."""
-    return [name for name in vars(api) if name in tetractl.__all__ and name in api.__dict__]
+    """The names of all functions of `import tetractl`, in the order of the API reference.
+
+    Examples read what those before them wrote.
+    """
+    return re.findall(r"autofunction:: tetractl\.(\w+)", PAGE.read_text())
+
+
+def documented(docstring: str | None) -> list[str]:
+    """The parameters that have an entry in the section `Args` of a docstring."""
+    section = ARGS.search(inspect.cleandoc(docstring or ""))
+    return ENTRY.findall(section[1]) if section else []
 
 
 def examples(docstring: str | None) -> str:
@@ -57,9 +69,8 @@ def work_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.long
 def test_the_example_of_each_function_of_the_api_prints_what_it_shows(work_folder: Path):
     for name in api_functions():
-        function = getattr(api, name)
-        if inspect.isfunction(function):
-            run(examples(function.__doc__), {"tetractl": tetractl, "Path": Path}, name)
+        function = getattr(tetractl, name)
+        run(examples(function.__doc__), {"tetractl": tetractl, "Path": Path}, name)
 
 
 @pytest.mark.parametrize("name", INTERFACES)
@@ -72,9 +83,7 @@ def test_each_interface_of_plug_ins_has_an_example_that_runs(name: str, work_fol
 def undocumented(function: object) -> Iterator[str]:
     """Yield the parameters of a function that have no entry in its section `Args`."""
     assert inspect.isfunction(function)
-    text = inspect.cleandoc(function.__doc__ or "")
-    section = re.search(r"^Args:\n((?: .*\n?)*)", text, re.M)
-    entries = ENTRY.findall(section[1]) if section else []
+    entries = documented(function.__doc__)
     for parameter in inspect.signature(function).parameters:
         if parameter not in ("self", "cls") and parameter not in entries:
             yield f"{function.__qualname__}: {parameter}"
@@ -91,13 +100,12 @@ def parameters_without_entry(tree: ast.AST) -> Iterator[str]:
         decorators = {getattr(decorator, "id", "") for decorator in node.decorator_list}
         if "Annotated[" in ast.unparse(arguments) or "Sets" in ast.unparse(arguments):
             continue  # a command: its options have their own help
-        text = inspect.cleandoc(ast.get_docstring(node) or "")
+        text = ast.get_docstring(node) or ""
         if len(names) < 3 or "overload" in decorators or not text:
             continue
         if "; see `" in text.partition("\n")[0]:  # overrides a method that describes them
             continue
-        section = re.search(r"^Args:\n((?: .*\n?)*)", text, re.M)
-        entries = ENTRY.findall(section[1]) if section else []
+        entries = documented(text)
         yield from (f"{node.name}: {name}" for name in names if name not in entries)
 
 
@@ -115,6 +123,6 @@ def test_functions_with_three_parameters_or_more_describe_each_of_them(folder: P
 
 
 def test_each_parameter_of_the_api_has_an_entry():
-    functions = [getattr(api, name) for name in api_functions()]
-    missing = [line for f in functions if inspect.isfunction(f) for line in undocumented(f)]
+    functions = [getattr(tetractl, name) for name in api_functions()]
+    missing = [line for function in functions for line in undocumented(function)]
     assert not missing

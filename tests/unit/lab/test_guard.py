@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from tetractl.core.clock import SECOND
+from tetractl.core.guard_check import GuardCheck
 from tetractl.core.guard_findings import Abort, Lose, Warn
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.core.protocols import GuardCheck
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.lab.drift_check import DriftCheck

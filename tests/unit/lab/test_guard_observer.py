@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from tetractl.core.clock import SECOND
+from tetractl.core.guard_check import GuardCheck
 from tetractl.core.guard_findings import Abort, Warn
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.core.protocols import GuardCheck
 from tetractl.core.setup import Bounds
 from tetractl.lab.guard import Guard, GuardState
 from tetractl.lab.guard_observer import Act, GuardObserver, Unheeded, build_guard, check_of

@@ -36,16 +36,16 @@ def places(speed=0.0, turning=0.0):
 
 def test_a_robot_in_an_obstacle_is_found_there_whatever_it_is_commanded():
     checked_places = places()
-    assert not checked_places.enters(0, Pose(395.0, 500.0, 0.0))
-    assert checked_places.enters(0, Pose(401.0, 500.0, 0.0))
+    assert not checked_places.entered(0, Pose(395.0, 500.0, 0.0))
+    assert checked_places.entered(0, Pose(401.0, 500.0, 0.0))
 
 
 def test_a_robot_is_predicted_on_the_arc_that_it_is_commanded():
     """By 100 mm ahead in half a second, or round an eighth of a circle."""
-    assert places(speed=200.0).enters(0, Pose(310.0, 500.0, 0.0))
-    assert not places(speed=200.0).enters(0, Pose(290.0, 500.0, 0.0))
-    assert not places(speed=200.0, turning=math.pi).enters(0, Pose(330.0, 500.0, 0.0))
-    assert not places(speed=200.0).enters(0, Pose(310.0, 500.0, math.pi))
+    assert places(speed=200.0).entered(0, Pose(310.0, 500.0, 0.0))
+    assert not places(speed=200.0).entered(0, Pose(290.0, 500.0, 0.0))
+    assert not places(speed=200.0, turning=math.pi).entered(0, Pose(330.0, 500.0, 0.0))
+    assert not places(speed=200.0).entered(0, Pose(310.0, 500.0, math.pi))
 
 
 @given(
@@ -70,11 +70,25 @@ def test_a_robot_enters_an_obstacle_if_the_end_of_its_arc_is_inside(
 
 def test_a_robot_that_touches_an_obstacle_at_the_start_may_leave_but_not_go_deeper_again():
     checked_places = places(speed=200.0)
-    assert not checked_places.enters(0, Pose(410.0, 500.0, 0.0))
-    assert not checked_places.enters(0, Pose(405.0, 500.0, 0.0))
-    assert checked_places.enters(0, Pose(408.0, 500.0, 0.0))
+    assert not checked_places.entered(0, Pose(410.0, 500.0, 0.0))
+    assert not checked_places.entered(0, Pose(405.0, 500.0, 0.0))
+    assert checked_places.entered(0, Pose(408.0, 500.0, 0.0))
     checked_places.start()
-    assert not checked_places.enters(0, Pose(408.0, 500.0, 0.0))
+    assert not checked_places.entered(0, Pose(408.0, 500.0, 0.0))
+
+
+def test_the_depth_beyond_its_limit_is_stated_where_it_was_found():
+    """The disc begins at x = 400. The limit is 0, or for a robot that has touched the disc the
+    least depth so far."""
+    now = places().entered(0, Pose(401.0, 500.0, 0.0))
+    assert (now.check, now.unit, now.robot) == ("obstacle", "mm", 0)
+    assert (now.value, now.limit) == (pytest.approx(1.0), 0.0)
+    after_reaction = places(speed=200.0).entered(0, Pose(310.0, 500.0, 0.0))
+    assert (after_reaction.value, after_reaction.limit) == (pytest.approx(10.0), 0.0)
+    touching = places(speed=200.0)
+    touching.entered(0, Pose(405.0, 500.0, 0.0))
+    deeper = touching.entered(0, Pose(408.0, 500.0, math.pi))  # it would leave
+    assert (deeper.value, deeper.limit) == (pytest.approx(8.0), pytest.approx(5.0))
 
 
 @pytest.mark.parametrize(

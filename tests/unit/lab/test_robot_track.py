@@ -35,8 +35,13 @@ DT = SECOND // 2
 def test_a_pose_beyond_twice_the_speed_and_one_allowance_is_a_jump(pose, jumps):
     robot = RobotTrack("one", RULES, 0)
     robot.accept(Pose(0.0, 0.0, 0.0), 0)
-    assert robot.fault(pose, DT, driving=True) == ("its pose jumped" if jumps else "")
-    assert robot.fault(pose, DT, driving=False) == "", "robots may be carried"
+    refusal = robot.refusal(pose, DT, driving=True)
+    if jumps:
+        assert (refusal.robot, refusal.text) == (0, "its pose jumped")
+        assert refusal.excess.value > refusal.excess.limit
+    else:
+        assert refusal is None
+    assert robot.refusal(pose, DT, driving=False) is None, "robots may be carried"
 
 
 def test_the_allowance_is_given_once_in_a_second():
@@ -46,7 +51,7 @@ def test_the_allowance_is_given_once_in_a_second():
     for k in range(1, 41):
         now_ns = k * SECOND // 50
         pose = Pose(robot.last.x + 30.0, 0.0, 0.0)
-        if not robot.fault(pose, now_ns, driving=True):
+        if robot.refusal(pose, now_ns, driving=True) is None:
             robot.accept(pose, now_ns)
     assert robot.last.x <= 200.0 * 0.8 + 30.0
 
@@ -63,7 +68,7 @@ def test_a_pose_that_creeps_faster_than_a_robot_drives_soon_jumps():
         now_ns = k * SECOND // 120
         x_mm += 10.0 if now_ns > since_ns else 0.0
         pose = Pose(x_mm, 0.0, 0.0)
-        if robot.fault(pose, now_ns, driving=True):
+        if robot.refusal(pose, now_ns, driving=True) is not None:
             break
         robot.accept(pose, now_ns)
     spacing_s = 0.02
@@ -96,21 +101,22 @@ def started(heights_mm, rules=RULES):
 def test_a_robot_stays_as_high_as_when_its_run_began(height_mm, said):
     robot = started([60.0])
     pose = Pose(0.0, 0.0, 0.0, height=height_mm)
-    assert robot.fault(pose, SECOND, driving=True) == said
-    assert robot.fault(pose, SECOND, driving=False) == "", "robots may be carried"
+    refusal = robot.refusal(pose, SECOND, driving=True)
+    assert (refusal.text if refusal else "") == said
+    assert robot.refusal(pose, SECOND, driving=False) is None, "robots may be carried"
 
 
 def test_a_robot_lifted_in_a_pause_is_noticed_in_the_next_run():
     robot = started([60.0])
     lifted = Pose(0.0, 0.0, 0.0, height=120.0)
-    assert "lifted" in robot.fault(lifted, SECOND, driving=True)
+    assert "lifted" in robot.refusal(lifted, SECOND, driving=True).text
     robot.start_run()
-    assert "lifted" in robot.fault(lifted, 2 * SECOND, driving=True)
+    assert "lifted" in robot.refusal(lifted, 2 * SECOND, driving=True).text
 
 
 def test_one_wrong_height_is_not_that_of_the_start():
     robot = started([60.0, 60.0, 130.0])
-    assert robot.fault(Pose(0.0, 0.0, 0.0, height=62.0), SECOND, driving=True) == ""
+    assert robot.refusal(Pose(0.0, 0.0, 0.0, height=62.0), SECOND, driving=True) is None
 
 
 def test_a_floor_out_of_level_is_followed_from_run_to_run():
@@ -119,7 +125,7 @@ def test_a_floor_out_of_level_is_followed_from_run_to_run():
     for k in range(1, 5):
         now_ns = k * 20 * SECOND
         pose = Pose(2000.0 * k, 0.0, 0.0, height=60.0 + 35.0 * k)
-        assert robot.fault(pose, now_ns, driving=True) == ""
+        assert robot.refusal(pose, now_ns, driving=True) is None
         robot.accept(pose, now_ns)
         robot.start_run()
 
@@ -127,5 +133,7 @@ def test_a_floor_out_of_level_is_followed_from_run_to_run():
 def test_heights_are_compared_in_mm_also_of_a_spec_in_metres():
     metres = replace(RULES, speeds=(0.1,), mm=1000.0)
     robot = started([0.06], metres)
-    assert robot.fault(Pose(0.0, 0.0, 0.0, height=0.095), SECOND, driving=True) == ""
-    assert "60 mm higher" in robot.fault(Pose(0.0, 0.0, 0.0, height=0.12), SECOND, driving=True)
+    assert robot.refusal(Pose(0.0, 0.0, 0.0, height=0.095), SECOND, driving=True) is None
+    assert (
+        "60 mm higher" in robot.refusal(Pose(0.0, 0.0, 0.0, height=0.12), SECOND, driving=True).text
+    )

@@ -10,7 +10,7 @@ import tetractl
 from tetractl.control.search import cost, stop
 from tetractl.control.search.kernels import update
 from tetractl.model import wheels
-from tetractl.model.motion import euler, exact, rolling
+from tetractl.model.motion import euler, exact, wheel_equations
 
 EQUATIONS = {
     "(1)": exact.rates,
@@ -23,8 +23,8 @@ EQUATIONS = {
     "(14)-(17)": update.move.py_func,
     "(20)": stop,
     "(21)": wheels.body_velocity,
-    "(21)-(23)": rolling.rolled,
-    "(24)-(25)": rolling.wheel_speeds,
+    "(21)-(23)": wheel_equations.rolled,
+    "(24)-(25)": wheel_equations.wheel_speeds,
 }
 MOTIONS = {"euler.py", "exact.py", "turn_rate.py"}
 TURN = re.compile(r"\ba \* (np|math)\.sin\(|su \* c - cu \* s")

@@ -9,7 +9,8 @@ import pytest
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Poses
 from tetractl.model.motion.exact import step as exact
-from tetractl.model.motion.rolling import KnownRobots, SentRates, note, wheel_speeds, wish
+from tetractl.model.motion.rolling import KnownRobots, SentRates, note, wish
+from tetractl.model.motion.wheel_equations import wheel_speeds
 from tetractl.model.wheels import (
     Drivetrains,
     WheeledRobots,

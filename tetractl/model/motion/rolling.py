@@ -16,12 +16,10 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from tetractl.core.clock import NEVER, SECOND
-from tetractl.core.elementary import cos, exp, expm1, sin
+from tetractl.core.elementary import exp, expm1, sin
 from tetractl.core.poses import Bools, Floats, Times
 from tetractl.model.motion.exact import turn
-
-SERIES_HALF_TURN_RAD = 0.3
-"""Half the angle of an arc [rad] below which sin(h)/h is four terms of its series, to 1e-9."""
+from tetractl.model.motion.wheel_equations import rolled, wheel_speeds
 
 
 def count(speeds: Floats, owed: Floats, gain: Floats, dead_zone: Any, limit: Any) -> Floats:
@@ -47,37 +45,6 @@ def count(speeds: Floats, owed: Floats, gain: Floats, dead_zone: Any, limit: Any
             steps[side, i] = round(max(min(total, span), -span))
             owed[side, i] = max(min(total - steps[side, i], 0.5), -0.5) if drives else 0.0
     return steps
-
-
-def wheel_speeds(sine: Any, a: Any, v: Any, radius: Any) -> Any:
-    """Compute left and right wheel speeds by the paper's (24)-(25) [length unit/s].
-
-    Args:
-        sine: sin(u - heading).
-        a: Turning rate [rad/s].
-        v: Speed [length unit/s].
-        radius: Distance from a wheel to the centre [length unit].
-    """
-    difference = a * radius * sine
-    return v - difference, v + difference
-
-
-def rolled(heading: float, angle: float, distance: float) -> tuple[float, float]:
-    """Compute the displacement x, y on an arc by (21)-(23).
-
-    Args:
-        heading: Heading at the beginning of the arc [rad].
-        angle: Angle by which the robot turns [rad].
-        distance: Length of the arc [length unit].
-    """
-    half = angle / 2
-    if abs(half) <= SERIES_HALF_TURN_RAD:
-        square = angle * angle / 4
-        sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
-    else:
-        sinc = sin(half) / half
-    chord = distance * sinc
-    return chord * cos(heading + half), chord * sin(heading + half)
 
 
 class KnownRobots(NamedTuple):

@@ -50,13 +50,13 @@ from tetractl.control.estimation.kernels.filter_state import (
     Y,
 )
 from tetractl.control.search.kernels.elementary import cos, exp, sin
-from tetractl.model.motion import exact, rolling
+from tetractl.model.motion import exact, wheel_equations
 from tetractl.model.motion.turn_rate import RobotParameters, by_turning, held, times, turning
 from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import INLINE_FAST, inlined
 
 differentiate = inlined(exact.differentiate)
-rolled = inlined(rolling.rolled)
+rolled = inlined(wheel_equations.rolled)
 turn_rate = inlined(turning)
 held_turn_rate = inlined(held)
 with_turning = inlined(by_turning)

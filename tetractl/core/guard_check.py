@@ -1,0 +1,110 @@
+"""The protocol of the guard's checks."""
+
+from collections.abc import Iterable, Sequence
+from typing import ClassVar, Protocol
+
+from tetractl.core.guard_findings import Finding, RobotPlace
+from tetractl.core.poses import Pose
+
+
+class GuardCheck(Protocol):
+    """A check of what the robots in a lab do, which can warn or end a run.
+
+    The section of an actuator names the checks for its robots. A check derives from this class and
+    overrides the methods that it needs; the others find nothing. The guard calls the methods in
+    this order:
+
+    1. `start` before each run.
+    2. `sent` for each transmission.
+    3. `exposed` for each frame. Then `pose` for each new pose that its robot can have reached, or
+       `repeat` if the pose equals the last one. Then `frame`, once the poses are accepted. Between
+       two runs, `pause` replaces `pose` and `repeat`.
+    4. `tick` each time before the guard decides whether the robots may go on.
+
+    Findings take effect in the order in which they are yielded. Lengths are in the spec's length
+    unit, times in ns.
+
+    Attributes:
+        statistical: Whether its limits rest on how well robots follow their commands. Such a check
+            only reports in a run with `lab.limits.observe`.
+
+    Example:
+        >>> from tetractl.core.guard_findings import Abort
+        >>> class Fence(tetractl.core.guard_check.GuardCheck):
+        ...     def pose(self, robot, before, pose):
+        ...         if pose.x > 1000:
+        ...             yield Abort(f"robot {robot} crossed the fence", suspect=robot)
+    """
+
+    statistical: ClassVar[bool] = False
+
+    def start(self) -> None:
+        """Forget everything from earlier runs: the robots start from standstill."""
+
+    def replace(self, robot: int) -> None:
+        """Forget a lost robot, because another body is tracked in its place from now on.
+
+        Args:
+            robot: Index of the robot.
+        """
+
+    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
+        """Take note of a transmission.
+
+        Args:
+            now_ns: When it was sent.
+            speed: Commanded speed of each robot [length unit/s], N entries.
+            turning: Commanded turning rate of each robot [rad/s], N entries.
+        """
+
+    def exposed(self, times: tuple[int, ...]) -> None:
+        """Take note of the times at which the poses of a frame were measured, N entries."""
+
+    def pose(self, robot: int, before: Pose, pose: Pose) -> Iterable[Finding]:
+        """Check a robot's new pose during a run.
+
+        Args:
+            robot: Index of the robot.
+            before: Its last accepted pose.
+            pose: Its new pose.
+        """
+        return ()
+
+    def repeat(self, robot: int) -> Iterable[Finding]:
+        """Check a robot whose new pose equals its last accepted pose exactly.
+
+        Args:
+            robot: Index of the robot.
+        """
+        return ()
+
+    def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
+        """Check a robot's new pose in a pause between two runs.
+
+        Args:
+            robot: Index of the robot.
+            before: Its last accepted pose.
+            pose: Its new pose.
+            now_ns: The current time.
+        """
+        return ()
+
+    def frame(
+        self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
+    ) -> Iterable[Finding]:
+        """Check all accepted poses of a frame during a run.
+
+        Args:
+            now_ns: The current time.
+            times: When each pose was measured, N entries.
+            poses: Last accepted pose of each robot, N entries. None before the first.
+        """
+        return ()
+
+    def tick(self, robots: Sequence[RobotPlace]) -> Iterable[Finding]:
+        """Check where the robots are, whether or not a frame has arrived.
+
+        Args:
+            robots: Where each robot is, N entries.
+        """
+        return ()

@@ -21,7 +21,7 @@ CONTROLLERS = Registry(
     "tetractl.controllers",
     {
         "mpc": "tetractl.control.methods.mpc_section:RecommendedMpc",
-        "pso-mpc": "tetractl.control.methods.mpc_section:PsoMpc",
+        "pso-mpc": "tetractl.control.methods.algorithm2_section:PsoMpc",
         "sequence": "tetractl.control.methods.sequence:SequenceSection",
     },
     "tetractl.spec.controller:ControllerSection",

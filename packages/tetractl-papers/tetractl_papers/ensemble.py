@@ -54,9 +54,6 @@ class EnsembleSection(PlainSection):
     next step would not reduce the sum of distances.
     """
 
-    def warm_up(self, setup: Setup) -> None:
-        """Do nothing: nothing is compiled."""
-
     def build(self, setup: Setup, key: int, host: Host = ALONE) -> "Ensemble":
         """Create the controller of one trial; see `ControllerSection.build`."""
         return Ensemble(self, setup, key)

@@ -1,18 +1,20 @@
 """Estimates the robots' state at a control step from frames and commands.
 
 The estimate is the poses that the robots will have when the direction decided now begins to act.
-The prediction starts at the newest frame and uses the spec's values of the motion, or the values
-that a bank of filters identifies from all frames and commands while the robots drive. At each step
-`add_step` takes the command of the step before and the frames since, and returns the problem to
-plan for; commands that are sent in between, such as turns and stops, come by `add_command`.
+The prediction starts at the newest frame and uses the spec's values of the motion (`KnownMotion`),
+or the values that a bank of filters identifies from all frames and commands while the robots drive
+(`FilterBank`). At each step `add_step` takes the command of the step before and the frames since,
+and returns the problem to plan for; commands that are sent in between, such as turns and stops,
+come by `add_command`.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tetractl.control.estimation.filter import FilterBank
+from tetractl.control.estimation.known_motion import KnownForecast, KnownMotion
 from tetractl.control.estimation.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff
@@ -21,6 +23,9 @@ from tetractl.core.losses import Losses, LossRule
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Bools, Floats, Observation
+
+if TYPE_CHECKING:  # a trial of robots whose motion is known loads no filter
+    from tetractl.control.estimation.filter import FilterBank
 
 
 class StateEstimator:
@@ -47,7 +52,9 @@ class StateEstimator:
         self.losses = Losses(loss, problem.speed)
         self.robots_changed = False  # whether robots were lost or replaced since the step before
         self._period_ns = round(period_s * SECOND)
-        self.filter = FilterBank(prior)
+        self.filter = None if prior.certain else _filter_bank(prior)
+        """The filters that identify the motion. None if it is known."""
+        self._predictor = self.filter or KnownMotion(prior)
         self.estimate: Estimate | None = None if prior.certain else prior.estimate()
         self._last_sent_ns: int | None = None
         self._newest_ns = 0
@@ -62,7 +69,7 @@ class StateEstimator:
     @property
     def is_radio_sparse(self) -> bool:
         """Whether few of the directions sent reach the robots."""
-        return self.filter.reception.is_sparse
+        return self.filter is not None and self.filter.reception.is_sparse
 
     @property
     def known(self) -> Estimate | None:
@@ -94,12 +101,12 @@ class StateEstimator:
         self.robots_changed = self.losses.changes > changes_before
         if self.robots_changed and not self.present.any():
             raise ControlError("every robot is lost")
-        self.filter.add_frames(observation, earlier)
-        self.filter.restart(replaced)
-        forecast = self.filter.forecast(self.sending_ns(observation))
+        self._predictor.add_frames(observation, earlier)
+        self._predictor.restart(replaced)
+        forecast = self._predictor.forecast(self.sending_ns(observation))
         self._held = forecast.directions
         self.dead_time_s = forecast.dead_time_s
-        if self.estimate is None:
+        if isinstance(forecast, KnownForecast):
             return replace(self.problem, poses=forecast.poses).only(self.present)
         estimate = forecast.estimate
         self.estimate = estimate
@@ -125,15 +132,17 @@ class StateEstimator:
             self._last_sent_ns = None if command.direction is None else command.sent_ns
         if self.estimate is None:
             command = replace(command, sent_ns=self._newest_ns)
-        if self.is_radio_sparse and self._is_sent_again(command):
+        if self._is_sent_again(command):
             return
-        self.filter.add_command(command)
+        self._predictor.add_command(command)
 
     def _is_sent_again(self, command: Command) -> bool:
-        """Return whether a command repeats the last one given to the filter within a signal period.
+        """Return whether a command repeats the last one within a signal period of a sparse radio.
 
         The step that comes a whole period later may come up to half a step early.
         """
+        if self.filter is None or not self.filter.reception.is_sparse:
+            return False
         commands = self.filter.commands
         if command.direction is None or not len(commands.sent_s):
             return False
@@ -166,3 +175,10 @@ class StateEstimator:
         Lost robots are left out. It is NaN for a robot that stands still.
         """
         return self._held[self.present]
+
+
+def _filter_bank(prior: Prior) -> "FilterBank":
+    """Create the filters of an uncertain prior."""
+    from tetractl.control.estimation.filter import FilterBank
+
+    return FilterBank(prior)

@@ -39,8 +39,7 @@ each robot moves while it drives. A controller calls them once a control step:
     may saturate, if it is the heading that does not fit. With all dead times it also begins if
     robots on wheels seem to miss most directions, as these may only act later (`reception`).
 
-If the prior is certain, there is nothing to identify. Then each frame's poses are taken as they
-are, and only the prediction over the dead time remains.
+If the prior is certain, there is nothing to identify: then `known_motion` predicts the robots.
 
 **What happens to a command.** `add_command` only records it, with its time. It acts in each filter
 at another time, one dead time later, and hypotheses branch then: the robot heard it, or missed it.
@@ -148,8 +147,7 @@ class FilterBank:
         self._common_times = CommonTimes.of(self.bank, prior)
         """Dead times that the robots of this bank may have in common."""
         self._tried = first_tried(prior)
-        if not prior.certain:
-            self._share_scores()
+        self._share_scores()
 
     # ---- what a controller calls ----
 
@@ -166,9 +164,8 @@ class FilterBank:
         misfits = self._misfits()
         times_sparse_before = self.reception.times_shown
         self._follow_frames(self._frames_used(newest, earlier))
-        if not self.prior.certain:
-            self._share_scores()
-            self._select_filters()
+        self._share_scores()
+        self._select_filters()
         first_seems_sparse = times_sparse_before == 0 and self.reception.times_shown == 1
         if first_seems_sparse:
             self._reopen(newest, heading_fits=True)
@@ -278,11 +275,8 @@ class FilterBank:
         """Return the frames that the filters use, in the order of time.
 
         They are those at least SPACING_NS after the one used before. If there are earlier frames,
-        the newest is used at any distance: one more per control step does no harm. If the prior is
-        certain, all frames are used.
+        the newest is used at any distance: one more per control step does no harm.
         """
-        if self.prior.certain:
-            return [*earlier, newest]
         used = list[Observation]()
         last = self.last_frame
         for frame in (*earlier, newest):
@@ -295,14 +289,13 @@ class FilterBank:
     def _follow_frames(self, frames: Sequence[Observation]) -> None:
         """Follow the robots from the last frame used before through some more.
 
-        There are three cases. Where there is nothing to identify, or robots turn on the spot, of
-        which the filters have no model, the poses of the newest frame are taken as they are. In the
-        first frames of a trial, those of the first one are, and the others are followed. Usually
-        all are followed.
+        There are three cases. While robots turn on the spot, of which the filters have no model,
+        the poses of the newest frame are taken as they are. In the first frames of a trial, those
+        of the first one are, and the others are followed. Usually all are followed.
         """
         if not frames:
             return
-        if self.prior.certain or self.turns_on_the_spot:
+        if self.turns_on_the_spot:
             self._place(frames[-1], self._all_robots())
         elif self.last_frame is None:
             self._place(frames[0], self._all_robots())
@@ -349,11 +342,9 @@ class FilterBank:
     def tests_radio(self) -> bool:
         """Whether frames have yet to show if only few directions reach the robots.
 
-        That is the case for robots on wheels until the answer is known. If the prior is certain,
-        there is nothing to learn.
+        That is the case for robots on wheels until the answer is known.
         """
-        is_known = self.prior.certain or self.reception.is_sparse
-        return not (self.prior.swims or is_known)
+        return not (self.prior.swims or self.reception.is_sparse)
 
     # ---- step 3: the filters of all robots are compared ----
 
@@ -377,8 +368,7 @@ class FilterBank:
         """Go on with the filters of another bank."""
         self.bank = bank
         self._common_times = CommonTimes.of(bank, self.prior)
-        if not self.prior.certain:
-            self._share_scores()
+        self._share_scores()
 
     # ---- step 4: the bank is opened again ----
 

@@ -85,6 +85,6 @@ class Prior(NamedTuple):
         )
 
 
-def nothing(problem: Problem, dead_time: float) -> Prior:
-    """Return the prior of robots of which everything is known, with a dead time [s]."""
+def certain_prior(problem: Problem, dead_time: float) -> Prior:
+    """Return the prior of robots whose motion is known, with a dead time [s]."""
     return Prior(problem.a, problem.speed, dead_time, 0.0, 0.0, 0.0, 0.0)

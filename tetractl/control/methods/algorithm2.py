@@ -24,8 +24,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tetractl.control.estimation.estimator import StateEstimator
+from tetractl.control.methods.algorithm2_section import PsoMpc
 from tetractl.control.methods.fixed_sequence import make_plan
-from tetractl.control.methods.mpc_section import PsoMpc
 from tetractl.control.methods.trial_time import TrialTime
 from tetractl.control.search.evaluate import compiled_foresee
 from tetractl.control.search.rng import mix

@@ -1,24 +1,18 @@
-"""The fields of model predictive control in a spec.
-
-`pso-mpc`, as published, has the fields of `SearchFields`. The recommended controller `mpc` has all
-of them.
-"""
+"""The fields of the recommended controller in a spec, which extend those of Algorithm 2."""
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pkgutil import resolve_name
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, PositiveInt
 
 from tetractl.control.estimation.prior import Prior, Sticks
-from tetractl.control.methods.plain import PlainSection
+from tetractl.control.methods.algorithm2_section import SearchFields
 from tetractl.core.obstacles import Obstacles
-from tetractl.core.plan import Limits, Problem
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Poses
-from tetractl.core.protocols import Controller
-from tetractl.core.registries import MOTIONS, OPTIMIZERS
+from tetractl.core.registries import OPTIMIZERS
 from tetractl.core.setup import MM, Setup
 from tetractl.model.cell_numbers import HELIX_HZ, HELIX_UM, REST_STRAY, REST_TURN, RESTS_S
 from tetractl.spec.base import (
@@ -29,12 +23,11 @@ from tetractl.spec.base import (
     PositiveAngle,
     defaults,
 )
-from tetractl.spec.controller import ALONE, Host, OptimizerSection
-from tetractl.spec.registry_fields import KindName, KindSection
+from tetractl.spec.controller import OptimizerSection
+from tetractl.spec.registry_fields import KindSection
 from tetractl.spec.yaml.problems import Loc
 
 SIGNAL_S = 0.2  # time for which a plan holds each signal: the paper's control period [s]
-_PSO = KindSection(OPTIMIZERS, OptimizerSection, default="pso")
 _MULTISTART = KindSection(OPTIMIZERS, OptimizerSection, default="multistart")
 
 
@@ -152,105 +145,6 @@ class PriorSection(Model):
         )
 
 
-class SearchFields(PlainSection):
-    """The fields that `pso-mpc` and `mpc` share, with the paper's defaults."""
-
-    controller: ClassVar[str]
-    """The controller as "module:class", called with (section, setup, key, host)."""
-
-    motion: Annotated[str, KindName(MOTIONS)] = "euler"
-    """Predicted motion.
-
-    `euler` is the paper's equations (4)-(6). `exact` is the closed form of (1)-(3) under a held
-    direction.
-    """
-    horizon_max: int = Field(default=51, ge=1, le=2000)
-    """Length of the longest sequence tried, in signals.
-
-    In `pso-mpc` this applies to step 0, because its later sequences are never longer. A sequence of
-    `length` signals is the paper's horizon h = length - 1.
-    """
-    obstacle_weight: NonNegative = 1000.0
-    """Weight omega_p of the obstacle potential in the paper's equation (7) [length unit]."""
-    optimizer: Annotated[OptimizerSection, _PSO] = Field(default_factory=_PSO.make)
-    """The optimiser of each search."""
-
-    @property
-    def iterations_max(self) -> int:
-        """Largest number of iterations of one search."""
-        return self.optimizer.iterations_max
-
-    def bounds(self) -> dict[str, str]:
-        """Return the limits of horizons and evaluations as texts to display, {name: text}."""
-        texts = {"horizons at step 0": f"1 ... {self.horizon_max} signals"}
-        if most := self.optimizer.evaluations_max:
-            texts["cost evaluations of a horizon"] = f"at most {most}"
-        return texts
-
-    def numbers_held(self, setup: Setup) -> int:
-        """Estimate how many floats the longest search stores.
-
-        These are the positions, velocities, bests and poses of particles, and the Jacobian of a
-        polish.
-        """
-        robots = len(setup.names)
-        length = self.horizon_max
-        swarm = 4 * self.optimizer.evaluations_min * (length + robots)
-        residuals = robots * (2 + robots // 2 + len(setup.obstacles))
-        return swarm + residuals * length
-
-    def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:
-        """Return the problem for robots at given poses, or at their starts if `poses` is None.
-
-        Obstacles are tested at the predicted samples, as in the paper's equation (13).
-        """
-        problem = replace(
-            super().problem(setup), motion=self.motion, obstacle_weight=self.obstacle_weight
-        )
-        return problem if poses is None else replace(problem, poses=poses)
-
-    def warm_up(self, setup: Setup) -> None:
-        """Call the planner's functions once, so that they are compiled.
-
-        It searches for one signal, predicts the robots' paths under it, and follows robots through
-        a few frames.
-        """
-        from tetractl.control.search.evaluate import compiled_foresee
-
-        problem = self.problem(setup)
-        search = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
-        compiled_foresee(problem, search.signals)
-        super().warm_up(setup)
-
-    def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
-        """Create the controller of one trial; see `ControllerSection.build`."""
-        return resolve_name(self.controller)(self, setup, key, host)
-
-
-class PsoMpc(SearchFields):
-    """Algorithm 2 as published, without extensions. Every default is the paper's.
-
-    It uses the Euler model and particle swarms, tests obstacles at the predicted samples, and runs
-    at 5 Hz.
-    """
-
-    type: Literal["pso-mpc"] = "pso-mpc"
-    steps_max: int = Field(default=100, ge=1, le=1_000_000)
-    """The last control step k_max; a trial has one more, k = 0 to k_max."""
-
-    controller: ClassVar[str] = "tetractl.control.methods.algorithm2:Algorithm2"
-
-    def fitted(self, stands: bool, speed: float) -> Self:
-        """Return the section with a time limit that no trial of `steps_max` steps exceeds."""
-        if "time_limit" in self.model_fields_set:
-            return self
-        return self.model_copy(update={"time_limit": (self.steps_max + 1) * self.period})
-
-    def bounds(self) -> dict[str, str]:
-        """Return the limits of steps, horizons and evaluations as texts to display."""
-        return {"control steps of a trial": f"at most {self.steps_max + 1}"} | super().bounds()
-
-
 @defaults(period=0.05, motion="exact")
 class RecommendedMpc(SearchFields):
     """The recommended controller. Every default is what we recommend for robots on wheels.
@@ -354,16 +248,19 @@ class RecommendedMpc(SearchFields):
         return min(PATIENCE_S, self.time_limit / 2) if self.prior.rests(setup) else PATIENCE_S
 
     def warm_up(self, setup: Setup) -> None:
-        """Compile the functions of the planner, the margins and the tree by calling each once.
+        """Compile the functions of planner, filter, margins and tree by calling each once.
 
         This also loads what they import. Loading it during a run would delay frames.
         """
+        from tetractl.control.estimation import filter as pose_filter
         from tetractl.control.methods.passage import find_sequences
         from tetractl.control.search.discs import Discs
         from tetractl.control.search.evaluate import compiled_branches, compiled_drive
         from tetractl.control.search.margins import Margins
 
         super().warm_up(setup)
+        if self.estimate:
+            pose_filter.warm_up(self.known(setup), setup.starts)
         problem = self.problem(setup)
         none = np.zeros(1)
         path = compiled_drive(problem, np.zeros(len(problem.a)), none)

@@ -3,9 +3,9 @@
 from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING
 
-from tetractl.control.estimation.prior import Prior, nothing
+from tetractl.control.estimation.estimator import StateEstimator
+from tetractl.control.estimation.prior import Prior, certain_prior
 from tetractl.control.methods.trial_time import TrialTime
 from tetractl.control.search.rng import mix
 from tetractl.core.commands import Command
@@ -14,9 +14,6 @@ from tetractl.core.plan import Decision, Outcome, Problem
 from tetractl.core.poses import Observation
 from tetractl.core.setup import Setup
 from tetractl.spec.controller import ControllerSection
-
-if TYPE_CHECKING:  # a spec is read without the filter
-    from tetractl.control.estimation.estimator import StateEstimator
 
 
 class PlainSection(ControllerSection):
@@ -42,13 +39,7 @@ class PlainSection(ControllerSection):
 
     def known(self, setup: Setup) -> Prior:
         """Return the prior of the robots' motion, without any uncertainty."""
-        return nothing(self.problem(setup), self.dead_time)
-
-    def warm_up(self, setup: Setup) -> None:
-        """Compile the prediction over the dead time by using it once."""
-        from tetractl.control.estimation.filter import warm_up
-
-        warm_up(self.known(setup), setup.starts)
+        return certain_prior(self.problem(setup), self.dead_time)
 
 
 class PlainController:
@@ -71,10 +62,8 @@ class PlainController:
         self._time = TrialTime(section.time_limit, section.period)
 
     @cached_property
-    def estimator(self) -> "StateEstimator":
+    def estimator(self) -> StateEstimator:
         """The robots' poses at the moment when the next direction acts."""
-        from tetractl.control.estimation.estimator import StateEstimator
-
         return StateEstimator(self.problem, self._ends.period, self._known)
 
     def plan(

@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from tetractl.control.methods.mpc_section import Collision, RecommendedMpc, SearchFields
+from tetractl.control.methods.algorithm2_section import SearchFields
+from tetractl.control.methods.mpc_section import Collision, RecommendedMpc
 from tetractl.control.search.optimizers.multistart import Multistart
 from tetractl.core.plan import Plan
 from tetractl.core.poses import Observation

@@ -8,7 +8,7 @@ import pytest
 from testkit.paths import ROOT
 
 from tetractl.control.estimation.estimator import StateEstimator
-from tetractl.control.estimation.prior import nothing
+from tetractl.control.estimation.prior import certain_prior
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Steer
 from tetractl.core.poses import Observation
@@ -36,7 +36,7 @@ def drive(settings, steps, after_step):
 def estimator(dead_time, **prior):
     experiment = load_spec(EXPERIMENT).experiment
     problem = experiment.controller.problem(experiment.setup)
-    only_dead_time = nothing(problem, dead_time)._replace(**prior)
+    only_dead_time = certain_prior(problem, dead_time)._replace(**prior)
     return problem, StateEstimator(problem, 0.2, only_dead_time)
 
 

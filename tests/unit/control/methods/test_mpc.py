@@ -13,6 +13,7 @@ from testkit.hand_clock import HandClock
 from testkit.scripted import STARTS, TARGETS, Scripted, mpc, observation_of
 from testkit.trials import THREE_M3PI, experiment
 
+from tetractl.control.estimation.estimator import StateEstimator
 from tetractl.control.methods.fixed_sequence import given_plan
 from tetractl.control.methods.lengths import CUT, SIGNALS_PER_ROBOT, SPREAD, TRIES
 from tetractl.control.methods.mpc import SEARCH_S, SLACK
@@ -142,9 +143,11 @@ def test_a_plan_within_the_accepted_error_is_followed():
 
 
 @pytest.mark.parametrize(("is_sparse", "steps", "searched"), KEPT)
-def test_a_signal_is_kept_to_its_end_where_few_directions_get_through(is_sparse, steps, searched):
+def test_a_signal_is_kept_to_its_end_where_few_directions_get_through(
+    is_sparse, steps, searched, monkeypatch
+):
     controller, search = driving({}, steps=steps, signal_periods=PERIODS)
-    controller.estimator.filter.reception.times_shown = 2 if is_sparse else 0
+    monkeypatch.setattr(StateEstimator, "is_radio_sparse", property(lambda _: is_sparse))
     under_way = controller.progress.last.signals
     plan = decide(controller)
     assert bool(search.asked) == searched

@@ -20,7 +20,7 @@ import numpy as np
 from tetractl_identify.identify import identify
 from tetractl_identify.tracks import track_of
 
-from tetractl import api
+import tetractl
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.plant.simulation import SimPlant
 from tetractl.run.spec_trial import trial_seeds
@@ -55,9 +55,9 @@ def coverage(number: int, rate: float):
     dead_time = float(np.random.default_rng([number, 2]).uniform(0.02, 0.15))
     sets = ["plant.a_error=0.2", "plant.speed_error=0.1", "plant.lost_commands=0.05"]
     sets += [f"plant.dead_time={dead_time}", f"controller.period={1 / rate}"]
-    spec = api.load_spec(SPEC, f"trials.seed={number}", *sets, *NOISE)
+    spec = tetractl.load_spec(SPEC, f"trials.seed={number}", *sets, *NOISE)
     with TemporaryDirectory() as folder:
-        log = api.run_trial(spec, folder=folder)
+        log = tetractl.run_trial(spec, folder=folder)
     identified = identify([track_of(log)], spec.experiment.setup.a)
     facts = log.start.plant.facts
     hits = _hits(
@@ -80,9 +80,9 @@ def coverage(number: int, rate: float):
 
 def bench_coverage(number: int):
     """Return which intervals of the log of a trial of the bench hold the truth."""
-    spec = api.load_spec(BENCH, f"trials.seed={number}")
+    spec = tetractl.load_spec(BENCH, f"trials.seed={number}")
     with TemporaryDirectory() as folder:
-        log = api.run_trial(spec, folder=folder)
+        log = tetractl.run_trial(spec, folder=folder)
     experiment = spec.experiment
     plant = SimPlant(experiment.plant, experiment.setup, VirtualClock(), trial_seeds(number, 0)[1])
     drive = plant.drive

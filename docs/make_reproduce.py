@@ -14,7 +14,7 @@ from tetractl_papers.paper import table
 from tetractl_papers.registries import PAPERS
 from tetractl_papers.trials import run_arms
 
-from tetractl.api import run_batch
+from tetractl import run_batch
 from tetractl.spec.examples import examples
 from tetractl.tools.table.terminal_table import markdown
 

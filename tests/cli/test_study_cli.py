@@ -6,7 +6,7 @@ import signal
 import pytest
 from testkit.studies import FAILING, Running, logs, results, tetractl, write
 
-from tetractl.api import run_study
+from tetractl import run_study
 from tetractl.log.read.reader import read_result
 
 pytestmark = pytest.mark.slow

@@ -144,7 +144,7 @@ def play(
 
 def _write_page(spec: "LoadedSpec", file: Path) -> int:
     """Write the game as a web page."""
-    from tetractl.api import play_page
+    from tetractl.api.drawings import play_page
 
     play_page(spec, file=file)
     ui.tell(f"wrote {file}: open it in a browser, or send it to others")
@@ -226,8 +226,8 @@ class Game:
 
     def control(self, observers: "Sequence[Observer]" = ()) -> None:
         """Run the controller's trial."""
-        from tetractl.run.folder_lock import make_folder
         from tetractl.run.spec_trial import run_logged
+        from tetractl.tools.files import make_folder
 
         folder = self.folder / "controller"
         make_folder(folder)

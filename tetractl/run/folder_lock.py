@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from tetractl.core.errors import LogError, UsageError
-from tetractl.tools.files import lock_file
+from tetractl.tools.files import lock_file, make_folder
 
 LOCK_FILE = ".tetractl-lock"
 """Name of the file in a folder that one run at a time may write to."""
@@ -17,18 +17,6 @@ OWNER_BYTES = 300
 """Maximum size of a lock file that is read [bytes]: host, process and time need about 100."""
 OPENED = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
 """How the file is opened: no link is followed, where the system can tell."""
-
-
-def make_folder(folder: Path) -> None:
-    """Create a folder.
-
-    Raises:
-        LogError: If that fails.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LogError(f"{folder}: cannot create the folder: {error.strerror}") from error
 
 
 @contextmanager

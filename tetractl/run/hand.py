@@ -31,10 +31,10 @@ from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.trial import Result, Start, Step
 from tetractl.log.write.sink import TRIAL_PART
 from tetractl.log.write.writer import LogWriter
-from tetractl.run.folder_lock import make_folder
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.spec_trial import log_path, ready_trial, trial_seeds
 from tetractl.spec.loaded_spec import LoadedSpec, start_of, with_controller
+from tetractl.tools.files import make_folder
 from tetractl.tools.worker import Relay
 
 SAVING = ".saving"

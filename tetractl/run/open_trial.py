@@ -31,11 +31,11 @@ from tetractl.core.setup import Setup
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
 from tetractl.run import spec_trial
 from tetractl.run.control_loop import Trial
-from tetractl.run.folder_lock import make_folder
 from tetractl.run.interrupt import Interrupt
 from tetractl.spec.controller import ControllerSection
 from tetractl.spec.load import parse_spec
 from tetractl.spec.loaded_spec import LoadedSpec, start_of, with_controller, with_seed
+from tetractl.tools.files import make_folder
 
 SIMULATED = PlantInfo("", True, 0.0, {})
 """What is known of the plant before it is open."""

@@ -18,12 +18,12 @@ from tetractl.core.plan import Outcome
 from tetractl.log.read.find import LOG_PART, RECOVERED_SUFFIX, SUFFIX, attempt_name
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.run.folder_lock import locked, make_folder
+from tetractl.run.folder_lock import locked
 from tetractl.run.spec_trial import log_path
 from tetractl.run.task import code_of
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.loaded_spec import arm_hash
-from tetractl.tools.files import save_whole
+from tetractl.tools.files import make_folder, save_whole
 
 
 class BatchFolder:

@@ -1,4 +1,4 @@
-"""Writes files completely or not at all, and locks files that two programs must not write."""
+"""Creates folders, writes files completely or not at all, and locks files of one program."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -9,6 +9,18 @@ try:
     import fcntl
 except ImportError:  # Windows
     fcntl = None
+
+
+def make_folder(folder: Path) -> None:
+    """Create a folder.
+
+    Raises:
+        LogError: If that fails.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LogError(f"{folder}: cannot create the folder: {error.strerror}") from error
 
 
 def save_whole(path: Path, data: bytes) -> None:

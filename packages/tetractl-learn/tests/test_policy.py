@@ -9,7 +9,7 @@ import pytest
 import yaml
 from tetractl_learn.policy import ACTIVATIONS, features, forward
 
-from tetractl import api
+import tetractl
 from tetractl.core.poses import Observation, Poses
 from tetractl.spec.yaml.problems import InvalidSpecError
 
@@ -50,18 +50,18 @@ def spec_file(folder: Path, layers: list[dict], **controller: object) -> Path:
 
 def test_a_policy_along_the_gap_arrives_and_is_verified_from_the_log_alone(tmp_path):
     path = spec_file(tmp_path, [TOWARDS_TARGET])
-    trial = api.run_trial(path, folder=tmp_path / "logs")
+    trial = tetractl.run_trial(path, folder=tmp_path / "logs")
     (tmp_path / "weights.json").unlink()
     assert trial.result.outcome == "arrived"
     assert trial.result.total_error <= 50  # the spec's arrival_tolerance
     assert all(step.plan.direction == pytest.approx(0.0, abs=1e-9) for step in trial.steps)
-    verification = api.verify(tmp_path / "logs" / "trial-000.mcap")
+    verification = tetractl.verify(tmp_path / "logs" / "trial-000.mcap")
     assert not verification.problems
     assert verification.checked == len(trial.steps)
 
 
 def test_features_are_gaps_headings_and_the_last_direction(tmp_path):
-    setup = api.load_spec(spec_file(tmp_path, [TOWARDS_TARGET])).experiment.setup
+    setup = tetractl.load_spec(spec_file(tmp_path, [TOWARDS_TARGET])).experiment.setup
     poses = Poses.from_array(np.array([[2000.0, 1500.0, math.pi / 2]]))
     observation = Observation(1, 0, 0, poses, np.array([True]))
     gap = [1000 / 4000, -500 / 4000]  # of the arena's longer side, 4000 um
@@ -97,7 +97,7 @@ def test_the_activation_stands_between_the_layers_alone(activation, hidden):
 def test_layers_that_do_not_fit_are_refused_by_name(layers, words, tmp_path):
     path = spec_file(tmp_path, layers)
     with pytest.raises(InvalidSpecError) as refused:
-        api.load_spec(path)
+        tetractl.load_spec(path)
     assert words in str(refused.value)
 
 
@@ -108,4 +108,4 @@ def test_a_file_that_holds_no_weights_is_refused_by_name(text, words, tmp_path):
     path = spec_file(tmp_path, [TOWARDS_TARGET])
     (tmp_path / "weights.json").write_text(text)
     with pytest.raises(InvalidSpecError, match=rf"weights.json: {words}"):
-        api.load_spec(path)
+        tetractl.load_spec(path)

@@ -32,7 +32,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from tetractl import api
+from tetractl.api.specs import Spec
+from tetractl.api.trials import stepped
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
@@ -65,10 +66,10 @@ class TrialEnv(gymnasium.Env[Features, Features]):
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES}  # noqa: RUF012 - gymnasium.Env's
 
-    def __init__(self, spec: api.Spec, render_mode: str | None = None) -> None:
+    def __init__(self, spec: Spec, render_mode: str | None = None) -> None:
         if render_mode not in (None, *RENDER_MODES):
             raise UsageError(f"render_mode {render_mode!r} is not known", f"use {RENDER_MODES[0]}")
-        self._spec = api.stepped(spec)
+        self._spec = stepped(spec)
         setup = self._spec.experiment.setup
         self.render_mode = render_mode
         self.metadata = {"render_modes": RENDER_MODES, "render_fps": round(1 / setup.period_s)}

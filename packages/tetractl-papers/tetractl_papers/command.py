@@ -31,7 +31,7 @@ def reproduce(
 
     Example: tetractl reproduce khalil-2013 --jobs 2
     """
-    from tetractl.api import run_batch
+    from tetractl.api.batches import run_batch
     from tetractl.spec.examples import examples
     from tetractl_papers.claim import assess
     from tetractl_papers.paper import Paper, items, table

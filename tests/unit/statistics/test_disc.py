@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from testkit.paths import ROOT
 
-from tetractl.api import read_batch, read_log, run_batch, to_arrays
+from tetractl import read_batch, read_log, run_batch, to_arrays
 from tetractl.spec.load import load_spec
 from tetractl.statistics.built_in_statistics import DISC, discs
 

@@ -14,12 +14,12 @@ from tetractl_papers.ou_measures import spinning_time, total_error
 from tetractl_papers.paper import Paper, Runs, table
 from tetractl_papers.registries import PAPERS
 
-from tetractl import api
+from tetractl.api import batches
 from tetractl.core.errors import Exit, UsageError
 from tetractl.spec.examples import examples
 from tetractl.spec.load import load_spec
 
-COMPLETE = partial(api.run_batch, resume=True)
+COMPLETE = partial(batches.run_batch, resume=True)
 PAGE = Path(__file__).parents[2] / "README.md"
 
 
@@ -95,7 +95,7 @@ def test_each_plan_is_sent_open_loop_in_a_trial_of_its_own(tmp_path, monkeypatch
 
 @pytest.mark.long
 def test_after_ctrl_c_it_goes_on_with_the_trials_it_lacks(tmp_path, monkeypatch):
-    run_batch = api.run_batch
+    run_batch = batches.run_batch
 
     def press_ctrl_c(*_):
         signal.raise_signal(signal.SIGINT)
@@ -104,12 +104,12 @@ def test_after_ctrl_c_it_goes_on_with_the_trials_it_lacks(tmp_path, monkeypatch)
         return run_batch(*args, **options, on_result=press_ctrl_c)
 
     add(PAPER, monkeypatch)
-    monkeypatch.setattr(api, "run_batch", run_until_a_result)
+    monkeypatch.setattr(batches, "run_batch", run_until_a_result)
     with pytest.raises(KeyboardInterrupt):
         command.reproduce(["mine"], trials=3, out=tmp_path)
     before = {path: path.read_bytes() for path in logs_of_one(tmp_path)}
     assert 1 <= len(before) < 3
-    monkeypatch.setattr(api, "run_batch", run_batch)
+    monkeypatch.setattr(batches, "run_batch", run_batch)
     assert command.reproduce(["mine"], trials=3, out=tmp_path) is Exit.DONE
     assert len(logs_of_one(tmp_path)) == 3
     assert {path: path.read_bytes() for path in before} == before

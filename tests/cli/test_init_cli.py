@@ -81,6 +81,9 @@ def test_an_example_is_written_with_what_it_names(tetractl, tmp_path):
 
 
 def test_what_other_packages_bring_is_among_the_examples(tetractl, tmp_path):
+    for package in ("emulator", "microscope"):
+        reason = f"pip install ./packages/tetractl-{package}"
+        pytest.importorskip(f"tetractl_{package}", reason=reason)
     done = tetractl("init", "--example", "faults/apriltag/drips").ok()
     assert done.stdout == "experiments/faults/apriltag/drips.yaml\n"
     tetractl("init", "--example", "two_cells").ok()

@@ -89,7 +89,7 @@ def test_the_log_of_each_shipped_spec_is_that_of_a_run(name, tmp_path):
     saved(tetractl.open_trial(SHIPPED[name], trial=1), 30, tmp_path)
 
 
-@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.parametrize("name", [name for name in REFUSED if name in SHIPPED])
 def test_a_shipped_spec_that_a_sequence_cannot_run_is_refused_with_its_reason(name):
     with pytest.raises(UsageError, match=REFUSED[name]):
         tetractl.open_trial(SHIPPED[name])

@@ -79,8 +79,10 @@ def test_a_robot_that_touches_an_obstacle_at_the_start_may_leave_but_not_go_deep
 
 def test_the_depth_beyond_its_limit_is_stated_where_it_was_found():
     """The disc begins at x = 400. The limit is 0, or for a robot that has touched the disc the
-    least depth so far."""
-    now = places().entered(0, Pose(401.0, 500.0, 0.0))
+    least depth so far, plus 2 mm of noise."""
+    standing = places()
+    assert standing.entered(0, Pose(395.0, 500.0, 0.0)) is None
+    now = standing.entered(0, Pose(401.0, 500.0, 0.0))
     assert (now.check, now.unit, now.robot) == ("obstacle", "mm", 0)
     assert (now.value, now.limit) == (pytest.approx(1.0), 0.0)
     after_reaction = places(speed=200.0).entered(0, Pose(310.0, 500.0, 0.0))
@@ -88,7 +90,7 @@ def test_the_depth_beyond_its_limit_is_stated_where_it_was_found():
     touching = places(speed=200.0)
     touching.entered(0, Pose(405.0, 500.0, 0.0))
     deeper = touching.entered(0, Pose(408.0, 500.0, math.pi))  # it would leave
-    assert (deeper.value, deeper.limit) == (pytest.approx(8.0), pytest.approx(5.0))
+    assert (deeper.value, deeper.limit) == (pytest.approx(8.0), pytest.approx(5.0 + 2.0))
 
 
 @pytest.mark.parametrize(

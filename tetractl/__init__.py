@@ -8,8 +8,8 @@ if TYPE_CHECKING:
     from tetractl.api.checks import compare, summarise, verify
     from tetractl.api.drawings import play_page, plot, show
     from tetractl.api.logs import read_batch, read_log, to_arrays, to_dataframe
+    from tetractl.api.simulated_trials import open_trial, run_trial
     from tetractl.api.specs import experiment_schema, load_spec, parse_spec
-    from tetractl.api.trials import open_trial, run_trial
     from tetractl.core.errors import TetractlError
     from tetractl.core.plan import Outcome, Plan
     from tetractl.core.poses import Observation, Poses
@@ -66,7 +66,7 @@ _MODULES = {
     "compare": "api.checks",
     "experiment_schema": "api.specs",
     "load_spec": "api.specs",
-    "open_trial": "api.trials",
+    "open_trial": "api.simulated_trials",
     "parse_spec": "api.specs",
     "play_page": "api.drawings",
     "plot": "api.drawings",
@@ -74,7 +74,7 @@ _MODULES = {
     "read_log": "api.logs",
     "run_batch": "api.batches",
     "run_study": "api.batches",
-    "run_trial": "api.trials",
+    "run_trial": "api.simulated_trials",
     "show": "api.drawings",
     "summarise": "api.checks",
     "to_arrays": "api.logs",

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, overload
 
 from tetractl.api.logs import Trial, as_trials
+from tetractl.api.simulated_trials import run_trial
 from tetractl.api.specs import Spec, as_spec
-from tetractl.api.trials import run_trial
 from tetractl.core.errors import UsageError
 from tetractl.log.read.trial_log import TrialLog
 

@@ -32,8 +32,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from tetractl.api.simulated_trials import stepped
 from tetractl.api.specs import Spec
-from tetractl.api.trials import stepped
 from tetractl.core.errors import UsageError, printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats

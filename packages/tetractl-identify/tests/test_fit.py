@@ -99,6 +99,34 @@ def test_an_unknown_dead_time_is_searched_and_must_be_inside_the_range(monkeypat
     assert fit._searched(None, np.zeros(2 * rates), None) == pytest.approx(found, abs=0.026)
 
 
+@pytest.mark.parametrize("expected_s", [0.1, None, -0.3])
+def test_a_fit_starts_each_robot_at_its_likeliest_rate(monkeypatch, expected_s):
+    """Robot 0 turns at the first of the rates that are tried, robot 1 at the last."""
+    rates = len(fit.RATES)
+    best_s = 0.16 if expected_s is None else expected_s + 0.04
+    best = [0, 2 * rates - 1]
+
+    def run(frames, rows, prior, tau, *_):
+        off = np.array([[-abs(t - best_s)] * (2 * rates) for t in tau])
+        off[:, best] += 1.0
+        of_row = np.arange(2 * rates)[:, None] * np.ones(3)
+        assert prior.mean[:, 0] == pytest.approx(
+            np.log(np.outer([4.0, 2.0], fit.RATES)).ravel(), abs=1e-9
+        )
+        return SimpleNamespace(
+            likelihood=off,
+            mean=np.array([of_row + 100 * t for t in tau]),
+            std=np.array([of_row + 0.5 for _ in tau]),
+        )
+
+    monkeypatch.setattr(fit, "run", run)
+    made = fitted(frames=[SimpleNamespace(time=np.zeros(3)), SimpleNamespace(time=np.zeros(9))])
+    tau, mean, std = made._start(expected_s)
+    assert tau == pytest.approx(best_s, abs=0.03)
+    assert mean[:, 0] - 100 * tau == pytest.approx(best)
+    assert std[:, 0] == pytest.approx([0.5, 2 * rates - 0.5])
+
+
 def test_the_likeliest_dead_time_is_that_of_the_best_rates_of_all_robots():
     likelihood = np.full((3, 2 * len(fit.RATES)), -9.0)
     likelihood[0, 0] = 5.0  # robot 0 alone

@@ -71,6 +71,19 @@ def test_a_body_in_focus_is_as_dark_as_the_contrast_says_and_a_blurred_one_sprea
     assert body.tilt[0] == 0.0
 
 
+def test_a_blur_is_as_wide_on_the_dish_in_pictures_of_any_scale():
+    def blurred_um2(um_px):
+        side = round(400 / um_px)
+        look = replace(STILL, width=side, height=side, um_px=um_px, focus_um=300.0)
+        picture, _ = drawn(look, depth=0.0, helix_um=0.0)
+        return (look.light - picture).sum() * um_px**2, (look.light - picture).max()
+
+    ink, darkest = blurred_um2(2.0)
+    finer_ink, finer_darkest = blurred_um2(1.0)
+    assert finer_ink == pytest.approx(ink, rel=0.03)
+    assert finer_darkest == pytest.approx(darkest, abs=2)
+
+
 @pytest.mark.parametrize("turn", [0.0, 0.5, -0.7])
 def test_a_speck_has_its_place_its_width_and_its_direction(turn):
     speck = RenderedSpeck(180.0, 130.0, 40.0, 2.0, turn, 0.5)

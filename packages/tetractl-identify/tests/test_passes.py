@@ -98,6 +98,15 @@ def test_a_speed_that_differs_between_seconds_wanders_by_its_deviation():
     assert in_um == pytest.approx(speed_wander([frames_of(poses, time)]))
 
 
+def test_a_robot_that_drives_circles_evenly_does_not_wander():
+    time = np.arange(600) / 20
+    heading = 0.4 + 1.7 * time
+    x = 120.0 / 1.7 * np.sin(heading)
+    y = -120.0 / 1.7 * np.cos(heading)
+    poses = np.column_stack([x, y, np.arctan2(np.sin(heading), np.cos(heading))])[:, None]
+    assert speed_wander([frames_of(poses, time)]) == pytest.approx([0.0], abs=1e-9)
+
+
 def test_the_time_in_which_lost_commands_stop_a_robot_is_no_wander():
     rng = np.random.default_rng(5)
     time = np.arange(20 * 200) / 20

@@ -155,3 +155,19 @@ def test_the_noise_of_corners_is_averaged():
         calibration.see(noisy, SIZE)
         errors.append(calibration.plane.error_mm)
     assert errors[-1] < 0.4 * errors[0]
+
+
+def test_the_corners_of_a_calibration_are_the_mean_of_the_pictures():
+    rng = np.random.default_rng(5)
+    corners = seen_by(camera())
+    calibration = Floor(TAGS, MM, None, 100.0)
+    pictures = []
+    for count in range(1, 5):
+        noisy = {number: c + rng.normal(0, 0.5, (4, 2)) for number, c in corners.items()}
+        pictures.append([noisy[tag.tag] for tag in TAGS])
+        calibration.see(noisy, SIZE)
+        if count in (1, 2, 4):
+            expected = calibrated(np.mean(pictures, axis=0), PLACES, SIZE, None, 0.1)
+            assert calibration.plane.error_mm == pytest.approx(expected.error_mm, rel=1e-3)
+            assert calibration.plane.doubt_mm == pytest.approx(expected.doubt_mm, rel=1e-3)
+            assert calibration.plane.shift == pytest.approx(expected.shift, rel=1e-6)

@@ -12,7 +12,6 @@ from tetractl.view.figures.axes import (
     spans_orders,
 )
 
-
 pytestmark = pytest.mark.slow
 
 

@@ -14,6 +14,7 @@ from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Outcome, State
 from tetractl.core.trial import Note
 from tetractl.view.player import Player, Recording, span
+from tetractl.view.terminal.dashboard import _end_lines
 from tetractl.view.terminal.replay_screen import dashboard, step_line
 from tetractl.view.terminal.screen import shows_pictures
 
@@ -133,3 +134,20 @@ def test_events_show_as_they_pass(recording):
     assert lines[-2].endswith("…")
     assert "did not get" in "\n".join(screen(eventful, 80, 40, 3.05))
     assert "evaluations" in "\n".join(lines)  # and the numbers are all there still
+
+
+@pytest.mark.parametrize("outcome", [Outcome.ARRIVED, Outcome.TIME_LIMIT, Outcome.ABORTED])
+@pytest.mark.parametrize("touched", [False, True])
+def test_only_what_went_wrong_at_the_end_is_red(outcome, touched):
+    result = three_robots().result
+    clearance = (-1.0 if touched else 5.0,) * 3
+    verdict = replace(result.verdict, entered=(touched,) * 3, clearance=clearance)
+    ended = replace(result, outcome=outcome, reason="because of this and of that", verdict=verdict)
+    lines = _end_lines(ended, 16)
+    assert lines[0].plain == f"ended: {outcome}"
+    reason = [line for line in lines if line.plain in ("because of this", "and of that")]
+    assert len(reason) == 2
+    assert {str(line.style) for line in reason} == {
+        "bold red" if outcome is Outcome.ABORTED else ""
+    }
+    assert (lines[-1].plain == "a robot entered an obstacle") == touched

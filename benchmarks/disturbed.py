@@ -35,7 +35,7 @@ PARTS = {
         "without identification, dead time given": _bench(NOT_IDENTIFIED, TOLD),
         "without identification, dead time not given": _bench(NOT_IDENTIFIED),
         "without margins that follow: 20 mm and the radius": _bench(*NOT_KEPT),
-        "without the wheels' lag, on a bench": _bench("wheels.lag=0"),
+        "the wheels' lag not given": _bench("wheels.lag=0"),
         "without identification and safety, dead time given": _bench(
             NOT_IDENTIFIED, *NOT_SAFE, TOLD
         ),

@@ -4,7 +4,7 @@ import time
 import pytest
 
 from tetractl.core import clock as clock_module
-from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
+from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock, wait_for
 
 
 def test_virtual_time_passes_only_by_sleeping():
@@ -83,3 +83,18 @@ def test_new_values_that_come_fast_do_not_put_off_the_next_repetition():
 def test_what_is_sent_late_keeps_its_rate_but_for_half_a_period():
     assert clock_module.next_due_ns(due_ns=100, sent_ns=104, period_ns=20) == 120
     assert clock_module.next_due_ns(due_ns=100, sent_ns=150, period_ns=20) == 160
+
+
+@pytest.mark.parametrize("at_s", [0.0, 0.0105, 0.4])
+def test_what_is_waited_for_is_noticed_within_two_milliseconds(at_s):
+    clock = VirtualClock()
+    assert wait_for(clock, lambda: clock.now() >= at_s * SECOND, 0.5)
+    assert at_s <= clock.now() / SECOND <= at_s + 0.0021
+
+
+@pytest.mark.parametrize("timeout_s", [0.0, 0.001, 0.0035, 0.5])
+def test_what_does_not_happen_is_waited_for_until_the_timeout_exactly(timeout_s):
+    clock = VirtualClock()
+    clock.sleep_until(7 * SECOND)
+    assert not wait_for(clock, lambda: False, timeout_s)
+    assert clock.now() == 7 * SECOND + round(timeout_s * SECOND)

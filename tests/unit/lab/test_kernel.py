@@ -1,6 +1,7 @@
 """The kernel: the rules under which robots may move."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,11 +9,25 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tetractl.core.clock import SECOND
+from tetractl.core.plan import PAUSE_S
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 from tetractl.lab.guard_rules import GuardRules
-from tetractl.lab.kernel import Pace, Places, asleep, may_move, too_fast, undirected, untracked
+from tetractl.lab.kernel import (
+    Pace,
+    Places,
+    asleep,
+    beyond_edge,
+    driven,
+    frameless,
+    may_move,
+    outside,
+    too_close,
+    too_fast,
+    undirected,
+    untracked,
+)
 from tetractl.spec.lab_section import LabLimits
 
 DISC = Shape(np.array([[500.0, 500.0]]), 100.0)
@@ -133,3 +148,97 @@ def test_an_age_at_its_limit_counts_as_too_old():
     assert untracked(RULES, 0, 300_000_000).value == 0.3
     assert asleep(RULES, Pace(ticked_ns=None), 9 * SECOND) is None  # nothing was decided yet
     assert asleep(RULES, Pace(ticked_ns=0), SECOND // 2).limit == 0.5
+
+
+@given(
+    since_ns=st.integers(0, 10**12),
+    age_ns=st.integers(0, 4 * SECOND),
+    limit_s=st.sampled_from([0.3, 0.5, 1.0]),
+)
+def test_an_age_counts_from_what_was_last_done(since_ns, age_ns, limit_s):
+    limits = LabLimits(stream_lost=limit_s, untracked_abort=limit_s)
+    rules = replace(RULES, limits=limits, silence_ns=round(limit_s * SECOND))
+    now_ns = since_ns + age_ns
+    pace = Pace(ticked_ns=since_ns, directed_ns=since_ns)
+    found = {
+        "program": asleep(rules, pace, now_ns),
+        "direction": undirected(rules, pace, now_ns),
+        "frame": frameless(rules, since_ns, now_ns),
+        "tracking": untracked(rules, 0, age_ns),
+    }
+    for name, excess in found.items():
+        assert (excess is not None) == (age_ns >= limit_s * SECOND)
+        if excess is not None:
+            assert (excess.check, excess.unit) == (name, "s")
+            assert (excess.value, excess.limit) == pytest.approx((age_ns / SECOND, limit_s))
+            assert excess.robot == (0 if name == "tracking" else None)
+
+
+@given(
+    frame_ns=st.integers(0, 10**12),
+    age_ns=st.integers(0, SECOND),
+    waited_ns=st.integers(0, 9 * SECOND),
+)
+def test_robots_move_by_fresh_frames_and_turn_for_a_while_without_a_direction(
+    frame_ns, age_ns, waited_ns
+):
+    now_ns = frame_ns + age_ns
+    fresh = age_ns <= RULES.limits.stale * SECOND
+    assert may_move(RULES, Pace(ahead=True), frame_ns, now_ns) == fresh
+    turning = Pace(ahead=False, directed_ns=now_ns - waited_ns)
+    waits = waited_ns < PAUSE_S * SECOND + RULES.silence_ns
+    assert may_move(RULES, turning, frame_ns, now_ns) == (fresh and waits)
+
+
+IN_METRES = replace(
+    RULES,
+    mm=1000.0,
+    speeds=(0.2,),
+    arena=Bounds(0.0, 0.0, 1.0, 1.0),
+    names=("green", "blue", "red"),
+    limits=LabLimits(separation_mm=90.0),
+)
+
+
+def test_a_distance_is_told_in_millimetres_whatever_the_unit_of_the_spec():
+    jump_m = IN_METRES.limits.jump_mm / 1000
+    far = too_fast(IN_METRES, 0, Pose(0.1, 0.1, 0.0), Pose(0.9, 0.1, 0.0), SECOND // 10)
+    assert (far.value, far.limit) == pytest.approx((800.0, 40.0 + 1000 * jump_m))
+    assert too_fast(IN_METRES, 0, Pose(0, 0, 0), Pose(0.039 + jump_m, 0, 0), SECOND // 10) is None
+    beyond = beyond_edge(IN_METRES, 0, Pose(1.03, -0.04, 0.0))
+    assert (beyond.value, beyond.unit) == (pytest.approx(50.0), "mm")
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "distance"),
+    [(0.5, 0.5, 0.0), (0.0, 1.0, 0.0), (-0.2, 0.5, 0.2), (1.3, 0.5, 0.3), (0.5, -0.1, 0.1),
+     (0.5, 1.4, 0.4), (1.3, 1.4, 0.5)],
+)  # fmt: skip
+def test_a_pose_outside_has_its_distance_from_the_arena(x, y, distance):
+    assert outside(IN_METRES.arena, Pose(x, y, 0.0)) == pytest.approx(distance)
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(-5, 5))
+def test_a_robot_is_driven_along_its_heading(heading, way):
+    pose = driven(Pose(3.0, 4.0, heading), way)
+    assert (pose.x - 3.0, pose.y - 4.0) == pytest.approx(
+        (way * math.cos(heading), way * math.sin(heading))
+    )
+    assert pose.heading == heading
+
+
+def pairs(now, then):
+    names = IN_METRES.names
+    poses = [
+        {name: Pose(x, 0.5, 0.0) for name, x in zip(names, row, strict=True)} for row in (now, then)
+    ]
+    return [(abort.text, abort.excess.value) for abort in too_close(*poses, IN_METRES)]
+
+
+def test_robots_that_come_too_close_are_named_and_those_that_part_are_not():
+    assert pairs((0.1, 0.5, 0.9), (0.3, 0.5, 0.9)) == []
+    assert pairs((0.3, 0.5, 0.9), (0.42, 0.5, 0.9)) == [
+        ("green and blue are too close: 200 mm", pytest.approx(80.0))
+    ]
+    assert pairs((0.45, 0.5, 0.9), (0.42, 0.5, 0.9)) == []  # they part
+    assert len(pairs((0.4, 0.5, 0.6), (0.45, 0.5, 0.55))) == 2

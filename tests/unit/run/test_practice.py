@@ -80,3 +80,11 @@ def test_a_signal_ends_the_practice():
 
     with pytest.raises(KeyboardInterrupt):
         practise(SPEC, HostClock(lambda: 0), pressed)
+
+
+def test_the_median_and_the_longest_step_are_stated():
+    delays_ns = tuple(ms * MILLISECOND for ms in (20, 170, 30, 40, 90))
+    findings = Practice(PERIOD_NS, delays_ns, 0).added_to(GOOD, LIMITS)
+    assert findings.facts[FACT].startswith("40 ms, at most 170 ms, of a period of 200 ms, in 5 ")
+    assert (findings.problems, findings.warnings) == ((), ())
+    assert FACT not in Practice(PERIOD_NS, (), 0).added_to(GOOD, LIMITS).facts

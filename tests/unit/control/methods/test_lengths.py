@@ -114,6 +114,16 @@ def test_without_a_good_plan_the_longest_is_tried_and_nothing_is_shortened():
     assert all(start is None for _, start, _ in optimizer.asked)
 
 
+def test_lengths_grow_by_their_ratio_and_a_good_plan_is_cut_by_an_eighth_first():
+    found, optimizer = searcher(lambda length: 0.0 if length >= 40 else 2.0)
+    found.spread(10, 64, good)
+    lengths = [length for length, _, _ in optimizer.asked]
+    grown = [13, 17, 22, 29, 38, 49]  # each 1.3 times the one before, rounded
+    assert lengths[:6] == grown
+    assert lengths[6:9] == [43, 37, 40]  # an eighth of 49 less, then again, then half as much
+    assert optimizer.asked[6][1] is not None  # from the good plan, drawn together
+
+
 def test_once_the_time_is_over_only_the_first_search_is_done():
     found, optimizer = searcher(lambda _: 2.0, expired=lambda _: True)
     assert found.search(5) is not None

@@ -1,4 +1,4 @@
-"""Runs the checks of `tetractl_testing` on a camera and an actuator with emulated counterparts.
+"""Runs the checks of `tetractl_testing` on a camera and an actuator that can be emulated.
 
 Everything runs in virtual time.
 """
@@ -19,10 +19,15 @@ from tetractl_emulator.virtual_lab import LabClock, started
 
 
 def check_lab(lab: LabSection, setup: Setup) -> None:
-    """Check a lab with emulated devices.
+    """Check a camera and an actuator against their emulated counterparts.
 
-    The camera must be emulated by a `PoseStream`, and the actuator by a `PortedSide`, such as
-    `OwnLines`.
+    Args:
+        lab: The lab. Its camera must be emulated by a `PoseStream`, and its actuator by a
+            `PortedSide`, such as `OwnLines`.
+        setup: The constants of the experiment.
+
+    Raises:
+        AssertionError: If a check fails, or if a device is emulated by another class.
     """
     clock = LabClock()
     emulation = started(lab, setup, clock, Options(address=None))

@@ -1,8 +1,8 @@
-"""An emulated lab: robots, what drives them, and a camera that shows them, for a program to use.
+"""An emulated lab: robots, an actuator that drives them, and a camera that shows them.
 
-The program opens the lab's ports and addresses as it does those of a real lab. An `EmulatedLab`
-builds the two emulated devices that the types of the spec name, lets the faults of a script act on
-them, and records what truly happens, as JSON lines. If asked to, it also plays the person who puts
+A program opens the lab's ports and addresses as it does with a real lab. An `EmulatedLab` creates
+the two emulated devices for the types in the spec, applies the faults of a script to them, and
+records the true events as JSON lines. As an option, it also plays the role of the person who puts
 robots back on their starts after each run.
 
     with EmulatedLab(lab, setup, script, Options()) as emulation:
@@ -34,20 +34,22 @@ _as_json = json.JSONEncoder(separators=(",", ":")).encode
 
 
 class EmulatedLab:
-    """An emulated lab at the ends of connections, as a context manager.
-
-    Leaving it always releases ports and names.
+    """An emulated lab. As a context manager, it opens its ports on entry and releases them on exit.
 
     Args:
-        lab: The section of the lab in the spec.
+        lab: The lab's section of the spec.
         setup: The constants of the experiment.
-        script: The script of faults.
+        script: How the lab differs from the spec, and its faults.
         options: Options of the emulation.
-        report: Called with the name and the facts of each event, for display.
-        make_loop: Creates the loop that runs the devices.
-        wires: Opens the ends of connections. None for real sockets and ports.
-        process_of: Returns the process that drives the robots. None if there is none.
-        blind: The camera of a lab whose own camera is real. None otherwise.
+        report: Called with an event and its facts, for display.
+        make_loop: Class of the event loop.
+        wires: Creates the connections. None for real sockets and ports.
+        process_of: Creates the target of the faults that act on the driving process. None for the
+            process that locks the actuator's port.
+        blind: The camera to use instead of an emulated one. None to emulate the camera.
+
+    Raises:
+        SpecError: If the script names a robot that the spec lacks.
     """
 
     def __init__(
@@ -100,7 +102,13 @@ class EmulatedLab:
         self.close()
 
     def open(self) -> None:
-        """Open ports and names, and begin; releases all if one cannot be opened."""
+        """Open the ports and start the emulation.
+
+        If one port cannot be opened, release all of them.
+
+        Raises:
+            TetractlError: If the record cannot be written, or if a port cannot be opened.
+        """
         self.loop.catch_up()
         path = self._options.record
         try:
@@ -123,11 +131,11 @@ class EmulatedLab:
         self.injector.happened("start")
 
     def run(self) -> None:
-        """Run in real time until `loop.end()`."""
+        """Run in real time until `loop.end()` is called."""
         self.loop.run()
 
     def close(self) -> None:
-        """Release ports and names, and close the record; may be called twice."""
+        """Release the ports, and close the record. This method can be called repeatedly."""
         counts = self.actuator.close() | self.camera.close()
         self.note("end", worst_lag_ms=self.loop.worst_lag_ns / 1e6, **counts)
         if self._record is not None:
@@ -136,25 +144,26 @@ class EmulatedLab:
 
     @property
     def port(self) -> str:
-        """The name of the actuator's first port. Empty if it has none."""
+        """The name of the actuator's first port. "" if it has none."""
         actuator = self.actuator
         return actuator.wired[0].port.name if isinstance(actuator, PluggedDevices) else ""
 
     def ruled(self, state: str, reason: str) -> None:
-        """Record the state of our side's guard, and its reason, if it changes."""
+        """Record the state of the program's guard and its reason, if they have changed."""
         if (state, reason) != self._ruling:
             self._ruling = (state, reason)
             self.note("guard", state=str(state), reason=reason)
 
     def _device_of(self, fault: Fault) -> EmulatedCamera | EmulatedActuator | Process:
+        """Return the device, or the process, on which a fault acts."""
         if type(fault) in PROCESS_FAULTS:
             return self._process
         return self.camera if type(fault) in self.camera.faults else self.actuator
 
     def note(self, event: str, **facts: Any) -> None:
-        """Record an event with its facts and time, if a record is kept.
+        """Add an event with its facts and the present time to the record, if there is one.
 
-        The time is that of `time.monotonic_ns`.
+        The time "t_ns" is that of `time.monotonic_ns`, or virtual time.
         """
         if self._record is None:
             return
@@ -164,6 +173,7 @@ class EmulatedLab:
         self._record.write(_as_json({"t_ns": now, "event": event, **facts}) + "\n")
 
     def _exposed(self, exposure: int, frame: int) -> None:
+        """Report an exposure to the injector, and record the true poses at that time."""
         self.injector.exposed(exposure)
         if self._record is not None:
             bodies = self.actuator.bodies
@@ -176,11 +186,13 @@ class EmulatedLab:
             )
 
     def _client(self, address: str) -> None:
+        """Record and report a new client of the camera."""
         self.note("client", address=address)
         self._report("client", {"address": address})
         self.injector.happened("client")
 
     def _fault(self, phase: str, fault: Fault) -> None:
+        """Record and report that a fault begins ("start") or ends ("end")."""
         fields = dict(fault)
         robot = fields.get("robot")
         mark = fields.get("name")
@@ -190,7 +202,7 @@ class EmulatedLab:
         self._report("fault", facts)
 
     def _tick(self) -> None:
-        """Do what is due every TICK_NS."""
+        """Do the periodic work, and schedule the next call after TICK_NS."""
         now_ns = self.timeline.now_ns
         self.actuator.tick()
         self._note_run(now_ns)
@@ -199,7 +211,7 @@ class EmulatedLab:
         self.timeline.at(now_ns + TICK_NS, self._tick)
 
     def _note_run(self, now_ns: int) -> None:
-        """Note the first command that drives robots, and the first after it that drives none."""
+        """Record the first command that drives robots, and report the first stop after it."""
         driven = self.actuator.driven
         if driven and not self._has_run:
             self._has_run = True
@@ -212,7 +224,7 @@ class EmulatedLab:
             self.injector.happened("stop")
 
     def _note_motion(self, now_ns: int) -> None:
-        """Note each robot that starts or stops moving, and when all have come to rest."""
+        """Record each robot that starts or stops moving, and report when all have stopped."""
         for i, body in enumerate(self.actuator.bodies):
             if self._moving[i] == body.standing:
                 self._moving[i] = not body.standing
@@ -227,7 +239,7 @@ class EmulatedLab:
             self._report("rest", {})
 
     def _carry_if_done(self, now_ns: int) -> None:
-        """Begin to carry robots to their starts that have stood for `replace_after` since a run."""
+        """Carry the robots to their starts if they have stood for `replace_after` since a run."""
         wait_s = self._options.replace_after
         if wait_s is None or not self._has_run or self._at_rest_since_ns is None:
             return
@@ -239,6 +251,7 @@ class EmulatedLab:
         self.timeline.at(now_ns + CARRIED_NS, self._put_down)
 
     def _put_down(self) -> None:
+        """Put the carried robots on their starts, and switch them on."""
         self._put_on_starts()
         self.actuator.switch(True)
         self.injector.acting.carried = False
@@ -246,7 +259,7 @@ class EmulatedLab:
         self._report("placed", {})
 
     def _put_on_starts(self) -> None:
-        """Put every robot on the start that the script or, by default, the spec gives.
+        """Put every robot on its start, from the script or else from the spec.
 
         If trials choose their cells, no cell is moved.
         """

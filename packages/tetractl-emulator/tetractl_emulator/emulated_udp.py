@@ -1,4 +1,4 @@
-"""The emulation's end of a UDP port, used like the end of a serial port."""
+"""The emulated device's end of a UDP port, with the interface of a serial port's end."""
 
 import socket
 from contextlib import suppress
@@ -10,9 +10,15 @@ from tetractl_emulator.port import PseudoPort
 
 
 class UdpPlug(PseudoPort):
-    """Emulated devices at `udp://HOST:PORT`, on this port of this computer.
+    """An emulated device that receives datagrams at udp://HOST:PORT, on this computer.
 
-    At `udp://:PORT`, these are devices that send to that port without being asked.
+    At udp://:PORT, the device sends to that port without being asked.
+
+    Args:
+        name: The address.
+
+    Raises:
+        TetractlError: If the address is invalid.
     """
 
     def __init__(self, name: str) -> None:
@@ -43,21 +49,21 @@ class UdpPlug(PseudoPort):
         self.fd = self._socket.fileno()
 
     def unplug(self) -> None:
-        """Stop listening, which no program notices; may be called twice."""
+        """Stop listening. No program notices this. This method can be called repeatedly."""
         if self._socket is not None:
             self._socket.close()
         self._socket = None
         self.fd = -1
 
     def stall(self, stalled: bool) -> None:
-        """If `stalled`, lose what is sent to the port, as datagrams are lost; otherwise go on."""
+        """Drop all received datagrams if `stalled`, or accept them again."""
         self._stalled = stalled
 
     def baud(self) -> None:
         """Return None: a network has no baud rate."""
 
     def read(self) -> bytes:
-        """Return the bytes of the next datagram, b"" if there is none."""
+        """Return the next datagram, or b"" if there is none."""
         if self._socket is None:
             return b""
         with suppress(BlockingIOError):
@@ -66,14 +72,21 @@ class UdpPlug(PseudoPort):
         return b""
 
     def write(self, data: bytes) -> None:
-        """Send a datagram to the program from which the last one came."""
+        """Send a datagram to the program that sent the last one.
+
+        Without such a program, it is lost.
+        """
         if self._socket is not None and self._sender is not None:
             with suppress(OSError):
                 self._socket.sendto(data, self._sender)
 
 
 def make_port(link: Path | str) -> PseudoPort:
-    """Return the emulation's end of a port, from the name that programs open."""
+    """Create the emulated device's end of a port.
+
+    Args:
+        link: The name by which programs open the port: an address udp://HOST:PORT, or a path.
+    """
     name = str(link)
     if name.startswith(SCHEME):
         return UdpPlug(name)

@@ -1,9 +1,10 @@
-"""What a fault is on a rehearsed day: how its strength is drawn, and which words name it rightly.
+"""Variants of faults in randomised test runs: how strong they are, and which reasons name them.
 
-Each emulated device lists the kinds of faults that it can have. A kind has `rows`, its variants on
-a day: a `FaultRow` has a weight, a draw for each field of the fault, and a pattern; a guard that
-ends a run with a reason which matches it has named the fault. So a device of another package takes
-part in rehearsals by its own kinds.
+A randomised test run (a *day* of `tetractl lab rehearse`) samples faults. Each emulated device
+lists the kinds of faults that it can have. A kind has `rows`, its variants: a `FaultRow` contains a
+weight, a sampling function for each field of the fault, and a pattern. If the guard ends a run with
+a reason that matches the pattern, the guard has named the fault correctly. A device of another
+package takes part in these runs with its own kinds.
 """
 
 import math
@@ -46,12 +47,12 @@ OUR_HZ = 40.0
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """The random choices for one fault.
+    """The random choices for one fault, from which its fields are sampled.
 
     Attributes:
         random: The random generator.
-        names: The robots, in a random order.
-        strength: How strong the fault is, uniform in [0, 1).
+        names: The robots, in random order.
+        strength: Strength of the fault, uniform in [0, 1).
         scale: Factor for lengths that are given for a robot with 200 mm/s.
     """
 
@@ -65,27 +66,27 @@ DrawValue = Callable[[Draw], Any]
 
 
 def between(low: float, high: float) -> DrawValue:
-    """Create a function that samples a value between two bounds.
+    """Create a function that samples a value from `low` to `high`.
 
-    The strength of the fault chooses the value: equal steps of the strength are equal ratios.
+    The value grows exponentially with the fault's strength.
     """
     return lambda d: float(f"{low * (high / low) ** d.strength:.4g}")
 
 
 def whole_number(low: float, high: float) -> DrawValue:
-    """Return the draw of a whole number as `between`."""
+    """Create a function that samples like `between`, rounded to a whole number."""
     value = between(low, high)
     return lambda d: round(value(d))
 
 
 def part(low: float, high: float) -> DrawValue:
-    """Return the draw of a share as `between`, 1 at most."""
+    """Create a function that samples a fraction like `between`, but at most 1."""
     value = between(low, high)
     return lambda d: min(1.0, value(d))
 
 
 def less(low: float, high: float, remaining_min: float = 0.0) -> DrawValue:
-    """Sample what remains of 1 after a random loss.
+    """Create a function that samples 1 minus a random loss.
 
     Args:
         low: Minimum loss.
@@ -97,77 +98,83 @@ def less(low: float, high: float, remaining_min: float = 0.0) -> DrawValue:
 
 
 def signed(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
-    """Sample a value like `between`, with a random sign.
+    """Create a function that samples like `between`, with a random sign.
 
     Args:
-        low: Minimum size.
-        high: Maximum size.
-        a_frame: Factor for the result.
+        low: Minimum absolute value.
+        high: Maximum absolute value.
+        a_frame: Factor for the result, for example to convert a speed to a change per frame.
     """
     size = between(low, high)
     return lambda d: round(d.random.choice((-1, 1)) * size(d) * a_frame, 7)
 
 
 def factor(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
-    """Sample a factor that differs from 1 by a value like `signed`.
+    """Create a function that samples a factor near 1.
 
     Args:
-        low: Minimum size of the difference.
-        high: Maximum size of the difference.
-        a_frame: Factor for the difference.
+        low: Minimum difference from 1.
+        high: Maximum difference from 1.
+        a_frame: Factor for the difference, for example to convert it to a change per frame.
     """
     change = signed(low, high, a_frame)
     return lambda d: 1 + change(d)
 
 
 def vector(low: float, high: float) -> DrawValue:
-    """Return the draw of a vector of a length between two, in any direction."""
+    """Create a function that samples a vector in a random direction.
+
+    Its length is sampled like `between`.
+    """
     length = between(low, high)
     return lambda d: _vector(length(d), d.random.uniform(-math.pi, math.pi))
 
 
 def off(low: float, high: float, a_frame: float = 1.0) -> DrawValue:
-    """Sample a vector like `vector`, in the robots' scale.
+    """Create a function that samples a vector in a random direction, scaled to the robots' speed.
 
     Args:
-        low: Minimum length.
-        high: Maximum length.
-        a_frame: Factor for the result.
+        low: Minimum length, for a robot with 200 mm/s.
+        high: Maximum length, for a robot with 200 mm/s.
+        a_frame: Factor for the result, for example to convert a speed to a change per frame.
     """
     draw = vector(low, high)
     return lambda d: [round(value * d.scale * a_frame, 6) for value in draw(d)]
 
 
 def along(low: float, high: float, angle: float) -> DrawValue:
-    """Sample the displacement in a frame at a random speed along a direction, in either sense.
+    """Create a function that samples a displacement per frame, forwards or backwards along a line.
 
     Args:
-        low: Minimum speed.
-        high: Maximum speed.
-        angle: The direction [rad].
+        low: Minimum speed, for a robot with 200 mm/s.
+        high: Maximum speed, for a robot with 200 mm/s.
+        angle: Direction of the line [rad].
     """
     speed = signed(low, high)
     return lambda d: _vector(speed(d) * d.scale * FRAME_S, angle)
 
 
 def one_of(*values: Any) -> DrawValue:
-    """Return the draw of one of some values."""
+    """Create a function that samples one of the values with equal probability."""
     return lambda d: d.random.choice(values)
 
 
 def pair(draw: DrawValue) -> DrawValue:
-    """Return the draw of two whole numbers."""
+    """Create a function that samples two whole numbers."""
     return lambda d: [round(draw(d)), round(draw(d))]
 
 
 def lost(d: Draw) -> float:
-    """Return a share from 5 to 98 %, near 98 % as often as near 5 %; a strong one is 1."""
+    """Sample a fraction of lost messages, from 5 to 98 %, or 1 for a strong fault.
+
+    Fractions near 98 % are as frequent as fractions near 5 %.
+    """
     share = 1.0 / (1.0 + math.exp(3.0 - 7.0 * d.strength / STRONG))
     return round(share, 4) if d.strength < STRONG else 1.0
 
 
 def first_robot(d: Draw) -> str:
-    """Return the robot that has the fault."""
+    """Return the name of the robot that has the fault."""
     return d.names[0]
 
 
@@ -177,6 +184,7 @@ WHEEL = one_of("left", "right", "both")
 
 
 def _vector(length: float, angle: float) -> list[float]:
+    """Return x and y of a vector with a length and an angle [rad]."""
     x = length * math.cos(angle)
     y = length * math.sin(angle)
     return [round(x, 6), round(y, 6)]
@@ -188,8 +196,8 @@ class FaultRow:
 
     Attributes:
         name: Its name.
-        right: Pattern of the reasons that name the fault correctly.
-        fields: Fields of the script: values, or functions that sample them.
+        right: Pattern of the guard's reasons that name the fault correctly.
+        fields: Fields of the fault in a script: values, or functions that sample them.
         at_once: Whether the fault has no duration.
         weight: Relative frequency.
         start: Fraction of the runs in which it begins together with the emulation.
@@ -208,9 +216,9 @@ class FaultRow:
 
 
 def scale_of(lab: LabSection, setup: Setup) -> float:
-    """Return the factor for lengths that are given for robots with 200 mm/s.
+    """Compute the factor for lengths that are given for robots with 200 mm/s.
 
-    For cells, it follows from their speeds. For all robots on wheels, it is 1.
+    For cells, it is the maximum speed divided by 200 mm/s. For robots on wheels, it is 1.
     """
     fastest_mm_s = float(setup.speed.max()) * setup.metres * 1000
     return fastest_mm_s / 200 if lab.actuator.type == "field" else 1.0

@@ -1,12 +1,12 @@
-"""Triggers and undoes the faults of a script, and records when each became visible.
+"""Begins and ends the faults of a script, and reports when each fault becomes visible.
 
 A fault becomes visible with the first frame exposed during the fault, with the first frame sent
-during it, or at once; see `Visible`. A table next to each device lists its faults: `fault_kind`
-makes each, with its fields in a script and its rows in rehearsals.
+during it, or at once; see `Visible`. A table next to each device lists its faults. `fault_kind`
+creates each of them, with its fields in a script and its variants in randomised test runs.
 
-While a fault acts, it is one of the lab's `ActingFaults`, which its device asks. One that also does
-something when it begins has a function that is called as `begin(fault, device)`; this returns what
-is to be done when the fault ends, None for nothing.
+While a fault lasts, it is one of the lab's `ActingFaults`, which the devices query. A fault that
+also acts when it begins has a function `begin(fault, device)`, which returns a function to end the
+fault, or None.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,8 +33,8 @@ Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 class Visible(Enum):
     """The event at which a fault becomes visible.
 
-    Either a frame that was exposed during the fault is sent, or a frame is sent during the fault,
-    or the fault starts.
+    EXPOSED: a frame that was exposed during the fault is sent. SENT: a frame is sent during the
+    fault. AT_ONCE: the fault begins.
     """
 
     EXPOSED = auto()
@@ -63,22 +63,21 @@ class Fault(Model):
 
     @property
     def subject(self) -> str | None:
-        """The name of the robot or cell that has the fault. None if the fault is the device's."""
+        """The name of the robot or cell that has the fault. None if the device has it."""
         fields = dict(self)
         return fields.get("robot", fields.get("cell"))
 
     def names(self) -> Iterator[str]:
-        """Yield the names of robots in the fault's fields."""
+        """Yield the names of the robots in the fault's fields."""
         fields = dict(self)
         yield from (fields[key] for key in ("robot", "other") if fields.get(key) is not None)
 
 
 class ActingFaults:
-    """The faults that act in a lab now.
+    """The faults that act in a lab at present.
 
-    Devices ask for the faults that they can have, whenever these matter, by the names of the kinds
-    and, if a robot has them, of the robot. Robots may also be `carried`, which is no fault: then no
-    camera shows them.
+    Devices look up the faults that concern them, by the name of the kind and of the robot. While
+    robots are `carried`, which is no fault, no camera shows them.
     """
 
     carried = False
@@ -88,47 +87,57 @@ class ActingFaults:
 
     @property
     def any_yet(self) -> bool:
-        """Whether any fault acts, or has acted."""
+        """Whether any fault acts or has acted."""
         return bool(self._faults)
 
     def add(self, fault: Fault) -> None:
-        """Let a fault act."""
+        """Add a fault that begins."""
         self._faults.setdefault(fault.fault, []).append(fault)
 
     def remove(self, fault: Fault) -> None:
-        """Let a fault act no more."""
+        """Remove a fault that ends."""
         self._faults[fault.fault].remove(fault)
 
     def of_kind(self, name: str, robot: str | None = None) -> Sequence[Any]:
-        """Return the faults of a kind, in the order in which they began."""
+        """Return the acting faults of a kind, in the order in which they began.
+
+        Args:
+            name: Name of the kind.
+            robot: Name of a robot, to return only its faults. None for the faults of all robots.
+        """
         faults = self._faults.get(name, ())
         return [f for f in faults if f.robot == robot] if faults and robot else faults
 
     def newest(self, name: str, robot: str | None = None) -> Any:
-        """Return the newest fault of a kind. None if there is none."""
+        """Return the fault of a kind that began last. None if no such fault acts."""
         faults = self.of_kind(name, robot)
         return faults[-1] if faults else None
 
     def total_by(self, name: str, robot: str | None = None) -> float:
-        """Return the sum of the fields `by` of a kind."""
+        """Return the sum of the fields `by` of the acting faults of a kind."""
         return sum(fault.by for fault in self.of_kind(name, robot))
 
     def largest_share(self, name: str, robot: str | None = None) -> float:
-        """Return the largest `share` of a kind's faults, or 0 if there is none."""
+        """Return the maximum field `share` of the acting faults of a kind.
+
+        0 if no such fault acts.
+        """
         return max((fault.share for fault in self.of_kind(name, robot)), default=0.0)
 
 
 def adding(running: list[Any], entry: object) -> Undo:
-    """Add an entry to a list of what runs; return the function that removes it again."""
+    """Add an entry to a list, and return a function that removes it again."""
     running.append(entry)
     return lambda: running.remove(entry)
 
 
 def switching(act: Callable[[Any, Any], Callable[[bool], None]], on: bool = True) -> Begin:
-    """Return a function that begins a fault with a switch.
+    """Create a function `begin` for a fault that flips a switch while it lasts.
 
-    The function gets the switch from `act(fault, device)`, and calls it with `on`. The fault ends
-    when the switch is called with `not on`.
+    Args:
+        act: Returns the switch, given the fault and the device. The switch is a function of a bool.
+        on: The value with which the switch is called when the fault begins. It is called with the
+            opposite value when the fault ends.
     """
 
     def begin(fault: Fault, device: Any) -> Undo | None:
@@ -152,10 +161,10 @@ def fault_kind(
     Args:
         name: Its name in scripts.
         about: What it does, for the documentation.
-        visible: When it becomes visible.
-        fields: Its fields in scripts.
+        visible: The event at which it becomes visible.
+        fields: Its fields in scripts, by name: a type, or a type and a default.
         rows: Its variants in randomised test runs.
-        begin: Begins the fault on a device, and returns how to end it.
+        begin: Begins the fault on a device, and returns a function to end it, or None.
     """
     columns: dict[str, Any] = {"fault": (Literal[name], ...)}
     named: dict[str, Any] = {}
@@ -172,10 +181,10 @@ def fault_kind(
 
 
 def port_faults(what: str, unplugged: str, stuck: str) -> tuple[type[Fault], type[Fault]]:
-    """Return the faults of a device's port.
+    """Create the faults of a device's port: it is unplugged, or it takes no bytes.
 
     Args:
-        what: The device.
+        what: The device, for the names of the variants.
         unplugged: Pattern of the reasons that name an unplugged port correctly.
         stuck: Pattern of the reasons that name a stuck port correctly.
     """
@@ -203,13 +212,14 @@ MARK = fault_kind(
 
 
 class Injector:
-    """Schedules the faults of a script. `acting` holds the faults that act now.
+    """Begins and ends the faults of a script at their times.
 
     Args:
-        timeline: The timeline of the emulation.
+        timeline: The emulation's timeline.
         faults: The faults of the script.
         device_of: Returns the device of a fault.
-        report: Called with "start" when a fault becomes visible, and with "end" when it ends.
+        report: Called with "start" and the fault when it becomes visible, and with "end" and the
+            fault when it ends.
     """
 
     def __init__(
@@ -229,9 +239,10 @@ class Injector:
         self._since = set[str]()
 
     def happened(self, what: str) -> None:
-        """Record an event (start, client, run or stop).
+        """Report an event: "start", "client", "run" or "stop"; see `Fault.since`.
 
-        When it happens for the first time, the faults with times that count from it are scheduled.
+        When an event happens for the first time, the faults whose times count from it are
+        scheduled.
         """
         if what in self._since:
             return
@@ -242,18 +253,18 @@ class Injector:
                 self._timeline.at(start, lambda fault=fault: self._begin(fault))
 
     def exposed(self, exposure: int) -> None:
-        """Record that the exposure with this number is about to be taken."""
+        """Report that the exposure with this number is about to be taken."""
         self._newest = exposure
 
     def sent(self, exposure: int) -> None:
-        """Record that the frame of an exposure was sent, or withheld by a fault."""
+        """Report that the frame of an exposure was sent, or withheld by a fault."""
         for fault, first in list(self._pending):
             if fault.visible is Visible.SENT or exposure >= first:
                 self._pending.remove((fault, first))
                 self._report("start", fault)
 
     def act(self, fault: Fault) -> Undo:
-        """Let a fault act; return what ends it."""
+        """Begin a fault now, and return a function that ends it."""
         self.acting.add(fault)
         undo = fault.begin(self.device_of(fault))
 
@@ -265,6 +276,7 @@ class Injector:
         return end
 
     def _begin(self, fault: Fault) -> None:
+        """Begin a fault, and schedule its end if it has a duration."""
         if fault.visible is Visible.AT_ONCE:
             self._report("start", fault)  # before it: a killed process reports nothing
         end = self.act(fault)

@@ -1,8 +1,8 @@
-"""The firmware's cores, compiled for this computer: emulated devices run the real devices' code.
+"""Compiles the firmware's C code for this computer, so that emulated devices run real firmware.
 
-Each core is `<name>_core.c` with `framing.c`. The sources lie in the repository's `firmware/`, and
-a wheel of this package contains a copy. They are compiled once, into the user's cache folder, by
-the compiler in $CC or, without $CC, by the first that is found of cc, gcc and clang.
+Each core consists of `<name>_core.c` and `framing.c`. The sources are in the repository's
+`firmware/`, and a wheel of this package contains a copy. A core is compiled once, into the user's
+cache folder, by the compiler in $CC or else by the first that is found of cc, gcc and clang.
 """
 
 import ctypes
@@ -53,13 +53,21 @@ FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared")
 
 
 def compiler() -> str | None:
-    """Return the path of a C compiler, None if there is none."""
+    """Find a C compiler.
+
+    Returns:
+        Its path, or None if there is none.
+    """
     names = [os.environ.get("CC", ""), "cc", "gcc", "clang"]
     return next(filter(None, (shutil.which(name) for name in names if name)), None)
 
 
 def source_folder() -> Path:
-    """Return the folder of the C sources: in an installed package, or in the source tree."""
+    """Find the folder of the C sources, in an installed package or in the source tree.
+
+    Raises:
+        TetractlError: If the sources are missing.
+    """
     module = Path(__file__).resolve()
     for folder in (module.parent / "cores", module.parents[3] / "firmware"):
         if (folder / "framing.c").is_file():
@@ -69,9 +77,14 @@ def source_folder() -> Path:
 
 @cache
 def load(name: str, folder: Path | None = None) -> Library:
-    """Load the functions of a firmware core by their names, compiling it first if needed.
+    """Load a firmware core as a shared library, and compile it first if it is not in the folder.
 
-    It is compiled if `folder` does not contain it. By default, the folder is the cache.
+    Args:
+        name: Name of the core, such as "m3pi".
+        folder: Folder of the compiled cores. None for the user's cache folder.
+
+    Returns:
+        The functions of the core, by their names without the prefix `<name>_`.
 
     Raises:
         TetractlError: If there is no compiler or no source, or if the source does not compile.
@@ -94,6 +107,11 @@ def load(name: str, folder: Path | None = None) -> Library:
 
 
 def _build(codes: list[Path], path: Path) -> None:
+    """Compile C files to a shared library at a path.
+
+    Raises:
+        TetractlError: If there is no compiler, or if the compilation fails.
+    """
     name = compiler()
     if name is None:
         raise TetractlError(
@@ -111,7 +129,7 @@ def _build(codes: list[Path], path: Path) -> None:
 
 
 class CoreEvent(IntEnum):
-    """The result of reading a byte: the kind of frame that the byte completed, or none."""
+    """The kind of frame that a received byte has completed, if any."""
 
     NOTHING = 0
     ACCEPTED = 1
@@ -121,7 +139,11 @@ class CoreEvent(IntEnum):
 
 
 class Core:
-    """A compiled core. Times are milliseconds on any clock, taken modulo 2^32."""
+    """Base class of compiled firmware cores. Times are in ms on any clock, modulo 2^32.
+
+    Args:
+        library: The functions of the core. None to load them.
+    """
 
     name: ClassVar[str]
     reply_size: ClassVar[int]
@@ -137,7 +159,11 @@ class Core:
         self._both = ctypes.addressof(self._one), ctypes.addressof(self._two)
 
     def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
-        """Pass bytes from the radio or the serial line to the core.
+        """Pass received bytes to the core.
+
+        Args:
+            data: Bytes from the radio or the serial line.
+            now_ms: The time [ms].
 
         Returns:
             An event for each completed frame.
@@ -147,35 +173,41 @@ class Core:
         return [event for event in events if event is not CoreEvent.NOTHING]
 
     def take_reply(self, now_ms: int) -> bytes:
-        """Return the reply that is due now, b"" if none is; each reply is returned once."""
+        """Return the reply that is due now. Each reply is returned once.
+
+        Returns:
+            The reply, or b"" if none is due.
+        """
         size = self._call("take_reply", now_ms, self._reply)
         return self._reply.raw[:size] if size else b""
 
     def _call(self, function: str, *arguments: Any) -> Any:
+        """Call a function of the core with its state and further arguments."""
         return self._library[function](self._core, *arguments)
 
     def _pair(self, function: str, now_ms: int) -> tuple[int, int]:
-        """Return the two numbers that a function of the core writes."""
+        """Call a function of the core that writes two numbers, and return them."""
         self._library[function](self._core, now_ms, *self._both)
         return self._one.value, self._two.value
 
     def _copy(self) -> Any:
-        """Return a copy of the core's memory, in which functions may change what they like."""
+        """Return a copy of the core's state, for functions that change the state."""
         return ctypes.create_string_buffer(self._memory.raw, len(self._memory))
 
 
 class WheelsCore(Core):
-    """The firmware core of a robot with two wheels."""
+    """Base class of the firmware cores of robots with two wheels."""
 
     def wheels(self, now_ms: int) -> Counts:
-        """Return the present counts or speeds of both wheels.
+        """Return the present outputs of the left and the right wheel.
 
-        The watchdog may have set them to 0.
+        They are counts or speeds [mm/s], depending on the core. They are 0 after the watchdog has
+        expired.
         """
         return self._pair("wheels", now_ms)
 
     def status(self, now_ms: int) -> Status:
-        """Return the status flags that a reply would have now; nothing changes in the core."""
+        """Return the status flags that a reply would contain now, without changing the core."""
         return Status(self._library["status"](self._copy(), now_ms))
 
     def set_battery(self, battery_mv: int) -> None:
@@ -184,7 +216,12 @@ class WheelsCore(Core):
 
 
 class RobotCore(WheelsCore):
-    """The firmware core of m3pi `index`, whose wheels have counts."""
+    """The firmware core of an m3pi robot. Its wheel outputs are motor counts.
+
+    Args:
+        index: Number of the robot in broadcasts.
+        library: The functions of the core. None to load them.
+    """
 
     name = "m3pi"
     reply_size = 14
@@ -196,12 +233,14 @@ class RobotCore(WheelsCore):
 
 
 class TwistCore(WheelsCore):
-    """The firmware core of a robot that takes lines of text. Its wheels have speeds [mm/s].
+    """The firmware core of a robot that receives lines of text.
+
+    Its wheel outputs are speeds [mm/s].
 
     Args:
-        index: The robot's index in the lines.
-        radius_mm: Distance of the wheels from the robot's centre [mm].
-        library: The compiled firmware. None to load it.
+        index: Number of the robot.
+        radius_mm: Distance from a wheel to the robot's centre [mm].
+        library: The functions of the core. None to load them.
     """
 
     name = "twist"

@@ -1,12 +1,12 @@
 """Labs in which one device is real and the other is emulated, in real time.
 
-With a real camera, the robots stand switched off below it, and emulated robots drive instead. Each
-pose that the camera measures is moved by the distance that the emulated robot has driven. The rate,
-latency, losses and noise are therefore the camera's own.
+With a real camera, the real robots stand below it, switched off, and emulated robots drive instead.
+Each pose from the camera is displaced by the distance that the emulated robot has driven. The rate,
+latency, losses and noise are therefore those of the real camera.
 
-With a real actuator, the robots drive wherever they are, for example on blocks with their wheels in
-the air. A second actuator sends the same commands to emulated robots, which the emulated camera
-shows.
+With a real actuator, the real robots drive wherever they are, for example on blocks with their
+wheels in the air. A second actuator sends the same commands to emulated robots, which the emulated
+camera shows.
 """
 
 from collections import deque
@@ -29,7 +29,7 @@ KEPT_NS = 2 * SECOND  # for how long emulated poses are known, longer than frame
 
 
 class Blind:
-    """The emulated camera of a lab whose own camera is real. It shows nothing."""
+    """The emulated camera of a lab whose camera is real. It shows nothing."""
 
     Settings: ClassVar[type[Model]] = Model
     faults: ClassVar[Sequence[type[Fault]]] = ()
@@ -37,24 +37,24 @@ class Blind:
     join: Any = None
 
     def open(self, loop: Loop) -> dict[str, Any]:
-        """Open nothing."""
+        """Do nothing, and return the camera's description."""
         return {"camera": "real"}
 
     def close(self) -> dict[str, Any]:
-        """Release nothing."""
+        """Do nothing."""
         return {}
 
 
 class MovedCamera:
-    """A real camera above stationary robots, with their poses moved as emulated robots drive.
+    """A real camera above stationary robots, whose poses are displaced as emulated robots drive.
 
     See `tetractl.core.protocols.Camera`. `look` must be called every millisecond.
 
     Args:
         camera: The real camera.
-        emulation: The emulated robots.
+        emulation: The emulated lab, which moves the emulated robots.
         clock: The clock for times.
-        mm: The spec's length unit [mm].
+        mm: Millimetres per length unit of the spec.
     """
 
     def __init__(self, camera: Camera, emulation: EmulatedLab, clock: Clock, mm: float) -> None:
@@ -80,11 +80,14 @@ class MovedCamera:
         return self._camera.damaged
 
     def check(self) -> Health:
-        """Check the real camera."""
+        """Return the health of the real camera."""
         return self._camera.check()
 
     def look(self) -> None:
-        """Keep the emulated poses; before they drive, put the robots where real ones stand."""
+        """Record the poses of the emulated robots.
+
+        Until they first drive, the emulated robots are placed where the camera sees the real ones.
+        """
         bodies = self._emulation.actuator.bodies
         now = self._clock.now()
         self._drove = self._drove or self._emulation.actuator.driven
@@ -97,10 +100,11 @@ class MovedCamera:
             self._past.popleft()
 
     def frames(self) -> list[CameraFrame]:
-        """Return the frames since the last call."""
+        """Return the frames since the last call, with displaced poses."""
         return [self._moved(frame) for frame in self._camera.frames()]
 
     def _moved(self, frame: CameraFrame) -> CameraFrame:
+        """Displace the poses in a frame. Until the emulated robots drive, only store the poses."""
         if not self._drove:
             self._home = [new or old for new, old in zip(frame.poses, self._home, strict=True)]
             return frame
@@ -120,6 +124,16 @@ class MovedCamera:
         return oldest
 
     def _at(self, i: int, at_ns: int, pose: Pose | None) -> Pose | None:
+        """Displace one pose by the distance that the emulated robot had driven at a time.
+
+        Args:
+            i: Index of the robot.
+            at_ns: When the pose was exposed [ns].
+            pose: The pose from the real camera. None if the robot is untracked.
+
+        Returns:
+            The displaced pose. None if the robot is untracked or was not seen before the motion.
+        """
         home = self._home[i]
         if pose is None or home is None:
             return None
@@ -133,9 +147,13 @@ class MovedCamera:
 
 
 class TwinActuator:
-    """A real actuator together with an emulated one that sends the same.
+    """A real actuator, and an emulated one that sends the same commands.
 
-    See `tetractl.core.protocols.Actuator`.
+    See `tetractl.core.protocols.Actuator`. Failures and answers are those of the real actuator.
+
+    Args:
+        real: The real actuator.
+        twin: The actuator of the emulated robots.
     """
 
     def __init__(self, real: Actuator, twin: Actuator) -> None:
@@ -157,11 +175,11 @@ class TwinActuator:
 
     @property
     def failure(self) -> str | None:
-        """The reason why the real actuator cannot send. None while it can."""
+        """The reason why the real actuator cannot send. None if it can."""
         return self._real.failure
 
     def check(self) -> Health:
-        """Check the real actuator."""
+        """Return the health of the real actuator."""
         return self._real.check()
 
     def send(
@@ -171,16 +189,23 @@ class TwinActuator:
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Send with both actuators; see `Actuator.send`."""
+        """Send an action with both actuators; see `Actuator.send`.
+
+        Returns:
+            The transmission of the real actuator.
+        """
         sent = self._real.send(action, poses, moving, exposed_ns)
         self._twin.send(action, poses, moving, exposed_ns)
         return sent
 
     def stop(self, emergency: bool = False) -> Transmission:
-        """Stop the robots of both, the emulated ones though the real ones cannot be reached.
+        """Stop the robots of both actuators; see `Actuator.stop`.
 
-        An emulated radio that fails is no error: after one, the real robots would get no more
-        stops.
+        The emulated robots are stopped even if the real ones cannot be reached. A failure of the
+        emulated radio is ignored, because after an error the real robots would get no more stops.
+
+        Returns:
+            The transmission of the real actuator.
         """
         try:
             return self._real.stop(emergency)
@@ -189,5 +214,5 @@ class TwinActuator:
                 self._twin.stop(emergency)
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Ask the real robots."""
+        """Return the status of the real robots."""
         return self._real.poll(timeout_s)

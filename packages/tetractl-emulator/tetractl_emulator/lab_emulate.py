@@ -95,7 +95,7 @@ def emulate(
 
 
 def _in_words(event: str, facts: dict[str, Any]) -> str:
-    """Describe an event for printing."""
+    """Describe an event as a line for the terminal."""
     match event:
         case "ready":
             where = f"cameras at {facts['camera']}, {facts['actuator']}"

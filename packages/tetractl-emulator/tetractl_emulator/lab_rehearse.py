@@ -1,4 +1,7 @@
-"""`tetractl lab rehearse`: plays random bad days of an emulated lab, and checks what must hold."""
+"""The command `tetractl lab rehearse`: it tests an emulated lab against random faults.
+
+Each *day* is one randomised test run, and each invariant that must hold is checked.
+"""
 
 import gc
 import sys
@@ -138,15 +141,16 @@ def rehearsed(
     bad: bool = True,
     folder: Path | None = None,
 ) -> "DayRow":
-    """Run one day, and return what is kept of it.
+    """Run one randomised test run, check it, and return a summary of it.
 
     Args:
         spec: The spec.
-        sets: Settings of the spec.
-        seed: Seed of all days.
-        day: Number of the day.
-        bad: Whether there are faults.
-        folder: Where to write the script of a day that violated an invariant. None if nowhere.
+        sets: Settings that replace values of the spec.
+        seed: Seed of all test runs.
+        day: Index of this test run.
+        bad: Whether to inject faults.
+        folder: Where to write the script of a test run that violated an invariant. None to write no
+            script.
     """
     from tetractl.plant.lab_plant import RigSection
     from tetractl.spec.load import load_spec
@@ -179,10 +183,10 @@ def rehearsed(
 def observed(
     day: "DayOutcome", experiment: "Experiment", lab: "LabSection"
 ) -> "tuple[Truth, Sequence[Violation]]":
-    """Return the true course of a day in a lab, and the invariants that it violates.
+    """Determine what truly happened in a test run, and which invariants it violated.
 
     Args:
-        day: The day.
+        day: The test run.
         experiment: The experiment.
         lab: The lab.
     """

@@ -1,4 +1,4 @@
-"""An event loop in one thread: runs events in the order of their times, and watches files."""
+"""An event loop in one thread: it runs events in the order of their times, and watches files."""
 
 import heapq
 import select
@@ -13,9 +13,13 @@ Act = Callable[[], None]
 
 
 class Timeline:
-    """A queue of events by time [ns]; `advance(t)` is called before the events at a time t.
+    """A queue of events by time [ns].
 
-    A timeline needs no clock: tests run it in virtual time, as a discrete-event simulation.
+    A timeline needs no clock. Tests run it in virtual time, as a discrete-event simulation.
+
+    Args:
+        advance: Called with a time [ns] before the events at that time.
+        start_ns: The present time [ns].
     """
 
     def __init__(self, advance: Callable[[int], None], start_ns: int = 0) -> None:
@@ -25,16 +29,16 @@ class Timeline:
         self._order = count()
 
     def at(self, when_ns: int, act: Act) -> None:
-        """Schedule `act` for a time [ns]; if that time has passed, for the present time."""
+        """Schedule a function for a time [ns], or for the present if that time has passed."""
         heapq.heappush(self._events, (max(when_ns, self.now_ns), next(self._order), act))
 
     @property
     def next_ns(self) -> int | None:
-        """The time of the next event [ns], None without events."""
+        """The time of the next event [ns]. None if there are no events."""
         return self._events[0][0] if self._events else None
 
     def run_to(self, until_ns: int) -> None:
-        """Run all events up to `until_ns`, each at its own time."""
+        """Run all events up to the time `until_ns` [ns], each at its own time."""
         while self._events and self._events[0][0] <= until_ns:
             when, _, act = heapq.heappop(self._events)
             self._move(when)
@@ -48,10 +52,16 @@ class Timeline:
 
 
 class Loop:
-    """Runs a timeline in real time on the host's monotonic clock.
+    """Runs a timeline in real time, on the host's monotonic clock.
 
-    `worst_lag_ns` is the largest delay of an event so far [ns]; `on_lag` is called with each delay
-    above 5 ms. Delays show that the host is too busy.
+    Attributes:
+        timeline: The timeline.
+        worst_lag_ns: Maximum delay of an event so far [ns]. Long delays show that the host is too
+            busy.
+
+    Args:
+        timeline: The timeline.
+        on_lag: Called with each delay above 5 ms [ns].
     """
 
     now = staticmethod(time.monotonic_ns)
@@ -64,7 +74,7 @@ class Loop:
         self._ended = False
 
     def watch(self, fd: int, act: Act) -> None:
-        """Call `act` whenever the file descriptor `fd` can be read."""
+        """Call `act` whenever data can be read from the file descriptor `fd`."""
         self._readers[fd] = act
 
     def forget(self, fd: int) -> None:
@@ -72,11 +82,11 @@ class Loop:
         self._readers.pop(fd, None)
 
     def end(self) -> None:
-        """Make `run` return; may be called in a signal handler."""
+        """Make `run` return. This method can be called in a signal handler."""
         self._ended = True
 
     def catch_up(self) -> None:
-        """Run the timeline's events up to the present."""
+        """Run all events up to the present time."""
         self.timeline.run_to(self.now())
 
     def run(self) -> None:

@@ -1,8 +1,9 @@
 """A network and serial ports in memory, between an emulated lab and the program that drives it.
 
-Each wire has two ends in this process: the end of the emulated device, and *our* end, that of the
-program. What one end writes, the other can read at once, byte for byte as on real wires. Nothing is
-lost or late. Nothing here waits or has a thread: a `LabClock` lets the two ends read in turn.
+Each connection has two ends in this process: the end of the emulated device, and *our* end, which
+the program uses. What one end writes, the other can read at once, byte for byte as on a real wire.
+Nothing is lost or late. Nothing here waits or starts a thread: a `LabClock` lets the two ends read
+in turn.
 
     network = MemoryNetwork()
     radio = network.port("/dev/ttyUSB0")                  the device's end of a serial port
@@ -27,10 +28,11 @@ FIRST_FREE = 40_000
 
 
 class MemoryNetwork:
-    """The ends of wires in memory.
+    """A set of connections in memory.
 
-    They are the bound `sockets`, by their addresses, and the plugged `ports`, by the names that
-    programs open.
+    Attributes:
+        sockets: The bound sockets, by address.
+        ports: The devices' ends of plugged-in ports, by the name that programs open.
     """
 
     def __init__(self) -> None:
@@ -38,22 +40,22 @@ class MemoryNetwork:
         self.ports: dict[str, MemoryPort] = {}
 
     def bound_socket(self, host: str, port: int) -> "MemorySocket":
-        """Return a UDP socket that listens at an address."""
+        """Create a UDP socket that listens at an address."""
         opened = MemorySocket(self)
         opened.bind((host, port))
         return opened
 
     def port(self, link: Path | str) -> "MemoryPort":
-        """Return a device's end of the port `link`, not plugged in yet."""
+        """Create a device's end of the port `link`. It is not plugged in yet."""
         return MemoryPort(self, link)
 
     def serial(self, name: str, baud: int, *rest: Any) -> "MemorySerial":
-        """Return our end of the port `name`, from the arguments of a `SerialPort`."""
+        """Create our end of the port `name`. The arguments are those of `SerialPort`."""
         return MemorySerial(self, name, baud, *rest)
 
 
 class MemorySocket:
-    """A UDP socket of a network in memory, with the methods of `socket.socket`."""
+    """A UDP socket in memory. Its methods are those of `socket.socket`."""
 
     def __init__(self, network: MemoryNetwork) -> None:
         self._network = network
@@ -71,18 +73,21 @@ class MemorySocket:
         return self._name
 
     def fileno(self) -> int:
-        """Return a number that no other socket of the network has: its port."""
+        """Return a number that identifies the socket in its network: its port."""
         return self._name[1]
 
     def bind(self, address: tuple[str, int]) -> None:
-        """Listen at an address; port 0 is any free port."""
+        """Listen at an address. Port 0 is replaced by a free port."""
         host, port = address
         highest = max((taken for _, taken in self._network.sockets), default=0)
         self._name = (host, port or max(highest + 1, FIRST_FREE))
         self._network.sockets[self._name] = self
 
     def sendto(self, data: bytes, to: Sequence[Any]) -> None:
-        """Send a datagram to an address, or to a socket that is bound to all addresses."""
+        """Send a datagram to an address. It is lost if no socket listens there.
+
+        A socket that is bound to the host "" receives datagrams to its port at any host.
+        """
         host, port, *_ = to
         sockets = self._network.sockets
         receiver = sockets.get((host, port)) or sockets.get(("", port))
@@ -90,10 +95,10 @@ class MemorySocket:
             receiver._queue.append((bytes(data), self._name))
 
     def recvfrom(self, size: int) -> tuple[bytes, tuple[str, int]]:
-        """Return the oldest datagram and its sender's address.
+        """Return the oldest waiting datagram and its sender's address.
 
         Raises:
-            BlockingIOError: If no datagram waits.
+            BlockingIOError: If no datagram is waiting.
         """
         if not self._queue:
             raise BlockingIOError
@@ -106,10 +111,12 @@ class MemorySocket:
 
 
 class MemoryPort(PseudoPort):
-    """A device's end of a serial port, or of an address such as udp://HOST:PORT, in memory.
+    """The device's end of a serial port, or of an address such as udp://HOST:PORT, in memory.
 
-    It is plugged in while `fd` is not negative, connected while our end `ours` is open, and may be
-    `stalled`: then it takes no bytes.
+    Attributes:
+        fd: A positive number while the port is plugged in, otherwise -1.
+        ours: Our end while it is open. None otherwise.
+        stalled: Whether the port refuses bytes from our end.
     """
 
     def __init__(self, network: MemoryNetwork, link: Path | str) -> None:
@@ -121,13 +128,13 @@ class MemoryPort(PseudoPort):
         self.stalled = False
 
     def plug(self) -> None:
-        """Make the port known by its name."""
+        """Make the port available under its name."""
         ports = self._network.ports
         self.fd = 1 + max((port.fd for port in ports.values()), default=2)
         ports[self.name] = self
 
     def unplug(self) -> None:
-        """Remove the port; our end fails. May be called twice."""
+        """Remove the port. Our end fails. This method can be called repeatedly."""
         self.fd = -1
         self._taken.clear()
         self._network.ports.pop(self.name, None)
@@ -135,11 +142,11 @@ class MemoryPort(PseudoPort):
             self.ours.hear(b"")
 
     def stall(self, stalled: bool) -> None:
-        """Refuse bytes, or accept them again."""
+        """Refuse bytes from our end if `stalled`, or accept them again."""
         self.stalled = stalled
 
     def baud(self) -> int | None:
-        """Return the speed that our end has set [bits per second].
+        """Return the speed that our end has set [bits/s].
 
         It is 0 if our end is closed, and None for a network.
         """
@@ -148,11 +155,14 @@ class MemoryPort(PseudoPort):
         return self.ours.bits_a_second if self.ours else 0
 
     def take(self, data: bytes) -> None:
-        """Take what our end writes."""
+        """Queue bytes that our end has written."""
         self._taken.append(data)
 
     def read(self) -> bytes:
-        """Return the bytes that our end has written. On a network, return the next datagram."""
+        """Return all bytes that our end has written, or the next datagram of a network.
+
+        It returns b"" if there is nothing.
+        """
         if not self._taken:
             return b""
         if self._is_network:
@@ -162,19 +172,22 @@ class MemoryPort(PseudoPort):
         return data
 
     def write(self, data: bytes) -> None:
-        """Pass bytes to our end, if it is open."""
+        """Send bytes to our end. They are lost if it is closed."""
         if self.fd >= 0 and self.ours is not None:
             self.ours.hear(data)
 
 
 class MemorySerial(SerialPort):
-    """Our end of a serial port in memory, without a thread.
+    """Our end of a serial port in memory. It has no thread.
 
     Args:
         network: The network in memory.
         name: Name of the port.
         baud: Its speed [bits per second].
         rest: The further arguments of `SerialPort`.
+
+    Attributes:
+        bits_a_second: Speed of the port [bits/s].
     """
 
     def __init__(self, network: MemoryNetwork, name: str, baud: int, *rest: Any) -> None:
@@ -184,7 +197,7 @@ class MemorySerial(SerialPort):
         self.bits_a_second = baud
 
     def open(self, alone: bool = True) -> None:
-        """Open the port as SerialPort does."""
+        """Open the port; see `SerialPort.open`."""
         devices_end = self._network.ports.get(str(self._name))
         if devices_end is None:
             raise missing_port(self._name, self._device)
@@ -194,7 +207,14 @@ class MemorySerial(SerialPort):
         self._devices_end = devices_end
 
     def write(self, data: bytes) -> int:
-        """Send bytes as SerialPort does; return the time [ns]."""
+        """Send bytes to the device; see `SerialPort.write`.
+
+        Returns:
+            The time at which they were sent [ns].
+
+        Raises:
+            AbortError: If the port has failed, is closed or takes no bytes.
+        """
         if self.failure or self._devices_end is None:
             raise AbortError(self.failure or f"the port {self._name} is not open", self._hint)
         if self._devices_end.stalled:
@@ -203,17 +223,17 @@ class MemorySerial(SerialPort):
         return self._clock.now()
 
     def set_baud(self, baud: int) -> None:
-        """Change the speed [bits per second]."""
+        """Set the speed of the port [bits/s]."""
         self.bits_a_second = baud
 
     def close(self) -> None:
-        """Close the port; may be called twice."""
+        """Close the port. This method can be called repeatedly."""
         if self._devices_end is not None:
             self._devices_end.ours = None
         self._devices_end = None
 
     def hear(self, data: bytes) -> None:
-        """Receive bytes from the device; fail if there are none, since it was unplugged."""
+        """Pass on bytes from the device. Empty bytes mean that the device was unplugged."""
         if not data:
             self._fail("is gone: Input/output error")
         self._on_received(data, self._clock.now())

@@ -1,9 +1,10 @@
-"""Serial ports of emulated devices, and what such devices have in common.
+"""Serial ports of emulated devices, and base classes of the devices on them.
 
 A `PseudoPort` is a pseudo-terminal that programs open by a chosen name, such as /tmp/radio. A
-`SerialDevice` hears what they write to it once the bytes have passed the line, ten bits a byte, and
-its answers take as long; of a wrong baud rate it hears nothing. On a network, each datagram is
-whole or lost. `PluggedDevices` are plugged in and unplugged together.
+`SerialDevice` receives the bytes that programs write after the time that they need on the line, ten
+bits per byte, and its answers take as long. At a wrong baud rate, it receives nothing. On a
+network, each datagram is received whole or lost. `PluggedDevices` are plugged in and unplugged
+together.
 """
 
 import errno
@@ -30,12 +31,17 @@ _BAUDS = {vars(termios)[f"B{baud}"]: baud for baud in BAUDS}
 
 
 def uart_ns(size: int, baud: int) -> int:
-    """Return the time [ns] that `size` bytes take on a serial line, at ten bits per byte."""
+    """Compute the time [ns] that `size` bytes take on a serial line, at ten bits per byte."""
     return size * 10 * SECOND // baud
 
 
 class OneWay:
-    """One direction of a serial line at `baud` bits per second: bytes pass one after the other."""
+    """One direction of a serial line, on which bytes pass one after the other.
+
+    Args:
+        timeline: The emulation's timeline.
+        baud: Speed of the line [bits/s].
+    """
 
     def __init__(self, timeline: Timeline, baud: int) -> None:
         self._timeline = timeline
@@ -43,18 +49,22 @@ class OneWay:
         self._free_ns = 0  # when the bytes on their way have passed
 
     def send(self, size: int) -> int:
-        """Send `size` bytes; return the time at which they have passed [ns]."""
+        """Send `size` bytes, after those that are still on the line.
+
+        Returns:
+            The time at which the last byte has passed [ns].
+        """
         start_ns = max(self._timeline.now_ns, self._free_ns)
         self._free_ns = start_ns + uart_ns(size, self._baud)
         return self._free_ns
 
 
 class SerialLine:
-    """The line between a port and a device, with the faults `baud` and `bad_bytes`.
+    """The line between a port and a device. The faults `baud` and `bad_bytes` act on it.
 
     Args:
-        timeline: The timeline of the emulation.
-        baud: Bits per second in each direction.
+        timeline: The emulation's timeline.
+        baud: Speed in each direction [bits/s].
         acting: The faults that act now.
     """
 
@@ -67,12 +77,12 @@ class SerialLine:
 
     @property
     def speed(self) -> int:
-        """The baud rate that the device really has."""
+        """The baud rate of the device. A fault can change it."""
         wrong_baud = self._acting.newest("baud")
         return self.baud if wrong_baud is None else wrong_baud.baud
 
     def disturbed(self, data: bytes) -> bytes:
-        """Return bytes as the line passes them on."""
+        """Return the bytes as the line delivers them. A fault can change bytes at random."""
         noise = self._acting.largest_share("bad_bytes")
         if not noise:
             return data
@@ -81,9 +91,7 @@ class SerialLine:
 
 
 class SerialDevice(ABC):
-    """A device that receives and answers through a port, with the delays of its `line`.
-
-    `garbled` is the number of chunks sent at another baud rate than the device's.
+    """Base class of a device that receives bytes from a port and answers, with a line's delays.
 
     Args:
         timeline: The timeline of the emulation.
@@ -91,6 +99,14 @@ class SerialDevice(ABC):
         baud: Speed of the device [bits per second].
         note: Called with each command when it is read from the port. None if no record is kept.
         acting: The faults that act now. None for none.
+
+    Attributes:
+        port: The port.
+        note: Records an event, called as `note(event, **facts)`. Each command is recorded when it
+            is read from the port. None if there is no record.
+        acting: The faults that act now.
+        line: The line between the port and the device.
+        garbled: Number of chunks that were sent at another baud rate than the device's.
     """
 
     def __init__(
@@ -111,10 +127,10 @@ class SerialDevice(ABC):
 
     @abstractmethod
     def hear(self, data: bytes) -> None:
-        """Take bytes received over the line."""
+        """Process bytes that the device has received."""
 
     def _witness(self, data: bytes) -> None:
-        """Record bytes read from the port, even if the device does not receive them."""
+        """Record the commands in bytes read from the port, even if they do not reach the device."""
         self._note_commands(self._splitter.feed(data))
 
     def readable(self) -> None:
@@ -126,6 +142,7 @@ class SerialDevice(ABC):
             self._came(data)
 
     def _came(self, data: bytes) -> None:
+        """Record bytes from the port, and deliver them to the device unless they are lost."""
         if self.note is not None:
             self._witness(data)
         if self.port.baud() not in (self.line.speed, None):
@@ -137,18 +154,18 @@ class SerialDevice(ABC):
             self._timeline.at(heard_ns, lambda: None if self.is_down else self.hear(passed))
 
     def _passed(self, data: bytes) -> bytes:
-        """Return bytes as they are passed on: a network drops a datagram that was changed."""
+        """Return bytes as they are delivered. A network drops a datagram that was changed."""
         passed = self.line.disturbed(data)
         is_dropped = passed != data and is_network(self.port.name)
         return b"" if is_dropped else passed
 
     @property
     def is_down(self) -> bool:
-        """Whether it starts again, and takes and gives no bytes."""
+        """Whether the device is restarting, and neither receives nor sends bytes."""
         return bool(self.acting.of_kind("radio_resets"))
 
     def _note_commands(self, frames: Sequence[bytes]) -> None:
-        """Record the commands, or the garbage, in frames read from the port."""
+        """Record each frame from the port as a command, or as garbage if it cannot be decoded."""
         assert self.note is not None, "nothing is witnessed without a record"
         for sealed in frames:
             try:
@@ -158,13 +175,20 @@ class SerialDevice(ABC):
 
     @abstractmethod
     def _command(self, sealed: bytes) -> dict[str, Any]:
-        """Return the facts about a frame's command that are recorded.
+        """Decode a command for the record.
+
+        Args:
+            sealed: A frame that was read from the port.
+
+        Returns:
+            The facts of the command, by name.
 
         Raises:
-            WireError: If the frame has no command.
+            WireError: If the frame is not a command.
         """
 
     def _answer(self, data: bytes) -> None:
+        """Send bytes to the program, after the time that they need on the line."""
         come_ns = self.line.to_port.send(len(data))
         if not self.is_down and self.line.speed == self.line.baud:
             passed = self._passed(data)
@@ -173,9 +197,10 @@ class SerialDevice(ABC):
 
 
 class PluggedDevices:
-    """Devices on ports that are plugged in and unplugged together.
+    """Base class of devices on ports that are plugged in and unplugged together.
 
-    `what` describes them. `wired` are the parts that receive and answer, each on one port.
+    Attributes:
+        what: Description of the devices, for display.
     """
 
     what: ClassVar[str]
@@ -184,22 +209,36 @@ class PluggedDevices:
     @property
     @abstractmethod
     def wired(self) -> Sequence[SerialDevice]:
-        """The parts that receive and answer."""
+        """The parts that receive and answer, each on one port."""
 
     def open(self, loop: Loop) -> dict[str, Any]:
-        """Plug the devices in; return their description and the first port's name."""
+        """Plug the devices in.
+
+        Returns:
+            Two entries: "actuator" maps to a description for display, and "port" to the name of the
+            first port.
+        """
         self._loop = loop
         self.plugged(True)
         ports = [device.port.name for device in self.wired]
         return {"actuator": f"{self.what} at {', '.join(ports)}", "port": ports[0]}
 
     def close(self) -> dict[str, Any]:
-        """Unplug the devices; return how many chunks of bytes came at a wrong baud rate."""
+        """Unplug the devices.
+
+        Returns:
+            One entry: "garbled" maps to the number of chunks that were received at a wrong baud
+            rate.
+        """
         self.plugged(False)
         return {"garbled": sum(device.garbled for device in self.wired)}
 
     def plugged(self, on: bool) -> None:
-        """Plug the devices in, after `open`, or unplug them; they may be unplugged twice."""
+        """Plug the devices in, or unplug them.
+
+        Args:
+            on: Whether to plug them in, which is possible after `open`. Unplugging can be repeated.
+        """
         for device in self.wired:
             if on:
                 assert self._loop is not None, "open() sets the loop"
@@ -211,13 +250,13 @@ class PluggedDevices:
                 device.port.unplug()
 
     def stall(self, stalled: bool) -> None:
-        """Let all ports take no bytes, or take them again."""
+        """Stop all ports from taking bytes if `stalled`, or let them take bytes again."""
         for device in self.wired:
             device.port.stall(stalled)
 
 
 def _left_over(link: Path) -> bool:
-    """Check whether a link was left by an emulation that was killed.
+    """Check whether a link was left behind by an emulation that was killed.
 
     Its terminal is then gone, or is another one that was created later with the same number.
     """
@@ -230,10 +269,14 @@ def _left_over(link: Path) -> bool:
 
 
 class PseudoPort:
-    """A serial port that programs open by the name `link`, or `name` as text.
+    """A pseudo-terminal that programs open like a serial port.
 
-    A program can open it exclusively, like any port. A second program is then refused. `fd` is the
-    file descriptor of the emulation's end.
+    As with any serial port, a program can open it exclusively. A second program is then refused.
+
+    Attributes:
+        link: Path that is created for programs to open.
+        name: The path as text.
+        fd: File descriptor of the emulated device's end. -1 while the port is unplugged.
     """
 
     def __init__(self, link: Path | str) -> None:
@@ -244,10 +287,10 @@ class PseudoPort:
         self._far = -1
 
     def plug(self) -> None:
-        """Create the port and its name.
+        """Create the pseudo-terminal and the link to it.
 
         Raises:
-            UsageError: If the name cannot be created.
+            UsageError: If the link cannot be created.
         """
         self.fd, self._far = os.openpty()
         try:
@@ -259,7 +302,10 @@ class PseudoPort:
             raise
 
     def unplug(self) -> None:
-        """Remove port and name; a program that uses the port gets errors. May be called twice."""
+        """Remove the port and its link. This method can be called repeatedly.
+
+        A program that uses the port gets errors.
+        """
         if self.fd >= 0 and self.link.is_symlink() and str(self.link.readlink()) == self._target:
             self.link.unlink()
         self._close()
@@ -270,14 +316,14 @@ class PseudoPort:
             termios.tcflow(self._far, termios.TCOOFF if stalled else termios.TCOON)
 
     def baud(self) -> int | None:
-        """Return the speed that the program has set [bits per second].
+        """Return the speed that the program has set [bits/s].
 
-        It is 0 if it is unknown, and None if the port has none.
+        It is 0 if it is unknown. Ports without a speed return None.
         """
         return _BAUDS.get(termios.tcgetattr(self._far)[5], 0) if self.fd >= 0 else 0
 
     def read(self) -> bytes:
-        """Return the bytes that the program has written to the port, b"" if none."""
+        """Return the bytes that the program has written to the port. b"" if there are none."""
         try:
             return os.read(self.fd, 4096) if self.fd >= 0 else b""
         except BlockingIOError:
@@ -288,12 +334,13 @@ class PseudoPort:
             raise
 
     def write(self, data: bytes) -> None:
-        """Pass bytes to the program; bytes that it does not read are lost, as on a wire."""
+        """Send bytes to the program. Bytes that it does not read are lost, as on a wire."""
         if self.fd >= 0:
             with suppress(BlockingIOError):
                 os.write(self.fd, data)
 
     def _make_link(self, target: str) -> None:
+        """Create the link to the terminal, and replace a link that a killed emulation has left."""
         if _left_over(self.link):
             self.link.unlink()
         try:
@@ -310,6 +357,7 @@ class PseudoPort:
         self._target = target
 
     def _close(self) -> None:
+        """Close both ends of the pseudo-terminal."""
         for fd in (self.fd, self._far):
             if fd >= 0:
                 os.close(fd)

@@ -1,6 +1,6 @@
-"""The base of emulated cameras of another make: they send the poses of all robots in one frame.
+"""Base class for emulating other cameras that send the poses of all robots in one frame.
 
-A side of your own derives from `PoseStream` and packs a frame.
+To emulate your own camera, derive from `PoseStream` and implement `packed`.
 """
 
 import random
@@ -53,13 +53,13 @@ class PoseSettings(Model):
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """A frame as the emulated camera sends it.
+    """A frame of the emulated camera before it is packed.
 
     Attributes:
-        number: Its number.
+        number: Number of the frame.
         exposed_ns: When it was exposed [ns].
-        bodies: The bodies. Positions are in metres, z is up, and the origin is the spec's. The id
-            of a body is its robot's index in the setup.
+        bodies: The rigid bodies. Positions are in metres, z is up, and the origin is the spec's.
+            The id of a body is its robot's index in the setup.
     """
 
     number: int
@@ -68,19 +68,20 @@ class Shot:
 
     @property
     def poses(self) -> dict[int, Pose | None]:
-        """The pose x, y [m], heading [rad] of each robot, by index. None if it is not tracked."""
+        """The pose x, y [m], heading [rad] of each robot, by its index. None if it is untracked."""
         return {body.id: planar_pose(body, UpAxis.Z) for body in self.bodies}
 
 
 class PoseStream(PoseCamera):
-    """Sends `packed` frames to the program that has opened the section's `address`.
+    """An emulated camera that sends packed frames to the program at the section's `address`.
 
-    It starts when the program has written something, or at once if the program only listens.
+    It starts to send when the program has written something, or at once if the program only
+    listens.
 
     Args:
-        stage: The data and functions that the lab's emulated devices share.
-        settings: The settings of the camera.
-        bodies: The bodies that the camera sees.
+        stage: What the emulated devices share.
+        settings: Properties of the camera that differ from the spec.
+        bodies: The robots.
     """
 
     Settings: ClassVar[type[Model]] = PoseSettings
@@ -93,7 +94,7 @@ class PoseStream(PoseCamera):
     def world_of_day(cls, chance: random.Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
         """Sample the camera of a randomised test run; see `tetractl_emulator.sides`.
 
-        It is sampled as in `noise_of_day`, and is later by the section's latency.
+        The values are those of `noise_of_day`, with the section's latency added.
         """
         section = lab.camera
         assert isinstance(section, Addressed), NEEDS
@@ -121,15 +122,19 @@ class PoseStream(PoseCamera):
 
     @cached_property
     def port(self) -> PseudoPort:
-        """The port at the section's address, which `open` makes unless a subclass replaces it."""
+        """The port at the section's address. `open` plugs it in. A subclass can replace it."""
         return self._stage.wires.port(self.section.address)
 
     @abstractmethod
     def packed(self, shot: Shot) -> bytes:
-        """Return a frame as the camera sends it."""
+        """Pack a frame into the bytes that the camera sends."""
 
     def open(self, loop: Loop) -> Facts:
-        """Listen at the port, and expose the first frame."""
+        """Plug the port in, and expose the first frame.
+
+        Returns:
+            One entry: "camera" maps to the name of the port.
+        """
         self.port.plug()
         self._loop = loop
         loop.watch(self.port.fd, self._asked)
@@ -137,19 +142,26 @@ class PoseStream(PoseCamera):
         return {"camera": self.port.name}
 
     def close(self) -> Facts:
-        """Release the port; return the number of frames sent."""
+        """Unplug the port.
+
+        Returns:
+            One entry: "frames" maps to the number of frames sent.
+        """
         if self._loop is not None:
             self._loop.forget(self.port.fd)
         self.port.unplug()
         return {"frames": self.frames}
 
     def _asked(self) -> None:
+        """Report a client when a program has written to the port."""
         if self.port.read():
             self._stage.client(self.port.name)
 
     def _shot(self, number: int, exposed_ns: int, bodies: tuple[RigidBody, ...]) -> Shot:
+        """Create the frame of an exposure."""
         return Shot(number, exposed_ns, bodies)
 
     def _stream(self, frame: Shot, now_ns: int) -> None:
+        """Pack a frame and send it."""
         self.port.write(self.packed(frame))
         self.frames += 1

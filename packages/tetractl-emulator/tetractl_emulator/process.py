@@ -1,7 +1,8 @@
 """Faults of the process that drives the robots: signals, a full disk, a busy host, a second run.
 
-In virtual time they act inside this process, at their tick, and its clock and its plant ask which
-do; in real time on the process that has locked the actuator's port, as far as another process can.
+In virtual time, the faults act inside this process: its clock and its plant query them. In real
+time, they act on the process that has locked the actuator's port, as far as one process can act on
+another.
 """
 
 import os
@@ -37,14 +38,14 @@ SIGNALS = Literal["INT", "TERM", "HUP", "QUIT", "KILL"]
 
 
 class Process:
-    """The process that drives the robots of an emulated lab.
+    """The process that drives the robots of an emulated lab, as a target of faults.
 
-    It has locked the port of the actuator. If no process has, nothing is done.
+    It is the process that has locked the actuator's port. If there is none, the methods do nothing.
 
     Args:
-        lab: The section of the lab in the spec.
+        lab: The emulated lab.
         clock: The clock for times.
-        ports: Opens the port of the actuator.
+        ports: Creates a port, to try to open the actuator's port a second time.
     """
 
     def __init__(self, lab: Any, clock: Clock, ports: Ports = SerialPort) -> None:
@@ -53,31 +54,39 @@ class Process:
         self._ports = ports
 
     def signal(self, name: str) -> None:
-        """Send the process a signal. Its name has no prefix SIG."""
+        """Send the process a signal. The name is without "SIG"."""
         self._act(lambda pid: os.kill(pid, signal.Signals[f"SIG{name}"]))
 
     def stop(self, on: bool) -> None:
-        """Suspend the process as SIGSTOP and a computer's sleep do, or let it continue."""
+        """Suspend the process, as SIGSTOP or the computer's sleep would, or let it continue.
+
+        Args:
+            on: Whether to suspend it.
+        """
         self._act(lambda pid: os.kill(pid, signal.SIGSTOP if on else signal.SIGCONT))
 
     def fill_disk(self) -> None:
-        """Make every write of the process to a file fail completely.
+        """Make all further writes of the process to files fail.
 
-        No write is cut short, because Python 3.11 keeps partly written bytecode of a module, and
-        the next process may fail on it.
+        Writes fail completely instead of being cut short, because Python 3.11 keeps partly written
+        bytecode of a module, and the next process may fail on it.
         """
         self._act(lambda pid: resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, 0)))
 
     def press_stop(self) -> None:
-        """Do nothing: another process cannot press the key of the emergency stop."""
+        """Do nothing: the emergency-stop key of another process cannot be pressed."""
 
     def _act(self, act: Callable[[int], object]) -> None:
+        """Call a function with the id of the process that has locked the port, if there is one."""
         with suppress(OSError):
             if pid := holder(self._lab.port):
                 act(pid)
 
     def run_again(self) -> None:
-        """Let a second run open the port; record the answer, "" if the port opens."""
+        """Try to open the actuator's port like a second run, and record the error message.
+
+        The message is "" if the port could be opened.
+        """
         again = (self._lab.port, 57600, "the second run", self._clock, lambda *_: None, "")
         second = self._ports(*again)
         says = ""
@@ -91,14 +100,14 @@ class Process:
 
 
 class ThisProcess(Process):
-    """This process, in virtual time, as the process that drives the robots.
+    """This process as a target of faults, in virtual time.
 
     Args:
-        lab: The section of the lab in the spec.
-        ports: Opens the port of the actuator.
+        lab: The emulated lab.
+        ports: Creates a port, to try to open the actuator's port a second time.
         clock: The virtual clock.
-        supervision: How people supervise the trial.
-        outlive: Lets the emulated lab continue alone, and closes it.
+        supervision: The supervision of the trial, through which signals and the key are simulated.
+        outlive: Lets the emulated lab continue for a moment without the program, and closes it.
     """
 
     def __init__(
@@ -114,7 +123,10 @@ class ThisProcess(Process):
         self._outlive = outlive
 
     def signal(self, name: str) -> None:
-        """Take a signal as its handler does; after SIGKILL only the emulation goes on."""
+        """Handle a signal as the trial's signal handler would.
+
+        For KILL, the emulation continues for a moment, and then this process kills itself.
+        """
         if name != "KILL":
             self._supervision.signalled()
             return
@@ -122,14 +134,14 @@ class ThisProcess(Process):
         os.kill(os.getpid(), signal.SIGKILL)
 
     def stop(self, on: bool) -> None:
-        """Do nothing: the clock stands still while the fault acts."""
+        """Do nothing: the clock stops this process while the fault acts."""
 
     def fill_disk(self) -> None:
-        """Let the log's next write fail."""
+        """Make the next write of the log fail with "no space left"."""
         self._supervision.fail_log(OSError(ENOSPC, os.strerror(ENOSPC)))
 
     def press_stop(self) -> None:
-        """Set the event of the key."""
+        """Trigger the emergency stop, as the operator's key would."""
         self._supervision.emergency.set()
 
 

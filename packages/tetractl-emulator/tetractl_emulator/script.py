@@ -1,7 +1,7 @@
-"""Scripts, which say what is wrong with an emulated lab: how it differs from the spec, and faults.
+"""Scripts of an emulated lab: how the lab differs from the spec, and which faults occur.
 
-A script is YAML. Which settings and faults it may name depends on the lab's camera and actuator: a
-`Sides` holds the two classes that emulate them.
+A script is YAML. The settings and faults that it can contain depend on the types of the lab's
+camera and actuator. `Sides` holds the two classes that emulate them.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from tetractl_emulator.registries import EMULATED_ACTUATORS, EMULATED_CAMERAS
 
 
 def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
-    """Return the fault that a mapping describes; the mapping's key `fault` names the kind."""
+    """Parse a fault. The mapping's key `fault` names its kind."""
     if isinstance(value, Fault):
         return value
     kinds = _sides(info).faults
@@ -35,7 +35,7 @@ def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
 
 
 def _settings(value: Any, info: ValidationInfo) -> Model:
-    """Return the settings of the device that the field is named after: camera or actuator."""
+    """Parse the settings of an emulated device. The field is named "camera" or "actuator"."""
     sides = _sides(info)
     side = sides.camera if info.field_name == "camera" else sides.actuator
     return side.Settings.model_validate(value, strict=True)
@@ -92,11 +92,15 @@ class Sides:
 
     @classmethod
     def of_types(cls, camera: str, actuator: str) -> Self:
-        """Return the emulated devices for a lab's types.
+        """Load the classes that emulate a lab's devices.
+
+        Args:
+            camera: Type of the lab's camera.
+            actuator: Type of the lab's actuator.
 
         Raises:
-            SpecError: If one cannot be emulated.
-            AbortError: If the software that it needs is missing.
+            SpecError: If a device of this type cannot be emulated.
+            AbortError: If software that the emulation needs is not installed.
         """
         for registry, name in ((EMULATED_CAMERAS, camera), (EMULATED_ACTUATORS, actuator)):
             if name not in registry:
@@ -116,21 +120,21 @@ class Sides:
 
     @property
     def faults(self) -> dict[str, type[Fault]]:
-        """Every kind of fault that the lab can have, keyed by its name."""
+        """Every kind of fault that the lab can have, by its name."""
         kinds = (*self.camera.faults, *self.actuator.faults, *PROCESS_FAULTS, MARK)
         return {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in kinds}
 
 
 def load_script(path: Path, camera: str = "optitrack", actuator: str = "m3pi-xbee") -> Script:
-    """Read a script of faults for a lab.
+    """Read a script for a lab from a file.
 
     Args:
-        path: The script.
+        path: The file.
         camera: Type of the lab's camera.
         actuator: Type of the lab's actuator.
 
     Raises:
-        InvalidSpecError: With a line for each problem.
+        InvalidSpecError: If the script is invalid. The error contains a line for each problem.
     """
     return parse_script(read_text(path), str(path), camera, actuator)
 
@@ -138,16 +142,16 @@ def load_script(path: Path, camera: str = "optitrack", actuator: str = "m3pi-xbe
 def parse_script(
     text: str, origin: str, camera: str = "optitrack", actuator: str = "m3pi-xbee"
 ) -> Script:
-    """Parse the text of a script of faults for a lab.
+    """Parse the text of a script for a lab.
 
     Args:
-        text: The script.
-        origin: Its name in error messages.
+        text: The text of the script.
+        origin: Name of the script in error messages.
         camera: Type of the lab's camera.
         actuator: Type of the lab's actuator.
 
     Raises:
-        InvalidSpecError: With a line for each problem.
+        InvalidSpecError: If the script is invalid. The error contains a line for each problem.
     """
     document = parse_document(text, origin)
     sides = Sides.of_types(camera, actuator)
@@ -164,11 +168,13 @@ def parse_script(
 
 
 def _sides(info: ValidationInfo) -> Sides:
+    """Return the emulated devices that `parse_script` has passed as context."""
     assert info.context is not None, "parse_script passes the sides"
     return info.context["sides"]
 
 
 def _problem(details: ErrorDetails, document: Document, sides: Sides) -> SpecProblem:
+    """Convert a validation error to a problem with a line and a message."""
     loc = tuple(details["loc"])
     for name, side in (("camera", sides.camera), ("actuator", sides.actuator)):
         if details["type"] == "extra_forbidden" and loc[:-1] == ("emulation", name):

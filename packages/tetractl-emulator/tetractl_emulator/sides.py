@@ -1,12 +1,15 @@
-"""What an emulated camera and an emulated actuator must be able to do.
+"""The interfaces of emulated cameras and actuators.
 
-The actuator moves bodies as a program asks, and the camera shows them to it. The class that
-emulates one of the two is called a *side* of the lab.
+The emulated actuator moves robots as a program commands, and the emulated camera shows the robots
+to the program. The class that emulates one of the two devices is called a *side* of the lab.
 
-To emulate another camera or actuator, implement the interface and name the class in the entry
-points `tetractl.emulated_cameras` or `tetractl.emulated_actuators`; those of this package are named
-in `tetractl_emulator.registries`. A side takes part in rehearsals by the `rows` of its faults; it
-may have a class method `world_of_day(random, lab, setup)`, which draws its section of `emulation`.
+To emulate another camera or actuator, implement the interface, and name the class in the entry
+points `tetractl.emulated_cameras` or `tetractl.emulated_actuators`. The classes of this package are
+named in `tetractl_emulator.registries`.
+
+A side takes part in randomised test runs (`tetractl lab rehearse`) with the `rows` of its faults.
+It can have a class method `world_of_day(random, lab, setup)`, which samples its part of a script's
+section `emulation`: a mapping of field names to values.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -26,20 +29,21 @@ Facts = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Options of the emulation.
+    """Options of an emulated lab.
 
     Attributes:
-        address: Address at which devices listen. None for the spec's.
-        command_port: UDP port for commands. 0 for any free port, None for the spec's.
-        data_port: UDP port for frames. 0 for any free port, None for the spec's.
-        link: Name of the serial port. None for the spec's.
-        record: File for the true events. None for no file.
-        replace_after: Robots that have stood still for this time after a run [s] are switched off,
-            put back on their starts and switched on. None leaves them where they are.
-        seed: Determines everything random.
-        chosen: Whether trials choose their cells. The emulation's settings then give the cells in
-            the dish.
-        dish: Seed of these cells. None for `seed`.
+        address: Address at which the camera serves. None for the spec's address.
+        command_port: UDP port for commands to the camera. 0 for any free port, None for the spec's.
+        data_port: UDP port for the camera's frames. 0 for any free port, None for the spec's.
+        link: Path to create for the actuator's serial port. None for the spec's.
+        record: File for the true events, as JSON lines. None for no file.
+        replace_after: After robots have stood still for this time after a run [s], they are
+            switched off, put back on their starts and switched on. None to leave them where they
+            are.
+        seed: Seed of the emulation's random numbers.
+        chosen: Whether trials choose their robots among the cells in the dish. The emulation's
+            settings then determine these cells.
+        dish: Seed of the cells in the dish. None for `seed`.
     """
 
     address: str | None = "127.0.0.1"
@@ -55,19 +59,20 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """The data and functions that the lab's emulated devices share.
+    """The data and functions that the two emulated devices of a lab share.
 
     Attributes:
-        lab: The section of the lab in the spec.
+        lab: The lab's section of the spec.
         setup: The constants of the experiment.
-        timeline: The timeline of the emulation.
+        timeline: The emulation's timeline.
         options: Options of the emulation.
-        note: Adds an event with its facts to the record. None if no record is kept.
-        exposed: A camera calls it at each exposure, with the numbers of exposure and frame.
-        sent: A camera calls it with the number of an exposure when its frame is sent, or would be
-            sent without a fault.
+        note: Adds an event to the record, called as `note(event, **facts)`. None if there is no
+            record.
+        exposed: A camera calls it at each exposure, with the numbers of the exposure and the frame.
+        sent: A camera calls it with an exposure's number when the frame is sent, or would be sent
+            without a fault.
         client: A camera calls it with the address of each new client.
-        wires: Opens the ends of connections.
+        wires: Creates the connections.
         acting: The faults that act now.
     """
 
@@ -89,7 +94,7 @@ class Stage:
 
 
 class Body(Protocol):
-    """The true state of a robot: x, y [mm] and heading [rad] in the spec's axes."""
+    """The true pose of a robot: x, y [mm] and heading [rad] in the spec's axes."""
 
     name: str
     x: float
@@ -98,11 +103,11 @@ class Body(Protocol):
 
     @property
     def standing(self) -> bool:
-        """Whether the robot is at rest, or moves more slowly than a camera could detect."""
+        """Whether the robot stands still, or moves more slowly than a camera could detect."""
         ...
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the robot at a pose, standing still.
+        """Put the robot at a pose, at standstill.
 
         Args:
             x: x [mm].
@@ -115,43 +120,59 @@ class Body(Protocol):
 class EmulatedSide(Protocol):
     """One device of an emulated lab.
 
-    `Settings` is the model of the device's section in a script's `emulation`; `faults` are the
-    faults that the device can have.
+    Attributes:
+        Settings: Model of the device's settings in a script's section `emulation`.
+        faults: The kinds of faults that the device can have.
     """
 
     Settings: ClassVar[type[Model]]
     faults: ClassVar[Sequence[type[Fault]]]
 
     def open(self, loop: Loop) -> Facts:
-        """Open ports and names; return facts for the clients, such as the device's address."""
+        """Open the device's ports.
+
+        Args:
+            loop: The event loop, which can watch the ports.
+
+        Returns:
+            Facts for clients, such as the device's address, by name.
+        """
         ...
 
     def close(self) -> Facts:
-        """Release ports and names; return counts to be recorded. May be called twice."""
+        """Release the device's ports. Can be called repeatedly.
+
+        Returns:
+            Counts for the record, by name.
+        """
         ...
 
 
 class EmulatedCamera(EmulatedSide, Protocol):
-    """Shows `bodies`, in order, to its clients; constructed with (stage, settings, bodies).
+    """An emulated camera. Its class is called with (stage, settings, bodies).
 
-    `shown_ns` is when each robot was exposed in the newest frame sent in which it is tracked [ns];
-    empty if that is not known.
+    Attributes:
+        shown_ns: For each robot, the exposure time of the newest frame sent in which it is tracked
+            [ns]. Empty if this is not known.
     """
 
     shown_ns: Sequence[int]
 
     @property
     def join(self) -> Any:
-        """What our camera is given to reach this one over wires in memory."""
+        """What tetractl's camera needs to connect to this camera in memory.
+
+        It is passed to tetractl's camera as the last argument.
+        """
         ...
 
 
 class EmulatedActuator(EmulatedSide, Protocol):
-    """An emulated actuator, which moves its `bodies`. It is constructed with (stage, settings)."""
+    """An emulated actuator. Its class is called with (stage, settings)."""
 
     @property
     def bodies(self) -> Sequence[Body]:
-        """The robots at their true poses."""
+        """The robots at their true poses, in the order of the setup."""
         ...
 
     @property
@@ -161,20 +182,21 @@ class EmulatedActuator(EmulatedSide, Protocol):
 
     @property
     def truth(self) -> Mapping[str, Any]:
-        """Facts of the present true state, to be recorded at each exposure."""
+        """Facts of the present true state, by name. They are recorded at each exposure."""
         ...
 
     def switch(self, on: bool) -> None:
-        """Switch the robots off, for example to carry them, or on.
+        """Switch all robots off or on.
 
-        Switching them on restarts their programs.
+        They are switched off, for example, while they are carried. Switching them on restarts their
+        programs.
         """
         ...
 
     def advance(self, until_ns: int) -> None:
-        """Advance the robots to `until_ns`."""
+        """Advance the robots to the time `until_ns` [ns]."""
         ...
 
     def tick(self) -> None:
-        """Do periodic work, such as sending answers; called every few milliseconds."""
+        """Do periodic work, such as sending answers. Called every few milliseconds."""
         ...

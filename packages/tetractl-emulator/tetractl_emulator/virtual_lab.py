@@ -1,12 +1,13 @@
-"""Runs an emulated lab and the program that drives it in one process, in turn, on one clock.
+"""Runs an emulated lab and the program that drives it in one process, on a shared virtual clock.
 
     clock = LabClock()
     emulation = started(lab, setup, clock, options)    its devices are plugged in
-    ports = emulation.wires.ports                      what our camera and actuator are built with
-    clock.sleep_until(SECOND)                          a second passes, for the lab and for us
+    ports = emulation.wires.ports                      for creating our camera and actuator
+    clock.sleep_until(SECOND)                          a second passes, for both
 
-Time passes only while somebody sleeps on the clock, so that a busy computer changes nothing; a
-`LiveClock` does the same in real time. *Our side* is the program: guard, inner loop, devices.
+Time passes only while the program sleeps on the clock, so a busy computer does not change the
+result. A `LiveClock` does the same in real time. In this module, *our side* is the program: its
+guard, inner loop and devices.
 """
 
 import threading
@@ -28,16 +29,24 @@ from tetractl_emulator.wires import Wires
 
 
 class LabClock(VirtualClock):
-    """Virtual time in steps of `step_ns`, in which an emulated lab and our side run in turn.
+    """A virtual clock on which an emulated lab and our side run in turn.
 
-    A step calls, in this order,
+    Each step of `step_ns` calls, in this order:
 
-    1. the emulation that `carry` has named: its events up to now, and `read_wires`, by which it
+    1. the emulation that `carry` has set: its events up to now, and `read_wires`, with which it
        reads what our side has sent,
-    2. of our side `receivers`, which read sockets, and `steps`, such as the inner loop's,
-    3. `watchers`, which only look, and are also called after each action of our side.
+    2. on our side, the functions `receivers`, which read sockets, and `steps`, such as those of the
+       inner loop,
+    3. the functions `watchers`, which only observe. They are also called after each action of our
+       side.
 
-    While our process stands still by a fault, only the emulation's events go on.
+    While a fault suspends our process, only the emulation continues.
+
+    Attributes:
+        acting: The faults of the emulation that act now.
+        receivers: Functions of our side that read sockets.
+        steps: Functions of our side that act.
+        watchers: Functions that observe.
     """
 
     def __init__(self, step_ns: int = MILLISECOND) -> None:
@@ -57,11 +66,11 @@ class LabClock(VirtualClock):
         read_wires: Callable[[], None] | None = None,
         acting: ActingFaults | None = None,
     ) -> None:
-        """Move an emulation from another clock to this one.
+        """Set the emulation that runs on this clock, in place of an earlier one.
 
         Args:
             timeline: The events of the emulation.
-            read_wires: Lets both ends of the wires read. None if there is nothing to read.
+            read_wires: Lets both ends of the connections read. None if there are no connections.
             acting: The faults that act now. None if there are none.
         """
         self._timeline = timeline
@@ -69,26 +78,27 @@ class LabClock(VirtualClock):
         self.acting = acting or ActingFaults()
 
     def now(self) -> int:
-        """Return the time on the host's clock [ns], which a fault may have set forward."""
+        """Return the time on the host's clock [ns]. A fault may have set this clock forward."""
         return self._now + round(self.acting.total_by("host_clock") * SECOND)
 
     @property
     def stopped(self) -> bool:
-        """Whether the process stands still."""
+        """Whether a fault suspends our process now."""
         return bool(self.acting.of_kind("stopped"))
 
     @property
     def true_ns(self) -> int:
-        """The true time [ns], which no fault of the host sets."""
+        """The true time [ns], which no fault changes."""
         return self._now
 
     def sleep_until(self, when: int) -> None:
-        """Let time pass until `when` [ns] on the host's clock, and while the process is stopped."""
+        """Let time pass until `when` [ns] on the host's clock, or until our process is resumed."""
         while self.stopped or self.now() < when:
             passed = self._step_ns if self.stopped else min(self._step_ns, when - self.now())
             self._step_to(self._now + passed)
 
     def _step_to(self, true_ns: int) -> None:
+        """Advance to a true time [ns], and call the functions of one step."""
         self._now = true_ns
         if self._timeline is not None:
             self._timeline.run_to(true_ns)
@@ -100,36 +110,32 @@ class LabClock(VirtualClock):
         self.watch()
 
     def watch(self) -> None:
-        """Let the watchers look: what an action has changed may end within the same step."""
+        """Call the watchers now, because effects of an action may end within the same step."""
         for look in self.watchers:
             look()
 
 
 def _read_nothing() -> None:
-    """Read no wires: no emulation has any."""
+    """Do nothing, for an emulation without connections."""
 
 
 class LiveClock(LabClock):
-    """A `LabClock` in this computer's time.
-
-    A thread makes a step each millisecond, from `start` until the function that it returns is
-    called.
-    """
+    """A `LabClock` in real time: a thread makes a step every millisecond."""
 
     def __init__(self) -> None:
         super().__init__()
         self._host = MonotonicClock()
 
     def now(self) -> int:
-        """Return the time on the host's clock [ns]."""
+        """Return the time on the host's monotonic clock [ns]."""
         return self._host.now()
 
     def sleep_until(self, when: int) -> None:
-        """Wait until `when` [ns]."""
+        """Wait until the time `when` [ns]."""
         self._host.sleep_until(when)
 
     def start(self) -> Callable[[], None]:
-        """Begin to make steps; return what ends it."""
+        """Start the thread that makes the steps, and return a function that stops it."""
         ended = threading.Event()
 
         def run() -> None:
@@ -147,15 +153,18 @@ class LiveClock(LabClock):
 
 
 class VirtualLoop(Loop):
-    """The emulation's loop on a LabClock, which runs the timeline and calls `poll` in each step."""
+    """The emulation's event loop on a `LabClock`.
+
+    The clock runs the timeline and calls `poll` in each step.
+    """
 
     now = staticmethod(lambda: 0)
 
     def catch_up(self) -> None:
-        """Do nothing, since the clock runs the timeline."""
+        """Do nothing, because the clock runs the timeline."""
 
     def poll(self) -> None:
-        """Read what has come on the emulation's wires."""
+        """Read the data that has arrived on the emulation's connections."""
         for act in tuple(self._readers.values()):
             act()
 
@@ -169,19 +178,20 @@ def started(
     supervision: LabSupervision | None = None,
     blind: EmulatedCamera | None = None,
 ) -> EmulatedLab:
-    """Create an emulated lab that runs on a clock.
+    """Create an emulated lab, open it, and run it on a clock.
 
-    It has the faults of this process and of the trial under `supervision`. Only a record has to be
-    released.
+    The connections are in memory. Only a record has to be closed in the end.
 
     Args:
-        lab: The section of the lab.
+        lab: The lab's section of the spec.
         setup: The constants of the experiment.
         clock: The clock.
         options: Options of the emulation.
-        script: The script of faults.
-        supervision: How people supervise the trial. None if nobody does.
-        blind: The camera of a lab whose own camera is real. None otherwise.
+        script: How the lab differs from the spec, and its faults.
+        supervision: The supervision of the trial, on which faults such as signals act. None if
+            there is no trial.
+        blind: The camera to use instead of an emulated one, if the real camera is used. None
+            otherwise.
     """
     network = MemoryNetwork()
 
@@ -207,21 +217,24 @@ def started(
 
 
 def outlive(emulation: EmulatedLab) -> None:
-    """Let an emulated lab go on for a moment after our side has ended, and close it."""
+    """Let an emulated lab continue for a moment after our side has ended, then close it."""
     _loop_of(emulation).poll()
     emulation.timeline.run_to(emulation.timeline.now_ns + AFTER_NS)
     emulation.close()
 
 
 def _loop_of(emulation: EmulatedLab) -> VirtualLoop:
+    """Return the emulation's loop as a `VirtualLoop`."""
     assert isinstance(emulation.loop, VirtualLoop), "`started` has made it"
     return emulation.loop
 
 
 def memory_wires(network: MemoryNetwork, clock: LabClock) -> Wires:
-    """Return the wires of a network in memory.
+    """Create the functions that make connections of a network in memory.
 
-    Sockets of our side are read in each step of a clock.
+    Args:
+        network: The network.
+        clock: The clock whose steps let our sockets read.
     """
 
     def make_socket(read: Callable[[], None]) -> MemorySocket:

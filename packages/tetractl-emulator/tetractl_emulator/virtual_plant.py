@@ -1,8 +1,8 @@
 """The plant `emulated`: an emulated lab and our side of it, in one process and in virtual time.
 
-Guard, inner loop, camera, actuator, frames, firmware and pictures are those of a run in the lab;
-only the wires and the clock differ, so the speed of the computer changes nothing. As in a
-simulation, planning takes no virtual time, unless a fault of its script says so.
+The guard, inner loop, camera, actuator, frames, firmware and images are the same as in a run in the
+lab. Only the connections and the clock differ, so the speed of the computer does not change the
+result. As in a simulation, planning takes no virtual time unless a fault of the script adds it.
 """
 
 import threading
@@ -44,32 +44,43 @@ class EmulatedPlantSection(RigSection):
 
     @property
     def real_time(self) -> bool:
-        """Whether a device is real; otherwise trials take virtual time and need no operator."""
+        """Whether a device is real. If not, trials run in virtual time and need no operator."""
         return self.real is not None
 
     def bounds(self) -> dict[str, str]:
-        """Return the lab's limits and the real device, if there is one, for display."""
+        """Describe the lab's limits for display, and which device is real, if there is one."""
         return super().bounds() | self.halves()
 
     def halves(self) -> dict[str, str]:
-        """Return the names of the real and the emulated devices. Empty if all are emulated."""
+        """Describe which device is real and which is emulated.
+
+        Returns:
+            The keys REAL_DEVICE and EMULATED_DEVICES, or an empty mapping if both are emulated.
+        """
         if self.real is None:
             return {}
         return {REAL_DEVICE: self.real, EMULATED_DEVICES: ", ".join(self.emulated_devices)}
 
     @property
     def emulated_devices(self) -> tuple[str, ...]:
-        """The names of the devices that are not real."""
+        """The names of the emulated devices: "camera", "actuator" or both."""
         return tuple(name for name in ("camera", "actuator") if name != self.real)
 
     def clock(self) -> Clock:
-        """Return a clock in virtual time, or in real time if a device is real."""
+        """Create a clock in virtual time, or in real time if a device is real."""
         from tetractl_emulator.virtual_lab import LabClock, LiveClock
 
         return LiveClock() if self.real else LabClock()
 
     def with_files(self, folder: Path | None) -> Self:
-        """Return the section with the script in place of its file's name."""
+        """Return a copy with the content of the script in place of its file's name.
+
+        Args:
+            folder: Folder of the spec. None for the current folder.
+
+        Raises:
+            InvalidSpecError: If the script is invalid.
+        """
         from tetractl.spec.yaml.document import read_document
         from tetractl.spec.yaml.spec_files import file_of_spec
         from tetractl_emulator.script import load_script
@@ -81,7 +92,12 @@ class EmulatedPlantSection(RigSection):
         return self.model_copy(update={"faults": read_document(path).data})
 
     def require_devices(self) -> None:
-        """Raise SpecError if a device cannot be emulated, AbortError if software is missing."""
+        """Check that the devices can be emulated, or opened if they are real.
+
+        Raises:
+            SpecError: If a device cannot be emulated.
+            AbortError: If software is missing.
+        """
         from tetractl_emulator.script import Sides
 
         Sides.of_types(self.camera.type, self.actuator.type)
@@ -89,7 +105,11 @@ class EmulatedPlantSection(RigSection):
             self.actuator.require_port()
 
     def require_calibratable(self) -> None:
-        """Raise UsageError if the actuator is real: the camera shows emulated robots."""
+        """Check that robots can be calibrated on this plant.
+
+        Raises:
+            UsageError: If the actuator is real, because the camera shows emulated robots.
+        """
         if self.real == "actuator":
             raise UsageError(
                 "plant.real=actuator: the camera shows emulated robots, so the real ones cannot be "
@@ -107,8 +127,19 @@ class EmulatedPlantSection(RigSection):
     ) -> Rig:
         """Create the connected lab of a new emulation; see `RigSection.rig`.
 
-        Trials with the same root seed have the same cells in the dish. The trial's `seed`
-        determines everything else.
+        Trials with the same root seed have the same cells in the dish. Everything else depends on
+        the trial's `seed`.
+
+        Args:
+            setup: The constants of the experiment.
+            clock: The clock that this section's method `clock` has created.
+            seed: Seed of the trial.
+            supervision: The supervision of the trial. None if nobody supervises it.
+            chosen: Whether the trial chooses its robots among the cells in the dish.
+
+        Raises:
+            AbortError: If `real` is set and the lab's devices cannot be real and emulated one by
+                one.
         """
         from tetractl.spec.yaml.core_yaml import dump
         from tetractl_emulator.half_real import Blind, MovedCamera, TwinActuator
@@ -173,20 +204,20 @@ class EmulatedPlantSection(RigSection):
         return rig
 
     def plant(self, rig: Rig, supervision: LabSupervision) -> LabPlant:
-        """Return the plant of a rig, on whose clock planning may take time."""
+        """Create the plant of a connected lab. Faults can make its planning take virtual time."""
         return BusyPlant(rig, supervision, self.type, self.halves())
 
 
 class BusyPlant(LabPlant):
-    """A `LabPlant` in virtual time, on a computer that is busy.
+    """A `LabPlant` in virtual time, in which a fault can make the computer slow.
 
-    Between a frame and the action that is planned from it, some time passes.
+    If the fault `busy` acts, time passes between a frame and the action that is planned from it.
 
     Args:
         rig: The connected lab.
-        supervision: How people supervise the trial.
-        kind: The type of the plant's section.
-        halves: Names of the real and the emulated devices, for the log.
+        supervision: The supervision of the trial.
+        kind: Type of the plant, for the log.
+        halves: Which device is real and which is emulated, for the log.
     """
 
     def __init__(
@@ -197,12 +228,12 @@ class BusyPlant(LabPlant):
         self._plans = 0
 
     def open(self) -> PlantInfo:
-        """Open the lab; return its facts, with what is real."""
+        """Open the lab, and return its facts together with `halves`."""
         info = super().open()
         return replace(info, facts={**info.facts, **self._halves})
 
     def send(self, action: Action) -> Command:
-        """Let the time of the plan pass, and hold an action."""
+        """Let the computing time of a `busy` fault pass, then send an action."""
         from tetractl_emulator.virtual_lab import LabClock
 
         assert isinstance(self.clock, LabClock), "the section returned it"

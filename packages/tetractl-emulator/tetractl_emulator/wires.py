@@ -1,7 +1,7 @@
-"""How an emulated lab and the program that drives it reach each other.
+"""Connections between an emulated lab and the program that drives it.
 
-By default by sockets and pseudo-terminals of this computer, in real time; `virtual_lab` makes other
-`Wires`, in memory.
+By default, they are sockets and pseudo-terminals of this computer, in real time. `virtual_lab`
+creates other `Wires`, in memory.
 """
 
 import socket
@@ -18,7 +18,7 @@ from tetractl_emulator.port import PseudoPort
 
 
 def bound_udp(address: str, port: int) -> socket.socket:
-    """Return a UDP socket bound to an address.
+    """Create a non-blocking UDP socket that is bound to an address and port.
 
     Raises:
         TetractlError: If the port is in use.
@@ -39,15 +39,16 @@ def bound_udp(address: str, port: int) -> socket.socket:
 
 @dataclass(frozen=True, slots=True)
 class Wires:
-    """Functions that open the ends of connections. By default, they use this computer in real time.
+    """Functions that create the two ends of each connection.
 
     Attributes:
-        clock: Returns the clock of the emulation.
-        port: Creates the emulation's end of a port, from the name that programs open.
-        bound: Creates the emulation's UDP socket at an address and port.
-        http: Whether cameras serve images over HTTP, not in memory.
-        ports: Creates the programs' end of a port. None for the devices' own.
-        make_socket: Creates the programs' UDP socket. None for the devices' own.
+        clock: Creates the emulation's clock.
+        port: Creates the device's end of a port, from the name by which programs open the port.
+        bound: Creates the device's UDP socket, bound to an address and port.
+        http: Whether cameras serve images over HTTP. If not, they pass images in memory.
+        ports: Creates the program's end of a port. None for the default of the program's device.
+        make_socket: Creates the program's UDP socket; its argument is called when data may have
+            arrived. None for the default of the program's device.
     """
 
     clock: Callable[[], Clock] = MonotonicClock

@@ -1,1 +1,1 @@
-"""Emulated m3pi robots behind an emulated XBee on a pseudo-terminal."""
+"""Emulated m3pi robots, and the emulated XBee radio through which they receive commands."""

@@ -1,8 +1,8 @@
-"""The emulated radio: the XBee at the PC, UARTs, transmission, loss and acknowledgements; no I/O.
+"""The emulated XBee radio of the PC and the robots: its timing, losses and answers. No I/O.
 
 A frame takes time on the PC's UART, then, after a short random wait, 32 us per byte on the air,
-then time on the robot's UART. Broadcasts are not acknowledged; a robot's answer is sent up to four
-times, until it is acknowledged. The module answers AT commands that request a parameter.
+then time on the robot's UART. Broadcasts are not acknowledged. A robot's answer is sent up to four
+times, until it is acknowledged. The PC's module answers AT commands that request a parameter.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,31 +41,33 @@ INVALID_COMMAND = 2  # status of an answer: the module has no such parameter
 
 
 def at_response(frame_id: int, command: bytes, value: bytes | None) -> bytes:
-    """Return the content that answers a request.
+    """Encode the content of the frame that answers a request for a parameter.
 
     Args:
         frame_id: Number of the request.
-        command: Its two letters.
-        value: The value. None for an unknown parameter.
+        command: The parameter's two letters.
+        value: Value of the parameter. None for an unknown parameter.
     """
     status = INVALID_COMMAND if value is None else STATUS_OK
     return RESPONSE.pack(AT_RESPONSE, frame_id, command, status) + (value or b"")
 
 
 class EmulatedRadio(RobotRadio):
-    """The PC's radio module on its port, and one module per robot.
+    """The PC's XBee module on its port, and one module per robot.
+
+    Each command is recorded when it is read from the port, with its `sequence`, `flags` and the
+    `wheels` of all robots.
 
     Args:
-        timeline: The timeline of the emulation.
+        timeline: The emulation's timeline.
         port: The port of the PC's module.
-        baud: Speed of the port [bits per second].
+        baud: Speed of the port [bits/s].
         versions: Hardware version (HV) and firmware version (VR) of the PC's module.
         robots: The robots.
-        loss: Fraction of the transmissions that are lost.
-        seed: Determines what is lost and late.
-        note: Called with each command when it is read from the port: `sequence`, `flags`, and the
-            `wheels` of all robots. None if no record is kept.
-        acting: The faults that act now. None for none.
+        loss: Probability that a transmission is lost.
+        seed: Seed of what is lost or late.
+        note: Records an event, called as `note(event, **facts)`. None if there is no record.
+        acting: The faults that act now. None if there are none.
     """
 
     def __init__(
@@ -92,7 +94,10 @@ class EmulatedRadio(RobotRadio):
         }
 
     def hear(self, data: bytes) -> None:
-        """Take bytes that the module's UART has received from the PC."""
+        """Process bytes that the module has received from the PC.
+
+        A broadcast is transmitted, and a request for a parameter is answered.
+        """
         for content in self._decoder.feed(data):
             if content.startswith(BROADCAST):
                 self._transmit(content[len(BROADCAST) :])
@@ -102,45 +107,58 @@ class EmulatedRadio(RobotRadio):
                 self._answer(encode(at_response(content[1], command, value)))
 
     def _witness(self, data: bytes) -> None:
+        """Record the commands in bytes that were read from the port."""
         for content in self._witnessed.feed(data):
             if not content.startswith(BROADCAST):
                 continue
             self._note_commands(self._splitter.feed(content[len(BROADCAST) :]))
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
+        """Decode a command for the record: its sequence number, flags and wheel counts."""
         command = decode_command(sealed)
         flags = int(command.flags)
         wheels = command.wheels
         return {"sequence": command.sequence, "flags": flags, "wheels": wheels}
 
     def stop_elsewhere(self, sequence: int) -> None:
-        """Transmit an emergency stop that no program of ours has sent."""
+        """Transmit an emergency stop, as if from another program."""
         self._transmit(encode_command(BroadcastCommand(sequence, Flag.EMERGENCY_STOP)))
 
     def drive_elsewhere(self, sequence: int, counts: Counts) -> None:
-        """Transmit a command of another program, that all robots drive by these counts."""
+        """Transmit a command that drives all robots, as if from another program.
+
+        Args:
+            sequence: Sequence number of the command.
+            counts: Counts of the left and the right motor of each robot.
+        """
         numbers = 1 + max(robot.index for robot in self.robots)
         self._transmit(encode_command(BroadcastCommand(sequence, Flag.RUN, (counts,) * numbers)))
 
     def poll_answers(self) -> None:
-        """Send the answers that robots have ready; to be called about every millisecond."""
+        """Transmit the answers that robots have ready. To be called about every millisecond."""
         for robot in self.robots:
             if answer := robot.answer():
                 ready = self._timeline.now_ns + uart_ns(len(answer), ROBOT_BAUD)
                 self._timeline.at(ready, lambda answer=answer: self._reply(answer))
 
     def _take_air(self, size: int) -> int:
-        """Reserve the radio channel to send `size` bytes, and return when that ends [ns]."""
+        """Reserve the radio channel for `size` bytes.
+
+        Returns:
+            The time at which the transmission ends [ns].
+        """
         start = max(self._timeline.now_ns, self._air_ns)
         wait = round(self._random.uniform(0, BACKOFF_NS))
         self._air_ns = start + wait + (size + AIR_OVERHEAD) * AIR_NS_A_BYTE
         return self._air_ns
 
     def _transmit(self, payload: bytes) -> None:
+        """Broadcast a payload to all robots."""
         size = len(payload)
         self.pass_on(payload, self._take_air(size) + uart_ns(size, ROBOT_BAUD))
 
     def _reply(self, payload: bytes) -> None:
+        """Transmit a robot's answer to the PC, up to four times until one attempt is not lost."""
         for _ in range(4):
             arrives = self._take_air(len(payload))
             self._air_ns += ACK_NS

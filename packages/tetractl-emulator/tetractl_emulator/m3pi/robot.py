@@ -1,10 +1,12 @@
-"""Robots on two wheels, emulated: what a program in each makes of what it hears, and how they move.
+"""Emulated robots with two wheels: their programs, and how they move.
 
-An `EmulatedRobot` is one robot's electronics: by default it runs the real firmware's core, which
-reads the bytes of the radio and gives both motors a number of counts. `EmulatedRobots` moves all of
-them: each wheel follows the speed of its counts with a first-order lag, and a robot of wheel speeds
-l, r and wheel distance d from its centre drives at (l + r) / 2 and turns at (r - l) / (2 d), by
-`model.wheels`. Lengths are mm, speeds mm/s, times ms in a program and ns elsewhere.
+An `EmulatedRobot` is the electronics of one robot. By default, it runs the compiled core of the
+real firmware, which reads bytes from the radio and sets the counts of both motors.
+
+`EmulatedRobots` moves all robots. Each wheel follows the speed of its counts with a first-order
+lag. A robot with wheel speeds l and r, whose wheels are at the distance d from its centre, drives
+at (l + r) / 2 and turns at (r - l) / (2 d); see `model.wheels`. Lengths are in mm and speeds in
+mm/s. Times are in ms in a program, and in ns elsewhere.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,38 +37,39 @@ Held = tuple[Counts, tuple[float, float]]
 
 
 class Program(Protocol):
-    """What a robot's microcontroller runs, such as a `WheelsCore`. Times are milliseconds."""
+    """The program of a robot's microcontroller, such as a `WheelsCore`. Times are in ms."""
 
     def push(self, data: bytes, now_ms: int) -> Any:
-        """Read bytes from the radio."""
+        """Process bytes from the radio."""
         ...
 
     def wheels(self, now_ms: int) -> Counts:
-        """Return the present counts of both motors."""
+        """Return the present counts of the left and the right motor."""
         ...
 
     def status(self, now_ms: int) -> Status:
-        """Return whether the robot runs, is emergency-stopped or silent."""
+        """Return the status flags: running, emergency-stopped, or without a recent command."""
         ...
 
     def take_reply(self, now_ms: int) -> bytes:
-        """Return the bytes to send now, each once."""
+        """Return the bytes to send now. Each reply is returned once."""
         ...
 
     def set_battery(self, battery_mv: int) -> None:
-        """Take the battery's voltage [mV]."""
+        """Set the battery's voltage [mV]."""
         ...
 
 
 class EmulatedRobot:
-    """One robot with its program. `EmulatedRobots` moves it.
+    """The electronics of one robot. `EmulatedRobots` moves the robot.
 
     Args:
-        name: Its name.
-        index: The number in broadcasts that was built into its firmware.
-        battery_mv: Voltage of its battery [mV].
-        make_core: Creates the program for an index.
-        acting: The faults that act now, of which it has those that name it. None for none.
+        name: Name of the robot.
+        index: Number of the robot in broadcasts, which is built into its firmware.
+        battery_mv: Voltage of its battery without load [mV].
+        make_core: Creates the robot's program, given its index.
+        acting: The faults that act now. The robot looks up those that name it. None if there are
+            none.
     """
 
     robots: "EmulatedRobots"
@@ -112,17 +115,20 @@ class EmulatedRobot:
 
     @property
     def standing(self) -> bool:
-        """Whether both wheels are at rest, or turn more slowly than a camera could detect."""
+        """Whether both wheels stand still, or turn more slowly than a camera could detect."""
         return max(map(abs, self.wheels)) < STANDING_MM_S
 
     def hear(self, data: bytes) -> None:
-        """Take bytes from the robot's radio module."""
+        """Process bytes from the robot's radio module.
+
+        They are lost if the robot is switched off.
+        """
         if self.powered:
             self.core.set_battery(self._battery_mv())
             self.core.push(data, self._now_ms)
 
     def _battery_mv(self) -> int:
-        """Return the battery's voltage under the present load [mV]."""
+        """Return the battery's voltage at the present load [mV]."""
         low = self.acting.newest("low_battery", self.name)
         if low is not None:
             return low.millivolts
@@ -131,20 +137,23 @@ class EmulatedRobot:
 
     @property
     def late_ns(self) -> int:
-        """By how much it obeys late what it receives [ns]."""
+        """The additional delay with which the robot executes what it receives [ns]."""
         return round(self.acting.total_by("reboots", self.name) * SECOND)
 
     def answer(self) -> bytes:
-        """Return the bytes that the robot now sends to its radio module."""
+        """Return the bytes that the robot sends now.
+
+        b"" if there are none or it is switched off.
+        """
         return self.core.take_reply(self._now_ms) if self.powered else b""
 
     @property
     def status(self) -> Status:
-        """What its program reports."""
+        """The status flags of its program."""
         return self.core.status(self._now_ms)
 
     def counts(self) -> Counts:
-        """Return the present counts of both motors."""
+        """Return the present counts of the left and the right motor, as faults change them."""
         if not self.powered:
             return 0, 0
         counts = self.core.wheels(self._now_ms)
@@ -152,7 +161,11 @@ class EmulatedRobot:
         return counts if veer is None else veer.counts
 
     def speed_fraction(self, wheel: str) -> float:
-        """Return the share of its speed at which the left or the right wheel turns."""
+        """Return the fraction of the commanded speed at which a wheel turns.
+
+        Args:
+            wheel: "left" or "right".
+        """
         if not self.acting.any_yet:
             return 1.0
         if any(f.wheel in (wheel, "both") for f in self.acting.of_kind("wheel_stuck", self.name)):
@@ -161,30 +174,30 @@ class EmulatedRobot:
         return min((fault.share for fault in weak if fault.wheel in (wheel, "both")), default=1.0)
 
     def switch(self, on: bool) -> None:
-        """Switch the robot on or off; switching it on restarts its firmware."""
+        """Switch the robot on or off. Switching it on restarts its program."""
         self.powered = on
         if on:
             self._switched_on_ms = self.robots.now_ms
             self.core = self._make_core(self.index)
 
     def renumber(self, index: int) -> None:
-        """Give the robot a firmware with another number."""
+        """Replace the robot's firmware with one that was built for another index."""
         self.index = index
         self.core = self._core_of_long_ago()
 
     def _core_of_long_ago(self) -> Program:
-        """Return a program that has run for ON_MS."""
+        """Create a program that has already run for ON_MS."""
         core = self._make_core(self.index)
         core.wheels(ON_MS)
         return core
 
     @property
     def _now_ms(self) -> int:
-        """The time of the robot's program, since it was switched on [ms]."""
+        """The time since the robot was switched on [ms]."""
         return self.robots.now_ms - self._switched_on_ms
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the robot at a pose, standing still.
+        """Put the robot at a pose, at standstill.
 
         Args:
             x: x [mm].
@@ -195,21 +208,22 @@ class EmulatedRobot:
 
 
 class EmulatedRobots:
-    """The true state of N robots, in the spec's axes.
+    """The true motion of N robots, in the spec's axes.
 
-    The robots stand still at the start. The motors' counts are read once a millisecond, as the
-    firmware does.
+    The counts of the motors are read once per millisecond, as the firmware does. All robots stand
+    still at first.
 
     Args:
         robots: The robots.
-        drivetrains: Converts counts to true wheel speeds.
-        radius: Distance from a wheel to the centre [mm], shape (N,).
-        lag_s: Time constants of the wheels [s], shape (N,).
-        start_ns: Time of the start [ns].
+        drivetrains: Converts counts to true wheel speeds [mm/s].
+        radius: Distance from a wheel to the robot's centre, shape (N,) [mm].
+        lag_s: Time constants of the wheels, shape (N,) [s].
+        start_ns: The present time [ns].
 
     Attributes:
+        robots: The robots.
         pose: x, y [mm] and heading [rad], shape (3, N).
-        wheels: Speeds of the left and right wheels [mm/s], shape (2, N).
+        wheels: Speeds of the left and right wheels, shape (2, N) [mm/s].
     """
 
     def __init__(
@@ -237,11 +251,14 @@ class EmulatedRobots:
 
     @property
     def now_ms(self) -> int:
-        """The time of the robots' firmware [ms]."""
+        """The present time [ms], for the robots' programs."""
         return self._now_ns // MILLISECOND
 
     def advance(self, until_ns: int) -> None:
-        """Advance to `until_ns`, in steps of at most a millisecond, as watchdogs end."""
+        """Advance the robots to the time `until_ns` [ns].
+
+        The steps are at most a millisecond long, because watchdogs can expire at each millisecond.
+        """
         wheeled = self._wheeled
         while self._now_ns < until_ns:
             held: list[Held] = [
@@ -261,7 +278,7 @@ class EmulatedRobots:
                 wheeled.drive(since_ns, np.array([self._now_ns]))
 
     def place(self, row: int, x: float, y: float, heading: float) -> None:
-        """Put a robot at a pose, standing still.
+        """Put a robot at a pose, at standstill.
 
         Args:
             row: Index of the robot.
@@ -273,7 +290,7 @@ class EmulatedRobots:
         self.wheels[:, row] = 0.0
 
     def shift(self, row: int, x: float, y: float, turn: float) -> None:
-        """Move a robot without stopping its wheels.
+        """Displace and turn a robot without changing its wheel speeds.
 
         Args:
             row: Index of the robot.

@@ -1,7 +1,7 @@
-"""What all emulated radios do on the way from a program to robots: lose, delay and double messages.
+"""Base class of all emulated radios, which can lose, delay and duplicate transmissions.
 
-A subclass takes bytes from the program's port, and calls `pass_on` for each whole message; answers
-of robots are its own affair.
+A subclass receives bytes from the program's port, and calls `pass_on` for each complete message. It
+also handles the robots' answers.
 """
 
 import random
@@ -19,17 +19,17 @@ from tetractl_emulator.port import PseudoPort, SerialDevice
 
 
 class RobotRadio(SerialDevice):
-    """A radio to robots that loses at least a given fraction of its transmissions.
+    """A radio to robots that loses at least the fraction `loss` of its transmissions.
 
     Args:
-        timeline: The timeline of the emulation.
-        port: The port of the radio.
-        baud: Speed of the port [bits per second].
-        note: Called with each command. None if no record is kept.
-        robots: The robots.
-        loss: Fraction of the transmissions that are lost.
-        seed: Determines what is lost and late.
-        acting: The faults that act now. None for none.
+        timeline: The emulation's timeline.
+        port: The port at which a program sends.
+        baud: Speed of the port [bits/s].
+        note: Records an event, called as `note(event, **facts)`. None if there is no record.
+        robots: The robots that receive the messages.
+        loss: Minimum probability that a transmission is lost.
+        seed: Seed of what is lost or late.
+        acting: The faults that act now. None if there are none.
     """
 
     def __init__(
@@ -50,12 +50,16 @@ class RobotRadio(SerialDevice):
         self._loss = loss
 
     def loss_to(self, robot: str | None = None) -> float:
-        """Return the share of the transmissions that a robot, or the PC, does not receive."""
+        """Return the probability that a transmission is lost.
+
+        Args:
+            robot: Name of the receiving robot. None if the PC receives.
+        """
         deaf = self.acting.largest_share("deaf", robot) if robot else 0.0
         return max(self._loss, self.acting.largest_share("loss"), deaf)
 
     def late_ns(self) -> int:
-        """Draw by how much a transmission is late [ns]."""
+        """Sample the additional delay of a transmission [ns], which faults cause."""
         late_s = self.acting.total_by("late_radio")
         for fault in self.acting.of_kind("overtaken_packets"):
             late_s += self._random.uniform(0, fault.by)
@@ -63,11 +67,16 @@ class RobotRadio(SerialDevice):
 
     @property
     def times(self) -> int:
-        """How often robots receive each transmission."""
+        """How many times robots receive each transmission."""
         return 2 if self.acting.of_kind("doubled_packets") else 1
 
     def pass_on(self, message: bytes, arrives_ns: int) -> None:
-        """Deliver a message to each robot at a time or later, unless it is lost."""
+        """Deliver a message to each robot, unless it is lost.
+
+        Args:
+            message: The message.
+            arrives_ns: Time of arrival without additional delays [ns].
+        """
         if self.acting.of_kind("driven_elsewhere"):
             with suppress(WireError):
                 self.sequence = self._command(message.rstrip(b"\0\n"))["sequence"]
@@ -79,16 +88,26 @@ class RobotRadio(SerialDevice):
                     self._timeline.at(arrives_ns + robot.late_ns, hear)
 
     def stop_elsewhere(self, sequence: int) -> None:
-        """Let the robots receive an emergency stop from another sender, with its own numbering.
+        """Let the robots receive an emergency stop, as if from another program.
 
-        Nothing happens if such a stop cannot reach them.
+        By default, nothing happens: override this method if another program could send such a stop.
+
+        Args:
+            sequence: Sequence number of the stop.
         """
 
     def drive_elsewhere(self, sequence: int, counts: Counts) -> None:
-        """Deliver a command of another program to the robots that have such a program."""
+        """Let the robots receive a driving command, as if from another program.
+
+        By default, nothing happens: override this method if another program could send commands.
+
+        Args:
+            sequence: Sequence number of the command.
+            counts: Counts of the left and the right motor of each robot.
+        """
 
     def poll_answers(self) -> None:
-        """Send the answers that robots have ready; to be called about every millisecond."""
+        """Send the answers that robots have ready. To be called about every millisecond."""
         for robot in self.robots:
             if answer := robot.answer():
                 self._answer(answer)

@@ -1,4 +1,4 @@
-"""The emulated actuator of type `m3pi-xbee`: its settings and faults, a radio, and robots."""
+"""The emulated actuator of type `m3pi-xbee`: robots, their radio, its settings and its faults."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -65,6 +65,7 @@ class M3piSettings(Model):
 
 
 def _renumber(fault: Any, device: Any) -> Undo:
+    """Begin the fault `wrong_id`: replace the robot's firmware with one for another index."""
     robot = device.robot(fault.robot)
     undo = partial(robot.renumber, robot.index)
     robot.renumber(fault.id)
@@ -89,7 +90,7 @@ FAULTS = (
 
 
 class EmulatedM3pi(WheeledSide):
-    """An XBee on a pseudo-terminal, and the robots in its radio range."""
+    """An emulated XBee on a pseudo-terminal, and the robots in its radio range."""
 
     what = "radio"
     Settings: ClassVar[type[Model]] = M3piSettings
@@ -141,7 +142,7 @@ def _wheels(
     trues: Sequence[TrueRobot],
     robots: Sequence[EmulatedRobot],
 ) -> EmulatedRobots:
-    """Return the robots on wheels as they truly are."""
+    """Create the moving robots, with the true properties of their wheels."""
     parts = []
     for true in trues:
         names = ("left", "right", "swap", "radius_mm")

@@ -1,7 +1,8 @@
-"""What emulated robots on two wheels have in common, whatever reaches them: states and faults.
+"""Base classes of emulated actuators for robots with two wheels, and their common faults.
 
-A side of your own derives from `OwnLines` if each robot takes lines at a port of its own; else from
-`PortedSide`, and makes `radios`, or from `WheeledSide`, and makes `robots` and `wheels`, too.
+To emulate your own robots, derive from `OwnLines` if each robot receives lines at its own port.
+Otherwise derive from `PortedSide` and create `radios`, or derive from `WheeledSide` and also create
+`robots` and `wheels`.
 """
 
 from abc import abstractmethod
@@ -52,9 +53,13 @@ Count = Annotated[int, Field(ge=-127, le=127)]
 
 
 class WheeledSide(PluggedDevices):
-    """Base class of emulated actuators for robots on wheels.
+    """Base class of emulated actuators for robots with two wheels.
 
-    `robots` are the bodies, which `wheels` moves. They receive what `radios` pass on.
+    Attributes:
+        robots: The robots, in the order of the setup.
+        wheels: Moves the robots.
+        radios: The radios that deliver messages to the robots.
+        timeline: The emulation's timeline.
     """
 
     what = "robots"
@@ -65,7 +70,7 @@ class WheeledSide(PluggedDevices):
 
     @property
     def wired(self) -> Sequence[RobotRadio]:
-        """The radios."""
+        """The radios, each on its port."""
         return self.radios
 
     @property
@@ -75,14 +80,15 @@ class WheeledSide(PluggedDevices):
 
     @property
     def driven(self) -> bool:
-        """Whether any motor is driven."""
+        """Whether any motor has a count other than 0."""
         return any(any(robot.counts()) for robot in self.robots)
 
     @property
     def truth(self) -> dict[str, Any]:
-        """The speeds of all wheels [mm/s], and the status of each robot's firmware.
+        """The true wheel speeds and statuses, for the record.
 
-        The keys are "wheels", with [[left, right], ...], and "status".
+        The keys are "wheels", [[left, right], ...] [mm/s], and "status", with the flags of each
+        robot's program.
         """
         speeds = (robot.wheels for robot in self.robots)
         wheels = [[round(left, 2), round(right, 2)] for left, right in speeds]
@@ -95,11 +101,11 @@ class WheeledSide(PluggedDevices):
             robot.switch(on)
 
     def advance(self, until_ns: int) -> None:
-        """Advance the robots to `until_ns`."""
+        """Advance the robots to the time `until_ns` [ns]."""
         self.wheels.advance(until_ns)
 
     def tick(self) -> None:
-        """Send the robots' pending answers."""
+        """Send the answers that robots have ready."""
         for radio in self.radios:
             radio.poll_answers()
 
@@ -108,7 +114,7 @@ class WheeledSide(PluggedDevices):
         return next(robot for robot in self.robots if robot.name == name)
 
     def push(self, fault: Any) -> None:
-        """Move a robot as a fault says."""
+        """Displace a robot as the fault `pushed` specifies, in small steps or at once."""
         row = self.robot(fault.robot).row
         parts = 1 if fault.at_once else PUSH_PARTS
         x, y, turn = (value / parts for value in (*fault.by, fault.turn))
@@ -117,10 +123,16 @@ class WheeledSide(PluggedDevices):
             self.timeline.at(at_ns, lambda: self.wheels.shift(row, x, y, turn))
 
     def drive_elsewhere(self, fault: Any) -> Undo:
-        """Let robots receive commands from another program until the fault ends.
+        """Send commands to the robots as if from another program, until the fault ends.
 
-        That program numbers its commands from 0 or, if it `follows`, as if each were the next after
-        ours.
+        The commands are numbered from 0. If the fault `follows`, each has the number after the
+        newest command of our program instead.
+
+        Args:
+            fault: A fault of the kind `driven_elsewhere`.
+
+        Returns:
+            A function that ends the fault.
         """
         period_ns = round(SECOND / fault.rate)
         ends_ns = NEVER
@@ -141,7 +153,7 @@ class WheeledSide(PluggedDevices):
         return end
 
     def stop_elsewhere(self) -> None:
-        """Deliver ten emergency stops of another sender to the robots."""
+        """Send ten emergency stops to the robots, as if from another program."""
         for k in range(STOPS):
             for radio in self.radios:
                 at_ns = self.timeline.now_ns + k * STOP_GAP_NS
@@ -175,13 +187,16 @@ class WheelsSettings(Model):
 def robots_of_day(
     random: Random, names: Sequence[str], wheel: str, gain: Callable[[float], Any]
 ) -> dict[str, Any]:
-    """Sample the section of the radio and the robots for a randomised test run.
+    """Sample true properties of the radio and the robots for a randomised test run.
 
     Args:
         random: The random generator.
         names: The robots.
-        wheel: Name of a wheel's field, with a placeholder for the side.
+        wheel: Name of a wheel's field, with a placeholder for the side, such as "{}_gain".
         gain: Returns the value of that field for a wheel's relative speed, within WHEEL_OFF of 1.
+
+    Returns:
+        A section `actuator` of a script's `emulation`: "loss" and "robots".
     """
     robots: list[dict[str, Any]] = []
     for name in names:
@@ -194,30 +209,32 @@ def robots_of_day(
 
 
 class PortedSide(WheeledSide):
-    """A `WheeledSide` whose section has an entry for each robot.
+    """A `WheeledSide` whose section of the spec has an entry for each robot.
 
-    The entry's `radius_mm`, `left_gain` and `right_gain` of the wheels are true unless the settings
-    differ.
+    The entry contains `radius_mm`, `left_gain` and `right_gain`. These values are the true ones
+    unless the settings differ.
 
     Args:
-        stage: The data and functions that the lab's emulated devices share.
-        settings: The settings of the emulated robots.
-        limit: The maximum count, and the speed of a count [mm/s].
+        stage: What the emulated devices share.
+        settings: Properties of the radio and the robots that differ from the spec.
+        limit: Maximum count of a motor, and the wheel speed for one count [mm/s].
 
     Attributes:
-        stated: The entries, in the order of the setup.
-        radii: Distances from the wheels to the centres [mm], shape (N,).
+        stated: The entries of the section, in the order of the setup.
+        radii: Distance from a wheel to each robot's centre, shape (N,) [mm].
     """
 
     Settings: ClassVar[type[Model]] = WheelsSettings
 
     @classmethod
     def world_of_day(cls, random: Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
-        """Sample radio and robots for a randomised test run, with gains similar to the section's.
+        """Sample true properties of the radio and the robots for a randomised test run.
+
+        The wheel gains are near those of the section. See `tetractl_emulator.sides`.
 
         Args:
             random: The random generator.
-            lab: The section of the lab.
+            lab: The lab's section of the spec.
             setup: The constants of the experiment.
         """
         section: Any = lab.actuator
@@ -252,17 +269,19 @@ class PortedSide(WheeledSide):
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults
     ) -> EmulatedRobot:
-        """Create the robot in a row of the setup, with its program.
+        """Create a robot with its program.
 
         Args:
-            row: Index of the robot.
+            row: Index of the robot in the setup.
             name: Its name.
-            battery_mv: Voltage of its battery [mV].
+            battery_mv: Voltage of its battery without load [mV].
             acting: The faults that act now.
         """
 
 
 def _swap_numbers(fault: Any, device: Any) -> Undo:
+    """Begin the fault `swapped_numbers`: exchange the indices of two robots' firmware."""
+
     def swap() -> None:
         first = device.robot(fault.robot)
         second = device.robot(fault.other)

@@ -1,4 +1,4 @@
-"""Reads the messages of NatNet clients, and packs a server's answers and frames."""
+"""Decodes the messages of NatNet clients, and encodes a server's answers and frames."""
 
 from collections.abc import Sequence
 from random import Random
@@ -12,10 +12,10 @@ GROWN = bytes(24)  # extra bytes in descriptions of bodies above protocol 4.3
 
 
 def parse_request(received: bytes) -> natnet.ClientMessage:
-    """Read one datagram of a client.
+    """Decode a datagram from a client.
 
     Raises:
-        WireError: If it cannot be read.
+        WireError: If the datagram is invalid.
     """
     kind, payload = wire.split(received)
     match kind:
@@ -35,10 +35,14 @@ def parse_request(received: bytes) -> natnet.ClientMessage:
 
 
 def pack_answer(message: natnet.ServerMessage, version: natnet.Version = natnet.NEWEST) -> bytes:
-    """Pack one datagram of the server.
+    """Encode a datagram of the server.
 
-    Versions before 2.6 are packed as 2.6. Versions after 4.3 are packed as 4.3, with longer
-    descriptions of bodies.
+    Versions before 2.6 are encoded as 2.6. Versions after 4.3 are encoded as 4.3 with longer
+    descriptions of rigid bodies.
+
+    Args:
+        message: The message.
+        version: Version of the protocol.
     """
     version = max(version, natnet.OLDEST)
     match message:
@@ -65,7 +69,7 @@ def pack_answer(message: natnet.ServerMessage, version: natnet.Version = natnet.
 
 
 def pack_frame(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
-    """Pack a frame's payload: rigid bodies, and all other sections empty."""
+    """Encode the payload of a frame: its rigid bodies, and all other sections empty."""
     layout = layout_of(version)
     empty = section([], version)
     bodies = [packed_body(body, version) for body in frame.bodies]
@@ -75,7 +79,7 @@ def pack_frame(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
 
 
 def section(parts: Sequence[bytes], version: natnet.Version) -> bytes:
-    """Pack a section of a frame from its packed elements."""
+    """Encode a section of a frame: the number of elements, and the elements, which are encoded."""
     size = sum(map(len, parts))
     head = wire.pack_fields("i", len(parts))
     if layout_of(version).sized:
@@ -84,12 +88,12 @@ def section(parts: Sequence[bytes], version: natnet.Version) -> bytes:
 
 
 def packed_body(body: natnet.RigidBody, version: natnet.Version, markers: int = 0) -> bytes:
-    """Pack a rigid body.
+    """Encode a rigid body of a frame.
 
     Args:
-        body: The body.
-        version: The protocol version.
-        markers: Number of its markers, which are packed in versions before 3.0.
+        body: The rigid body.
+        version: Version of the protocol.
+        markers: Number of its markers, which are only encoded in versions before 3.0.
     """
     error = 0.0002 if body.tracking_valid else 0.0  # mean error of its markers [m]
     listed = (
@@ -100,7 +104,7 @@ def packed_body(body: natnet.RigidBody, version: natnet.Version, markers: int = 
 
 
 def suffix(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
-    """Pack a frame's suffix: exposure and params, and zeros for all other times."""
+    """Encode the suffix of a frame: exposure time and parameters. All other times are 0."""
     layout = layout_of(version)
     times = [0] * (len(layout.suffix.format) - 3)
     if layout.timed:
@@ -115,14 +119,14 @@ def pack_modeldef(
     markers: int = 0,
     grown: bytes = b"",
 ) -> bytes:
-    """Pack a MODELDEF payload: first other data sets, then every rigid body.
+    """Encode the payload of a MODELDEF message: other data sets, and then every rigid body.
 
     Args:
         model: The rigid bodies.
-        version: The protocol version.
-        others: Other data sets, each a type and bytes.
-        markers: Number of markers of each body.
-        grown: Bytes appended to each body's description, as a newer protocol would do.
+        version: Version of the protocol.
+        others: Other data sets, each with its type and its bytes.
+        markers: Number of markers of each rigid body.
+        grown: Bytes appended to each description, as in a later version of the protocol.
     """
     described = (_packed_body(*body, version, markers) + grown for body in model.bodies)
     sets = [*others, *((RIGID_BODY, data) for data in described)]
@@ -135,6 +139,7 @@ def pack_modeldef(
 
 
 def _packed_body(name: str, number: int, version: natnet.Version, markers: int) -> bytes:
+    """Encode the description of a rigid body."""
     parts = [wire.pack_name(name), wire.pack_fields("ii3f", number, -1, 0.0, 0.0, 0.0)]
     if version >= (4, 2):
         parts.append(wire.pack_fields("4f", 0.0, 0.0, 0.0, 1.0))
@@ -147,7 +152,10 @@ def _packed_body(name: str, number: int, version: natnet.Version, markers: int) 
 
 
 def mangle(datagram: bytes, chance: Random) -> bytes:
-    """Return a datagram with damage drawn by `chance`: cut, extended, a wrong field, or noise."""
+    """Damage a datagram at random.
+
+    It is truncated, extended, replaced by noise, or one of its fields is changed.
+    """
     match chance.randrange(5):
         case 0:
             return datagram[: chance.randrange(len(datagram))]

@@ -1,8 +1,9 @@
-"""Emulated cameras that send the poses of all robots in one frame: when they expose and send.
+"""Base class of emulated cameras that send the poses of all robots in one frame: its timing.
 
-Frame k is exposed k / rate after the begin; it shows where robots are then, as faults displace
-them. It is sent a latency later, which varies a little from frame to frame, and by faults later,
-twice, in place of another, or not at all. How a frame is packed, a subclass says.
+Frame k is exposed k / rate after the start. It shows the robots where they are at that time, as
+faults displace them. It is sent after a latency that varies a little from frame to frame. Faults
+can delay it further, send it twice, replace it by another frame, or drop it. A subclass packs the
+frames.
 """
 
 import random
@@ -23,24 +24,27 @@ DELAYED_PERIODS = 0.45  # greatest delay of those [frame periods]
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """A frame, and when it was exposed [ns]."""
+    """A frame and the time of its exposure [ns]."""
 
     frame: Any
     at_ns: int
 
 
 class PoseCamera(ABC):
-    """Exposes bodies at a rate, and sends each frame later.
+    """Base class of emulated cameras that expose all robots at a fixed rate.
 
-    Exposures are numbered from 1, without gaps. `shown_ns` is when each robot was exposed in the
-    newest frame sent in which it is tracked.
+    Exposures are numbered from 1, without gaps.
 
     Args:
-        stage: The data and functions that the lab's emulated devices share.
-        tracked: The bodies.
+        stage: What the emulated devices share.
+        tracked: The rigid bodies on the robots.
         rate: Exposures per second [Hz].
-        latency_s: Time from an exposure to sending its frame [s].
-        view: The scene that the camera sees.
+        latency_s: Mean time from an exposure until its frame is sent [s].
+        view: The camera's axes.
+
+    Attributes:
+        shown_ns: For each robot, the exposure time of the newest frame sent in which it is tracked
+            [ns].
     """
 
     numbered: ClassVar[bool] = True
@@ -65,18 +69,25 @@ class PoseCamera(ABC):
 
     @abstractmethod
     def _shot(self, number: int, exposed_ns: int, bodies: tuple[RigidBody, ...]) -> Any:
-        """Return the frame of an exposure, whose `bodies` are those that it shows."""
+        """Create the frame of an exposure.
+
+        Args:
+            number: Number of the frame.
+            exposed_ns: Time of the exposure [ns].
+            bodies: The rigid bodies that the frame contains.
+        """
 
     @abstractmethod
     def _stream(self, frame: Any, now_ns: int) -> None:
-        """Send a frame."""
+        """Pack a frame, and send it to the clients."""
 
     def begin(self) -> None:
-        """Expose the first frame now."""
+        """Expose the first frame now, and schedule the others."""
         self._start_ns = self.timeline.now_ns
         self._plan()
 
     def _plan(self) -> None:
+        """Schedule the next exposure."""
         due_ns = self._start_ns + round(self._planned * SECOND / self._rate)
         self._planned += 1
         self.timeline.at(due_ns, self._take)
@@ -103,7 +114,7 @@ class PoseCamera(ABC):
         self._plan()
 
     def _delay_s(self) -> float:
-        """Draw the time from an exposure to the sending of its frame [s]."""
+        """Sample the time from an exposure until its frame is sent [s]."""
         jitter = self._random
         normal_s = jitter.gauss(0, JITTER_S)
         delay_s = self._latency_s + min(max(normal_s, -4 * JITTER_S), 4 * JITTER_S)
@@ -115,9 +126,9 @@ class PoseCamera(ABC):
         return delay_s
 
     def _leave(self, exposure_number: int, exposure: Exposure) -> None:
-        """Send an exposure, or the last one again, unless a fault forbids it.
+        """Send the frame of an exposure, or the last frame again, unless a fault prevents it.
 
-        It also remembers when each robot was last shown as tracked.
+        The times at which robots were last shown as tracked are updated.
         """
         acting = self.acting
         periods_ns = (SECOND / fault.rate for fault in acting.of_kind("slow_frames"))
@@ -136,7 +147,7 @@ class PoseCamera(ABC):
         self._stage.sent(exposure_number)
 
     def _expose(self) -> tuple[RigidBody, ...]:
-        """Return the bodies as the cameras report them now."""
+        """Return the rigid bodies as the camera reports them now."""
         view = self.view.exposed(self.acting.of_kind("picture"))
         numbers = {body.robot.name: body.asset.number for body in self.tracked}
         bodies = {body.robot.name: body.expose(view) for body in self.tracked}
@@ -152,7 +163,15 @@ class PoseCamera(ABC):
 
 
 def noise_of_day(chance: random.Random, scale: float) -> dict[str, Any]:
-    """Draw noise, in the scale of lengths, and latency of a rehearsed day's cameras."""
+    """Sample noise and latency of a camera for a randomised test run.
+
+    Args:
+        chance: The random generator.
+        scale: Factor for lengths; see `scale_of`.
+
+    Returns:
+        The settings "noise_mm", "noise_rad" and "latency".
+    """
     return {
         "noise_mm": float(f"{scale * round(chance.uniform(0.1, 0.5), 3):.3g}"),
         "noise_rad": round(chance.uniform(0.001, 0.005), 4),

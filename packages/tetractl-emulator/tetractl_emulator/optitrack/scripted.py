@@ -1,12 +1,12 @@
-"""What a script may change of the emulated cameras of type `optitrack`: settings and faults.
+"""Settings and faults of the emulated cameras of type `optitrack`, for use in a script.
 
-`OptitrackSettings` holds for a whole run. `FAULTS`, at the end, is the table of faults: the camera
-and its bodies ask which of them act. Lengths are in mm, angles in rad, times in s.
+`OptitrackSettings` apply to a whole run. `FAULTS`, at the end, is the table of faults. The camera
+and its rigid bodies look up which of them act. Lengths are in mm, angles in rad, times in s.
 
-When a fault ends, all is as it would be without it: after `clock_rate`, too, the server's clock
-is right again, so it jumps back by what it has gained. Only a picture that crept stays where it
-is, as when a tripod stops slipping. Faults that displace or delay add up; of others, the greatest
-or the newest holds.
+When a fault ends, everything is as if it had never occurred. For example, the server's clock is
+right again after `clock_rate`, so it jumps back by the time that it has gained. The only exception
+is an image that crept: it stays where it is, as when a tripod stops slipping. Faults that displace
+or delay add up. Of other faults of the same kind, the strongest or the newest counts.
 """
 
 import math
@@ -101,6 +101,7 @@ EXPOSED = Visible.EXPOSED
 
 
 def _run_clock(fault: Any, device: Any) -> Undo:
+    """Begin the fault `clock_rate`: let the server's clock run faster or slower."""
     since_ns = device.timeline.now_ns
 
     def gained_ns(when_ns: int) -> int:
@@ -110,7 +111,7 @@ def _run_clock(fault: Any, device: Any) -> Undo:
 
 
 def _creeping(name: str, **fields: Any) -> FaultRow:
-    """Return a row of a pose or a picture that creeps, on a third of the days from the start."""
+    """Create a variant of a fault that creeps. In 30 % of the test runs it begins at the start."""
     return FaultRow(name, MOVED, fields, start=0.3)
 
 

@@ -1,6 +1,6 @@
-"""The emulated cameras of type `optitrack`.
+"""The emulated camera of type `optitrack`: a Motive server.
 
-They are a Motive server that sends frames of rigid bodies by NatNet over UDP, unicast or multicast.
+It sends frames of rigid bodies by the NatNet protocol over UDP, unicast or multicast.
 """
 
 import random
@@ -46,8 +46,8 @@ class Client:
     """A unicast client of the server.
 
     Attributes:
-        version: The protocol version in which it is served.
-        heard_ns: When something was last received from it [ns].
+        version: Version of the protocol in which the server sends to this client.
+        heard_ns: When the server last received a message from it [ns].
     """
 
     version: natnet.Version
@@ -55,10 +55,14 @@ class Client:
 
 
 class ServerPorts:
-    """The UDP ports of the server.
+    """The two UDP sockets of the server: one for commands and one for frames.
 
-    `command_port` is the port for messages. Frames are sent from `data_port` or, in multicast, to
-    it. `command` and `data` are the ends of the connections, once they are open.
+    Attributes:
+        address: IP address of the server.
+        command_port: Port at which the server receives commands.
+        data_port: Port from which frames are sent. In multicast, the port to which they are sent.
+        command: Socket for commands. None before `open`.
+        data: Socket for frames. None before `open`.
     """
 
     def __init__(self, section: OptitrackSection, options: Options) -> None:
@@ -73,10 +77,12 @@ class ServerPorts:
         self.data: Any = None
 
     def open(self, bound: Callable[[str, int], Any], sender: str, multicast: bool) -> None:
-        """Open both ports.
+        """Open both sockets.
+
+        A port of 0 is replaced by the free port that the system has chosen.
 
         Args:
-            bound: Binds a socket to an address and port.
+            bound: Creates a socket that is bound to an address and port.
             sender: Address from which frames are sent.
             multicast: Whether frames are sent by multicast.
         """
@@ -91,14 +97,14 @@ class ServerPorts:
             self.data_port = _port(self.data)
 
     def close(self) -> None:
-        """Close what is open; may be called twice."""
+        """Close both sockets if they are open. This method can be called repeatedly."""
         for opened in (self.command, self.data):
             if opened is not None:
                 opened.close()
 
 
 class EmulatedOptitrack(PoseCamera):
-    """An emulated Motive server, with rigid bodies on the robots.
+    """An emulated Motive server that streams a rigid body for each robot.
 
     Args:
         stage: The data and functions that the lab's emulated devices share.
@@ -106,12 +112,14 @@ class EmulatedOptitrack(PoseCamera):
         bodies: The bodies that carry markers.
 
     Attributes:
-        names: Names and numbers of the bodies that it reports.
-        clients: Addresses that it serves by unicast.
-        greeted: Addresses that it has answered.
-        counts: Number of each of the RECORDED events, and of requests for its models.
-        clock_errors: For clocks that drift: what its clock has gained [ns] by a time on the host's
-            clock [ns].
+        names: Name and id of each rigid body that the server can describe to its clients.
+        clients: The unicast clients that receive frames, by address.
+        greeted: Addresses of all clients that have ever connected.
+        counts: Number of frames sent ("frames"), of requests that could not be decoded ("refused"),
+            of silent clients that were dropped ("timed_out"), and of requests for the model
+            definitions ("models asked").
+        clock_errors: Functions from host time [ns] to the error of the server's clock [ns] at that
+            time. The errors add up. Faults add functions to this list.
     """
 
     Settings: ClassVar[type[Model]] = OptitrackSettings
@@ -119,7 +127,11 @@ class EmulatedOptitrack(PoseCamera):
 
     @classmethod
     def world_of_day(cls, chance: random.Random, lab: LabSection, setup: Setup) -> dict[str, Any]:
-        """Sample the cameras of a randomised test run; see `tetractl_emulator.sides`."""
+        """Sample the camera's noise for a randomised test run; see `tetractl_emulator.sides`.
+
+        Returns:
+            Values for the camera's section of a script's `emulation`, by name.
+        """
         return noise_of_day(chance, scale_of(lab, setup))
 
     def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
@@ -144,11 +156,16 @@ class EmulatedOptitrack(PoseCamera):
 
     @property
     def join(self) -> Any:
-        """What makes our camera's socket."""
+        """Factory that connects tetractl's camera to this server, by UDP sockets or in memory."""
         return self._stage.wires.make_socket
 
     def open(self, loop: Loop) -> Facts:
-        """Open the UDP ports and expose the first frame now; return the ports' addresses."""
+        """Open the UDP sockets and start to stream frames.
+
+        Returns:
+            The connection as a mapping: "camera" (for display), "address", "command_port",
+            "data_port" and "transport".
+        """
         ports = self.ports
         sender = self.settings.frames_from or ports.address
         ports.open(self._stage.wires.bound, sender, self.multicast)
@@ -164,18 +181,25 @@ class EmulatedOptitrack(PoseCamera):
         }
 
     def close(self) -> Facts:
-        """Close the UDP ports; return counts to be recorded."""
+        """Close the UDP sockets.
+
+        Returns:
+            The counts that are named in RECORDED, by name.
+        """
         self.ports.close()
         return {name: self.counts[name] for name in RECORDED}
 
     def ticks(self, when_ns: int) -> int:
-        """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
+        """Convert a time on the host's clock [ns] to a time on the server's clock [ticks]."""
         gained_ns = sum(gained_ns(when_ns) for gained_ns in self.clock_errors)
         gained_ns += sum(round(jump.by * SECOND) for jump in self.acting.of_kind("clock_jump"))
         return CLOCK_START + (when_ns + gained_ns) * CLOCK_HZ // SECOND
 
     def _readable(self, catch_up: Callable[[], None]) -> None:
-        """Answer the messages at the command port; `catch_up` advances the timeline before each."""
+        """Answer the waiting messages at the command port; call `catch_up` before each answer.
+
+        `catch_up` advances the emulation's timeline to the present.
+        """
         for _ in range(100):
             try:
                 datagram, sender = self.ports.command.recvfrom(65_535)
@@ -200,7 +224,7 @@ class EmulatedOptitrack(PoseCamera):
     def _answer(
         self, message: natnet.ClientMessage, sender: Address, now_ns: int
     ) -> natnet.ServerMessage | None:
-        """Return the answer to a message, None if the server gives no answer."""
+        """Return the answer to a message. None if the server sends no answer."""
         if sender in self.clients:
             self.clients[sender].heard_ns = now_ns
         match message:
@@ -224,7 +248,7 @@ class EmulatedOptitrack(PoseCamera):
         return None
 
     def _admit(self, message: natnet.Connect, sender: Address, now_ns: int) -> None:
-        """Add a client; from 4.0 on, a unicast client may choose a version."""
+        """Register a client. With NatNet 4.0 or later, a unicast client may choose the version."""
         if sender not in self.greeted:
             self.greeted.add(sender)
             self._stage.client(f"{sender[0]}:{sender[1]}")
@@ -237,9 +261,9 @@ class EmulatedOptitrack(PoseCamera):
         self.clients[sender] = Client(version if chosen else own_version, now_ns)
 
     def _receivers(self, now_ns: int) -> Iterator[tuple[Address, natnet.Version]]:
-        """Yield the addresses to which frames are sent, each with its protocol version.
+        """Yield each address to which frames are sent, with the version of the protocol to use.
 
-        In unicast, the clients that have been silent for too long are dropped first.
+        Unicast clients that have been silent for more than 5 s are dropped.
         """
         if self.multicast:
             yield (self.section.group, self.ports.data_port), self.own_version
@@ -253,11 +277,13 @@ class EmulatedOptitrack(PoseCamera):
     def _shot(
         self, number: int, exposed_ns: int, bodies: tuple[natnet.RigidBody, ...]
     ) -> natnet.NatNetFrame:
+        """Create the NatNet frame of an exposure."""
         # as natnet reads them
         params = 2 * self.settings.models_changed | 4 * bool(self.acting.of_kind("edit_mode"))
         return natnet.NatNetFrame(number, bodies, params, self.ticks(exposed_ns))
 
     def _stream(self, frame: natnet.NatNetFrame, now_ns: int) -> None:
+        """Send a frame to every receiver. Faults can change its version or damage the datagram."""
         damaged = self.acting.largest_share("bad_datagrams")
         wrong_version = self.acting.newest("other_version")
         packed: dict[natnet.Version, bytes] = {}
@@ -274,11 +300,13 @@ class EmulatedOptitrack(PoseCamera):
         self.counts["frames"] += 1
 
     def _send(self, sender: Any, data: bytes, to: Address) -> None:
+        """Send a datagram. It is lost if a buffer is full or the client has gone."""
         with suppress(OSError):  # the datagram is lost if a buffer is full or the client has gone
             sender.sendto(data, to)
 
 
 def _port(endpoint: Any) -> int:
+    """Return the port number of a bound socket."""
     return endpoint.getsockname()[1]
 
 
@@ -289,6 +317,7 @@ def _tracked(
     chance: random.Random,
     acting: ActingFaults,
 ) -> list[TrackedBody]:
+    """Create the rigid body of each robot, with its name and id from the spec or the script."""
     noise = PoseNoise(settings.noise_mm, settings.noise_rad, chance)
     truths = {robot.name: robot for robot in settings.robots}
     taken = {robot.body for robot in section.robots if isinstance(robot.body, int)}

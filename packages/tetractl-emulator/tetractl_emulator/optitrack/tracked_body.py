@@ -1,9 +1,9 @@
-"""Robots as rigid bodies in the camera server's axes, with the faults of each body.
+"""Robots as rigid bodies in the axes of a motion-capture system, with the faults of each body.
 
-At an exposure a `TrackedBody` takes the pose of its robot, displaces it by what faults and errors
-ask for, and reports it as a `RigidBody` [m, quaternion] in the axes of a `View`. Complex values are
-vectors on the floor, x + iy [mm], in the axes of the experiment's spec unless said otherwise;
-`cmath.rect(1, angle)` turns one by an angle.
+At an exposure, a `TrackedBody` takes the pose of its robot, displaces it according to faults and
+noise, and reports it as a `RigidBody` [m, quaternion] in the axes of a `View`. Complex numbers are
+vectors on the floor, x + iy [mm], in the axes of the spec unless stated otherwise. Multiplication
+by `cmath.rect(1, angle)` rotates a vector by an angle.
 """
 
 import cmath
@@ -23,17 +23,18 @@ HEIGHT_MM = 60.0
 
 @dataclass(slots=True)
 class View:
-    """The cameras' axes in the spec's coordinates, as the camera's section states them.
+    """The axes of a motion-capture system, relative to the spec's coordinates.
 
-    Faults change the image: it is turned about the origin, grown, and then displaced.
+    Faults transform the measured positions like an image: it is rotated about the origin, scaled,
+    and then displaced.
 
     Attributes:
-        up: Vertical axis.
-        origin: Origin [mm].
-        rotation: Rotation [rad].
-        shift: Displacement of the image [mm], which is neither turned nor grown.
-        grown: Factor by which the image is grown.
-        turned: Angle by which the image is turned about the origin [rad].
+        up: The vertical axis.
+        origin: Origin of the system in the spec's axes [mm].
+        rotation: Angle from the spec's x axis to the system's x axis [rad].
+        shift: Displacement of the image [mm].
+        grown: Scale factor of the image.
+        turned: Angle by which the image is rotated about the origin [rad].
     """
 
     up: UpAxis = UpAxis.Y
@@ -44,10 +45,13 @@ class View:
     turned: float = 0.0
 
     def exposed(self, faults: Sequence[Any]) -> "View":
-        """Return the image of an exposure, as faults change it.
+        """Return the view for one exposure, as the faults transform it.
 
-        Faults that creep change it from one exposure to the next. It then stays where they have
-        brought it, like a camera with a tripod that has slipped.
+        Faults that creep change the view itself, from one exposure to the next. Their effect
+        remains, like that of a tripod that has slipped.
+
+        Args:
+            faults: The acting faults of the kind `picture`.
         """
         for fault in faults:
             if fault.creeps:
@@ -59,6 +63,7 @@ class View:
         return picture
 
     def _change(self, fault: Any) -> None:
+        """Apply the transformation of a fault."""
         self.shift += complex(*fault.by)
         self.grown *= fault.scale
         self.turned += fault.turn
@@ -66,14 +71,14 @@ class View:
     def rigid_body_at(
         self, number: int, x: float, y: float, heading: float, height: float
     ) -> RigidBody:
-        """Return a tracked body at a pose in the spec's axes.
+        """Create the tracked rigid body for a pose in the spec's axes.
 
         Args:
-            number: Number of the body.
+            number: Id of the rigid body.
             x: x [mm].
             y: y [mm].
             heading: Heading [rad].
-            height: Height [mm].
+            height: Height above the floor [mm].
         """
         from_origin = complex(x, y) - complex(*self.origin)
         in_picture = from_origin * cmath.rect(self.grown, self.turned) + self.shift
@@ -93,12 +98,12 @@ class View:
 
 @dataclass(slots=True)
 class Asset:
-    """A body as the motion-capture system lists it.
+    """A rigid body as it is defined in the motion-capture system.
 
     Attributes:
-        number: Its number.
+        number: Its id.
         name: Its name.
-        offset: The robot's heading minus the body's [rad].
+        offset: The robot's heading minus the rigid body's heading [rad].
         streamed: Whether its poses are in the stream.
     """
 
@@ -110,13 +115,13 @@ class Asset:
 
 @dataclass(frozen=True, slots=True)
 class PoseNoise:
-    """The noise of measured poses.
+    """The noise of measured poses, shared by all rigid bodies of a camera.
 
-    Errors, and the frames that miss the body, come from `random`. The bodies of a camera share it:
-    what is sampled for one body changes the errors of all.
+    The random generator also decides which frames miss a rigid body. Because it is shared, a number
+    sampled for one body changes the noise of all others.
 
     Attributes:
-        position_mm: Standard deviation of a position [mm].
+        position_mm: Standard deviation of each coordinate [mm].
         heading_rad: Standard deviation of a heading [rad].
         random: The random generator.
     """
@@ -132,15 +137,15 @@ class TrackedBody:
 
     Attributes:
         robot: The robot.
-        asset: The body as the system lists it.
-        noise: Noise of its poses.
+        asset: The rigid body as it is defined in the system.
+        noise: The noise of its poses.
         acting: The faults that act now.
-        shift: How far its position appears shifted [mm].
-        turned: How far its heading appears turned [rad].
-        strayed: How far false poses have led it away so far [mm].
-        strayed_turn: How far false poses have turned it so far [rad].
-        exposures: Number of its exposures.
-        last_pose: Its newest pose. None before the first.
+        shift: Constant error of its position [mm].
+        turned: Constant error of its heading [rad].
+        strayed: Error of its position that faults `ghost` have accumulated [mm].
+        strayed_turn: Error of its heading that faults `ghost` have accumulated [rad].
+        exposures: Number of exposures so far.
+        last_pose: Its newest pose. None before the first exposure.
     """
 
     robot: Body
@@ -155,11 +160,11 @@ class TrackedBody:
     last_pose: RigidBody | None = None
 
     def expose(self, view: View) -> RigidBody:
-        """Take an exposure; return the body as the cameras report it.
+        """Return the rigid body as the cameras report it at an exposure.
 
-        A body that they see has a new pose unless it repeats. One that they miss is reported as not
-        tracked, with its last pose and without the changes, as a receiver should not use that pose.
-        The first exposure always gives it a pose.
+        A body that the cameras see has a new pose, unless a fault repeats the last one. A body that
+        they miss is reported as untracked, with its last pose and without further changes, because
+        a receiver should not use that pose. The first exposure always gives it a pose.
         """
         name = self.robot.name
         self.exposures += 1
@@ -181,9 +186,9 @@ class TrackedBody:
         return body
 
     def _is_seen_now(self) -> bool:
-        """Decide whether this frame shows the body.
+        """Decide whether this frame shows the rigid body.
 
-        If it is tracked, but some frames miss it, this is random.
+        If frames miss it in part, this is random.
         """
         name = self.robot.name
         if self.acting.carried or self.acting.of_kind("untracked", name):
@@ -194,7 +199,7 @@ class TrackedBody:
         return missing == 0 or self.noise.random.random() >= missing
 
     def _stray(self) -> None:
-        """Let a false pose lead the body away, as far as it goes with each new pose."""
+        """Accumulate the errors of the faults `ghost`, or reset them if no such fault acts."""
         ghosts = self.acting.of_kind("ghost", self.robot.name)
         if not ghosts:
             self.strayed = 0j
@@ -205,7 +210,7 @@ class TrackedBody:
             self.strayed_turn += ghost.turn
 
     def _new_pose(self, view: View) -> RigidBody:
-        """Return the body at its robot's pose, displaced and with noise."""
+        """Return the rigid body at its robot's pose, displaced by faults and with noise."""
         robot = self.robot
         acting = self.acting
         away_mm = self.shift + self.strayed
@@ -226,16 +231,16 @@ class TrackedBody:
 
 
 def has_a_pose(body: RigidBody) -> bool:
-    """Check whether a client can take a pose from a body.
+    """Check whether the pose of a rigid body is valid.
 
-    Its position must be finite, and its quaternion's norm must be 1.
+    Its position must be finite, and the norm of its quaternion must be 1.
     """
     is_finite = all(math.isfinite(value) for value in body.position)
     return is_finite and abs(math.hypot(*body.quaternion) - 1.0) <= NORM_TOLERANCE
 
 
 def rolled(body: RigidBody, angle: float) -> RigidBody:
-    """Return a body turned about its own x axis by `angle` [rad]."""
+    """Return a rigid body rotated about its own x axis by an angle [rad]."""
     sin = math.sin(angle / 2)
     cos = math.cos(angle / 2)
     x, y, z, w = body.quaternion  # times (sin, 0, 0, cos) from the right: its own x axis

@@ -1,1 +1,4 @@
-"""Emulated devices that show pictures or drive coils: they need the microscope's package."""
+"""Emulated cameras that send images, and the emulated coil driver.
+
+They need the package tetractl-microscope.
+"""

@@ -1,4 +1,4 @@
-"""The firmware core of a current driver, compiled for this computer."""
+"""The firmware core of a coil driver, compiled for this computer."""
 
 import ctypes
 import struct
@@ -11,13 +11,13 @@ from tetractl_emulator.firmware import Core, Library
 
 @dataclass(frozen=True, slots=True)
 class DriverLimits:
-    """The limits built into a driver.
+    """The limits built into a coil driver.
 
     Attributes:
         current_max_ma: Maximum current of a coil pair [mA].
-        slew_ma_s: Maximum slew rate of a coil pair [mA/s].
+        slew_ma_s: Maximum rate of change of a coil pair's current [mA/s].
         watchdog_ms: Time without a command after which the driver stops [ms].
-        temperature_max_dc: Temperature that stops the driver [0.1 degrees Celsius].
+        temperature_max_dc: Temperature at which the driver stops [0.1 degrees Celsius].
     """
 
     current_max_ma: int
@@ -27,12 +27,12 @@ class DriverLimits:
 
 
 class DriverCore(Core):
-    """The firmware core of a current driver.
+    """The firmware core of a coil driver that is switched on at a given time.
 
     Args:
         limits: The limits built into the driver.
-        now_ms: Time at which it is switched on [ms].
-        library: The compiled firmware. None to load it.
+        now_ms: The present time [ms].
+        library: The functions of the core. None to load them.
     """
 
     name = "field"
@@ -46,15 +46,18 @@ class DriverCore(Core):
         self._call("init", struct.pack("@HIHh", *astuple(limits)), now_ms)  # field_limits
 
     def currents_ua(self, now_ms: int) -> tuple[int, int]:
-        """Return the present set points of both currents [uA], as watchdog and slew limit allow."""
+        """Return the present set points of the x and y currents [uA].
+
+        The watchdog and the limit on the rate of change are applied.
+        """
         return self._pair("currents", now_ms)
 
     def measured(
         self, x_ma: int, y_ma: int, supply_mv: int = 0, temperature_dc: int = UNKNOWN_TEMPERATURE
     ) -> None:
-        """Set the driver's measured values.
+        """Set the values that the driver has measured.
 
-        A temperature at the limit stops the driver until it is power-cycled.
+        If the temperature reaches its limit, the driver stops until it is power-cycled.
 
         Args:
             x_ma: Current of the x coils [mA].
@@ -65,5 +68,5 @@ class DriverCore(Core):
         self._call("measured", x_ma, y_ma, supply_mv, temperature_dc)
 
     def status(self, now_ms: int) -> DriverStatus:
-        """Return the status flags that a reply would have now."""
+        """Return the status flags that a reply would contain now."""
         return DriverStatus(self._call("status", now_ms))

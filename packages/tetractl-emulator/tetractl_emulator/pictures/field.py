@@ -1,8 +1,8 @@
-"""The emulated actuator of type `field`: a current driver on a serial port, coils, cells in a dish.
+"""The emulated actuator of type `field`: a coil driver on a serial port, coils, and cells.
 
-The driver runs the firmware's own core; its currents follow the core's set points with a
-first-order lag, whose time constant is L/R of the coils. Cells swim by `model.swimmers` in the
-field of these currents.
+The driver runs the compiled core of the real firmware. The coil currents follow the core's set
+points with a first-order lag, whose time constant is L/R of the coils. Cells swim in the field of
+these currents, by `model.swimmers`.
 """
 
 import math
@@ -50,19 +50,22 @@ COOL_DC = 250
 
 
 class CurrentDriver(SerialDevice):
-    """A current driver, switched on at the timeline's present time. Its owner plugs in the port.
-
-    `currents` [A] are the true currents.
+    """An emulated current driver that has just been switched on.
 
     Args:
-        timeline: The timeline of the emulation.
-        port: The port of the driver.
+        timeline: The emulation's timeline.
+        port: The driver's port. The caller plugs it in.
         limits: The limits built into the driver.
-        baud: Speed of the port [bits per second].
+        baud: Speed of the port [bits/s].
         lag_s: Time constant of the currents [s].
-        note: Called with each command. None if no record is kept.
+        note: Records an event, called as `note(event, **facts)`. None if there is no record.
         supply_mv: Voltage of the supply without a fault [mV].
-        acting: The faults that act now. None for none.
+        acting: The faults that act now. None if there are none.
+
+    Attributes:
+        currents: The true currents in the x and y coils [A].
+        supply_mv: Voltage of the supply without a fault [mV].
+        powered: Whether the driver is switched on.
     """
 
     def __init__(
@@ -88,7 +91,7 @@ class CurrentDriver(SerialDevice):
 
     @property
     def status(self) -> DriverStatus:
-        """The driver's present status flags."""
+        """The present status flags of the driver."""
         return self._core.status(self._now_ms) if self.powered else DriverStatus.SILENT
 
     @property
@@ -97,7 +100,7 @@ class CurrentDriver(SerialDevice):
         return DriverStatus.RUNNING in self.status
 
     def hear(self, data: bytes) -> None:
-        """Take bytes from the line one by one, and reply to polls, as a real driver does."""
+        """Process bytes from the line, and reply to polls, as a real driver does."""
         late_ns = round(self.acting.total_by("late_driver") * SECOND)
         if not late_ns and self._due_ns <= self._timeline.now_ns:
             self._receive(data)
@@ -106,6 +109,7 @@ class CurrentDriver(SerialDevice):
         self._timeline.at(self._due_ns, lambda: self._receive(data))
 
     def _receive(self, data: bytes) -> None:
+        """Pass bytes to the firmware's core, and send its replies."""
         if not self.powered:
             return
         for byte in data * (2 if self.acting.of_kind("doubled_commands") else 1):
@@ -115,24 +119,26 @@ class CurrentDriver(SerialDevice):
                 self._answer(reply)
 
     def advance(self, until_ns: int) -> None:
-        """Advance in steps of 1 ms, as long as a step does not go beyond `until_ns`."""
+        """Advance the currents in steps of 1 ms, up to the time `until_ns` [ns]."""
         while self._now_ns + MILLISECOND <= until_ns:
             self._now_ns += MILLISECOND
             self._step()
 
     def switch(self, on: bool) -> None:
-        """Switch the driver on or off; switching it on clears an emergency stop or overheating."""
+        """Switch the driver on or off. Switching it on clears an emergency stop or overheating."""
         self.powered = on
         if on:
             self._core = DriverCore(self._limits, self._now_ms)
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
+        """Decode a command for the record: its sequence number, flags and currents [mA]."""
         command = decode_command(sealed)
         flags = int(command.flags)
         currents = [command.x_ma, command.y_ma]
         return {"sequence": command.sequence, "flags": flags, "currents_ma": currents}
 
     def _step(self) -> None:
+        """Advance the currents by 1 ms, and pass the measured values to the core."""
         wished = self._core.currents_ua(self._now_ms) if self.powered else (0, 0)
         x, y = (
             wish / 1e6 + self._keep * (before - wish / 1e6)
@@ -147,6 +153,7 @@ class CurrentDriver(SerialDevice):
 
     @property
     def _now_ms(self) -> int:
+        """The present time for the firmware [ms], modulo 2^32."""
         return self._now_ns // MILLISECOND & 0xFFFFFFFF
 
 
@@ -167,6 +174,11 @@ class FieldSettings(Model):
 
 
 def _row(fault: Any, device: Any) -> int:
+    """Return the index of the cell that a fault names.
+
+    Raises:
+        UsageError: If there is no such cell.
+    """
     names = [body.name for body in device.bodies]
     if fault.cell not in names:
         raise UsageError(f"no cell is named {fault.cell}", f"the cells are {', '.join(names)}")
@@ -174,10 +186,12 @@ def _row(fault: Any, device: Any) -> int:
 
 
 def _dives(fault: Any, device: Any) -> None:
+    """Begin the fault `dives`: move a cell out of the focal plane."""
     device.dish.cells.depth[_row(fault, device)] += fault.by_um
 
 
 def _rests(fault: Any, device: Any) -> Callable[[bool], None]:
+    """Return the switch with which a cell stops or resumes swimming, for the fault `rests`."""
     row = _row(fault, device)
     return lambda resting: device.dish.cells.rest(row, resting)
 
@@ -265,7 +279,7 @@ FAULTS = (
 
 
 class EmulatedField(PluggedDevices):
-    """A current driver on a pseudo-terminal, and the cells between its coils."""
+    """An emulated current driver on a pseudo-terminal, and the cells between its coils."""
 
     what = "current driver"
     Settings: ClassVar[type[Model]] = FieldSettings
@@ -328,10 +342,10 @@ class EmulatedField(PluggedDevices):
 
     @property
     def truth(self) -> dict[str, Any]:
-        """The true field at the cells, and the currents, for the record.
+        """The true field and currents, for the record.
 
-        The field is in mT, the currents in A. For cells that were born since the beginning, x, y
-        [mm] and heading [rad] are added.
+        The keys are "field_mt" [mT] and "currents_a" [A], each for x and y, and "born", with x, y
+        [mm] and heading [rad] of each cell that was born since the start.
         """
         parts = {"field_mt": self.dish.field_mt, "currents_a": self.driver.currents}
         truth = {name: _rounded(values) for name, values in parts.items()}
@@ -344,19 +358,20 @@ class EmulatedField(PluggedDevices):
         self.driver.switch(on)
 
     def advance(self, until_ns: int) -> None:
-        """Advance currents and cells to `until_ns`."""
+        """Advance the currents and the cells to the time `until_ns` [ns]."""
         self.dish.advance(until_ns)
 
     def tick(self) -> None:
-        """Do nothing, since the driver replies at once."""
+        """Do nothing, because the driver replies at once."""
 
 
 def _rounded(values: Sequence[float]) -> list[float]:
+    """Round values to 5 decimals."""
     return [round(value, 5) for value in values]
 
 
 def _limits(section: FieldSection) -> DriverLimits:
-    """Return the limits built into the driver. They equal the spec's."""
+    """Return the limits built into the driver, which are those of the spec."""
     milliamperes = round(1000 * section.current_max_a)
     slew = round(1000 * section.slew_max_a_s)
     return DriverLimits(milliamperes, slew, round(1000 * section.watchdog))

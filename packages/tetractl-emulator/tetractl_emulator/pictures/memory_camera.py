@@ -1,7 +1,8 @@
-"""A network camera in memory: gives our program the parts of a picture stream in virtual time.
+"""An emulated network camera in memory, which passes images to our program in virtual time.
 
-They are the parts that `network_camera` would send over HTTP, and our side takes them apart as it
-does those. Pictures are exposed in true time, and wait on the wire while our process stands still.
+The images have the same form as those that `network_camera` sends over HTTP, and our side decodes
+them in the same way. Images are exposed in true time. They wait in a queue while a fault suspends
+our process.
 """
 
 from collections import deque
@@ -21,17 +22,16 @@ from tetractl_emulator.virtual_lab import LabClock
 
 
 class MemoryCamera:
-    """A camera on a LabClock that shows a stream of images in memory; a context manager.
+    """An emulated network camera on a `LabClock`; a context manager.
 
-    It is also the `Feed` of the program that watches it, which `join` returns. While no program
-    watches, before `join` and after `interrupt`, nothing is drawn. If more than `WAITING_MAX`
-    images are on the wire, the oldest are lost.
+    It is also the `Feed` that its reader gets from `join`. While no program reads, nothing is
+    drawn. If more than WAITING_MAX images wait, the oldest are lost.
 
     Args:
         stream: The images.
-        clock: The clock for times.
-        port: The spec's port, which is not opened.
-        shown: Called with the time of an exposure [ns] when its image arrives undamaged.
+        clock: The clock.
+        port: The port in the spec, for display. It is not opened.
+        shown: Called with the exposure time [ns] of each image that arrives undamaged.
     """
 
     live = emulated = True
@@ -61,32 +61,37 @@ class MemoryCamera:
 
     @property
     def watched(self) -> bool:
-        """Whether a program watches the camera."""
+        """Whether a program reads the images."""
         return self._take is not None
 
     @property
     def damaged(self) -> int:
-        """Number of parts that could not be read, since the last `join`."""
+        """Number of parts that could not be decoded since the last `join`."""
         return self._parts.damaged
 
     def join(self, take: Callable[[bytes], None]) -> Self:
-        """Pass each picture, a JPEG file, to `take` from now on; return the feed."""
+        """Start to pass each image, a JPEG file, to a function.
+
+        Returns:
+            The camera itself, as the feed.
+        """
         self._take = take
         self._parts = Multipart(BOUNDARY)
         return self
 
     def interrupt(self) -> None:
-        """Pass on no further pictures."""
+        """Stop passing images."""
         self._take = None
 
     def _step(self) -> None:
+        """Expose and deliver the images that are due. Called in each step of the clock."""
         now_ns = self._clock.true_ns
         self._expose(now_ns)
         while self._wire and self._wire[0].due_ns <= now_ns:
             self._deliver(self._wire.popleft())
 
     def _expose(self, now_ns: int) -> None:
-        """Put the next picture on the wire, if its exposure has ended."""
+        """Queue the next image if its exposure has ended."""
         stream = self._stream
         exposed_ns = self._start_ns + stream.middle_ns(self._next)
         if now_ns < exposed_ns + stream.half_ns:
@@ -96,7 +101,7 @@ class MemoryCamera:
             self._wire.append(stream.drawn_part(exposed_ns))
 
     def _deliver(self, due: DuePart) -> None:
-        """Pass a part to the program that watches, changed by the present faults."""
+        """Pass an image to the reader, as faults change it. It is lost without a reader."""
         sent = self._stream.send(due.drawn)
         if self._take is None:
             return

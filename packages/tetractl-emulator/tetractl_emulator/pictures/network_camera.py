@@ -1,12 +1,12 @@
-"""An emulated network camera: serves drawn pictures over HTTP, as web cameras in a network do.
+"""An emulated network camera that serves synthetic images over HTTP, like a webcam.
 
-The stream is multipart MJPEG: part after part, each with a boundary, a header, and a JPEG file.
+The stream is multipart MJPEG: a sequence of parts, each with a boundary, a header, and a JPEG file.
 
     stream = PictureStream(draw, rate_hz=30.0)
     with EmulatedNetworkCamera(stream, MonotonicClock()) as camera:
         print(camera.url)                                 for any program that reads such streams
 
-`memory_camera` gives the same parts to our program without a network.
+`memory_camera` passes the same parts to our program without a network.
 """
 
 import queue
@@ -34,7 +34,13 @@ WAITING_MAX = 32
 
 @dataclass(frozen=True, slots=True)
 class DuePart:
-    """A part of a stream on its way, when it is sent and when it was exposed [ns]."""
+    """A part of a stream that waits to be sent.
+
+    Attributes:
+        due_ns: When it is sent [ns].
+        exposed_ns: When its image was exposed [ns].
+        drawn: Its bytes.
+    """
 
     due_ns: int
     exposed_ns: int
@@ -42,18 +48,21 @@ class DuePart:
 
 
 class PictureStream:
-    """The images of an emulated camera, as parts of a multipart stream, with the faults that act.
+    """The images of an emulated camera as parts of a multipart stream, with the acting faults.
 
-    The middle of the exposure of image k is k / `rate_hz` after the camera was entered. `half_ns`
-    is half the time of an exposure.
+    The middle of the exposure of image k is k / `rate_hz` after the camera was entered. The image
+    is sent `latency_s` after that.
 
     Args:
-        draw: Returns the image whose exposure has its middle at a time on the camera's clock [ns].
+        draw: Returns the image for the middle of an exposure [ns], on the camera's clock.
         rate_hz: Images per second [Hz].
-        exposure_s: Time of an exposure [s].
-        latency_s: Time from the middle of an exposure to sending the image [s].
-        acting: The faults that act now. None for none.
-        seed: Determines which parts the fault `bad_pictures` spoils.
+        exposure_s: Exposure time [s].
+        latency_s: Time from the middle of an exposure until the image is sent [s].
+        acting: The faults that act now. None if there are none.
+        seed: Seed that determines which parts the fault `bad_pictures` damages.
+
+    Attributes:
+        half_ns: Half the exposure time [ns].
     """
 
     def __init__(
@@ -74,29 +83,29 @@ class PictureStream:
         self._newest = b""  # the last part, before faults spoil it
 
     def middle_ns(self, number: int) -> int:
-        """Return the middle of a picture's exposure, after the camera was entered [ns]."""
+        """Return the time from entering the camera to the middle of an image's exposure [ns]."""
         return round(number * SECOND / self.rate_hz)
 
     @property
     def latency_ns(self) -> int:
-        """Time from the middle of an exposure to the sending of its picture, at present [ns]."""
+        """Present time from the middle of an exposure until its image is sent [ns]."""
         late_s = self._acting.total_by("late_pictures")
         return round(self._latency_s * SECOND) + round(late_s * SECOND)
 
     def withholds(self, number: int) -> bool:
-        """Return whether the picture with this number is not exposed or not sent."""
+        """Check whether a fault drops the image with this number."""
         slow = any(number % fault.every for fault in self._acting.of_kind("half_rate"))
         return slow or bool(self._acting.of_kind("no_frames"))
 
     def drawn_part(self, exposed_ns: int) -> DuePart:
-        """Return the picture of an exposure as a part of the stream."""
+        """Draw the image of an exposure, and return it as a part of the stream."""
         drawn = part(coded(self._draw(exposed_ns)))
         return DuePart(exposed_ns + self.latency_ns, exposed_ns, drawn)
 
     def send(self, drawn: bytes) -> bytes:
-        """Take a part that is due, and return what is sent for it.
+        """Return the bytes that are sent for a part that is due.
 
-        If images repeat, this is the previous part. It may also be damaged.
+        If a fault repeats images, this is the previous part. Faults can also damage it.
         """
         if not self._acting.of_kind("repeat") or not self._newest:
             self._newest = drawn
@@ -108,18 +117,21 @@ class PictureStream:
 
 
 class EmulatedNetworkCamera:
-    """Serves a stream of images at http://127.0.0.1:`port`/, as a context manager.
+    """Serves a stream of images at http://127.0.0.1:`port`/; a context manager.
 
-    Entering it raises TetractlError if the port is in use. While anybody watches, one thread
-    exposes images and puts each into the queue of every client. A busy host skips some exposures. A
-    thread for each client sends what is in its queue when it is due. A client that reads slowly
-    misses images. `_lock` protects what they share: the queues of the clients, and the stream.
+    While there is a client, one thread exposes images and puts each of them into the queue of every
+    client. On a busy computer, exposures are skipped. One thread for each client sends the images
+    in its queue when they are due. A client that reads slowly misses images. `_lock` protects the
+    queues and the stream, which the threads share.
 
     Args:
         stream: The images.
         clock: The clock for times.
         port: The port. 0 for any free port.
-        drips: Whether to send an endless header byte by byte.
+        drips: Whether to send an endless header instead, byte by byte.
+
+    Raises:
+        TetractlError: If the port is in use.
     """
 
     def __init__(
@@ -154,7 +166,7 @@ class EmulatedNetworkCamera:
 
     @property
     def port(self) -> int:
-        """The port that was really opened."""
+        """The port that the camera serves at."""
         return self._server.server_address[1]
 
     @property
@@ -164,7 +176,7 @@ class EmulatedNetworkCamera:
 
     @property
     def url(self) -> str:
-        """The stream's URL."""
+        """The URL of the stream."""
         return url_at(self.port)
 
     def __enter__(self) -> Self:
@@ -173,7 +185,7 @@ class EmulatedNetworkCamera:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop taking pictures, and close every connection."""
+        """Stop exposing images, and close every connection."""
         self._closing.set()
         self._server.shutdown()
         self._server.server_close()
@@ -181,7 +193,7 @@ class EmulatedNetworkCamera:
             thread.join()
 
     def _expose(self) -> None:
-        """Expose picture after picture until the camera closes."""
+        """Expose images until the camera closes."""
         stream = self._stream
         start_ns = self._clock.now()
         number = 0
@@ -194,7 +206,7 @@ class EmulatedNetworkCamera:
                 self._queue(exposed_ns)
 
     def _queue(self, exposed_ns: int) -> None:
-        """Draw a picture, and put it into the queue of every client that is not full."""
+        """Draw an image, and put it into each client's queue that is not full."""
         due = self._stream.drawn_part(exposed_ns)
         with self._lock:
             for client in self._clients:
@@ -202,7 +214,7 @@ class EmulatedNetworkCamera:
                     client.put_nowait(due)
 
     def _serve(self, answer: BaseHTTPRequestHandler) -> None:
-        """Answer a client until it has gone or the camera closes."""
+        """Send images to a client until it disconnects or the camera closes."""
         waiting = queue.Queue[DuePart](WAITING_MAX)
         with self._lock:
             self._clients.add(waiting)
@@ -235,12 +247,12 @@ def url_at(port: int) -> str:
 
 
 def coded(picture: Grey, quality: int = 90) -> bytes:
-    """Return a picture as a JPEG file."""
+    """Encode an image as a JPEG file."""
     return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 
 def part(jpeg: bytes) -> bytes:
-    """Return one part of the stream for a JPEG file, beginning with the boundary."""
+    """Encode a JPEG file as one part of the stream, starting with the boundary."""
     head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
     return head.encode() + jpeg + b"\r\n"
 
@@ -251,13 +263,16 @@ def cut_short(sent_part: bytes) -> bytes:
 
 
 def cut_before_its_end(sent_part: bytes) -> bytes:
-    """Return a part whose JPEG lacks the second half of its data, but has its end marker."""
+    """Remove the second half of a part's JPEG data, but keep the end marker."""
     jpeg = sent_part.partition(b"\r\n\r\n")[2]
     return part(jpeg[: len(jpeg) // 2] + b"\xff\xd9")
 
 
 def oversized(sent_part: bytes) -> bytes:
-    """Change a part so that its JPEG claims to have 32767 x 32767 pixels."""
+    """Change the header of a part's JPEG file to a size of 32767 x 32767 pixels.
+
+    A part without a JPEG header is returned unchanged.
+    """
     size_at = sent_part.find(b"\xff\xc0") + 5
     if size_at < 5:
         return sent_part

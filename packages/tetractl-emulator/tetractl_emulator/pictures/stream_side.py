@@ -1,9 +1,9 @@
-"""Emulated cameras that send pictures, such as a webcam or a microscope: what they have in common.
+"""Base class of emulated cameras that send images, such as a webcam or a microscope.
 
-They are a `StreamedCamera`: it remembers the scene as it was at each moment, since a picture is
-drawn after its exposure; draws it when the camera asks; and sends it as a stream of JPEG files,
-over HTTP or in memory. A subclass says what the scene is, and draws it. All have the settings and
-the faults of such a stream.
+A `StreamedCamera` stores the scene at short intervals, because an image is drawn after its
+exposure. It draws an image when the stream asks for one, and sends a stream of JPEG files, over
+HTTP or in memory. A subclass describes the scene and draws it. All such cameras share the settings
+and faults in this module.
 """
 
 from abc import ABC, abstractmethod
@@ -111,17 +111,17 @@ STREAM_FAULTS = (
 
 
 class SceneHistory:
-    """The newest scenes, as numbers that can be interpolated in time."""
+    """The newest 200 scenes, as arrays that can be interpolated in time."""
 
     def __init__(self) -> None:
         self._scenes: deque[tuple[int, Floats]] = deque(maxlen=200)
 
     def add(self, time_ns: int, scene: Floats) -> None:
-        """Add the scene at a time [ns], which is later than those before."""
+        """Add the scene at a time [ns], which must be later than the previous ones."""
         self._scenes.append((time_ns, scene))
 
     def at(self, when_ns: int) -> Floats:
-        """Return the scene at a time [ns], interpolated between the scenes before and after."""
+        """Interpolate the scene at a time [ns]."""
         scenes = list(self._scenes)
         times_ns = [time_ns for time_ns, _ in scenes]
         later = max(bisect_left(times_ns, when_ns), 1)
@@ -136,11 +136,17 @@ class SceneHistory:
 
 
 class ShownBodies:
-    """Records which bodies the images show, by their time of exposure [ns] on the camera's clock.
+    """Records when each body was last shown to our side, by images that have arrived.
 
-    For each of `count` bodies, `newest_ns` is when it was exposed in the newest image that has
-    shown it to our side, 0 if none has. Each image that arrives ends the memory of those before. If
-    it is not known which images have arrived, there must be no such object.
+    It is used only in memory, where it is known which images have arrived. When an image arrives,
+    the records of all earlier images are deleted.
+
+    Args:
+        count: Number of bodies.
+
+    Attributes:
+        newest_ns: For each body, when it was exposed in the newest image that has shown it to our
+            side [ns]. 0 if none has.
     """
 
     def __init__(self, count: int) -> None:
@@ -148,11 +154,21 @@ class ShownBodies:
         self._visible: dict[int, Sequence[bool]] = {}  # by exposure
 
     def expose(self, exposed_ns: int, visible: Sequence[bool]) -> None:
-        """Remember which bodies are visible in the picture of an exposure."""
+        """Record which bodies are visible in an image.
+
+        Args:
+            exposed_ns: When the image is exposed, on the camera's clock [ns].
+            visible: Whether each body is visible.
+        """
         self._visible[exposed_ns] = visible
 
     def come(self, exposed_ns: int, start_ns: int) -> None:
-        """Note that the picture of an exposure has come; the camera's clock began at `start_ns`."""
+        """Record that an image has arrived.
+
+        Args:
+            exposed_ns: When the image was exposed, on the camera's clock [ns].
+            start_ns: Time at which the camera's clock started [ns].
+        """
         for i, visible in enumerate(self._visible[exposed_ns]):
             if visible:
                 self.newest_ns[i] = start_ns + exposed_ns
@@ -162,14 +178,18 @@ class ShownBodies:
 
 
 class StreamedCamera(ABC):
-    """Base class of emulated cameras that serve images as MJPEG. A thread draws the images.
+    """Base class of emulated cameras that serve images as MJPEG.
 
-    A subclass returns the present scene as numbers, and draws the scene at an exposure.
+    A subclass returns the present scene as an array, and draws the scene at an exposure. A separate
+    thread draws the images.
 
     Args:
-        stage: The data and functions that the lab's emulated devices share.
-        settings: The settings of the camera.
-        bodies: The bodies that the camera sees.
+        stage: What the emulated devices share.
+        settings: Settings of the stream.
+        bodies: The robots.
+
+    Raises:
+        SpecError: If the section's source of images cannot be emulated.
     """
 
     Settings: ClassVar[type[Model]]
@@ -208,33 +228,37 @@ class StreamedCamera(ABC):
 
     @property
     def seed(self) -> int:
-        """The seed of all that is drawn at random."""
+        """The seed of all random numbers."""
         return self._stage.options.seed
 
     @property
     def shown_ns(self) -> Sequence[int]:
         """When each body was exposed in the newest image that has shown it to our side [ns].
 
-        The result is empty over HTTP, where this is not known.
+        It is empty over HTTP, where this is not known.
         """
         return () if self._shown is None else self._shown.newest_ns
 
     @abstractmethod
     def _scene(self) -> Floats:
-        """Return the present scene as numbers that can be interpolated in time."""
+        """Return the present scene as an array that can be interpolated in time."""
 
     def _visible_now(self) -> Sequence[bool]:
-        """Find the bodies that are neither carried nor covered."""
+        """Check for each body whether it is visible, neither carried nor covered."""
         covered = {fault.subject for fault in self._stage.acting.of_kind("untracked")}
         carried = self._stage.acting.carried
         return [not carried and body.name not in covered for body in self._bodies]
 
     @abstractmethod
     def _draw(self, exposed_ns: int) -> Grey:
-        """Return the picture of an exposure, from `_scene_at`; called in the camera's thread."""
+        """Draw the image of an exposure, using `_scene_at`. Called in the camera's thread."""
 
     def open(self, loop: Loop) -> Facts:
-        """Start to serve the stream; return its address."""
+        """Start to serve the stream.
+
+        Returns:
+            Two entries, "camera" and "url": the URL of the stream.
+        """
         wires = self._stage.wires
         clock = wires.clock()
         self._start_ns = loop.now() - clock.now()
@@ -252,21 +276,25 @@ class StreamedCamera(ABC):
         return {"camera": self.camera.url, "url": self.camera.url}
 
     def close(self) -> Facts:
-        """End the stream; return the number of pictures, to be recorded."""
+        """Stop the stream.
+
+        Returns:
+            One entry: "pictures" maps to the number of exposures.
+        """
         self._releases.close()
         return {"pictures": self._exposures}
 
     @property
     def join(self) -> Any:
-        """The function that passes this camera's images to our camera in memory."""
+        """The function that connects our camera to this camera in memory."""
         return self.camera.join
 
     def _joined(self) -> None:
-        """Do nothing, unless overridden; called when a client begins to watch."""
+        """React to a client that starts to read. By default, nothing happens."""
         return
 
     def _taken(self, exposed_ns: int) -> Grey:
-        """Return the image of an exposure. In memory, remember what it shows."""
+        """Draw the image of an exposure. In memory, also record what it shows."""
         if self._shown is not None:
             self._shown.expose(exposed_ns, self._visible_now())
         return self._draw(exposed_ns)
@@ -276,14 +304,14 @@ class StreamedCamera(ABC):
         return self._history.at(self._start_ns + t_ns)
 
     def _remember(self) -> None:
-        """Store the present scene for exposures that are drawn later."""
+        """Store the present scene for exposures that are drawn later, every 5 ms."""
         now = self._stage.timeline.now_ns
         self._history.add(now, self._scene())
         # exposures are drawn between two of these scenes
         self._stage.timeline.at(now + 5_000_000, self._remember)
 
     def _expose(self) -> None:
-        """Report an exposure, and a client that begins to watch; schedule the next exposure."""
+        """Report an exposure, and a client that starts to read, and schedule the next exposure."""
         now = self._stage.timeline.now_ns
         self._exposures += 1
         self._stage.exposed(self._exposures, 0)  # our camera counts what comes

@@ -1,1 +1,1 @@
-"""Emulated robots that take lines of text."""
+"""Emulated robots that receive commands as lines of text."""

@@ -1,7 +1,7 @@
-"""The base of emulated robots of another make: two wheels, a port each, a message for each command.
+"""Base class for emulating your own robots: two wheels, a port for each robot, no answers.
 
-A side of your own derives from `OwnLines` and reads a message: a datagram, or a line of a serial
-port without its end.
+Derive from `OwnLines`, and implement `read`. A message is a datagram, or a line of a serial port
+without its end.
 """
 
 from abc import abstractmethod
@@ -29,7 +29,12 @@ Read = Callable[[bytes], Counts]
 
 
 class OwnProgram:
-    """A robot's program: the speeds of the newest message, until its watchdog ends them."""
+    """A robot's program, which applies the speeds of the newest message until its watchdog expires.
+
+    Args:
+        read: Decodes a message to the speeds of the left and the right wheel.
+        watchdog_s: Time without a message after which the robot stops [s].
+    """
 
     def __init__(self, read: Read, watchdog_s: float) -> None:
         self._read = read
@@ -38,31 +43,34 @@ class OwnProgram:
         self._heard_ms = 0
 
     def push(self, data: bytes, now_ms: int) -> None:
-        """Take a message; one that cannot be read changes nothing."""
+        """Process a message. A message that cannot be decoded is ignored."""
         with suppress(*UNREADABLE):
             self._speeds = self._read(data)
             self._heard_ms = now_ms
 
     def wheels(self, now_ms: int) -> Counts:
-        """Return the speeds that act now [mm/s]."""
+        """Return the present speeds of the left and the right wheel [unit_mm mm/s].
+
+        They are 0 after the watchdog has expired.
+        """
         return self._speeds if now_ms - self._heard_ms < self._watchdog_ms else (0, 0)
 
     def status(self, now_ms: int) -> Status:
-        """Return whether the robot drives, or stands because no message arrived."""
+        """Return the status: RUNNING, SILENT after the watchdog has expired, or 0 at standstill."""
         if now_ms - self._heard_ms >= self._watchdog_ms:
             return Status.SILENT
         return Status.RUNNING if any(self._speeds) else Status(0)
 
     def take_reply(self, now_ms: int) -> bytes:
-        """Return nothing: the robot does not answer."""
+        """Return b"", because the robot does not answer."""
         return b""
 
     def set_battery(self, battery_mv: int) -> None:
-        """Do nothing: the robot does not measure its battery."""
+        """Do nothing, because the robot does not measure its battery."""
 
 
 class ReadsMessages(Protocol):
-    """A side whose robots each take messages at a port of their own."""
+    """An emulated actuator whose robots each receive messages at their own port."""
 
     @property
     def robots(self) -> Sequence[EmulatedRobot]:
@@ -70,28 +78,28 @@ class ReadsMessages(Protocol):
         ...
 
     def read(self, message: bytes, row: int) -> Counts:
-        """Return the wheel speeds that a message asks of a robot.
+        """Decode a message to wheel speeds.
 
         Args:
             message: The message.
-            row: The robot's place in the setup.
+            row: Index of the robot in the setup.
 
         Returns:
             The speeds of the left and the right wheel [unit_mm mm/s].
 
         Raises:
-            Exception: One of UNREADABLE, such as ValueError, if the message cannot be read.
+            Exception: One of UNREADABLE, such as ValueError, if the message cannot be decoded.
         """
         ...
 
 
 class OwnRadio(LineRadio):
-    """The connection to one robot that has a port of its own.
+    """The connection to one robot that has its own port.
 
     Args:
         stage: What the emulated devices share.
         port: Name of the port.
-        side: Reads the robot's messages.
+        side: Decodes the robot's messages.
         row: Index of the robot in the setup.
         loss: Probability that a message is lost.
         baud: Speed of the port [bits/s].
@@ -116,12 +124,14 @@ class OwnRadio(LineRadio):
         self._whole = is_network(port)
 
     def stop_elsewhere(self, sequence: int) -> None:
-        """Do nothing: a robot has no emergency stop that another sender could press."""
+        """Do nothing: such a robot has no emergency stop that another program could send."""
 
     def _split(self, data: bytes) -> list[bytes]:
+        """Return the complete messages in the data, followed by the incomplete rest."""
         return [data, b""] if self._whole else [line.rstrip() for line in super()._split(data)]
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
+        """Decode a message for the record: flags, motor speeds, and which robots it drives."""
         try:
             speeds = self._side.read(sealed, self._row)
         except UNREADABLE as error:
@@ -131,7 +141,7 @@ class OwnRadio(LineRadio):
 
 
 class OwnLines(PortedSide):
-    """Robots at the addresses of an `OwnSection`."""
+    """Base class of an emulated actuator for robots at the addresses of an `OwnSection`."""
 
     faults: ClassVar[Sequence[type[Fault]]] = tuple(
         kind for kind in WHEELED_FAULTS if kind.__name__ not in ("stopped_elsewhere", "low_battery")
@@ -150,16 +160,26 @@ class OwnLines(PortedSide):
 
     @abstractmethod
     def read(self, message: bytes, row: int) -> Counts:
-        """Return the wheel speeds left and right that a message requests of a robot [unit_mm mm/s].
+        """Decode a message to wheel speeds.
 
-        It may raise any of UNREADABLE, such as ValueError, if the message cannot be read. `row` is
-        the robot's index.
+        Args:
+            message: The message.
+            row: Index of the robot in the setup.
+
+        Returns:
+            The speeds of the left and the right wheel [unit_mm mm/s].
+
+        Raises:
+            Exception: One of UNREADABLE, such as ValueError, if the message cannot be decoded.
         """
 
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults
     ) -> EmulatedRobot:
-        """Create a robot with a program that reads messages; see `PortedSide.make_robot`."""
+        """Create a robot whose program decodes messages with `read`.
+
+        See `PortedSide.make_robot`.
+        """
 
         def program(index: int) -> OwnProgram:
             return OwnProgram(lambda message: self.read(message, index), self._watchdog_s)

@@ -1,4 +1,4 @@
-"""One port of emulated robots that take lines: serial or UDP, and a transparent radio; no I/O."""
+"""A port of emulated robots that receive lines: serial, radio or UDP. No I/O."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,16 +17,16 @@ DELAY_NS = 2 * MILLISECOND  # guess: from the end of a line at the radio to the 
 
 
 class LineRadio(RobotRadio):
-    """Passes lines on a port to robots, and their replies back.
+    """Delivers the lines that a program sends at a port to robots, and sends back their replies.
 
     Args:
-        stage: The data and functions that the lab's emulated devices share.
+        stage: What the emulated devices share.
         port: The port.
-        baud: Its speed [bits per second].
-        robots: The robots at this port.
-        indices: The numbers of all robots of the setup.
-        loss: Fraction of the lines that are lost.
-        seed: Determines what is lost.
+        baud: Speed of the port [bits/s].
+        robots: The robots that receive the lines.
+        indices: Numbers of all robots of the setup.
+        loss: Minimum probability that a line is lost.
+        seed: Seed of what is lost or late.
     """
 
     end = b"\n"  # of a line
@@ -47,26 +47,32 @@ class LineRadio(RobotRadio):
         self._witnessed = b""
 
     def hear(self, data: bytes) -> None:
-        """Take bytes that arrived over the line. Robots receive whole lines or none."""
+        """Process received bytes. Only complete lines are delivered to robots."""
         *lines, self._line = self._split(self._line + data)
         for line in lines:
             self.pass_on(line + self.end, self._timeline.now_ns + DELAY_NS)
 
     def _split(self, data: bytes) -> list[bytes]:
-        """Return the messages in data, and what is left."""
+        """Return the complete lines in the data, followed by the incomplete rest."""
         return data.split(b"\n")
 
     def stop_elsewhere(self, sequence: int) -> None:
-        """Pass on an emergency stop that no program of ours has sent."""
+        """Deliver an emergency stop, as if from another program."""
         self.hear(encode_command(LineCommand("W", sequence, Flag.EMERGENCY_STOP)))
 
     def drive_elsewhere(self, sequence: int, counts: Counts) -> None:
-        """Pass on a command of another program, that all robots drive at speeds of these counts."""
+        """Deliver a command that drives all robots, as if from another program.
+
+        Args:
+            sequence: Sequence number of the command.
+            counts: Counts of the left and the right motor, each converted to MM_S_A_COUNT mm/s.
+        """
         left, right = (MM_S_A_COUNT * count for count in counts)
         entries = tuple((index, left, right) for index in self._indices)
         self.hear(encode_command(LineCommand("W", sequence, Flag.RUN, entries)))
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
+        """Decode a command for the record: sequence, flags, entries, and which robots it drives."""
         command = decode_command(sealed)
         driven = [index for index, *speeds in command.entries if any(speeds)]
         drives = [command.flags & Flag.RUN and index in driven for index in self._indices]
@@ -74,5 +80,6 @@ class LineRadio(RobotRadio):
         return {"sequence": command.sequence, "flags": int(command.flags), **record}
 
     def _witness(self, data: bytes) -> None:
+        """Record the commands in bytes that were read from the port."""
         *lines, self._witnessed = self._split(self._witnessed + data)
         self._note_commands(lines)

@@ -1,4 +1,4 @@
-"""The emulated actuator of type `twist`: ports, and robots with the firmware's core."""
+"""The emulated actuator of type `twist`: robots that run the compiled firmware, and their ports."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -20,7 +20,7 @@ from tetractl_emulator.twist.radio import LineRadio
 
 
 class EmulatedTwist(PortedSide):
-    """Robots that run the firmware's core, on the ports of the spec."""
+    """Emulated robots that run the compiled core of the firmware, on the ports of the spec."""
 
     faults: ClassVar[Sequence[type[Fault]]] = (DRIVEN_ELSEWHERE, *WHEELED_FAULTS)
 
@@ -43,6 +43,6 @@ class EmulatedTwist(PortedSide):
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults
     ) -> EmulatedRobot:
-        """Create a robot with the firmware's core; see `PortedSide.make_robot`."""
+        """Create a robot with the compiled core of the firmware; see `PortedSide.make_robot`."""
         core = partial(TwistCore, radius_mm=round(float(self.radii[row])))
         return EmulatedRobot(name, self._section.index(name), battery_mv, core, acting)

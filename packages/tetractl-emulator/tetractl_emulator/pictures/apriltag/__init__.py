@@ -1,1 +1,1 @@
-"""An emulated camera above robots with tags: a renderer of pictures behind a network camera."""
+"""An emulated network camera above robots with AprilTags, which renders its images."""

@@ -1,7 +1,7 @@
-"""The emulated camera of type `apriltag`: its settings, its faults, and its pictures of the robots.
+"""The emulated camera of type `apriltag`: its settings, its faults, and its rendered images.
 
-Every picture is synthetic. The emulated camera is a pinhole with known optics, so that results from
-its pictures can be compared with the truth.
+Every image is synthetic. The emulated camera is a pinhole camera with known optics, so results from
+its images can be compared with the truth.
 """
 
 import math
@@ -36,19 +36,21 @@ VIEW = 2 * math.tan(1.1 / 2)  # a picture's width over the focal length: 63 degr
 
 @dataclass(frozen=True, slots=True)
 class Optics:
-    """A pinhole camera and its imperfections. Up in the image is +y on the floor.
+    """A pinhole camera above the floor, with the imperfections of its lens and sensor.
+
+    The direction up in the image is +y on the floor.
 
     Attributes:
-        width: Width of the image [px].
-        height: Height of the image [px].
+        width: Number of columns [px].
+        height: Number of rows [px].
         focal_px: Focal length [px].
-        position: Place of the camera [m], z up.
-        target: Place at which it looks [m].
-        distortion: OpenCV's k1, k2, p1, p2 and, optionally, k3.
+        position: Position of the camera [m], with z up.
+        target: Point at which it looks [m].
+        distortion: OpenCV's coefficients k1, k2, p1, p2 and, optionally, k3. Empty for none.
         blur_px: Standard deviation of the lens's Gaussian blur [px].
-        exposure_s: Time of an exposure [s].
+        exposure_s: Exposure time [s].
         noise: Standard deviation of each pixel at gain 1 [grey levels].
-        gain: Factor of the light.
+        gain: Factor by which the light is multiplied.
     """
 
     width: int
@@ -66,14 +68,17 @@ class Optics:
     def facing(
         cls, floor: Sequence[FloorTag], metres: float, width: int, height: int, tilt: float = 0.35
     ) -> Self:
-        """Return the camera nearest to the floor that sees all floor tags with a margin.
+        """Place a camera as near to the floor as possible so that it sees all floor tags.
 
         Args:
             floor: The floor tags.
-            metres: The spec's length unit [m].
+            metres: Length unit of the spec [m].
             width: Width of an image [px].
             height: Height of an image [px].
             tilt: Angle between the optical axis and the vertical [rad].
+
+        Raises:
+            ValueError: If no such camera exists.
         """
         centres = np.array([tag.at for tag in floor]) * metres
         # from the centre of the largest card to its corner, rounded up [m]
@@ -91,7 +96,7 @@ class Optics:
         raise ValueError("the camera cannot see all floor tags in one picture")
 
     def centred(self, corners: Floats) -> Self:
-        """Return the camera turned so that `corners` (M, 3) [m] lie around the picture's middle."""
+        """Turn the camera so that points (M, 3) [m] are centred in its image."""
         camera = self
         position = np.array(self.position)
         for _ in range(8):
@@ -106,7 +111,7 @@ class Optics:
 
     @property
     def matrix(self) -> Floats:
-        """The intrinsic matrix K, (3, 3); pixel centres are at whole numbers."""
+        """The intrinsic matrix K, shape (3, 3). Pixel centres have integer coordinates."""
         across = (self.width - 1) / 2
         down = (self.height - 1) / 2
         return np.array([[self.focal_px, 0, across], [0, self.focal_px, down], [0, 0, 1]])
@@ -115,7 +120,7 @@ class Optics:
     def axes(self) -> Floats:
         """The directions right, down and forward of the camera in the arena's axes.
 
-        They are the rows of a rotation matrix (3, 3).
+        They are the rows of a rotation matrix, shape (3, 3).
         """
         forward = np.subtract(self.target, self.position)
         forward /= np.linalg.norm(forward)
@@ -124,7 +129,7 @@ class Optics:
         return np.array([right, np.cross(forward, right), forward])
 
     def project(self, points: Floats) -> Floats:
-        """Return the pixels (M, 2) of points (M, 3) [m], before distortion."""
+        """Project points (M, 3) [m] to pixels (M, 2), without distortion."""
         in_camera = (points - np.array(self.position)) @ self.axes.T
         return (in_camera[:, :2] / in_camera[:, 2:]) * self.focal_px + self.matrix[:2, 2]
 
@@ -142,17 +147,18 @@ Shades = NDArray[np.float32]
 
 
 class Renderer:
-    """Draws the robots' tags and the floor tags as the optics see them.
-
-    The same seed gives the same images. Tags with numbers in `hidden` are not drawn. The tags in
-    `strays` are also drawn on the floor.
+    """Renders images of the robots' tags and the floor tags. The same seed gives the same images.
 
     Args:
         robots: The robots' tags.
         floor: The floor tags.
-        metres: The spec's length unit [m].
-        optics: The camera's lens and sensor.
-        seed: Determines the noise.
+        metres: Length unit of the spec [m].
+        optics: The camera.
+        seed: Seed of the noise.
+
+    Attributes:
+        hidden: Numbers of tags that are not drawn.
+        strays: Further tags to draw on the floor.
     """
 
     def __init__(
@@ -175,9 +181,11 @@ class Renderer:
         self._corner = -1, -1  # of the last picture's noise, in the larger array
 
     def picture(self, poses_at: Callable[[int], Poses], exposed_ns: int) -> Grey:
-        """Return the picture (height, width) whose exposure has its middle at `exposed_ns`.
+        """Render the image of an exposure, shape (height, width).
 
-        `poses_at(t_ns)` returns the robots' poses, in the spec's unit.
+        Args:
+            poses_at: Returns the robots' poses at a time [ns], in the spec's unit.
+            exposed_ns: Middle of the exposure [ns].
         """
         canvas = self._background().copy()
         half = self.optics.exposure_s * SECOND / 2
@@ -194,14 +202,17 @@ class Renderer:
         return self._finished(canvas)
 
     def card(self, robot: RobotTag, poses: Poses, i: int) -> Floats:
-        """Return the pixels of the corners of a robot's card before distortion, shape (4, 2).
+        """Project the corners of a robot's card to pixels, without distortion.
 
-        The card is the tag with its white margin. Corners run clockwise from the top left corner.
+        The card is the tag with its white margin.
 
         Args:
-            robot: The tag of the robot.
+            robot: The robot's tag.
             poses: The poses of all robots.
             i: Index of the robot.
+
+        Returns:
+            The corners, clockwise from the top left corner, shape (4, 2).
         """
         heading = poses.heading[i] - robot.heading_offset
         return self._card((poses.x[i], poses.y[i]), robot.height_mm, heading, robot.size_mm)
@@ -209,6 +220,7 @@ class Renderer:
     def _card(
         self, position: tuple[float, float], height_mm: float, heading: float, side_mm: float
     ) -> Floats:
+        """Project the corners of a card at a position, height, heading and side length."""
         half = side_mm * MM * CARD / MODULES / 2
         square = half * np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)])
         cos = math.cos(heading)
@@ -217,7 +229,10 @@ class Renderer:
         return self.optics.project(np.column_stack([flat, np.full(4, height_mm * MM)]))
 
     def _background(self) -> Shades:
-        """Return the picture of the floor and its tags; draw it again if `hidden` has changed."""
+        """Return the image of the floor with its tags.
+
+        It is drawn again if `hidden` has changed.
+        """
         hidden = frozenset(self.hidden)
         if self._empty is None or self._empty[0] != hidden:
             light = np.linspace(0.92, 1.06, self.optics.width)  # brighter on one side
@@ -229,11 +244,12 @@ class Renderer:
         return self._empty[1]
 
     def _lay(self, canvas: Shades, tag: FloorTag) -> None:
+        """Draw a floor tag on the canvas."""
         corners = self._card(tag.at, 0.0, tag.heading, tag.size_mm)
         self._stamp(canvas, texture(tag.tag), [corners])
 
     def _stamp(self, canvas: Shades, texture: Shades, exposures: Sequence[Floats]) -> None:
-        """Draw a card into the canvas, averaged over its positions during the exposure."""
+        """Draw a card on the canvas, averaged over its positions during the exposure."""
         corners = np.concatenate(exposures)
         first = np.floor(corners.min(axis=0)).astype(int)
         last = np.ceil(corners.max(axis=0)).astype(int)
@@ -256,7 +272,7 @@ class Renderer:
         part += ink[..., 0]
 
     def _finished(self, canvas: Shades) -> Grey:
-        """Return the picture with distortion, blur, gain and noise."""
+        """Apply distortion, blur, noise and gain to an image."""
         optics = self.optics
         if any(optics.distortion):
             cv2.remap(canvas.copy(), *self._bent, cv2.INTER_LINEAR, canvas, borderValue=FLOOR)
@@ -268,15 +284,15 @@ class Renderer:
 
     @cached_property
     def _noise(self) -> Shades:
-        """Standard normal noise, larger than a picture by SPARE_PX."""
+        """Standard normal noise, larger than an image by SPARE_PX."""
         draw = np.random.default_rng(self.seed).standard_normal
         return draw((self.optics.height + SPARE_PX, self.optics.width + SPARE_PX), np.float32)
 
     def _grain(self, height: int, width: int) -> Shades:
         """Return standard normal noise (height, width), a random part of a larger array.
 
-        The part differs from the part in the previous picture: a real camera never sends exactly
-        the same picture of standing robots twice.
+        The part differs from the part for the previous image, because a real camera never sends
+        exactly the same image of stationary robots twice.
         """
         self._pictures += 1
         draw = np.random.default_rng((self.seed, self._pictures))
@@ -288,7 +304,7 @@ class Renderer:
 
     @cached_property
     def _bent(self) -> tuple[Shades, Shades]:
-        """Where each pixel of the distorted image is in the undistorted image.
+        """Position in the undistorted image for each pixel of the distorted image.
 
         The result is the columns and the rows, two arrays (height, width).
         """
@@ -303,7 +319,11 @@ class Renderer:
 
 @cache
 def texture(number: int) -> Shades:
-    """Return a tag's card (side, side, 2): the grey level, and a coverage of 1."""
+    """Draw a tag's card.
+
+    Returns:
+        The grey level and a coverage of 1 at each pixel, shape (side, side, 2).
+    """
     modules = np.pad(tag_picture(number), 1, constant_values=255) / 255
     grey = np.kron(BLACK + (WHITE - BLACK) * modules, np.ones((MODULE_PX, MODULE_PX)))
     return np.stack([grey, np.ones_like(grey)], axis=-1).astype(np.float32)
@@ -317,7 +337,7 @@ class AprilTagSettings(StreamSettings):
 
 
 class EmulatedAprilTag(StreamedCamera):
-    """A network camera above robots with tags.
+    """An emulated network camera above robots with AprilTags.
 
     Args:
         stage: The data and functions that the lab's emulated devices share.
@@ -352,10 +372,12 @@ class EmulatedAprilTag(StreamedCamera):
         self.renderer = Renderer(robots, section.floor, metres, optics, self.seed)
 
     def _scene(self) -> Floats:
+        """Return x, y [length unit] and heading [rad] of each robot, shape (N, 3)."""
         mm = self._stage.mm
         return np.array([(b.x / mm, b.y / mm, b.heading) for b in self._bodies])
 
     def _draw(self, exposed_ns: int) -> Grey:
+        """Render the image of an exposure."""
         tags = zip(self.renderer.robots, self._visible_now(), strict=True)
         self.renderer.hidden = {robot.tag for robot, is_visible in tags if not is_visible}
         return self.renderer.picture(lambda t: Poses.from_array(self._scene_at(t)), exposed_ns)

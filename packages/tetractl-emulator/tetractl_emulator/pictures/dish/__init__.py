@@ -1,1 +1,1 @@
-"""An emulated dish of cells, and its synthetic pictures."""
+"""An emulated dish of cells, and synthetic images of it."""

@@ -1,4 +1,4 @@
-"""Cells that swim between the coils of an emulated driver, in real or virtual time."""
+"""Simulated cells that swim in the field of an emulated coil driver, in real or virtual time."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,13 +17,13 @@ DROP = 0.25  # largest distance of a drop's cells from the dish's middle, in wid
 
 
 class CoilField:
-    """The magnetic field of coils. A fault can change the coils.
+    """Converts coil currents to the magnetic field at the cells, including faults of the coils.
 
     Args:
-        section: The coils in the spec.
-        reference_mt: Strength at which the cells' turning rates are their a of the paper's equation
-            (3) [mT].
-        acting: The faults that act now.
+        section: The coils' section of the spec: gains and orientation.
+        reference_mt: Reference field strength [mT], at which the cells turn with their rates a of
+            equation (3) of the paper.
+        acting: The faults that act now. They can weaken or turn the coils.
     """
 
     def __init__(self, section: CoilsSection, reference_mt: float, acting: ActingFaults) -> None:
@@ -33,7 +33,7 @@ class CoilField:
 
     @property
     def coils(self) -> CoilsSection:
-        """The coils as they are now."""
+        """The coils with the changes by the faults that act now."""
         coils = self._section
         for fault in self._acting.of_kind("weak_coils"):
             pair: CoilPair = getattr(coils, fault.axis)
@@ -44,27 +44,36 @@ class CoilField:
         return coils
 
     def field_mt(self, currents: Pair) -> Pair:
-        """Return the field of currents [A] at the cells, in the spec's axes [mT]."""
+        """Compute the magnetic field of the coil currents (x, y) [A] at the cells.
+
+        Returns:
+            The field [mT] along the spec's x and y axes.
+        """
         return self.coils.field(currents)
 
     def relative(self, currents: Pair) -> Pair:
-        """Return the field of currents [A] in units of the reference."""
+        """Compute the magnetic field of the coil currents (x, y) [A], relative to the reference.
+
+        Returns:
+            The field along the spec's x and y axes, divided by the reference strength.
+        """
         x_mt, y_mt = self.field_mt(currents)
         return x_mt / self._reference_mt, y_mt / self._reference_mt
 
 
 class Dish:
-    """Cells between the coils of a driver.
+    """Cells that swim between the coils of a driver.
 
-    If `held`, a placed cell stays at its place until the driver makes a field, as if a helper held
-    it with a pipette. A trial then begins with the cells on their starts.
+    A cell that was placed by hand stays where it is until the driver first makes a field, as if a
+    helper held it with a pipette. A trial therefore begins with the cells on their starts. Set
+    `held` to False to let placed cells swim at once.
 
     Args:
         driver: A `CurrentDriver`, or an object with its `currents`, `running` and `advance`.
-        field: The field of the coils.
+        field: The field of the driver's coils.
         cells: The cells.
-        start_ns: Time of the start [ns].
-        seed: Determines everything random.
+        start_ns: Time at which the emulation starts [ns].
+        seed: Seed of all random numbers.
         walls: The edges along which cells slide [um]. None for a dish without edges.
     """
 
@@ -91,7 +100,7 @@ class Dish:
     def drop(self) -> None:
         """Scatter the cells around the middle of the dish, like a fresh drop from a pipette.
 
-        In a dish without edges, nothing happens.
+        Nothing happens in a dish without edges.
         """
         walls = self._walls
         if walls is None:
@@ -106,16 +115,16 @@ class Dish:
         self.cells.heading[:] = random.uniform(-np.pi, np.pi, count)
 
     def divide(self, row: int) -> None:
-        """Let the cell with this index divide; the daughter becomes the last cell."""
+        """Divide the cell with this index. The daughter becomes the last cell."""
         self.cells = self.cells.divide(row, self._random)
 
     @property
     def field_mt(self) -> Pair:
-        """The field at the cells, in the spec's axes [mT]."""
+        """The magnetic field at the cells [mT], along the spec's x and y axes."""
         return self.field.field_mt(self.driver.currents)
 
     def advance(self, until_ns: int) -> None:
-        """Advance driver and cells in whole steps that do not go beyond `until_ns`."""
+        """Advance the driver and the cells in steps of 1 ms, up to the time `until_ns` [ns]."""
         while self._now_ns + MILLISECOND <= until_ns:
             self._now_ns += MILLISECOND
             self.driver.advance(self._now_ns)
@@ -131,10 +140,10 @@ class Dish:
 
 
 class CellBody:
-    """The true state of one cell of a dish: x, y [mm], and heading [rad].
+    """The true pose of one cell of a dish: x, y [mm], and heading [rad].
 
-    The heading is the direction of its helix's axis. A cell never stands still. It counts as
-    standing still while the driver makes no field.
+    The heading is the direction of the axis of the cell's helix. A cell never stands still, but
+    counts as standing while the driver makes no field.
 
     Args:
         name: Its name.
@@ -168,7 +177,7 @@ class CellBody:
         return not self.dish.steered
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the cell at a pose, where it stays if the dish's cells are `held`.
+        """Put the cell at a pose. It stays there if the dish is `held`; see `Dish`.
 
         Args:
             x: x [mm].
@@ -186,12 +195,12 @@ class CellBody:
 def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
     """Generate one cell for each robot of a setup, with the robot's turning rate and speed.
 
-    Other properties are random.
+    The other properties are random, except for the dipole's angle from the axis, which is 0.
 
     Args:
         setup: The constants of the experiment.
         walk: Random walk of the headings [rad/sqrt(s)].
-        seed: Seed of the other properties.
+        seed: Seed of the random properties.
     """
     cells = Swimmers.drawn(np.random.default_rng(seed), len(setup.names))
     cells.a = setup.a.copy()
@@ -205,10 +214,13 @@ def culture(count: int, strangers: int, walk: float, seed: int) -> tuple[Swimmer
     """Generate random cells and their names.
 
     Args:
-        count: Number of cells with a magnet, which come first.
-        strangers: Number of cells without a magnet.
-        walk: Random walk of their headings [rad/sqrt(s)].
+        count: Number of cells with a magnet. They come first and are named "cell 1", "cell 2", ...
+        strangers: Number of cells without a magnet, named "stranger ...".
+        walk: Random walk of the headings [rad/sqrt(s)].
         seed: Seed of the cells.
+
+    Returns:
+        The cells and their names, in the same order.
     """
     cells = Swimmers.drawn(np.random.default_rng(seed), count + strangers, strangers)
     cells.walk[:] = walk

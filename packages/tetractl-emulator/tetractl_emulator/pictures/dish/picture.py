@@ -1,7 +1,7 @@
-"""Draws synthetic pictures of a dish: bodies, specks, a bubble, light, blur and noise.
+"""Draws synthetic images of a dish: cells, specks, a bubble, light, blur and noise.
 
-In a picture with the scale `um_px`, the pixel in column c and row r shows the point x = (c + 1/2)
-um_px, y = (height - 1/2 - r) um_px [um], measured from the picture's lower left corner: y points
+In an image with the scale `um_px`, the pixel in column c and row r shows the point x = (c + 1/2)
+um_px, y = (height - 1/2 - r) um_px [um], measured from the lower left corner of the image: y points
 up.
 """
 
@@ -56,21 +56,21 @@ class PictureLook:
     """The properties of an emulated microscope's images.
 
     Attributes:
-        width: Width [px].
-        height: Height [px].
+        width: Number of columns [px].
+        height: Number of rows [px].
         um_px: Scale [um/px].
-        exposure_s: Time of an exposure [s].
+        exposure_s: Exposure time [s].
         bright: Whether cells are brighter than the medium.
         light: Grey level of the medium in the middle of the image.
-        contrast: Difference between cell and medium [grey levels].
+        contrast: Difference between cells and medium [grey levels].
         vignetting: Fraction of the light that is lost in the corners.
-        light_drift: Relative change of the light [1/s].
-        flicker: Relative flicker of the light at 100 Hz.
-        noise: Noise of each pixel, including shot noise [grey levels].
-        quality: JPEG quality. None for no JPEG.
+        light_drift: Relative change of the light per second [1/s].
+        flicker: Relative amplitude of the light's flicker at 100 Hz.
+        noise: Standard deviation of the noise, which includes shot noise [grey levels].
+        quality: JPEG quality. None for no JPEG compression.
         focus_um: Height in focus [um].
-        corner_um: Position of the lower left corner of the image in the dish [um].
-        specks: Specks that are drawn.
+        corner_um: Position of the image's lower left corner in the dish [um].
+        specks: Debris and bubbles.
     """
 
     width: int = 1024
@@ -91,7 +91,9 @@ class PictureLook:
 
     @classmethod
     def drawn(cls, random: np.random.Generator, side_px: int, um_px: float | None = None) -> Self:
-        """Generate a random look, in the ranges of docs/cells-explained.md of tetractl-microscope.
+        """Generate random properties.
+
+        The ranges are those of docs/cells-explained.md of tetractl-microscope.
 
         Args:
             random: The random generator.
@@ -138,7 +140,12 @@ class PictureLook:
 
 
 class DishPainter:
-    """Draws pictures with the properties `look`; the same seed gives the same pictures."""
+    """Draws images of a dish.
+
+    Args:
+        look: Properties of the images.
+        seed: Seed of the noise.
+    """
 
     def __init__(self, look: PictureLook, seed: int = 0) -> None:
         self.look = look
@@ -148,7 +155,7 @@ class DishPainter:
         self._shade: Shades | None = None
 
     def change(self, look: PictureLook) -> None:
-        """Draw pictures with these properties from now on."""
+        """Change the properties of further images."""
         if look != self.look:
             self.look = look
             self._still = None
@@ -162,7 +169,7 @@ class DishPainter:
         Args:
             cells: The cells.
             moments: Bodies of the cells at times that are spread evenly over the exposure.
-            is_shown: Whether each cell is drawn, shape (N,).
+            is_shown: Whether to draw each cell, shape (N,).
             seconds: Time of the image [s].
         """
         look = self.look
@@ -189,6 +196,7 @@ class DishPainter:
         return np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE), np.uint8)
 
     def _vignette(self) -> Shades:
+        """Return the relative light at each pixel, shape (height, width)."""
         if self._shade is None:
             rows, columns = np.ogrid[-1 : 1 : 1j * self.look.height, -1 : 1 : 1j * self.look.width]
             shade = 1 - self.look.vignetting * (rows**2 + columns**2) / 2
@@ -196,6 +204,7 @@ class DishPainter:
         return self._shade
 
     def _grain(self) -> Shades:
+        """Return noise (height, width) [grey levels], a random part of a larger array."""
         if self._noise is None:
             size = self.look.height + SPARE_PX, self.look.width + SPARE_PX
             self._noise = self._random.normal(0, self.look.noise, size).astype(np.float32)
@@ -203,6 +212,7 @@ class DishPainter:
         return self._noise[down : down + self.look.height, across : across + self.look.width]
 
     def _specks_at_rest(self) -> Shades:
+        """Draw all specks that do not drift. The result is cached."""
         if self._still is None:
             self._still = np.zeros((self.look.height, self.look.width), np.float32)
             for speck in self.look.specks:
@@ -211,7 +221,7 @@ class DishPainter:
         return self._still
 
     def _pixels(self, x: float, y: float) -> tuple[float, float]:
-        """Return the column and row of a position [um]."""
+        """Convert a position [um] to a column and a row [px]."""
         look = self.look
         across = x - look.corner_um[0]
         up = y - look.corner_um[1]
@@ -220,11 +230,16 @@ class DishPainter:
     def _patch(
         self, x: float, y: float, reach_px: float
     ) -> tuple[tuple[slice, slice], Floats, Floats] | None:
-        """Return the part of an image around a position [um], up to `reach_px`.
+        """Find the part of the image around a position.
+
+        Args:
+            x: x of the position [um].
+            y: y of the position [um].
+            reach_px: Distance from the position to the edge of the part [px].
 
         Returns:
-            The slices, and x and y (upwards) of their pixels relative to the position [px]. None
-            outside the image.
+            The slices of rows and columns, and x and y (pointing up) of their pixels relative to
+            the position [px]. None if the part is outside the image.
         """
         column, row = self._pixels(x, y)
         left = max(0, int(column - reach_px))
@@ -238,6 +253,7 @@ class DishPainter:
         return (slice(top, bottom), slice(left, right)), across[None, :], up[:, None]
 
     def _draw_speck(self, ink: Shades, speck: RenderedSpeck) -> None:
+        """Add a speck or a bubble to the image."""
         half = speck.size_um / 2 / self.look.um_px
         patch = self._patch(speck.x, speck.y, half * speck.stretch + 4)
         if patch is None:
@@ -256,6 +272,7 @@ class DishPainter:
         )
 
     def _draw_cell(self, ink: Shades, cells: Swimmers, moments: Sequence[Bodies], i: int) -> None:
+        """Add a cell to the image, averaged over its motion during the exposure."""
         scale = self.look.um_px
         middle = moments[len(moments) // 2]
         half_long = cells.length[i] / 2 / scale

@@ -52,14 +52,17 @@ class MicroscopeSettings(StreamSettings):
 
 
 class EmulatedMicroscope(StreamedCamera):
-    """A microscope's network camera above cells. Every image is synthetic.
+    """An emulated microscope camera above cells, with synthetic images.
 
-    When a client begins to watch, the cells are scattered again, like a fresh drop.
+    When a client starts to read, the cells are scattered again, like a fresh drop.
 
     Args:
         stage: The data and functions that the lab's emulated devices share.
         settings: The settings of the microscope.
         bodies: The cells.
+
+    Raises:
+        SpecError: If the actuator is not of type `field`, or if the camera is rotated.
     """
 
     Settings: ClassVar[type[Model]] = MicroscopeSettings
@@ -156,14 +159,16 @@ class EmulatedMicroscope(StreamedCamera):
         return {"noise": noise, "contrast": contrast, "specks": random.randint(0, 20)}
 
     def _joined(self) -> None:
+        """Scatter the cells again."""
         self._dish.drop()
 
     def _scene(self) -> Floats:
+        """Return x, y, height, axis and tilt of each cell's body, shape (5, N)."""
         scene = bodies(self._dish.cells)
         return np.array([scene.x, scene.y, scene.height, scene.axis, scene.tilt])
 
     def _look(self) -> PictureLook:
-        """Return how images look now: their light, contrast and noise."""
+        """Return the properties of the images, as the acting faults change them."""
         acting = self._stage.acting
         look = self._plain_look
         for light in acting.of_kind("light"):
@@ -182,6 +187,7 @@ class EmulatedMicroscope(StreamedCamera):
         return look
 
     def _draw(self, exposed_ns: int) -> Grey:
+        """Draw the image of an exposure, averaged over the motion during the exposure."""
         self.painter.change(self._look())
         span = self.painter.look.exposure_s * SECOND
         spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5

@@ -1,4 +1,4 @@
-"""A cell in one image, with its name and the place where it appeared."""
+"""A tracked cell in one image, its identity, and the events in which identities change."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -13,13 +13,13 @@ POINT_UM = 1e-6  # length and width that stand for those of a blob without a siz
 
 
 class PathBlob(NamedTuple):
-    """A blob on the path of a cell.
+    """The blob of a cell in one image of its path.
 
     Attributes:
         seconds: Time of the image [s].
-        x: x of its centre [um].
-        y: y of its centre [um].
-        axis: Direction of its axis [rad].
+        x: x of the blob's centre [um].
+        y: y of the blob's centre [um].
+        axis: Direction of its long axis, mod pi [rad].
         long: Its length [um]. NaN if the image's edge cuts it off.
         wide: Its width [um]. NaN if the image's edge cuts it off.
     """
@@ -32,47 +32,50 @@ class PathBlob(NamedTuple):
     wide: float
 
     def moved(self, x: float, y: float) -> "PathBlob":
-        """Return the cell moved by x, y [um]."""
+        """Return a copy of the blob, moved by x and y [um]."""
         return self._replace(x=self.x + x, y=self.y + y)
 
 
 class BodySize(NamedTuple):
-    """Length and width of a body [um], as pictures show it."""
+    """Length and width of a cell's body as measured in images [um]."""
 
     long: float
     wide: float
 
     @property
     def area_um2(self) -> float:
-        """Length times width, the measure by which bodies and blobs are compared."""
+        """Length times width [um^2], a measure for comparing the sizes of bodies and blobs."""
         return self.long * self.wide
 
 
 def _unknown() -> Floats:
-    """Return the state of a cell that the filter does not follow."""
+    """Return a state (16,) of NaN, for a cell that the filter does not track."""
     return np.full(STATES, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
 class SeenCell:
-    """One cell in one image. The defaults are those of a cell that no filter follows.
+    """The estimate of one tracked cell in one image.
+
+    The defaults are those of a cell that no filter tracks.
 
     Attributes:
         identity: Number of the cell.
-        track: Number of its track.
-        x: x of the middle of the body [um].
-        y: y of the middle of the body [um].
-        axis: Direction of the body [rad].
-        heading: Direction of the helix's axis, which turns by equation (3) of the paper [rad].
-        mean: The filter's state, shape (16,).
-        sd: Its standard deviations, shape (16,).
+        track: Number of the cell's track.
+        x: x of the centre of its body [um].
+        y: y of the centre of its body [um].
+        axis: Direction of its body [rad].
+        heading: Direction of its helix's axis [rad], which turns by equation (3) of the paper.
+        mean: Mean of the filter's state, shape (16,), in the order of `cells.helix`. NaN without a
+            filter.
+        sd: Standard deviations of the filter's state, shape (16,). NaN without a filter.
         probability: Probability that this is the cell with the number `identity`.
-        has_blob: Whether the image shows the cell.
-        merged: Whether its blob also shows other cells.
-        long_um: Length of the body [um].
-        wide_um: Width of the body [um].
+        has_blob: Whether a blob in the image belongs to the cell.
+        merged: Whether that blob also contains other cells.
+        long_um: Length of the body [um]. NaN if unknown.
+        wide_um: Width of the body [um]. NaN if unknown.
         blob_um: x, y [um], axis [rad], length and width [um] of the blob, shape (5,). Length and
-            width are NaN if the image's edge cuts it off. None if the cell has no blob.
+            width are NaN if the image's edge cuts the blob off. None if the cell has no blob.
     """
 
     identity: int
@@ -91,10 +94,11 @@ class SeenCell:
     blob_um: Floats | None = None
 
     def on_blob(self) -> "SeenCell":
-        """Return the cell with its centre moved into the ellipse of its blob.
+        """Return the cell with its centre moved onto its blob.
 
-        If the centre was outside, it is moved straight to the edge. A blob that the image's edge
-        cuts off has no size, and the cell is placed at its centre.
+        If the centre is outside the blob's ellipse, it is moved towards the ellipse's centre, as
+        far as the edge. If the image's edge cuts the blob off, the blob has no size, and the cell
+        is placed at the blob's centre.
         """
         if self.blob_um is None:
             return self
@@ -108,16 +112,17 @@ class SeenCell:
 
 
 def to_edge(off: Floats, axis: Floats, long: Floats, wide: Floats) -> Floats:
-    """Compute how far points are from the centres of ellipses, relative to the ellipses' edges.
+    """Compute the distances of points from the centres of ellipses, relative to the edges.
 
     Args:
         off: Offsets of the points from the centres, shape (..., 2).
-        axis: Directions of the ellipses [rad].
-        long: Lengths of the ellipses.
-        wide: Widths of the ellipses.
+        axis: Directions of the ellipses' long axes [rad].
+        long: Lengths of the ellipses, in the unit of `off`.
+        wide: Widths of the ellipses, in the unit of `off`.
 
     Returns:
-        The distances (...), divided by the distances of the edges in the same directions.
+        Each distance divided by the distance of the edge in the same direction: 1 on the edge, and
+        less inside.
     """
     along = off[..., 0] * np.cos(axis) + off[..., 1] * np.sin(axis)
     across = off[..., 1] * np.cos(axis) - off[..., 0] * np.sin(axis)
@@ -126,13 +131,13 @@ def to_edge(off: Floats, axis: Floats, long: Floats, wide: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class TrackName:
-    """Which cell is on a track.
+    """The identity of the cell on a track.
 
     Attributes:
         track: Number of the track.
         identity: Number of the cell.
-        certainty: Probability that it is this cell.
-        since_s: Since when it has been on the track [s].
+        certainty: Probability that the track shows this cell.
+        since_s: Time since when the cell has been on the track [s].
     """
 
     track: int
@@ -143,12 +148,12 @@ class TrackName:
 
 @dataclass(frozen=True, slots=True)
 class CellAnswer:
-    """Which cell is on which track after cells have met.
+    """The most likely assignment of cells to tracks after cells have met.
 
     Attributes:
-        named: The tracks' names.
-        probability: Probability of the most probable assignment.
-        met: The cells that met.
+        named: The identity of the cell on each track.
+        probability: Probability of this assignment.
+        met: Numbers of the cells that met.
     """
 
     named: tuple[TrackName, ...]
@@ -160,8 +165,11 @@ class CellAnswer:
 class Born:
     """A cell that appears on a new track.
 
-    `divided` is the number of the cell from whose blob it separated, if no other cell had entered
-    that blob; otherwise None.
+    Attributes:
+        identity: Number of the cell.
+        track: Number of the track.
+        divided: Number of the cell from whose blob the new cell separated, if no other cell had
+            entered that blob. Otherwise None.
     """
 
     identity: int

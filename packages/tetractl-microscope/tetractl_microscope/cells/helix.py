@@ -91,7 +91,7 @@ NearWall = Callable[[Floats, Floats], Bools]
 
 
 def open_water(x: Floats, y: Floats) -> Bools:
-    """Return False for all positions: there are no walls."""
+    """Return False for every position: there are no walls."""
     return np.zeros(len(x), bool)
 
 
@@ -101,7 +101,7 @@ class NewCell(NamedTuple):
     Attributes:
         mean: Mean of the state, shape (n,).
         covariance: Covariance of the state, shape (n, n).
-        model: Numbers of its model, shape (12,), as in `kernels.helix_steps`.
+        model: Constants of the cell's model, shape (12,), as in `kernels.helix_steps`.
     """
 
     mean: Floats
@@ -110,7 +110,13 @@ class NewCell(NamedTuple):
 
 
 def new_cell(organism: Organism, field_known: bool) -> NewCell:
-    """Return the initial estimate of a new cell. `field_known` is as in `HelixFilter`."""
+    """Create the initial estimate of a new cell, from what is typical of its organism.
+
+    Args:
+        organism: The organism.
+        field_known: Whether the field is known. If not, the field is assumed to turn no cell (a =
+            0), and most turning is unexplained.
+    """
     body_um = organism.body_um[0]
     slowest_um_s = organism.slowest_um_s
     rate, rate_sd = math.tau * np.array(organism.helix_hz)
@@ -150,16 +156,16 @@ def new_cell(organism: Organism, field_known: bool) -> NewCell:
 
 @dataclass(slots=True)
 class HelixFilter:
-    """A filter with one row for each cell.
+    """An extended Kalman filter that tracks many cells, with one row for each cell.
 
     Attributes:
-        field_known: Whether the field is known, so that little turning is unexplained.
-        near_wall: Tells where a wall may turn cells. Turning there leaves the estimates of a and
-            bias unchanged.
-        organism: What new cells are like.
-        mean: Mean of each state, shape (R, n).
-        covariance: Covariance of each state, shape (R, n, n).
-        used: Whether each row is in use, shape (R,).
+        field_known: Whether the field is known. If so, little of a cell's turning is unexplained.
+        near_wall: Function that finds the positions where a wall may turn cells. Turning there
+            leaves the estimates of a and bias unchanged.
+        organism: The organism, which determines the initial estimate of a new cell.
+        mean: Mean of the state in each row, shape (R, n).
+        covariance: Covariance of the state in each row, shape (R, n, n).
+        used: Whether each row holds a cell, shape (R,).
     """
 
     field_known: bool = True
@@ -172,7 +178,7 @@ class HelixFilter:
     _field: Floats | None = None  # the last piece
 
     def __post_init__(self) -> None:
-        """Compile the steps now, and not while pictures wait."""
+        """Run each compiled kernel once, so that no image has to wait for a compilation."""
         self._new = new_cell(self.organism, self.field_known)
         self.add(0.0, 0.0, 0.0, 0.0)
         self.predict([(1.0, 0.0, 0.0)])
@@ -183,13 +189,16 @@ class HelixFilter:
         self._field = None
 
     def add(self, x: float, y: float, heading: float, speed: float) -> int:
-        """Add a new cell, and return its row.
+        """Add a new cell.
 
         Args:
             x: x of its position [um].
             y: y of its position [um].
             heading: Its heading [rad].
             speed: Its speed [um/s].
+
+        Returns:
+            The row of the cell.
         """
         row = self._free()
         self.mean[row] = self._new.mean
@@ -198,22 +207,25 @@ class HelixFilter:
         return row
 
     def copied(self, row: int) -> int:
-        """Copy a row to a free row; return the index of the copy."""
+        """Copy a row to a free row, and return the index of the copy."""
         new = self._free()
         self.mean[new] = self.mean[row]
         self.covariance[new] = self.covariance[row]
         return new
 
     def moved(self, row: int, x: float, y: float, heading: float) -> int:
-        """Copy a cell's row to a free row, move the copy to another pose, and return its row.
+        """Copy a cell to a free row, and move the copy to another pose.
 
-        The copy keeps its speed, turning and helix rate.
+        The copy keeps its speed, its turning rate and the rate of its helix.
 
         Args:
             row: The cell's row.
-            x: x of the pose [um].
-            y: y of the pose [um].
-            heading: Heading of the pose [rad].
+            x: x of the new pose [um].
+            y: y of the new pose [um].
+            heading: Heading of the new pose [rad].
+
+        Returns:
+            The row of the copy.
         """
         new = self.copied(row)
         pose = [X, Y, HEADING, C, S]
@@ -223,11 +235,11 @@ class HelixFilter:
         return new
 
     def drop(self, row: int) -> None:
-        """Free a row."""
+        """Remove a cell: its row becomes free."""
         self.used[row] = False
 
     def predict(self, pieces: Sequence[Piece]) -> None:
-        """Predict every row over successive pieces of constant field."""
+        """Run the time update for every cell, over successive intervals of constant field."""
         if pieces:
             field = np.array(pieces, np.float64)
             walled = self.near_wall(self.mean[:, X], self.mean[:, Y])
@@ -237,19 +249,22 @@ class HelixFilter:
             self._field = field[-1]
 
     def loosen(self, rows: Sequence[int]) -> None:
-        """Make cells that move unexpectedly as uncertain as new cells.
+        """Make cells that moved unexpectedly about as uncertain as new cells.
 
-        This applies to position, heading, speed, c and s.
+        The initial variances of position, heading, speed, c and s are added to their covariances.
         """
         for row in rows:
             self.covariance[row, :RATE, :RATE] += self._new.covariance[:RATE, :RATE]
 
     def expected(self, rows: np.ndarray) -> tuple[Floats, Floats]:
-        """Predict where the bodies of cells are.
+        """Predict the measurements of cells' bodies.
+
+        Args:
+            rows: Rows of the cells, shape (M,).
 
         Returns:
-            x, y and axis (M, 3) for rows (M,), and the covariances of the positions (M, 2, 2)
-            [um^2].
+            x, y [um] and the axis [rad] of each body, shape (M, 3), and the covariances of the
+            positions [um^2], shape (M, 2, 2).
         """
         bodies = np.empty((len(rows), 3))
         slopes = np.empty((len(rows), 3, STATES))
@@ -260,16 +275,16 @@ class HelixFilter:
     def update(
         self, rows: np.ndarray, measured: Floats, deviation: Floats
     ) -> tuple[Floats, Floats]:
-        """Update cells with measurements.
+        """Run the measurement update for some of the cells.
 
         Args:
-            rows: The cells' rows, shape (M,).
+            rows: Rows of the measured cells, shape (M,).
             measured: Measured x, y [um] and axis [rad], shape (M, 3).
-            deviation: Their standard deviations, shape (M, 3).
+            deviation: Standard deviations of the measurements, shape (M, 3).
 
         Returns:
-            The log-likelihoods (M,) by Student's distribution, and the squared Mahalanobis
-            distances (M,) from the prediction.
+            The log-likelihoods under Student's t distribution, shape (M,), and the squared
+            Mahalanobis distances from the prediction, shape (M,).
         """
         likelihood = np.empty(len(rows))
         distance = np.empty(len(rows))
@@ -286,6 +301,7 @@ class HelixFilter:
         return likelihood, distance
 
     def _free(self) -> int:
+        """Reserve a free row and return its index. If there is none, the arrays grow by 16 rows."""
         if self.used.all():
             self.mean = np.concatenate([self.mean, np.zeros((16, STATES))])
             self.covariance = np.concatenate([self.covariance, np.zeros((16, STATES, STATES))])

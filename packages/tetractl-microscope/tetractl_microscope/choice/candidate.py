@@ -9,16 +9,17 @@ RESPONDS = 3.5  # standard deviations of a above 0: one cell of 4000 is there by
 
 @dataclass(frozen=True, slots=True)
 class RobotCandidate:
-    """A cell of the dish that may become a robot.
+    """A cell of the dish that a trial can choose as a robot.
 
     Attributes:
-        number: Its number.
-        pose: Its pose in the spec's unit.
-        a: Its turning rate [rad/s].
-        a_sd: Standard deviation of `a` [rad/s].
+        number: Number of the cell.
+        pose: Its pose in the spec's coordinates.
+        a: Its turning rate in the reference field [rad/s].
+        a_sd: Standard deviation of the estimate of `a` [rad/s].
         speed: Its speed [length unit/s].
-        speed_sd: Standard deviation of `speed` [length unit/s].
-        free: Whether it stayed away from the arena's edge. Otherwise, a wall may have turned it.
+        speed_sd: Standard deviation of the estimate of `speed` [length unit/s].
+        free: Whether it stayed away from the arena's edge while it was measured. If not, a wall may
+            have turned it.
     """
 
     number: int
@@ -31,9 +32,10 @@ class RobotCandidate:
 
     @property
     def magnetised(self) -> bool:
-        """Whether the cell responds to the field.
+        """Whether the cell swims and responds to the field.
 
-        Its a and its speed must exceed 0 by RESPONDS standard deviations. The axis of an object
-        that does not swim, such as a speck, may turn because of noise.
+        Both its a and its speed must be greater than RESPONDS standard deviations. The test of the
+        speed excludes objects that do not swim, such as specks, whose axis may seem to turn because
+        of noise.
         """
         return self.a > RESPONDS * self.a_sd and self.speed > RESPONDS * self.speed_sd

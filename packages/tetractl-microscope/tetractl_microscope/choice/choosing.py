@@ -1,4 +1,4 @@
-"""Chooses which cells of a dish become the robots of a trial."""
+"""Rules for choosing which cells of a dish become the robots of a trial."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -17,9 +17,18 @@ MISSED = 0.3  # difference of log(a) or log(speed) above which a cell is not the
 
 
 def chosen_from(experiment: Experiment, cells: Sequence[RobotCandidate]) -> list[RobotCandidate]:
-    """Return the cells that become the robots of a trial, in the order of falling turning rates.
+    """Choose the cells that become the robots of a trial.
 
-    AbortError if there are too few cells, or a wanted cell is missing.
+    Args:
+        experiment: An experiment whose spec has `robots: {choose: N}`.
+        cells: All cells that were measured.
+
+    Returns:
+        The chosen cells. They are the cells that a survey proposed (`wanted`) or else the best
+        choice according to `rate_choice`, in the order of decreasing turning rate.
+
+    Raises:
+        AbortError: If too few cells respond to the field, or if a wanted cell is missing.
     """
     choice = choice_of(experiment)
     able = [cell for cell in cells if cell.magnetised]
@@ -38,9 +47,14 @@ def chosen_from(experiment: Experiment, cells: Sequence[RobotCandidate]) -> list
 
 
 def settled(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Experiment:
-    """Return the experiment with the given cells as robots.
+    """Return the experiment with the chosen cells as its robots.
 
-    They start at the cells' poses, and targets are assigned to them.
+    The robots start at the cells' poses. Targets are assigned so that the sum of the squared
+    distances from start to target is minimal.
+
+    Args:
+        experiment: An experiment whose spec has `robots: {choose: N}`.
+        cells: The chosen cells.
     """
     choice = choice_of(experiment)
     places = np.array([(cell.pose.x, cell.pose.y) for cell in cells])
@@ -63,10 +77,15 @@ def settled(experiment: Experiment, cells: Sequence[RobotCandidate]) -> Experime
 
 
 def unlikeness(a: Floats, a_sd: Floats) -> float:
-    """Compute how different the turning rates of cells are.
+    """Compute how well cells can be steered apart because of their different turning rates.
 
-    It is the minimum difference between two cells in the logarithm of the turning rate a, minus
-    that difference's standard deviation. It is inf for a single cell.
+    Args:
+        a: Turning rates, shape (N,) [rad/s].
+        a_sd: Their standard deviations, shape (N,) [rad/s].
+
+    Returns:
+        The minimum of |ln a_i - ln a_j|, minus the standard deviation of this difference, over
+        cells that are neighbours in the order of turning rates. It is inf for a single cell.
     """
     order = np.argsort(a)
     logs = np.log(a[order])
@@ -78,10 +97,16 @@ def unlikeness(a: Floats, a_sd: Floats) -> float:
 def rate_choice(
     cells: Sequence[RobotCandidate], experiment: Experiment
 ) -> tuple[bool, float, float]:
-    """Rate a choice of cells with a tuple that is largest for the best choice.
+    """Rate a choice of cells: the larger the result, the better the choice.
 
-    Its entries are whether all cells stay clear of walls for 0.5 s, the `unlikeness` of their
-    turning rates a up to UNLIKE, and the minimum turning rate.
+    Args:
+        cells: The cells of the choice.
+        experiment: The experiment.
+
+    Returns:
+        A tuple that compares like any tuple. Its entries are: whether all cells are free and stay
+        clear of walls for 0.5 s, their `unlikeness` up to UNLIKE, and their minimum turning rate
+        [rad/s].
     """
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
@@ -100,10 +125,10 @@ def most_alike(setup: Setup, robot: int, cells: Sequence[RobotCandidate]) -> Rob
     Args:
         setup: The constants of the experiment.
         robot: Index of the robot.
-        cells: The cells.
+        cells: The cells to choose from.
 
     Returns:
-        The cell. None if none is similar.
+        The cell, or None if no cell is similar: ln a or ln speed differs by more than MISSED.
     """
     if not cells:
         return None
@@ -115,7 +140,11 @@ def most_alike(setup: Setup, robot: int, cells: Sequence[RobotCandidate]) -> Rob
 
 
 def _found_again(choice: Choice, cells: Sequence[RobotCandidate]) -> list[RobotCandidate]:
-    """Return a different cell, similar in turning rate and speed, for each of `choice.wanted`."""
+    """Find a different cell for each of `choice.wanted`, similar in turning rate and speed.
+
+    Raises:
+        AbortError: If a wanted cell is not found.
+    """
     wanted = np.log([(cell.a, cell.speed) for cell in choice.wanted])
     in_view = np.log([(cell.a, cell.speed) for cell in cells])
     dealt_cells = dealt(wanted, in_view)

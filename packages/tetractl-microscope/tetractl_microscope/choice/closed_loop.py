@@ -51,19 +51,22 @@ from tetractl.spec.section_abilities import Noisy
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """A plan of L signals for N robots, linearised. Lengths are in the spec's unit.
+    """A plan of L signals for N robots, linearised around its predicted path.
+
+    Lengths are in the spec's unit. The ends are the robots' final positions, in the order x_1, y_1,
+    x_2, ...
 
     Attributes:
-        miss: Planned distance of each robot's end to its target, shape (N,).
-        by_signal: Derivative of the ends x_1, y_1, x_2, ... with respect to the signals [1/rad],
-            shape (2N, L).
-        by_heading: Derivative with respect to the heading before each signal and at the end
-            [1/rad], shape (L + 1, N, 2).
-        by_a: Derivative with respect to the logarithm of the turning rate during one signal, shape
-            (L, N, 2).
-        by_speed: Derivative with respect to the logarithm of the speed during one signal, shape (L,
+        miss: Distance of each robot's planned end from its target, shape (N,).
+        by_signal: Derivatives of the ends with respect to each signal [length unit/rad], shape (2N,
+            L).
+        by_heading: Derivatives of each end with respect to the robot's heading before each signal
+            and at the end [length unit/rad], shape (L + 1, N, 2).
+        by_a: Derivatives of each end with respect to ln a during one signal only, shape (L, N, 2).
+        by_speed: Derivatives of each end with respect to ln speed during one signal only, shape (L,
             N, 2).
-        turn_by_a: Derivative of one signal's turn with respect to ln a [rad], shape (L, N).
+        turn_by_a: Derivative of the turn during each signal with respect to ln a [rad], shape (L,
+            N).
         onward: Displacement of the ends by one more signal of straight motion, shape (2N, 1).
         seconds: Duration of each signal [s], shape (L,).
     """
@@ -79,7 +82,12 @@ class Linear:
 
 
 def linearise(problem: Problem, signals: Floats) -> Linear:
-    """Linearise the robots' paths under a sequence of signals (L,) [rad]."""
+    """Linearise the final positions of robots around their path under a plan.
+
+    Args:
+        problem: The robots' poses and parameters, and their targets.
+        signals: Directions of the field, shape (L,) [rad].
+    """
     robots = len(problem.a)
     length = len(signals)
     path = predict(problem, signals)
@@ -119,10 +127,10 @@ def linearise(problem: Problem, signals: Floats) -> Linear:
 def _step_derivatives(
     problem: Problem, headings: Floats, signals: Floats, seconds: Floats
 ) -> Floats:
-    """Return the derivatives (4, L, N, 3) of each step.
+    """Compute the derivatives of each step, shape (4, L, N, 3).
 
-    These are the derivatives of the displacement x, y and of the next heading with respect to the
-    heading (L, N) before the step [rad], its signal, ln a and ln speed.
+    The derivatives are those of the displacement x, y and of the change of heading with respect to
+    four variables: the heading before the step, the signal, ln a and ln speed.
     """
     lanes = MOTIONS.load(problem.motion).lanes
     robots = in_rows(problem)
@@ -161,11 +169,11 @@ class Noise:
     """Standard deviations of a simulated plant's disturbances.
 
     Attributes:
-        a_std: Relative error of the turning rates.
-        speed_std: Relative error of the speeds.
+        a_std: Relative error of the turning rate a.
+        speed_std: Relative error of the speed.
         heading_walk: Random walk of the heading [rad/sqrt(s)].
-        position_std: Error of a measured position [length unit].
-        heading_std: Error of a measured heading [rad].
+        position_std: Error of one measured coordinate [length unit].
+        heading_std: Error of one measured heading [rad].
     """
 
     a_std: float = 0.0
@@ -176,9 +184,10 @@ class Noise:
 
     @classmethod
     def from_plant(cls, plant: PlantSection) -> "Noise":
-        """Return the noise of a simulated plant. It is 0 for a lab, whose section states none.
+        """Read the noise from the section of a simulated plant.
 
-        An error uniform in [-e, e] has the standard deviation e / sqrt(3).
+        An error that is uniform in [-e, e] has the standard deviation e / sqrt(3). For a lab, whose
+        section contains no noise, all values are 0.
         """
         if not isinstance(plant, Noisy):
             return cls()
@@ -194,12 +203,12 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class Uncertainty:
-    """The joint covariance of the ends' deviations e and the relative errors q.
+    """The joint covariance of the ends' deviations e and the parameters' relative errors q.
 
     Attributes:
-        ends: Covariance of x_1, y_1, x_2, ... [length unit^2], shape (2N, 2N).
-        cross: Covariance of these (rows) with q [length unit], shape (2N, 2N).
-        parameters: Variances of q, shape (2N,): of ln a of each robot, then of ln speed.
+        ends: Covariance of e, in the order x_1, y_1, x_2, ..., shape (2N, 2N) [length unit^2].
+        cross: Covariance of e (rows) with q (columns), shape (2N, 2N) [length unit].
+        parameters: Variances of q: of ln a of each robot, then of ln speed, shape (2N,).
     """
 
     ends: Floats
@@ -210,13 +219,16 @@ class Uncertainty:
 def end_covariance(
     plan: Linear, noise: Noise, corrects: bool = True, identifies: bool = False
 ) -> Floats:
-    """Compute the covariance (2N, 2N) of the end positions x_1, y_1, x_2, ... [length unit^2].
+    """Predict the covariance of the robots' final positions.
 
     Args:
         plan: The linearised plan.
-        noise: The noise of robots and camera.
+        noise: The noise of the robots and the camera.
         corrects: Whether the controller corrects deviations during the plan.
         identifies: Whether the controller identifies turning rate a and speed.
+
+    Returns:
+        The covariance of x_1, y_1, x_2, ..., shape (2N, 2N) [length unit^2].
     """
     robots = len(plan.miss)
     none = np.zeros((2 * robots, 2 * robots))
@@ -232,7 +244,7 @@ def end_covariance(
 
 
 def _corrected(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertainty:
-    """Compute the uncertainty after a measurement and a correction by signals k, k + 1, ..."""
+    """Update the uncertainty for a correction by signals k, k + 1, ... (step 1 of the module)."""
     p = before.ends
     eye = np.eye(len(p))
     ways_to_correct = np.hstack([TURN * plan.by_signal[:, k:], plan.onward])
@@ -250,7 +262,7 @@ def _corrected(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncer
 
 
 def _moved(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertainty:
-    """Compute the deviations after the robots moved by signal k."""
+    """Update the uncertainty for the robots' motion during signal k (step 2 of the module)."""
     d = np.hstack([_columns(plan.by_a[k]), _columns(plan.by_speed[k])])
     variances = before.parameters
     ends = before.ends + d @ (variances[:, None] * d.T) + d @ before.cross.T + before.cross @ d.T
@@ -260,20 +272,24 @@ def _moved(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertain
 
 
 def _identified(before: Uncertainty, plan: Linear, noise: Noise, k: int) -> Uncertainty:
-    """Compute the uncertainty after the controller identified a and speed from signal k."""
+    """Update the uncertainty for the identification of a and speed (step 3 of the module)."""
     share = 1 / (1 + before.parameters * information(plan, noise, k))  # S
     return Uncertainty(before.ends, before.cross * np.sqrt(share), before.parameters * share)
 
 
 def information(plan: Linear, noise: Noise, k: int) -> Floats:
-    """Compute 1/variance of ln a, then of ln speed, shape (2N,).
+    """Compute the information about turning rates and speeds from the measurements of one signal.
 
-    They are estimated from the headings and positions measured before and after a signal.
+    The parameters are estimated from the headings and positions measured before and after the
+    signal.
 
     Args:
         plan: The linearised plan.
-        noise: The noise of robots and camera.
+        noise: The noise of the robots and the camera.
         k: Index of the signal.
+
+    Returns:
+        1/variance of ln a of each robot, then of ln speed, shape (2N,).
     """
     turn_variance = 2 * noise.heading_std**2 + noise.heading_walk**2 * plan.seconds[k] + SURE
     of_a = plan.turn_by_a[k] ** 2 / turn_variance
@@ -285,12 +301,18 @@ def information(plan: Linear, noise: Noise, k: int) -> Floats:
 
 
 def mean_errors(covariance: Floats, miss: Floats) -> Floats:
-    """Compute the robots' mean distances to their targets (N,).
+    """Compute each robot's mean distance to its target.
 
-    The plans end at the distances `miss` (N,) from the targets. The mean length m of a normal
-    vector with standard deviations s1 >= s2 is sqrt(2/pi) s1 E(1 - s2^2/s1^2), with the complete
-    elliptic integral E. The result is approximately sqrt(m^2 + miss^2), which is exact for no miss
-    and for no deviation.
+    The mean length m of a normal vector with standard deviations s1 >= s2 is sqrt(2/pi) s1 E(1 -
+    s2^2/s1^2), with the complete elliptic integral E. The result is approximately sqrt(m^2 +
+    miss^2). It is exact if there is no miss, or if there is no deviation.
+
+    Args:
+        covariance: Covariance of the ends x_1, y_1, x_2, ..., shape (2N, 2N) [length unit^2].
+        miss: Distance of each planned end from its target, shape (N,) [length unit].
+
+    Returns:
+        The mean distances, shape (N,) [length unit].
     """
     variances = np.linalg.eigvalsh(of_each(covariance))  # (N, 2), ascending
     smaller, larger = np.maximum(variances, 0.0).T
@@ -301,14 +323,14 @@ def mean_errors(covariance: Floats, miss: Floats) -> Floats:
 
 
 def of_each(covariance: Floats) -> Floats:
-    """Return the covariance of each robot's end (N, 2, 2) from the joint covariance (2N, 2N)."""
+    """Extract each robot's covariance (N, 2, 2) from the joint covariance (2N, 2N)."""
     count = len(covariance) // 2
     robots = np.arange(count)
     return covariance.reshape(count, 2, count, 2)[robots, :, robots, :]
 
 
 def _columns(vectors: Floats) -> Floats:
-    """Return (2N, N): column i holds the vector (2,) of robot i in rows 2i and 2i + 1."""
+    """Arrange vectors (N, 2) in a matrix (2N, N): column i has vector i in rows 2i and 2i + 1."""
     count = len(vectors)
     robots = np.arange(count)
     columns = np.zeros((count, 2, count))
@@ -317,6 +339,6 @@ def _columns(vectors: Floats) -> Floats:
 
 
 def _blocks(vectors: Floats) -> Floats:
-    """Return the block-diagonal matrix (2N, 2N) of each robot's vector (2,) times its transpose."""
+    """Return the block-diagonal matrix (2N, 2N) of v v' for each of N vectors v (2,)."""
     columns = _columns(vectors)
     return columns @ columns.T

@@ -1,6 +1,6 @@
-"""What cameras and actuators may be able to do in a dish, beyond what a lab asks of them.
+"""Optional abilities of cameras and actuators that are used with cells in a dish.
 
-A device has an ability if it has the protocol's members; nothing needs to be declared.
+A device has an ability if it has the members of the protocol. Nothing needs to be declared.
 """
 
 from collections.abc import Collection, Sequence
@@ -14,37 +14,50 @@ from tetractl_microscope.choice.candidate import RobotCandidate
 
 @runtime_checkable
 class TracksCells(Protocol):
-    """A camera that tracks all cells in view, some of which are the robots.
+    """A camera that tracks all cells in view. Some of the cells are the robots.
 
-    Trials that choose their robots need it, and robots that are replaced after their loss.
+    Trials that choose their robots need this ability, and so do trials that replace a lost robot.
     """
 
     @property
     def robots(self) -> Sequence[int]:
-        """The numbers of the robots' cells; empty before all were seen in one picture."""
+        """The numbers of the robots' cells. Empty until one image has shown all of them."""
         ...
 
     @property
     def divided(self) -> Collection[int]:
-        """The indices of the robots from whose blob another cell separated."""
+        """The indices of the robots whose cell has divided.
+
+        A cell has divided if another cell separated from its blob.
+        """
         ...
 
     def candidates(self) -> list[RobotCandidate]:
-        """Return the cells in the newest picture whose identity is sure."""
+        """Return the cells in the newest image whose identity is certain."""
         ...
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Track the cells with these numbers as the robots of a setup from now on."""
+        """Start to track the cells with these numbers as the robots of a setup.
+
+        Args:
+            setup: The constants of the experiment.
+            numbers: Number of each robot's cell, in the order of the setup's robots.
+        """
         ...
 
     def replace(self, robot: int, number: int) -> None:
-        """From now on, track the cell with this number as the robot with the index `robot`."""
+        """Start to track another cell as a robot.
+
+        Args:
+            robot: Index of the robot.
+            number: Number of the cell.
+        """
         ...
 
 
 @runtime_checkable
 class SettlesRobots(Protocol):
-    """An actuator that can go on with the robots that a trial has chosen."""
+    """An actuator that can continue with the robots that a trial has chosen."""
 
     def settle(self, setup: Setup) -> None:
         """Continue with the robots of this setup."""
@@ -52,10 +65,10 @@ class SettlesRobots(Protocol):
 
 
 def tracker_of(rig: Rig) -> TracksCells:
-    """Return the camera of a connected lab that tracks cells.
+    """Return the camera of a connected lab as one that tracks cells.
 
     Raises:
-        AbortError: If it does not track cells.
+        AbortError: If the camera cannot track cells other than its robots.
     """
     if not isinstance(rig.camera, TracksCells):
         raise AbortError("this camera tracks its robots only, and finds no others")

@@ -1,4 +1,4 @@
-"""Finds the robots of a trial among the cells of a real or simulated dish."""
+"""Chooses the robots of a trial among the cells of a dish, real or simulated."""
 
 from collections.abc import Sequence
 
@@ -28,16 +28,24 @@ def prepare(
     seed: np.random.SeedSequence,
     supervision: LabSupervision,
 ) -> PreparedTrial:
-    """Find the cells that become the robots of a trial; a `tetractl.spec.plants.Prepare`.
+    """Choose cells as the robots of a trial, and create the plant with these robots.
+
+    In the lab, the field rotates and the camera measures how each cell responds. In a simulation,
+    the cells are generated at random. The function has the type `tetractl.spec.plants.Prepare`.
 
     Args:
-        experiment: The experiment.
+        experiment: The experiment, whose spec has `robots: {choose: N}`.
         clock: The clock of the trial.
         seed: Seed of the trial.
-        supervision: How people supervise the run.
+        supervision: Prompts for the operator, and the ways in which the operator can cancel or stop
+            the run. Used in the lab only.
 
     Returns:
-        The experiment with these cells as robots, and their plant.
+        The experiment with the chosen cells as its robots, and the plant that moves them.
+
+    Raises:
+        UsageError: If the experiment's plant has no cells to choose from.
+        AbortError: If too few cells respond to the field, or the lab fails.
     """
     plant = experiment.plant
     if isinstance(plant, RigSection):
@@ -59,9 +67,9 @@ def _in_a_dish(
     seed: np.random.SeedSequence,
     supervision: LabSupervision,
 ) -> PreparedTrial:
-    """Open the lab, and rotate the field to see how cells respond.
+    """Open the lab, rotate the field to measure how cells respond, and choose the robots.
 
-    The field keeps rotating until the first direction is sent.
+    The field keeps rotating until the first direction is sent. After an error, the lab is closed.
     """
     rig = lab.rig(experiment.setup, clock, seed, supervision, chosen=True)
     rig.open()
@@ -79,12 +87,12 @@ def _in_a_dish(
 
 
 def settle(rig: Rig, setup: Setup, cells: Sequence[RobotCandidate]) -> None:
-    """Continue with cells as the robots of a setup, from where they are.
+    """Tell the devices of a lab which cells are the robots of the trial.
 
     Args:
         rig: The connected lab.
-        setup: The constants of the experiment.
-        cells: The cells.
+        setup: The constants of the experiment with the chosen robots.
+        cells: The chosen cells, in the order of the setup's robots.
     """
     if isinstance(rig.actuator, SettlesRobots):
         rig.actuator.settle(setup)

@@ -22,12 +22,12 @@ ALIKE = 0.08
 
 
 class RankedChoice:
-    """A choice of cells, and the errors predicted for it along the plans of its first trials.
+    """A choice of cells, with the errors predicted along the first plans of its trials.
 
     Args:
         experiment: The experiment.
-        cells: The chosen cells.
-        noise: The noise of camera and motion.
+        cells: The cells of the choice.
+        noise: The noise of the robots and the camera.
     """
 
     def __init__(
@@ -40,7 +40,11 @@ class RankedChoice:
 
     @staticmethod
     def _predictions(trial: Experiment, noise: Noise) -> Iterator[float | None]:
-        """Yield the mean total error along each plan, None if it does not reach the targets."""
+        """Predict the mean total error [length unit] along each plan.
+
+        Yields:
+            The error, or None if the plan does not reach the targets.
+        """
         section = planner(trial)
         problem = section.problem(trial.setup)
         for plan in plans(section, trial.setup, trial.trials.seed, PLANS_MAX):
@@ -52,7 +56,11 @@ class RankedChoice:
             yield float(mean_errors(covariance, linear.miss).sum())
 
     def along(self, count: int) -> "RankedChoice":
-        """Return this choice with errors along its first `count` plans."""
+        """Predict the errors along the first `count` plans, except those predicted before.
+
+        Returns:
+            The choice itself.
+        """
         for error in islice(self._more, max(0, count - self._tried)):
             self._tried += 1
             if error is not None:
@@ -61,7 +69,7 @@ class RankedChoice:
 
     @property
     def error(self) -> float:
-        """The predicted mean total error [length unit], as the median over the plans so far.
+        """The predicted mean total error [length unit]: the median over the plans so far.
 
         It is inf if no plan reaches the targets.
         """
@@ -69,7 +77,7 @@ class RankedChoice:
 
     @property
     def numbers(self) -> list[int]:
-        """The numbers of its cells."""
+        """The numbers of the choice's cells."""
         return [cell.number for cell in self.cells]
 
 
@@ -80,24 +88,27 @@ def ranked(
     plans: int,
     on_done: Callable[[int, int], object] = lambda *_: None,
 ) -> list[RankedChoice]:
-    """Rank the choices of cells for an experiment that chooses its robots.
+    """Rank choices of cells by the total error predicted for steering them together.
 
-    Errors are predicted from the cells' poses with a linearised closed loop: first along a few
-    plans for the COMPARED choices with the largest `rate_choice`, then along more plans for the
-    best of them (successive halving), with the same random numbers. If no plan reaches the targets
-    in the first round, there are no further rounds. Only cells with a magnet count, and no choice
-    has two similar cells. A choice with a cell near the edge, whose turning rate is unreliable,
-    comes after all other choices that reach the targets.
+    Errors are predicted with a linearised closed loop that starts at the cells' poses. In the first
+    round, a few plans are tried for the COMPARED choices with the largest `rate_choice`. In later rounds,
+    more plans are tried for the best choices only (successive halving). All choices use the same
+    random numbers. If no plan reaches the targets in the first round, there are no further rounds.
+
+    Only cells that respond to the field are chosen, and no choice contains two similar cells. A
+    choice with a cell near the edge, whose turning rate is unreliable, ranks below all other
+    choices that reach the targets.
 
     Args:
-        experiment: The experiment.
-        cells: The cells.
-        noise: The noise of robots and camera.
+        experiment: An experiment whose spec has `robots: {choose: N}`.
+        cells: The cells to choose from.
+        noise: The noise of the robots and the camera.
         plans: Maximum number of plans for each choice.
-        on_done: Called with the number of finished plans and the number of all plans.
+        on_done: Called after each prediction with the number of predictions so far and their total
+            number.
 
     Returns:
-        The best choices, best first. Empty if no choice remains.
+        The choices of the last round, best first. Empty if there is no possible choice.
     """
     choice = choice_of(experiment)
     able = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)
@@ -126,7 +137,7 @@ def ranked(
 
 
 def _order(candidate: RankedChoice) -> tuple[bool, bool, float]:
-    """Return the key by which choices are sorted, the best first."""
+    """Return the sort key of a choice. The best choice has the smallest key."""
     is_uncertain = not all(cell.free for cell in candidate.cells)
     return math.isinf(candidate.error), is_uncertain, candidate.error
 
@@ -134,7 +145,10 @@ def _order(candidate: RankedChoice) -> tuple[bool, bool, float]:
 def similar_pairs(
     cells: Sequence[RobotCandidate],
 ) -> Iterator[tuple[RobotCandidate, RobotCandidate]]:
-    """Yield pairs of cells with turning rates too similar to tell them apart after they meet."""
+    """Yield pairs of cells whose turning rates are too similar to distinguish them after they meet.
+
+    Cells that do not respond to the field are ignored.
+    """
     for first, second in combinations([cell for cell in cells if cell.magnetised], 2):
         if abs(math.log(first.a / second.a)) < ALIKE:
             yield first, second

@@ -1,4 +1,4 @@
-"""Random simulated cells, among which a trial chooses its robots."""
+"""Generates random simulated cells, from which a trial chooses its robots."""
 
 import numpy as np
 
@@ -19,9 +19,10 @@ EDGE = 1 / 8
 def scattered_cells(
     choice: Choice, setup: Setup, random: np.random.Generator
 ) -> list[RobotCandidate]:
-    """Generate random cells in the arena, numbered from 1, as a survey would measure them.
+    """Generate random cells in the arena, with the errors with which a survey would measure them.
 
-    Positions and headings are uniform. a and speed are log-normal around the spec's values.
+    Positions and headings are uniform. Turning rate a and speed are log-normal around the spec's
+    typical values. The cells are numbered from 1.
 
     Args:
         choice: The spec's rule for choosing cells.

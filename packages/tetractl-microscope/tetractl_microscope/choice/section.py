@@ -1,4 +1,4 @@
-"""The section of a spec by which each trial finds its robots: `robots: {choose: N, ...}`."""
+"""The section of a spec whose trials choose their robots: `robots: {choose: N, ...}`."""
 
 from collections.abc import Sequence
 from typing import ClassVar, Self
@@ -21,7 +21,7 @@ class Ring(Model):
     """Radius of the circle [length unit]."""
 
     def points(self, count: int) -> tuple[tuple[float, float], ...]:
-        """Return the given number of targets on the circle."""
+        """Return `count` targets x, y [length unit], evenly spaced on the circle."""
         angles = 2 * np.pi * np.arange(count) / count
         x, y = self.center
         points: list[tuple[float, float]] = []
@@ -90,27 +90,27 @@ class Choice(TrialRobots):
 
     @property
     def goals(self) -> Floats:
-        """The targets, shape (M, 2). There are at least as many as robots."""
+        """The targets, shape (M, 2) [length unit]. There are at least as many as robots."""
         points = self.targets if self.ring is None else self.ring.points(self.choose)
         return np.array(points, dtype=np.float64)
 
     @property
     def are_found(self) -> bool:
-        """Whether a trial has found its robots."""
+        """Whether a trial has already chosen its robots."""
         return self.found
 
     def sought(self) -> Self:
-        """Return the choice as the spec gave it."""
+        """Return a copy without the trial's result, as the spec gave it."""
         return self.model_copy(update={"found": False})
 
     @property
     def stand_ins(self) -> Sequence[StandIn]:
-        """A typical cell for each of the first targets."""
+        """Placeholder robots until cells are chosen: typical cells at the first targets."""
         goals = enumerate(self.goals[: self.choose].tolist(), 1)
         return [StandIn(f"cell {i}", (x, y), self.a, self.speed) for i, (x, y) in goals]
 
 
 def choice_of(experiment: Experiment) -> Choice:
-    """Return the choice of an experiment whose trials choose their robots."""
+    """Return the rule by which an experiment's trials choose their robots."""
     assert isinstance(experiment.chosen, Choice), "the spec must have robots: {choose: N}"
     return experiment.chosen

@@ -1,4 +1,4 @@
-"""Finds cells that can be steered: turns the field, and observes each cell's response."""
+"""Rotates the field of a connected lab, to find the cells that can be steered."""
 
 import math
 from collections.abc import Callable
@@ -18,11 +18,18 @@ JITTER = 0.4  # largest deviation of a direction from a multiple of a quarter tu
 
 
 def manoeuvre(turn_s: float, seed: int) -> Callable[[int], float]:
-    """Return a function from time [ns] to the direction [rad] of a field that makes cells circle.
+    """Create a rotating field with which cells swim in circles.
 
-    The field turns once in `turn_s` [s], always in the same sense, in four steps of unequal angles:
-    a cell's response shows its turning rate a and its dipole's angle. A cell with a turning rate a
-    below 2 pi / `turn_s` lags behind the field.
+    The field turns in steps of about a quarter turn, always in the same sense. The steps are of
+    unequal angles, so that a cell's response shows both its turning rate a and its dipole's angle.
+    A cell with a turning rate a below 2 pi / `turn_s` lags behind the field.
+
+    Args:
+        turn_s: Duration of a whole turn [s].
+        seed: Seed of the first direction and of the step angles.
+
+    Returns:
+        A function from time [ns] to the direction of the field [rad].
     """
     start = float(np.random.default_rng(seed).uniform(-math.pi, math.pi))
 
@@ -41,15 +48,15 @@ def turn_field(
     supervision: LabSupervision,
     on_look: Callable[[], None] = lambda: None,
 ) -> list[RobotCandidate]:
-    """Rotate the field of a connected lab, and return the cells in view.
+    """Rotate the field of a connected lab, and return the cells in view with their responses.
 
     The field keeps rotating afterwards, even after an error, until the caller stops it.
 
     Args:
         rig: The connected lab.
-        choice: The rule for choosing cells. It says how long the field rotates.
+        choice: The rule for choosing cells. It determines how long and how fast the field rotates.
         seed: Seed of the rotation.
-        supervision: How people supervise the run.
+        supervision: The operator's emergency stop and cancel signal.
         on_look: Called about every 50 ms.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The compiled filter and smoother of one cell's whole path."""
+"""Compiled filter and smoother for the whole path of one cell; see `cells.helix`."""
 
 import numpy as np
 
@@ -20,15 +20,15 @@ from tetractl_microscope.cells.kernels.helix_steps import (
 
 @compiled(**INLINE_EXACT)
 def arrive(m, p, total, model, pieces, first, k):
-    """Move a cell's state and covariance to the next image.
+    """Predict the state and covariance of a cell at the time of an image.
 
     Args:
-        m: The state, changed in place.
-        p: The covariance, changed in place.
-        total: Derivatives with respect to the state before.
-        model: Numbers of the cell's model.
-        pieces: Pieces of constant field, shape (P, 3).
-        first: Pieces first[k] to first[k + 1] come before image k.
+        m: State at the previous image, shape (n,), changed in place.
+        p: Covariance at the previous image, shape (n, n), changed in place.
+        total: Derivatives with respect to the previous state, changed in place. May be empty.
+        model: Constants of the cell's model, shape (12,).
+        pieces: Intervals of constant field, shape (P, 3): duration [s], and x and y of the field.
+        first: Pieces first[k] to first[k + 1] precede image k.
         k: Index of the image.
     """
     i = first[k]
@@ -39,16 +39,16 @@ def arrive(m, p, total, model, pieces, first, k):
 
 @compiled(**INLINE_EXACT)
 def loosen(p, start, distant_count, distance):
-    """Make a cell's pose uncertain again after ODD_RUN distant measurements.
+    """Increase the uncertainty of a cell after several distant measurements in a row.
 
     Args:
-        p: The covariance, to which the pose's variance of a new cell is added.
-        start: Covariance of a new cell.
-        distant_count: Number of distant measurements in a row so far.
-        distance: Squared distance of the newest measurement.
+        p: The covariance, changed in place: the variances of a new cell are added.
+        start: Covariance of a new cell, shape (n, n).
+        distant_count: Number of distant measurements in a row before the newest one.
+        distance: Squared Mahalanobis distance of the newest measurement.
 
     Returns:
-        The number of distant measurements in a row.
+        The number of distant measurements in a row, or 0 if the uncertainty was increased.
     """
     distant_count = distant_count + 1 if distance > ODD_DISTANCE else 0
     if distant_count >= ODD_RUN:
@@ -61,17 +61,18 @@ def loosen(p, start, distant_count, distance):
 
 @compiled(**ENTRY)
 def likelihoods(mean, start, models, measured, deviation, pieces, first, totals):
-    """Compute the log-likelihood of K images' measurements for V variants of a cell.
+    """Compute the log-likelihood of K measurements for each of V parameter variants of a cell.
 
     Args:
-        mean: State of each variant at the first image, shape (V, n). It is changed to that after
+        mean: State of each variant at the first image, shape (V, n). Replaced by the state after
             the last image.
         start: Covariance at the first image, shape (n, n).
-        models: Numbers of each variant's model, shape (V, 12).
-        measured: The measurements, shape (K, 3).
-        deviation: Their standard deviations, shape (K, 3).
-        pieces: Pieces of constant field, shape (P, 3).
-        first: Index of the first piece before each image.
+        models: Constants of each variant's model, shape (V, 12).
+        measured: Measured x, y [um] and axis [rad] in each image, shape (K, 3). NaN if not
+            measured.
+        deviation: Standard deviations of the measurements, shape (K, 3).
+        pieces: Intervals of constant field, shape (P, 3): duration [s], and x and y of the field.
+        first: Pieces first[k] to first[k + 1] precede image k.
         totals: Filled with the log-likelihoods, shape (V,).
     """
     h = np.empty((3, STATES))
@@ -97,23 +98,26 @@ def likelihoods(mean, start, models, measured, deviation, pieces, first, totals)
 def smooth(m, start, model, measured, deviation, pieces, first, means, bodies):
     """Estimate the states of a cell in K images, given the measurements in all images.
 
-    It goes backwards in time with Bierman's form of the smoother ("Fixed interval smoothing with
-    discrete measurements", Int. J. Control 18, 1973), which inverts no covariance: `pull` is how
-    strongly later measurements pull at each state.
+    After a forward pass of the filter, a backward pass uses Bierman's form of the smoother ("Fixed
+    interval smoothing with discrete measurements", Int. J. Control 18, 1973), which inverts no
+    covariance. In the code, `pull` is the adjoint state: how strongly later measurements pull at
+    each state.
 
     Args:
-        m: State at the first image. It is changed to that after the last image.
+        m: State at the first image, shape (n,). Replaced by the filtered state after the last
+            image.
         start: Covariance at the first image, shape (n, n).
-        model: Numbers of the cell's model.
-        measured: The measurements, shape (K, 3).
-        deviation: Their standard deviations, shape (K, 3).
-        pieces: Pieces of constant field, shape (P, 3).
-        first: Index of the first piece before each image.
-        means: Filled with the states, shape (K, n).
-        bodies: Filled with x, y and axis of the body, shape (K, 3).
+        model: Constants of the cell's model, shape (12,).
+        measured: Measured x, y [um] and axis [rad] in each image, shape (K, 3). NaN if not
+            measured.
+        deviation: Standard deviations of the measurements, shape (K, 3).
+        pieces: Intervals of constant field, shape (P, 3): duration [s], and x and y of the field.
+        first: Pieces first[k] to first[k + 1] precede image k.
+        means: Filled with the smoothed states, shape (K, n).
+        bodies: Filled with x, y [um] and the axis [rad] of the body, shape (K, 3).
 
     Returns:
-        The covariance after the last image.
+        The covariance of the filtered state after the last image, shape (n, n).
     """
     count = len(measured)
     p = start.copy()

@@ -1,7 +1,11 @@
-"""The compiled steps of the filter in `cells.helix`, for one cell.
+"""Compiled kernels of the extended Kalman filter in `cells.helix`, for one cell.
 
-State and covariance move over pieces of constant field, and are updated with measurements.
-`tests/testkit/microscope/helix_steps.py` computes the same with whole matrices.
+The time update predicts the state and its covariance over intervals with a constant field. The
+measurement update corrects both with the observed body. `tests/testkit/microscope/helix_steps.py`
+is a reference implementation with whole matrices.
+
+In this module, a *piece* is an interval with a constant field: its duration [s] and the x and y
+components of the field, relative to the reference field, shape (3,).
 """
 
 import math
@@ -43,13 +47,13 @@ torque = exact(swimming.torque)
 
 @compiled(**ENTRY)
 def apply(f, p, total):
-    """Replace a covariance by f p f', and derivatives by f times these.
+    """Replace a covariance p by f p f', and a matrix of derivatives by f times itself.
 
     Args:
-        f: A matrix that differs from the unit matrix in few entries, shape (n, n). Zeros are
-            skipped.
+        f: The Jacobian of one step, shape (n, n). It differs from the unit matrix in only a few
+            entries, and its zeros are skipped.
         p: The covariance, shape (n, n), changed in place.
-        total: The derivatives, shape (n, n), changed in place. May be empty.
+        total: The derivatives, shape (n, n), changed in place. Empty if they are not needed.
     """
     size = len(f)
     part = np.zeros((size, size))
@@ -72,15 +76,18 @@ def apply(f, p, total):
 
 @compiled(**ENTRY)
 def switch(m, p, total, resting, before, after):
-    """Change the field of a cell, later by the state DELAY.
+    """Account for the delay with which a cell responds to a change of the field.
+
+    During the time given by the state DELAY, the cell still turns in the old field. Its heading is
+    changed by the difference between turning in the old field and turning in the new field.
 
     Args:
-        m: The state, changed in place.
-        p: The covariance, changed in place.
-        total: Derivatives with respect to the state before, changed in place.
+        m: The state, shape (n,), changed in place.
+        p: The covariance, shape (n, n), changed in place.
+        total: Derivatives with respect to the initial state, shape (n, n), changed in place.
         resting: Whether the cell rests.
-        before: The piece of field before, shape (3,).
-        after: The piece of field afterwards, shape (3,).
+        before: The piece with the old field, shape (3,).
+        after: The piece with the new field, shape (3,).
     """
     a = 0.0 if resting else m[A]
     old, old_slope = torque(m[HEADING] + m[BIAS], before[1], before[2])
@@ -96,15 +103,17 @@ def switch(m, p, total, resting, before, after):
 
 
 @compiled(**INLINE_EXACT)
-def grow(p, model, resting, walled, seconds):
-    """Add to a covariance what the states may change by themselves.
+def add_process_noise(p, model, resting, walled, seconds):
+    """Add the process noise of a time interval to a covariance.
+
+    The process noise is larger for a cell that rests, and for a cell near a wall.
 
     Args:
-        p: The covariance, changed in place.
-        model: Numbers of the cell's model.
+        p: The covariance, shape (n, n), changed in place.
+        model: Constants of the cell's model, shape (12,).
         resting: Whether the cell rests.
-        walled: Whether it is near a wall.
-        seconds: Duration [s].
+        walled: Whether the cell is near a wall.
+        seconds: Length of the interval [s].
     """
     for state in range(BIAS + 1):
         p[state, state] += model[state] ** 2 * seconds
@@ -118,24 +127,26 @@ def grow(p, model, resting, walled, seconds):
 
 @compiled(**ENTRY)
 def move(m, p, total, model, walled, piece):
-    """Move a cell's state and covariance over a piece of constant field.
+    """Predict the state and covariance of a cell after one step in a constant field.
 
-    To second order in the heading's error, a cell swims and turns by `along` and `round` less than
-    at the mean. Half of what changes by itself does so before the motion: a heading that walks
-    takes the cell with it, which is visible in its path and in its axis.
+    The prediction is of second order in the error of the heading: on average, a cell with an
+    uncertain heading advances by the factor `along` less than one whose heading is known, and turns
+    by the factor `round` less. Half of the process noise is added before the motion and half after
+    it, because a random change of the heading also changes the path.
 
     Args:
-        m: The state, changed in place.
-        p: The covariance, changed in place.
-        total: Derivatives with respect to the state before, changed in place.
-        model: Numbers of the cell's model.
-        walled: Whether the cell is near a wall, where turning says nothing about a.
-        piece: Duration [s], x and y of the field, shape (3,).
+        m: The state, shape (n,), changed in place.
+        p: The covariance, shape (n, n), changed in place.
+        total: Derivatives with respect to the initial state, shape (n, n), changed in place.
+        model: Constants of the cell's model, shape (12,).
+        walled: Whether the cell is near a wall. If so, its turning does not change the estimate of
+            a.
+        piece: Duration [s], and x and y of the field, shape (3,).
     """
     seconds, ux, uy = piece
     half = seconds / 2
     resting = m[SPEED] < model[SLOWEST]
-    grow(p, model, resting, walled, half)
+    add_process_noise(p, model, resting, walled, half)
     along = math.exp(-p[HEADING, HEADING] / 2)
     round = math.exp(-(p[HEADING, HEADING] + 2 * p[HEADING, BIAS] + p[BIAS, BIAS]) / 2)
     a = 0.0 if resting else m[A] * round
@@ -185,25 +196,26 @@ def move(m, p, total, model, walled, piece):
     m[TURN] *= forget
     m[WAY] += m[SPEED] * seconds
     apply(f, p, total)
-    grow(p, model, resting, walled, half)
+    add_process_noise(p, model, resting, walled, half)
     p[TURN, TURN] += model[TURN] ** 2 * (1 - forget**2)
 
 
 @compiled(**ENTRY)
 def forward(m, p, total, model, walled, before, pieces):
-    """Move a cell's state and covariance over pieces of constant field.
+    """Predict the state and covariance of a cell over successive pieces of constant field.
 
-    A long piece is passed in steps of at most STEP_S, because the middle of a turn of a radian is
-    not where its ends suggest.
+    A long piece is divided into steps of at most STEP_S, because the path of a cell that turns by a
+    radian or more cannot be computed from its two ends.
 
     Args:
-        m: The state, changed in place.
-        p: The covariance, changed in place.
-        total: Derivatives with respect to the state before, changed in place.
-        model: Numbers of the cell's model.
+        m: The state, shape (n,), changed in place.
+        p: The covariance, shape (n, n), changed in place.
+        total: Derivatives with respect to the initial state, shape (n, n), changed in place. Empty
+            if they are not needed.
+        model: Constants of the cell's model, shape (12,).
         walled: Whether the cell is near a wall.
-        before: The piece before, shape (3,).
-        pieces: The pieces, shape (P, 3): duration [s], x and y of the field.
+        before: The piece before the first one, shape (3,).
+        pieces: The pieces, shape (P, 3): duration [s], and x and y of the field.
     """
     step = np.empty(3)
     for i in range(len(pieces)):
@@ -219,13 +231,13 @@ def forward(m, p, total, model, walled, before, pieces):
 
 @compiled(**ENTRY)
 def expect(m, slowest, expected, h):
-    """Predict x, y and axis of a cell's body.
+    """Predict the measurement of a cell's body, and its derivatives.
 
     Args:
-        m: The state.
-        slowest: Minimum speed of the organism [um/s].
-        expected: Filled with x, y and axis, shape (3,).
-        h: Filled with their derivatives with respect to the states, shape (3, n).
+        m: The state, shape (n,).
+        slowest: Speed below which a cell of this organism rests [um/s].
+        expected: Filled with x, y [um] and the axis [rad] of the body, shape (3,).
+        h: Filled with their derivatives with respect to the state, shape (3, n).
     """
     cos = math.cos(m[HEADING])
     sin = math.sin(m[HEADING])
@@ -252,21 +264,25 @@ def expect(m, slowest, expected, h):
 
 @compiled(**ENTRY)
 def correct(m, p, model, measured, deviation, h, gain, weighed):
-    """Update a cell's state and covariance with a measurement, one number after another.
+    """Update the state and covariance of a cell with one measurement of its body.
+
+    The three components are processed one after another. A component far from its prediction gets
+    less weight, so an outlier changes the estimate only a little. If the speed becomes clearly
+    negative, the cell is turned around: its heading pointed to the wrong end of the axis.
 
     Args:
-        m: The state, changed in place.
-        p: The covariance, changed in place.
-        model: Numbers of the cell's model.
-        measured: x, y [um] and axis [rad], shape (3,).
-        deviation: Their standard deviations, shape (3,).
-        h: Filled with their derivatives, shape (3, n).
-        gain: Filled with the gains, shape (3, n).
-        weighed: Filled with the innovations over their variances, shape (3,).
+        m: The state, shape (n,), changed in place.
+        p: The covariance, shape (n, n), changed in place.
+        model: Constants of the cell's model, shape (12,).
+        measured: Measured x, y [um] and axis [rad], shape (3,).
+        deviation: Standard deviations of the measurement, shape (3,).
+        h: Filled with the derivatives of the prediction, shape (3, n).
+        gain: Filled with the Kalman gains, shape (3, n).
+        weighed: Filled with the innovations divided by their variances, shape (3,).
 
     Returns:
-        ln of the likelihood by Student's distribution, the squared Mahalanobis distance from the
-        prediction, and whether the heading was reversed.
+        The log-likelihood under Student's t distribution, the squared Mahalanobis distance from the
+        prediction, and whether the cell was turned around.
     """
     off = np.empty(3)
     moved = np.zeros(STATES)
@@ -311,23 +327,24 @@ def correct(m, p, model, measured, deviation, h, gain, weighed):
 
 @compiled(**INLINE_EXACT)
 def reverse(states):
-    """Change the signs of the states (n,) that depend on which end of the axis is in front."""
+    """Change the signs of the states (n,) that depend on which end of the cell is its front."""
     for state in (SPEED, C, S):
         states[state] = -states[state]
 
 
 @compiled(**ENTRY)
 def predict(mean, covariance, used, model, walled, before, pieces):
-    """Move every row in use over pieces of constant field.
+    """Run the time update of the Kalman filter for every cell.
 
     Args:
-        mean: States, shape (R, n), changed in place.
+        mean: States of R cells, shape (R, n), changed in place.
         covariance: Covariances, shape (R, n, n), changed in place.
-        used: Whether each row is in use, shape (R,).
-        model: Numbers of the cells' model.
+        used: Whether each row holds a cell, shape (R,). The other rows are not changed.
+        model: Constants of the cells' model, shape (12,).
         walled: Whether each cell is near a wall, shape (R,).
-        before: The piece before, shape (3,).
-        pieces: The pieces, shape (P, 3).
+        before: The piece of constant field before the first one, shape (3,).
+        pieces: Successive pieces of constant field, shape (P, 3): duration [s], and x and y of the
+            field relative to the reference field.
     """
     total = np.empty((0, 0))
     for row in range(len(used)):
@@ -337,17 +354,17 @@ def predict(mean, covariance, used, model, walled, before, pieces):
 
 @compiled(**ENTRY)
 def update(mean, covariance, rows, model, measured, deviation, likelihood, distance):
-    """Update rows with measurements.
+    """Run the measurement update of the Kalman filter for some of the cells.
 
     Args:
-        mean: States, shape (R, n), changed in place.
+        mean: States of R cells, shape (R, n), changed in place.
         covariance: Covariances, shape (R, n, n), changed in place.
-        rows: The rows to update, shape (M,).
-        model: Numbers of the cells' model.
-        measured: The measurements, shape (M, 3).
-        deviation: Their standard deviations, shape (M, 3).
-        likelihood: Filled with ln of the likelihoods, shape (M,).
-        distance: Filled with the squared distances, shape (M,).
+        rows: Rows of the measured cells, shape (M,).
+        model: Constants of the cells' model, shape (12,).
+        measured: Measured x, y [um] and axis [rad], shape (M, 3).
+        deviation: Standard deviations of the measurements, shape (M, 3).
+        likelihood: Filled with the log-likelihoods, shape (M,).
+        distance: Filled with the squared Mahalanobis distances, shape (M,).
     """
     h = np.empty((3, STATES))
     gain = np.empty((3, STATES))
@@ -360,14 +377,14 @@ def update(mean, covariance, rows, model, measured, deviation, likelihood, dista
 
 @compiled(**ENTRY)
 def expected(mean, rows, slowest, bodies, slopes):
-    """Predict x, y and axis of cells' bodies.
+    """Predict the measurements of several cells' bodies, and their derivatives.
 
     Args:
-        mean: States, shape (R, n).
-        rows: The rows to predict, shape (M,).
-        slowest: Minimum speed of the organism [um/s].
-        bodies: Filled with x, y and axis, shape (M, 3).
-        slopes: Filled with their derivatives, shape (M, 3, n).
+        mean: States of R cells, shape (R, n).
+        rows: Rows of the cells to predict, shape (M,).
+        slowest: Speed below which a cell of this organism rests [um/s].
+        bodies: Filled with x, y [um] and the axis [rad] of each body, shape (M, 3).
+        slopes: Filled with their derivatives with respect to the state, shape (M, 3, n).
     """
     for i, row in enumerate(rows):
         expect(mean[row], slowest, bodies[i], slopes[i])

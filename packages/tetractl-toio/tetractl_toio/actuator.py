@@ -1,4 +1,4 @@
-"""Cubes as an `Actuator`: motor commands that end by themselves."""
+"""An `Actuator` for toio cubes. Each motor command stops by itself after WATCHDOG_MS."""
 
 from functools import partial
 
@@ -30,13 +30,13 @@ EMPTY = 10  # charge below which a cube would soon stop [%]
 
 
 class ToioActuator(WheeledActuator):
-    """The actuator for toio cubes; see `tetractl.core.protocols.Actuator`.
+    """Drives toio cubes over Bluetooth; see `tetractl.core.protocols.Actuator`.
 
     Args:
-        section: The fields of the actuator in the spec.
+        section: The actuator's section of the spec.
         setup: The constants of the experiment.
         clock: The clock for times.
-        ports: Creates the ports of the `CubesLink`. None for Bluetooth, or emulated cubes.
+        ports: Creates the port to a cube. None for the default.
     """
 
     def __init__(
@@ -66,10 +66,18 @@ class ToioActuator(WheeledActuator):
         return Health(emulated=self.link.emulated)
 
     def outputs(self, wished: Floats, may: Bools) -> CountArray:
-        """Convert wheel speeds (2, N) [mm/s] to motor speeds (2, N). Cubes that may not move get 0.
+        """Convert wheel speeds to units of motor speed.
 
-        A wheel does not turn below SPEED_MIN: what a unit or the least speed cannot give is carried
-        to the next command, so that the mean of the speeds sent is the one wished.
+        A wheel does not turn below SPEED_MIN units. The part of a speed that whole units or the
+        minimum speed cannot represent is carried over to the next command, so that the mean of the
+        speeds sent is the wished speed.
+
+        Args:
+            wished: Wheel speeds, left and right, of N robots, shape (2, N) [mm/s].
+            may: Whether each robot may move, shape (N,).
+
+        Returns:
+            The motor speeds, shape (2, N).
         """
         wished = wished * may
         exact = wished / self._gain
@@ -83,13 +91,24 @@ class ToioActuator(WheeledActuator):
         return units.astype(np.int64)
 
     def _halt(self, emergency: bool) -> int:
-        """Stop every cube, which has no emergency stop that it keeps."""
+        """Stop every cube.
+
+        Cubes have no emergency stop that persists, so `emergency` is ignored.
+        """
         self._owed[:] = 0.0
         sent_ns, _ = self._drive(np.zeros_like(self._owed, dtype=np.int64))
         return sent_ns
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Ask every cube for its charge, again if a message is lost."""
+        """Ask every cube for its battery charge, several times because messages can be lost.
+
+        Args:
+            timeout_s: Maximum time to wait for the answers [s].
+
+        Returns:
+            The status of each robot. It contains a problem if a cube did not answer or is almost
+            empty, and a warning if its battery is low.
+        """
         for _ in range(TRIES):
             for cube, charge in zip(self.link.cubes, self._charge, strict=True):
                 if charge is None:
@@ -102,6 +121,15 @@ class ToioActuator(WheeledActuator):
         ]
 
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
+        """Send motor speeds (2, N) to all cubes, even if one of them cannot be reached.
+
+        Returns:
+            The time at which the last command was sent [ns], and the wheel speeds sent, shape (2,
+            N) [mm/s].
+
+        Raises:
+            AbortError: If a cube could not be reached.
+        """
         sent_ns = self._clock.now()
         lost = list[AbortError]()
         for cube, speeds in zip(self.link.cubes, outputs.T.tolist(), strict=True):
@@ -115,10 +143,12 @@ class ToioActuator(WheeledActuator):
         return sent_ns, outputs * self._gain
 
     def _receive(self, i: int, characteristic: int, data: bytes, _at_ns: int) -> None:
+        """Record the battery charge in a notification."""
         if characteristic == Characteristic.BATTERY and len(data) == 1:
             self._charge[i] = data[0]
 
     def _status(self, name: str, charge: int | None) -> RobotStatus:
+        """Describe a robot by its battery charge [%]. None if its cube did not answer."""
         if charge is None:
             return RobotStatus(False, problems=(f"{name} does not answer: is its cube on?",))
         if charge < EMPTY:
@@ -131,8 +161,9 @@ class ToioActuator(WheeledActuator):
 def stop_all(section: ToioSection, setup: Setup, clock: Clock, alone: bool) -> str:
     """Connect to each cube that can be reached, and stop it; see `ActuatorSection.stop_all`.
 
-    It sends ten stops within 200 ms, then disconnects. It raises the same errors as `stop_all_at`.
-    A cube does not keep a stop: a program that is connected to it can drive it again.
+    Ten stop commands are sent within 200 ms, and then the cubes are disconnected. A cube does not
+    keep the stop: a program that is connected to it can drive it again. The errors are those of
+    `stop_all_at`.
     """
     links = PortGroup(
         make_port(robot.cube, SPEED, robot.name, clock, lambda *_: None, HINT)

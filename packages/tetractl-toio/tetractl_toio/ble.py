@@ -1,4 +1,7 @@
-"""A cube at this computer's Bluetooth adapter as a port, with bleak. Never tried with a cube."""
+"""Connects to a cube over this computer's Bluetooth adapter, with the library bleak.
+
+This module has never been tried with a real cube.
+"""
 
 import asyncio
 import threading
@@ -16,10 +19,11 @@ NOTIFYING = (Characteristic.ID, Characteristic.BATTERY, Characteristic.CONFIGURA
 
 
 def is_cube(wanted: str, name: str | None, address: str) -> bool:
-    """Check whether an advertisement belongs to the wanted cube.
+    """Check whether a Bluetooth advertisement belongs to the wanted cube.
 
     Args:
-        wanted: An address, or a name such as `toio-M0p`, or only its last three letters.
+        wanted: The cube's address, or its name such as `toio-M0p`, or only the last three letters
+            of its name.
         name: Name in the advertisement. None if it has none.
         address: Address of the advertiser.
     """
@@ -31,7 +35,10 @@ def is_cube(wanted: str, name: str | None, address: str) -> bool:
 
 
 class BluetoothPort(SerialPort):
-    """A toio cube at this computer's Bluetooth adapter, as a port.
+    """The Bluetooth connection to one cube, with the interface of a serial port.
+
+    The arguments are those of `SerialPort`: `name` is the cube's name or address, and `baud` is
+    ignored.
 
     Args:
         name: Name of the cube.
@@ -57,7 +64,7 @@ class BluetoothPort(SerialPort):
         """Find the cube and connect to it.
 
         Raises:
-            AbortError: If that fails.
+            AbortError: If the cube is not found or does not answer.
         """
         self._thread.start()
         if not self._ready.wait(CONNECT_S) or self.failure:
@@ -65,10 +72,13 @@ class BluetoothPort(SerialPort):
             raise AbortError(self.failure or f"{self._device} does not answer", self._hint)
 
     def write(self, data: bytes) -> int:
-        """Pass on messages as writes without response, or as reads.
+        """Send packed messages as writes or, if they have no data, as read requests.
 
         Returns:
-            When the system was asked to [ns].
+            The time at which they were handed to the operating system [ns].
+
+        Raises:
+            AbortError: If the cube is not connected.
         """
         if self.failure or self._client is None:
             raise AbortError(self.failure or f"{self._device} is not connected", self._hint)
@@ -78,18 +88,20 @@ class BluetoothPort(SerialPort):
         return self._clock.now()
 
     def close(self) -> None:
-        """Disconnect and end the thread; may be called twice, never raises."""
+        """Disconnect and stop the thread. This method can be called repeatedly and never raises."""
         self._closing.set()
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._ended.set)
         super().close()
 
     def _read(self) -> None:
+        """Run the connection's event loop in the reader thread."""
         with suppress(Exception):
             self._loop.run_until_complete(self._serve())
         self._loop.close()
 
     async def _serve(self) -> None:
+        """Keep the connection until it is closed, and record why it failed."""
         try:
             await self._connected()
         except ImportError:
@@ -102,6 +114,7 @@ class BluetoothPort(SerialPort):
             self._ready.set()
 
     async def _connected(self) -> None:
+        """Find the cube, subscribe to its notifications, and wait until the port is closed."""
         from bleak import BleakClient, BleakScanner
 
         cube = await BleakScanner.find_device_by_filter(
@@ -123,6 +136,7 @@ class BluetoothPort(SerialPort):
             self._client = None
 
     async def _pass(self, kind: Characteristic, payload: bytes) -> None:
+        """Send one message to the cube: a write, or a read if the payload is empty."""
         client = self._client
         if client is None:
             return
@@ -136,23 +150,26 @@ class BluetoothPort(SerialPort):
             self._lost(str(error) or type(error).__name__)
 
     def _take(self, kind: Characteristic, data: bytearray | bytes) -> None:
-        """Take a message, and pass on messages that arrive together as one message.
+        """Collect a message, so that messages of one connection event are passed on together.
 
-        If a reading was passed on before the next, it would seem as new as that one.
+        If they were passed on one by one, an older reading would seem as new as the latest one.
         """
         if not self._together:
             self._loop.call_later(TOGETHER_S, self._pass_on, self._clock.now())
         self._together += pack(kind, bytes(data))
 
     def _pass_on(self, at_ns: int) -> None:
+        """Pass on the collected messages with the time at which the first one arrived [ns]."""
         together = self._together
         self._together = b""
         self._on_received(together, at_ns)
 
     def _gone(self, _: Any) -> None:
+        """Report a lost connection, unless the port is being closed."""
         if not self._closing.is_set():
             self._lost("disconnected")
 
     def _lost(self, why: str) -> None:
+        """Record why the connection was lost, and notify the reader."""
         self._fail(f"is gone: {why}")
         self._on_received(b"", self._clock.now())

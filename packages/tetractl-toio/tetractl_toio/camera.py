@@ -1,4 +1,4 @@
-"""Cubes on a mat as a `Camera`: each cube measures its own pose, at a time of its own."""
+"""A `Camera` for toio cubes on a mat: each cube measures its own pose, at its own times."""
 
 import math
 import threading
@@ -33,11 +33,11 @@ ASK_NS = SECOND // 10  # time of silence after which a cube is asked, and again
 
 @dataclass(frozen=True, slots=True)
 class CubeReport:
-    """What a cube has reported last.
+    """The last report of a cube.
 
     Attributes:
-        pose: Its pose. None if it sees no mat.
-        read_ns: When it was read [ns]. Negative before the first report.
+        pose: The pose that the cube read. None if it sees no mat.
+        read_ns: When the report arrived [ns]. Negative before the first report.
     """
 
     pose: Pose | None = None
@@ -45,7 +45,7 @@ class CubeReport:
 
 
 class CubeReports:
-    """The last report of each of N cubes; a thread notes poses while another one reads all."""
+    """The last report of each of N cubes. Safe to write and read from different threads."""
 
     def __init__(self, cubes: int) -> None:
         self._newest = [CubeReport()] * cubes
@@ -53,36 +53,35 @@ class CubeReports:
         self._lock = threading.Lock()
 
     def note_pose(self, i: int, pose: Pose | None, at_ns: int) -> None:
-        """Record the pose that a cube reported.
+        """Record a report of a cube.
 
         Args:
             i: Index of the cube.
-            pose: Its pose. None if it sees no mat.
-            at_ns: When it was read [ns].
+            pose: The pose that it read. None if it sees no mat.
+            at_ns: When the report arrived [ns].
         """
         with self._lock:
             self._newest[i] = CubeReport(pose, at_ns)
             self._number += 1
 
     def now(self) -> tuple[int, list[CubeReport]]:
-        """Return the number of reports so far, and the last ones of all cubes."""
+        """Return the number of reports so far, and the last report of each cube."""
         with self._lock:
             return self._number, [*self._newest]
 
 
 class ToioCamera:
-    """Tracks toio cubes by their own readings; see `tetractl.core.protocols.Camera`.
+    """Tracks the setup's robots by their own readings; see `tetractl.core.protocols.Camera`.
 
-    A frame has all readings since the previous frame. A cube without a new reading keeps the last
-    one, with its old time. The frame's number counts the events of the connections that brought
-    readings.
+    A frame contains the newest reading of every cube. A cube without a new reading keeps its last
+    one, with its old time. The number of a frame is the number of reports so far.
 
     Args:
-        section: The fields of the camera in the spec.
+        section: The camera's section of the spec.
         setup: The constants of the experiment.
         clock: The clock for times.
-        wake: Called after every new frame.
-        ports: Creates the ports of the `CubesLink`. None for Bluetooth, or emulated cubes.
+        wake: Called when a report has arrived.
+        ports: Creates the port to a cube. None for the default.
     """
 
     def __init__(
@@ -106,7 +105,12 @@ class ToioCamera:
         self._newest_ns = NEVER  # time of the newest report in a frame
 
     def __enter__(self) -> Self:
-        """Connect; return once every cube has reported. AbortError names those that have not."""
+        """Connect, and return once every cube has reported.
+
+        Raises:
+            AbortError: If a cube cannot be reached or does not report. The message names the
+                robots.
+        """
         try:
             self._link.open()
             for _ in range(TRIES):
@@ -125,7 +129,11 @@ class ToioCamera:
         self._link.close()
 
     def _begin_reports(self) -> bool:
-        """Make every cube report, and return whether all do; messages may be lost."""
+        """Ask every cube to report, and wait for the answers.
+
+        Returns:
+            Whether every cube has reported. If not, try again: messages can be lost.
+        """
         for cube in self._link.cubes:
             for setting in (NOTIFY_READINGS, NOTIFY_MISSED):
                 self._link.send(cube, Characteristic.CONFIGURATION, setting)
@@ -147,7 +155,7 @@ class ToioCamera:
         ]
 
     def check(self) -> Health:
-        """Report the robots that do not see the mat."""
+        """Report each robot that does not see the mat."""
         _, reports = self._reports.now()
         problems = tuple(
             f"{name} does not see the mat: is it on it, and clean below?"
@@ -157,7 +165,13 @@ class ToioCamera:
         return Health(problems, emulated=self._link.emulated)
 
     def frames(self) -> list[CameraFrame]:
-        """Return a frame if a cube has reported since the last call; ask cubes that are silent."""
+        """Return a new frame if a cube has reported since the last call.
+
+        Cubes that have been silent for ASK_NS are asked for a reading.
+
+        Returns:
+            One frame, or an empty list if there is nothing new or if a cube has never reported.
+        """
         self._ask_silent()
         number, reports = self._reports.now()
         times_ns = [report.read_ns for report in reports]
@@ -175,9 +189,9 @@ class ToioCamera:
         return [frame]
 
     def _ask_silent(self) -> None:
-        """Ask each cube that has been silent for ASK_NS.
+        """Ask each cube for a reading that has not reported for ASK_NS.
 
-        A cube that is lifted reports only once that it sees no mat.
+        A cube that is lifted off the mat reports this only once, so it must be asked again.
         """
         silent_since_ns = self._clock.now() - ASK_NS
         if self._asked_ns > silent_since_ns:
@@ -190,9 +204,11 @@ class ToioCamera:
                     self._link.send(cube, Characteristic.ID)
 
     def _sampled(self, at_ns: int) -> int:
+        """Return the time of a reading [ns]: its time of arrival minus the latency, at least 0."""
         return max(0, at_ns - round(self.section.latency * SECOND))
 
     def _receive(self, i: int, characteristic: int, data: bytes, at_ns: int) -> None:
+        """Record the reading in a notification, and count notifications that cannot be decoded."""
         if characteristic == Characteristic.CONFIGURATION:
             self._configured.add(i)
         if characteristic != Characteristic.ID:
@@ -206,7 +222,7 @@ class ToioCamera:
         self._wake()
 
     def _pose(self, reading: CubeReading) -> Pose:
-        """Return a reading in the spec's coordinates, whose y axis points up."""
+        """Convert a reading to a pose in the spec's coordinates, whose y axis points up."""
         unit = self.section.unit_mm / (self.setup.metres * 1000)
         x = reading.x - self.section.origin[0]
         y = self.section.origin[1] - reading.y
@@ -214,12 +230,12 @@ class ToioCamera:
 
 
 def placed(pose: Sequence[float], origin: tuple[int, int], unit_mm: float) -> CubeReading:
-    """Return the reading of a cube at a pose in the spec's coordinates.
+    """Compute the reading of a cube at a pose in the spec's coordinates.
 
     Args:
         pose: x, y [mm] and heading [rad].
-        origin: The spec's origin in the mat's coordinates.
-        unit_mm: Unit of the mat's coordinates [mm].
+        origin: The spec's origin, in the mat's units.
+        unit_mm: Length of one of the mat's units [mm].
     """
     x, y, heading = pose
     angle = round(math.degrees(-heading)) % 360

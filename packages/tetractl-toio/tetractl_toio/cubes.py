@@ -1,6 +1,6 @@
-"""The connections of one run to its cubes, which its camera and its actuator share.
+"""Connections to toio cubes, shared by the camera and the actuator of a run.
 
-A cube accepts only one connection.
+They are shared because a cube accepts only one connection.
 """
 
 import select
@@ -25,7 +25,12 @@ Listener = Callable[[int, bytes, int], None]
 
 
 class Cubes:
-    """Connections to cubes by their names. Times are ns on `clock`."""
+    """Open connections to cubes, by the cubes' names. Times are in ns on `clock`.
+
+    Args:
+        clock: The clock for times.
+        ports: Creates the port to a cube.
+    """
 
     def __init__(self, clock: Clock, ports: Ports) -> None:
         self._ports = ports
@@ -37,16 +42,18 @@ class Cubes:
 
     @property
     def failure(self) -> str | None:
-        """The reason why a cube can no longer be reached. None if all can."""
+        """The reason why a cube can no longer be reached. None if all cubes can be reached."""
         return next((link.failure for link in self._links.values() if link.failure), None)
 
     def open(self, listeners: Mapping[str, Listener]) -> None:
-        """Connect to the cubes that are not connected yet, and register their listeners.
+        """Register listeners, and connect to each cube that is not yet connected.
 
-        A listener is called for its cube's notifications.
+        Args:
+            listeners: For each cube's name, a function that is called with each of its
+                notifications.
 
         Raises:
-            AbortError: If that fails.
+            AbortError: If a cube cannot be reached.
         """
         self._users += 1
         for cube, listener in listeners.items():
@@ -59,15 +66,15 @@ class Cubes:
                 link.open()
 
     def send(self, cube: str, characteristic: Characteristic, data: bytes = b"") -> int:
-        """Write to a cube, or ask it for a value.
+        """Write a value to a cube, or ask the cube for a value.
 
         Args:
-            cube: The cube.
+            cube: Name of the cube.
             characteristic: The characteristic to write or read.
-            data: The data. Empty to ask for the value.
+            data: The value to write. Empty to ask for the value.
 
         Returns:
-            When it was sent [ns].
+            The time at which the message was sent [ns].
 
         Raises:
             AbortError: If the cube cannot be reached.
@@ -75,7 +82,11 @@ class Cubes:
         return self._links[cube].write(pack(characteristic, data))
 
     def close(self) -> bool:
-        """Disconnect if the last user closes, and return whether it did; never raises."""
+        """Unregister one user, and disconnect from all cubes if it was the last. Never raises.
+
+        Returns:
+            Whether the cubes were disconnected.
+        """
         self._users -= 1
         if self._users == 0:
             for link in self._links.values():
@@ -83,6 +94,10 @@ class Cubes:
         return self._users == 0
 
     def _receiver_of(self, cube: str) -> OnReceived:
+        """Create the callback for bytes from a cube.
+
+        It passes complete messages to the cube's listeners.
+        """
         unpacker = Unpacker()
 
         def receive(data: bytes, at_ns: int) -> None:
@@ -105,13 +120,14 @@ _RUNS: dict[Clock, Cubes] = {}
 
 
 class CubesLink:
-    """The connections to cubes as one device uses them. They belong to the run with this clock.
+    """One device's access to the connections of the run that uses this clock.
 
     Args:
-        clock: The clock of the run.
-        cubes: Names of the cubes.
-        ports: Creates the ports. None for Bluetooth, or emulated cubes.
-        on_received: Called for notifications with the cube's index, characteristic, data and time.
+        clock: The clock of the run. Devices with the same clock share their connections.
+        cubes: Names of the device's cubes.
+        ports: Creates the port to a cube. None for the default, `make_port`.
+        on_received: Called with each notification: the cube's index in `cubes`, the characteristic,
+            the data and the time of arrival [ns].
     """
 
     def __init__(
@@ -129,7 +145,7 @@ class CubesLink:
 
     @property
     def failure(self) -> str | None:
-        """The reason why a cube can no longer be reached. None if all can."""
+        """The reason why a cube can no longer be reached. None if all cubes can be reached."""
         return None if self._run is None else self._run.failure
 
     @property
@@ -138,32 +154,34 @@ class CubesLink:
         return self._run is not None and self._run.emulated
 
     def open(self) -> None:
-        """Connect to the cubes.
+        """Connect to the device's cubes.
 
         Raises:
-            AbortError: If that fails.
+            AbortError: If a cube cannot be reached.
         """
         self._run = _RUNS.setdefault(self._clock, Cubes(self._clock, self._ports or make_port))
         self._run.open({cube: partial(self._on_received, i) for i, cube in enumerate(self.cubes)})
 
     def close(self) -> None:
-        """Leave the connections; may be called twice, never raises."""
+        """Stop using the connections. This method can be called repeatedly and never raises."""
         run = self._run
         self._run = None
         if run is not None and run.close():
             del _RUNS[self._clock]
 
     def send(self, cube: str, characteristic: Characteristic, data: bytes = b"") -> int:
-        """Write to a cube, or ask it for a value; see `Cubes.send`."""
+        """Write a value to a cube, or ask the cube for a value; see `Cubes.send`."""
         if self._run is None:
             raise AbortError(f"cube {cube} is not connected", HINT)
         return self._run.send(cube, characteristic, data)
 
 
 class EmulatedCubePort(UdpPort):
-    """The port to an emulated cube, which passes on messages that arrive within TOGETHER_S as one.
+    """The UDP port to an emulated cube.
 
-    On a busy computer, events wait, and the earlier ones are not as new as they seem.
+    Datagrams that arrive within TOGETHER_S are passed on as one. On a busy computer, datagrams wait
+    before they are read. Without this grouping, an old reading that waited would count as a new
+    one.
     """
 
     def _read(self) -> None:
@@ -181,9 +199,10 @@ class EmulatedCubePort(UdpPort):
 def make_port(
     name: str, baud: int, device: str, clock: Clock, on_received: OnReceived, hint: str
 ) -> SerialPort:
-    """Create the port to a cube, without opening it; see `open_port`.
+    """Create the port to a cube, without opening it.
 
-    It is UDP for an emulated cube, and Bluetooth otherwise.
+    The port uses UDP for an emulated cube, whose name is an address, and Bluetooth otherwise. For
+    the arguments see `tetractl.lab.serial_port.SerialPort`.
     """
     if name.startswith(SCHEME):
         return EmulatedCubePort(name, baud, device, clock, on_received, hint)

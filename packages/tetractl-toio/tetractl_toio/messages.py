@@ -1,7 +1,8 @@
-"""The messages of a cube, as its maker publishes them, and how a port carries them.
+"""Encodes and decodes the messages of a toio cube, and packs them for a port.
 
-A cube has characteristics that are written, read or notify; integers are little-endian. Source:
-toio Core Cube Specification 2.4.0, https://toio.github.io/toio-spec/en/docs/ble_communication_overview.
+A cube has characteristics that can be written, read or notify. Integers are little-endian. Source:
+toio Core Cube Specification 2.4.0,
+https://toio.github.io/toio-spec/en/docs/ble_communication_overview.
 """
 
 import math
@@ -40,7 +41,7 @@ NOTIFY_MISSED = bytes([0x19, 0, 1])
 
 
 class Characteristic(IntEnum):
-    """A cube's characteristic: the part of its UUID that differs from the service's."""
+    """A cube's characteristic: the part of its UUID that differs from the service's UUID."""
 
     EMULATED = 0x00  # none of a real cube: an emulated one sends its name
     ID = 0x01
@@ -50,18 +51,18 @@ class Characteristic(IntEnum):
 
     @property
     def uuid(self) -> str:
-        """The UUID of the characteristic."""
+        """The full UUID of the characteristic."""
         return f"{SERVICE[:6]}{self:02x}{SERVICE[8:]}"
 
 
 @dataclass(frozen=True, slots=True)
 class CubeReading:
-    """What a cube reads from the mat.
+    """The position and angle that a cube reads from the mat.
 
     Attributes:
-        x: x of its centre, in the mat's units.
-        y: y of its centre, pointing down, in the mat's units.
-        angle: Its angle [degrees], 0 along x and clockwise.
+        x: x of the cube's centre, in the mat's units.
+        y: y of the cube's centre, in the mat's units. The axis points down.
+        angle: Direction of the cube [degrees]: 0 along x, clockwise.
     """
 
     x: int
@@ -70,7 +71,7 @@ class CubeReading:
 
 
 class MotorCommand(NamedTuple):
-    """A command to both motors.
+    """A command to both motors of a cube.
 
     Attributes:
         left: Speed of the left motor. Negative for backward.
@@ -84,9 +85,13 @@ class MotorCommand(NamedTuple):
 
 
 def decode_reading(data: bytes) -> CubeReading | None:
-    """Return the reading in a notification of `ID`, None if the cube sees no mat.
+    """Decode a notification of the characteristic `ID`.
 
-    WireError for other data; a card that is not the mat counts as none.
+    Returns:
+        The reading. None if the cube sees no mat, or sees a card instead.
+
+    Raises:
+        WireError: If the data is not such a notification.
     """
     if len(data) == 13 and data[0] == POSITION:
         x, y, angle = struct.unpack_from("<HHH", data, 1)
@@ -98,7 +103,10 @@ def decode_reading(data: bytes) -> CubeReading | None:
 
 
 def encode_reading(reading: CubeReading | None) -> bytes:
-    """Return the notification of a reading; the sensor's own place is given as the centre."""
+    """Encode the notification of a reading. None stands for a cube that sees no mat.
+
+    A real notification also contains the position of the sensor. Here it equals the centre.
+    """
     if reading is None:
         return bytes([MISSED])
     place = (reading.x, reading.y, reading.angle)
@@ -106,12 +114,15 @@ def encode_reading(reading: CubeReading | None) -> bytes:
 
 
 def encode_motor(left_speed: int, right_speed: int, duration_ms: int) -> bytes:
-    """Return the command that drives both motors, and stops them after a time.
+    """Encode a command that drives both motors for a limited time.
 
     Args:
-        left_speed: Speed of the left motor. Negative for backward.
-        right_speed: Speed of the right motor. Negative for backward.
-        duration_ms: Time after which the cube stops its motors [ms].
+        left_speed: Speed of the left motor, within SPEED_MAX. Negative for backward.
+        right_speed: Speed of the right motor, within SPEED_MAX. Negative for backward.
+        duration_ms: Time after which the cube stops its motors, from 10 to 2550 [ms].
+
+    Raises:
+        ValueError: If a speed or the duration is out of range.
     """
     is_too_fast = max(abs(left_speed), abs(right_speed)) > SPEED_MAX
     if is_too_fast or not 10 <= duration_ms <= 2550:
@@ -121,15 +132,16 @@ def encode_motor(left_speed: int, right_speed: int, duration_ms: int) -> bytes:
 
 
 def _motor(motor: int, speed: int) -> tuple[int, int, int]:
-    """Return the bytes for a motor: its number, its direction and the size of its speed."""
+    """Return the three values that command one motor: its number, direction and absolute speed."""
     return motor, FORWARD if speed >= 0 else BACKWARD, abs(speed)
 
 
 def decode_motor(data: bytes) -> MotorCommand:
     """Decode a motor command.
 
-    WireError for data that a cube ignores: of another length, with values out of range, or twice
-    the same motor.
+    Raises:
+        WireError: If a cube would ignore the data, because its length or a value is invalid, or
+            because it contains the same motor twice.
     """
     if (len(data), data[:1]) not in ((8, b"\x02"), (7, b"\x01")):
         raise WireError(f"no motor command: {data.hex()}")
@@ -144,26 +156,29 @@ def decode_motor(data: bytes) -> MotorCommand:
 
 
 def refused(data: bytes) -> bool:
-    """Decide whether a notification reports that one of these settings failed."""
+    """Check whether a notification of `CONFIGURATION` reports that the cube refused a setting.
+
+    Only the settings of NOTIFY_READINGS and NOTIFY_MISSED are considered.
+    """
     return len(data) == 3 and data[0] in (0x98, 0x99) and data[2] != 0
 
 
 def pack(characteristic: Characteristic, data: bytes = b"") -> bytes:
-    """Return what a port receives: the characteristic, the number of bytes, and the bytes.
+    """Pack a message for a port: the characteristic, the number of data bytes, and the data.
 
-    Without bytes it asks the cube for the characteristic's present value.
+    A message without data asks the cube for the present value of the characteristic.
     """
     return bytes([characteristic, len(data)]) + data
 
 
 class Unpacker:
-    """Cuts what a port passes on into messages."""
+    """Splits the byte stream of a port into messages. It is the inverse of `pack`."""
 
     def __init__(self) -> None:
         self._left = b""
 
     def feed(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """Yield characteristic and data of each message that is complete."""
+        """Add received bytes, and yield characteristic and data of each complete message."""
         self._left += data
         while len(self._left) >= 2 and len(self._left) >= 2 + self._left[1]:
             end = 2 + self._left[1]

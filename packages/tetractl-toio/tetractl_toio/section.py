@@ -59,17 +59,21 @@ class ToioCameraSection(CameraSection):
     """One entry for each robot of the spec."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the place and text of each problem with robots and cubes."""
+        """Yield the location and a message for each mismatch with the spec's robots."""
         yield from mismatches(self.robots, setup.names, ("cube",))
         yield from _addresses(self.robots)
 
     @property
     def sight(self) -> Sight:
-        """The mat's grid: whole units and whole degrees."""
+        """The resolution of the mat: one unit for positions, and one degree for headings."""
         return Sight(grid_mm=self.unit_mm, grid_rad=math.radians(1))
 
     def bounds(self) -> dict[str, str]:
-        """Return the mat's scale, for display."""
+        """Describe the mat for display.
+
+        Returns:
+            One entry: "mat" maps to the length of a unit and the spec's origin.
+        """
         return {"mat": f"{self.unit_mm:g} mm a unit, origin at {self.origin[0]}, {self.origin[1]}"}
 
 
@@ -93,13 +97,16 @@ class ToioSection(ActuatorSection):
     """One entry for each robot of the spec."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the place and text of each problem with robots and cubes."""
+        """Yield the location and a message for each mismatch with the spec's robots.
+
+        A robot that is faster than `speed_max_mm_s` is reported, too.
+        """
         yield from mismatches(self.robots, setup.names, ("cube",))
         yield from _addresses(self.robots)
         yield from too_fast(setup, self.speed_max_mm_s)
 
     def beside(self, camera: CameraSection) -> Iterator[tuple[Loc, str]]:
-        """Yield each robot that is another cube for the camera."""
+        """Yield an error for each robot whose cube is another one in the camera's section."""
         cubes = isinstance(camera, ToioCameraSection)
         camera_cubes = {robot.name: robot.cube for robot in camera.robots} if cubes else {}
         for i, robot in enumerate(self.robots):
@@ -109,16 +116,29 @@ class ToioSection(ActuatorSection):
                 yield ("robots", i, "cube"), text
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
-        """Return the motor speed for a 127th of the largest wheel speed, and for `limit`."""
+        """Convert a limit on the motor counts to the cubes' units of motor speed.
+
+        Args:
+            name: The robot. Ignored, because all cubes are the same.
+            limit: A wheel speed in 127ths of the largest wheel speed.
+
+        Returns:
+            The units for one 127th of the largest wheel speed, and the whole units for `limit`.
+        """
         unit = self.speed_max_mm_s / WHEEL_MM_S / 127
         return unit, int(unit * limit)
 
     def measured(self, result: Found) -> dict[str, Any]:
-        """Return a cube's r and gains."""
+        """Convert the result of a calibration to a cube's `radius_mm` and wheel gains."""
         return wheel_gains(result, WHEEL_MM_S)
 
     def bounds(self) -> dict[str, str]:
-        """Return the cubes, the rate and the largest wheel speed, for display."""
+        """Describe the cubes for display.
+
+        Returns:
+            Two entries: "cubes" maps to the names and the command rate, and "wheel speeds" to the
+            maximum speed and the speed of one unit.
+        """
         cubes = ", ".join(robot.cube for robot in self.robots)
         return {
             "cubes": f"{cubes}, {self.rate:g} commands per second each",
@@ -127,6 +147,7 @@ class ToioSection(ActuatorSection):
 
 
 def _addresses(robots: Sequence[CubeOfCamera]) -> Iterator[tuple[Loc, str]]:
+    """Yield an error for each emulated cube whose name is not a valid UDP address."""
     from tetractl.lab.udp_port import SCHEME, address_of
 
     for i, robot in enumerate(robots):

@@ -1,7 +1,8 @@
-"""One emulated cube: what its program does with messages, and its connection; no I/O.
+"""An emulated cube: the program that it runs, and its Bluetooth connection. No I/O happens here.
 
-A Bluetooth connection has an event every `interval`: then the cube hears what was written since the
-event before, and passes on what it has notified. How a real cube's program does this is not known.
+A Bluetooth connection transfers data only at its connection events, which follow each other at a
+fixed interval. At each event, the cube receives what was written since the previous event, and
+sends its notifications. Whether the program of a real cube does the same is not known.
 """
 
 from collections.abc import Sequence
@@ -31,7 +32,7 @@ READING_SETTINGS = (b"\x18", b"\x19")
 
 
 class CubeProgram:
-    """The program of a cube: motor commands and settings in, motor speeds and answers out."""
+    """The program of a cube: it receives motor commands and settings, and drives the motors."""
 
     def __init__(self, _index: int = 0) -> None:
         self._unpacker = Unpacker()
@@ -44,7 +45,7 @@ class CubeProgram:
         self.charge = 100
 
     def push(self, data: bytes, now_ms: int) -> None:
-        """Take messages; those that a cube ignores change nothing."""
+        """Process received messages. Invalid messages are ignored, as a real cube does."""
         for characteristic, payload in self._unpacker.feed(data):
             if characteristic == Characteristic.MOTOR:
                 self._motor(payload, now_ms)
@@ -56,7 +57,7 @@ class CubeProgram:
                 self._configure(payload)
 
     def _configure(self, payload: bytes) -> None:
-        """Take a setting of the notifications of readings; others are ignored."""
+        """Process a setting of the notifications of readings. Other settings are ignored."""
         if payload[:1] not in READING_SETTINGS:
             return
         self.notifies = True
@@ -65,7 +66,10 @@ class CubeProgram:
         self._answers += pack(Characteristic.CONFIGURATION, is_set)
 
     def wheels(self, now_ms: int) -> Counts:
-        """Return the motor speeds that act now."""
+        """Return the present speeds of the left and the right motor.
+
+        They are 0 after the duration of the last command.
+        """
         if self._ends_ms is not None and now_ms >= self._ends_ms:
             self._speeds = (0, 0)
             self._ends_ms = None
@@ -73,24 +77,30 @@ class CubeProgram:
         return self._speeds
 
     def status(self, now_ms: int) -> Status:
-        """Return whether a motor is driven, or stands because its last command ended."""
+        """Return the status of the motors.
+
+        Returns:
+            RUNNING if a motor turns, SILENT if the last command has ended by itself, and otherwise
+            0.
+        """
         running = any(self.wheels(now_ms))
         if self._silent:
             return Status.SILENT
         return Status.RUNNING if running else Status(0)
 
     def take_reply(self, now_ms: int) -> bytes:
-        """Return the answers since the last call."""
+        """Return the packed answers since the last call."""
         answers = self._answers
         self._answers = b""
         return answers
 
     def set_battery(self, battery_mv: int) -> None:
-        """Take the battery's voltage [mV]; the charge is given in steps of 10 %."""
+        """Set the battery's charge, in steps of 10 %, from its voltage [mV]."""
         share = (battery_mv - EMPTY_MV) / (FULL_MV - EMPTY_MV)
         self.charge = max(0, min(100, 10 * round(10 * share)))
 
     def _motor(self, payload: bytes, now_ms: int) -> None:
+        """Execute a motor command. An invalid command is ignored."""
         try:
             command = decode_motor(payload)
         except WireError:
@@ -101,22 +111,25 @@ class CubeProgram:
 
 
 def _turning(speed: int) -> int:
-    """Return the speed of a motor for a speed setting."""
+    """Return the speed at which a motor turns for a commanded speed: 0 below SPEED_MIN."""
     return speed if abs(speed) >= SPEED_MIN else 0
 
 
 class Connection(RobotRadio):
-    """The connection to one cube, with events at regular intervals.
+    """The Bluetooth connection to one emulated cube.
+
+    Data is transferred at connection events, and each transfer can be lost or late.
 
     Args:
-        stage: The data and functions that the lab's emulated devices share.
-        port: The port of the cube.
-        robot: The cube that the connection reaches.
-        robots: All cubes of the setup.
-        interval_ns: Time between two events [ns].
-        phase_ns: Time of the first event [ns].
-        loss: Fraction of the packets that are lost.
-        seed: Determines what is lost.
+        stage: What the emulated devices share.
+        port: The port at which a program reaches the cube.
+        robot: The cube.
+        robots: All cubes of the setup, in order. The record of a command has an entry for each,
+            though only `robot` receives the command.
+        interval_ns: Time between two connection events [ns].
+        phase_ns: Time from now until the first event [ns].
+        loss: Probability that a transfer is lost.
+        seed: Seed of what is lost or late.
     """
 
     def __init__(
@@ -141,21 +154,27 @@ class Connection(RobotRadio):
         self._timeline.at(self._timeline.now_ns + phase_ns, self._event)
 
     def hear(self, data: bytes) -> None:
-        """Take bytes that a program has written; the cube hears them at the next event."""
+        """Queue bytes that a program has written.
+
+        The cube receives them at the next connection event.
+        """
         self._written += [data] * self.times
 
     def notify(self, message: bytes, passed: Any) -> None:
-        """Queue a reading of the cube, which is sent at the connection's next event.
+        """Queue a reading of the cube, which is sent at the next connection event.
 
-        `passed` is called then, if this reading is the newest of those that are not lost.
+        Args:
+            message: The packed notification.
+            passed: Called without arguments when this reading is sent. Not called if the reading is
+                lost, or if a newer reading is sent at the same event.
         """
         self._noted.append((message, passed))
 
     def poll_answers(self) -> None:
-        """Do nothing: answers are sent at the connection's events."""
+        """Do nothing: answers are sent at the connection events."""
 
     def _event(self) -> None:
-        """Pass on what was written to the cube, and what it has answered and read."""
+        """Transfer the waiting data in both directions, and schedule the next connection event."""
         written = self._written
         self._written = []
         noted = self._noted
@@ -179,6 +198,7 @@ class Connection(RobotRadio):
         self._timeline.at(now_ns + self._interval_ns, self._event)
 
     def _command(self, sealed: bytes) -> dict[str, Any]:
+        """Describe a motor command for the record: its flags, motor speeds and driven robots."""
         command = decode_motor(sealed)
         motors = [command.left, command.right]
         runs = any(motors)
@@ -186,12 +206,12 @@ class Connection(RobotRadio):
         return {"flags": RUN if runs else STOP, "motors": motors, "drives": drives}
 
     def _witness(self, data: bytes) -> None:
-        """Record motor commands as they are written."""
+        """Record the motor commands that a program has written, even if they are lost later."""
         for characteristic, payload in self._witnessing.feed(data):
             if characteristic == Characteristic.MOTOR:
                 self._note_commands([payload])
 
 
 def ns(seconds: float) -> int:
-    """Return a time [s] in whole milliseconds, as ns."""
+    """Round a time [s] to whole milliseconds, and return it in ns."""
     return round(seconds * SECOND / MILLISECOND) * MILLISECOND

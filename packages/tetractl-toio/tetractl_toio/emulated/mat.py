@@ -1,4 +1,4 @@
-"""The emulated camera of type `toio`: cubes that read the mat and report over their connections."""
+"""The emulated camera of type `toio`: emulated cubes that read a mat and report their poses."""
 
 from collections.abc import Sequence
 from random import Random
@@ -60,15 +60,18 @@ FAULTS = (
 
 
 class EmulatedMat:
-    """The mat below emulated cubes.
+    """The mat under emulated cubes, and the schedule of their readings.
 
-    Each event of a connection that passes readings on counts as an exposure and a frame, whenever a
-    program reads them.
+    Each cube reads the mat at a fixed interval. A report that reaches the program counts as one
+    exposure and one frame.
 
     Args:
-        stage: The data and functions that the lab's emulated devices share.
-        settings: The settings of the mat.
-        bodies: The cubes.
+        stage: What the emulated devices share.
+        settings: Properties of the readings that differ from the spec.
+        bodies: The cubes of the emulated actuator of type `toio`.
+
+    Raises:
+        SpecError: If the actuator is of another type.
     """
 
     Settings: ClassVar[type[Model]] = MatSettings
@@ -90,7 +93,11 @@ class EmulatedMat:
         self._every_ns = ns(settings.notify)
 
     def open(self, loop: Loop) -> Facts:
-        """Let the cubes read the mat from now on, each at its own time."""
+        """Start the readings of all cubes, each with a random phase.
+
+        Returns:
+            One entry: "camera" maps to a description for display.
+        """
         random = Random(self._stage.options.seed)
         for i in range(len(self.cubes)):
             start_ns = self._stage.timeline.now_ns + random.randrange(self._every_ns)
@@ -98,10 +105,11 @@ class EmulatedMat:
         return {"camera": f"{len(self.cubes)} cubes on a mat"}
 
     def close(self) -> Facts:
-        """Return the number of reports."""
+        """Return the number of reports, as "frames"."""
         return {"frames": self._exposures}
 
     def _read(self, i: int) -> None:
+        """Let a cube read the mat and report it if necessary, and schedule the next reading."""
         timeline = self._stage.timeline
         cube = self.cubes[i]
         timeline.at(timeline.now_ns + self._every_ns, lambda: self._read(i))
@@ -126,6 +134,7 @@ class EmulatedMat:
         cube.connection.notify(message, lambda: self._passed(i, shows_place, at_ns))
 
     def _reading(self, cube: ConnectedCube) -> CubeReading | None:
+        """Return what a cube reads now, including faults. None if it does not see the mat."""
         x = cube.x
         y = cube.y
         for jump in self.acting.of_kind("jump", cube.name):
@@ -139,7 +148,13 @@ class EmulatedMat:
         return None if hidden or not printed else reading
 
     def _passed(self, i: int, shows_place: bool, at_ns: int) -> None:
-        """Record a report that has been passed on, and whether it shows where the cube was."""
+        """Record a report that has reached the program.
+
+        Args:
+            i: Index of the cube.
+            shows_place: Whether the report shows where the cube truly was.
+            at_ns: When the cube was read [ns].
+        """
         self._exposures += 1
         self._stage.exposed(self._exposures, self._exposures)
         if shows_place:

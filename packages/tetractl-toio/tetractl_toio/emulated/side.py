@@ -50,12 +50,12 @@ class CubesSettings(WheelsSettings):
 
 
 class ConnectedCube(EmulatedRobot):
-    """An emulated cube, its program and its connection.
+    """An emulated cube with its program and its connection.
 
     Args:
-        name: Its name.
-        index: Its index in the setup.
-        battery_mv: Voltage of its battery [mV].
+        name: Name of the robot.
+        index: Index of the robot in the setup.
+        battery_mv: Voltage of its battery without load [mV].
         acting: The faults that act now.
     """
 
@@ -66,12 +66,17 @@ class ConnectedCube(EmulatedRobot):
         super().__init__(name, index, battery_mv, self._start, acting)
 
     def _start(self, index: int) -> CubeProgram:
+        """Create the cube's program, as after switching it on."""
         self.program = CubeProgram(index)
         return self.program
 
 
 class EmulatedCubes(PortedSide):
-    """Emulated cubes, each at a port of its own, which has its name."""
+    """The emulated actuator of type `toio`: a port for each cube, with the name of the cube.
+
+    Raises:
+        UsageError: If a cube of the spec has no UDP address, because Bluetooth cannot be emulated.
+    """
 
     robots: Sequence[ConnectedCube]
     Settings: ClassVar[type[Model]] = CubesSettings
@@ -110,8 +115,8 @@ class EmulatedCubes(PortedSide):
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults
     ) -> ConnectedCube:
-        """Return the cube in a row of the setup; see `PortedSide.make_robot`."""
+        """Create the cube of a robot; see `PortedSide.make_robot`."""
         return ConnectedCube(name, row, battery_mv, acting)
 
     def switch(self, on: bool) -> None:
-        """Do nothing: cubes that are carried stay on, as they would lose their connections."""
+        """Do nothing: cubes stay switched on while they are carried, to keep their connections."""

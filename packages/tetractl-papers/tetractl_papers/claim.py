@@ -1,20 +1,20 @@
-"""What a paper claims of a figure, what is asked of our trials, and the verdict.
+"""The claims of a paper, the criterion for each, and the verdict from our own trials.
 
-A claim is an outcome that the paper states, never a number that the spec is given. Our trials give
-an `OurNumber`, with n and its 95 % interval [low, high] (a point if all values are equal). What is
-`Asked` of it gives the verdict:
+A claim is a result that the paper reports, never a value that the spec is given. Our trials give an
+`OurNumber`: a value, the number n of trials, and a 95 % interval [low, high], which is a point if
+all values are equal. The criterion (`Asked`) turns this number into a verdict:
 
-    reached     the whole interval is within what is asked
-    agrees      what is asked is the published number itself, and our interval holds it
-    missed      the whole interval is outside, or does not hold the published number
-    undecided   the interval holds the bound: more trials would decide
-    not judged  the published number comes from an experiment: both are printed, and nothing else
+    reached     the whole interval satisfies the criterion
+    agrees      the criterion is the published number itself, and our interval contains it
+    missed      the whole interval violates the criterion, or does not contain that number
+    undecided   the bound is within the interval: more trials would decide
+    not judged  the published number comes from an experiment: both numbers are only printed
 
 A simulation is never tested against an experiment. Its disturbances are assumptions, so agreement
-would show that they were chosen well, and a difference that they were chosen badly.
+would only show that they were chosen well, and a difference that they were chosen badly.
 
-A share can be missed and reached, but only by enough trials: 0 of 20 does not show that fewer than
-5 % of all trials would do the same, as its interval ends at 16 %.
+A fraction of trials needs enough trials to be judged: 0 of 20 does not show that fewer than 5 % of
+all trials would do the same, because its interval ends at 16 %.
 """
 
 import math
@@ -35,7 +35,7 @@ _ENDS = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
 
 
 class Fate(StrEnum):
-    """What became of a claim."""
+    """The verdict on a claim."""
 
     REACHED = "reached"
     AGREES = "agrees"
@@ -48,7 +48,7 @@ class Fate(StrEnum):
 
 
 class NumberKind(StrEnum):
-    """What a number of ours is."""
+    """The kind of a number that is computed from trials."""
 
     MEAN = "mean"
     DEVIATION = "standard deviation"
@@ -57,16 +57,16 @@ class NumberKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class OurNumber:
-    """Our number over n trials.
+    """A number computed from our trials, with its interval.
 
     Attributes:
         kind: What kind of number it is.
-        value: The number.
+        value: The number. NaN if it is undefined.
         n: Number of trials.
         low: Lower end of its 95 % interval.
-        high: Upper end of that interval.
-        means: If `value` is a difference, our mean and that of the other controller. None
-            otherwise.
+        high: Upper end of its 95 % interval.
+        means: If `value` is a difference, the mean of the claim's arm and the mean of the arm that
+            is subtracted. None otherwise.
     """
 
     kind: NumberKind
@@ -78,14 +78,17 @@ class OurNumber:
 
 
 def mean_of(values: Floats) -> OurNumber:
-    """Return the mean of values (n,) with its interval (Student's t; `statistics.estimate`)."""
+    """Compute the mean of values (n,) with its interval by Student's t distribution.
+
+    If the interval is unknown, for example for a single value, both its ends are the mean.
+    """
     summary = distributions(values[None])[0]
     interval = summary.ci95 if summary.ci95.known else Interval(summary.mean, summary.mean)
     return OurNumber(NumberKind.MEAN, summary.mean, summary.n, interval.low, interval.high)
 
 
 def share_of(values: Floats) -> OurNumber:
-    """Return the share of values (n,) that are above 0, with Wilson's interval."""
+    """Compute the fraction of values (n,) that are above 0, with Wilson's interval."""
     n = len(values)
     count = int(np.sum(values > 0))
     interval = proportion_interval(count, n)
@@ -93,9 +96,9 @@ def share_of(values: Floats) -> OurNumber:
 
 
 def deviation_of(values: Floats) -> OurNumber:
-    """Return the standard deviation of values (n,), with a chi-square interval for normal values.
+    """Compute the standard deviation of values (n,), with its chi-square interval.
 
-    It is NaN if there is only one value.
+    The interval assumes normal values. The result is NaN if there is only one value.
     """
     from scipy import stats  # slow to import
 
@@ -113,12 +116,12 @@ Decide = Callable[[OurNumber], Fate]
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """The question that a claim asks.
+    """A criterion for a number from our trials.
 
     Attributes:
-        words: The question in words, for the table.
-        number: Computes the number that is asked.
-        decide: Decides the verdict.
+        words: The criterion in words, for the table.
+        number: Computes the number from the values (n,) of our trials.
+        decide: Returns the verdict on this number.
     """
 
     words: str
@@ -127,32 +130,38 @@ class Asked:
 
 
 def at_most(bound: float) -> Asked:
-    """The mean is to be at or below a bound."""
+    """Create the criterion that our mean is at or below a bound."""
     return Asked("smaller is better", mean_of, _within(-math.inf, bound))
 
 
 def at_least(bound: float) -> Asked:
-    """The mean is to be at or above a bound."""
+    """Create the criterion that our mean is at or above a bound."""
     return Asked("greater is better", mean_of, _within(bound, math.inf))
 
 
 def rarely(fraction: float = 0.05) -> Asked:
-    """A fact is to hold, the values to be above 0, in fewer than a share of the trials."""
+    """Create the criterion that values are above 0 in at most this fraction of the trials."""
     return Asked(f"in fewer than {100 * fraction:g} %", share_of, _within(-math.inf, fraction))
 
 
 def same_number(published: float) -> Asked:
-    """The mean is to be a published number, whose own uncertainty is unknown."""
+    """Create the criterion that the 95 % interval of our mean contains a published number.
+
+    The uncertainty of the published number is unknown, and is not considered.
+    """
     return Asked("agreement", mean_of, _holds(published))
 
 
 def as_often(fraction: float) -> Asked:
-    """A fact is to hold, the values to be above 0, in a stated share of the trials."""
+    """Create the criterion that values are above 0 in a published fraction of the trials.
+
+    The 95 % interval of our fraction must contain the published one.
+    """
     return Asked(f"agreement with {100 * fraction:g} %", share_of, _holds(fraction))
 
 
 def not_judged(number: Callable[[Floats], OurNumber]) -> Asked:
-    """Ask nothing, because the published number comes from an experiment.
+    """Create the criterion of a claim that is not judged: its number comes from an experiment.
 
     Args:
         number: Computes our number from the values (n,) of our trials, such as `mean_of`.
@@ -161,7 +170,10 @@ def not_judged(number: Callable[[Floats], OurNumber]) -> Asked:
 
 
 def _within(low: float, high: float) -> Decide:
-    """Return the verdict by the interval: within `low` to `high`, outside, or neither."""
+    """Create a decision: REACHED if the interval is within [low, high], MISSED if it is outside.
+
+    It is UNDECIDED if the interval contains one of the bounds.
+    """
 
     def decide(ours: OurNumber) -> Fate:
         if low <= ours.low and ours.high <= high:
@@ -172,7 +184,7 @@ def _within(low: float, high: float) -> Decide:
 
 
 def _holds(published: float) -> Decide:
-    """Return the verdict by whether our interval holds a published number."""
+    """Create a decision: AGREES if our interval contains a published number, otherwise MISSED."""
     return lambda ours: Fate.AGREES if ours.low <= published <= ours.high else Fate.MISSED
 
 
@@ -181,18 +193,21 @@ def _holds(published: float) -> Decide:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """One row of a paper's table, before our trials are measured.
+    """A result that a paper reports, and how to check it with our trials.
+
+    An *arm* is a named group of trials with the same conditions.
 
     Attributes:
-        figure: The figure or table of the paper.
-        published: The published value, as text.
-        arm: The arm that is measured.
-        measure: Turns a trial of the arm into a number in `unit`, or a fact into 1 or 0.
-        asked: The question.
-        unit: Unit of the number.
-        minus: Another arm, whose measure is subtracted in pairs. None for none.
+        figure: The claim in words, with its place in the paper.
+        published: The published number, as text.
+        arm: Name of the arm whose trials are measured.
+        measure: Computes a number from one trial, in `unit`. A bool counts as 1 or 0.
+        asked: The criterion.
+        unit: Unit of the number. Empty if it has none.
+        minus: Name of an arm to subtract: the paired differences of the trials are judged. None for
+            no difference.
         expected: The verdict that the page states.
-        why: Why the result differs from what is published.
+        why: Explanation of a difference from the published number.
     """
 
     figure: str
@@ -208,7 +223,7 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A claim, our number and the verdict."""
+    """A claim with our number and the verdict."""
 
     claim: Claim
     ours: OurNumber
@@ -216,7 +231,12 @@ class Row:
 
 
 def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
-    """Measure a claim's trials, which `results` holds by arm, and assess them."""
+    """Measure the trials of a claim, and judge the claim.
+
+    Args:
+        claim: The claim.
+        results: The trials of each arm, by the arm's name.
+    """
     values = _measured(claim, results[claim.arm])
     means = None
     if claim.minus is not None:
@@ -231,7 +251,7 @@ def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
 
 
 def _measured(claim: Claim, trials: Sequence[Any]) -> Floats:
-    """Return the measure (n,) of the trials of one arm."""
+    """Compute the claim's measure of each trial, shape (n,)."""
     values = np.array([claim.measure(trial) for trial in trials], dtype=float)
     assert np.isfinite(values).all(), f"{claim.figure}: a trial has no such number"
     return values

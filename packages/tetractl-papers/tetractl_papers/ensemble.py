@@ -60,16 +60,24 @@ class EnsembleSection(PlainSection):
 
 
 class HeldDirection(NamedTuple):
-    """What robots follow from some time on: a direction of the field [rad]. None for no field."""
+    """A command that acts from some time on.
+
+    Attributes:
+        since_ns: When it starts to act [ns].
+        direction: Direction of the field [rad]. None for no field.
+    """
 
     since_ns: int
     direction: float | None
 
 
 class Ensemble(PlainController):
-    """The controller of one trial by Feedback Ensemble Control.
+    """The controller of one trial of Feedback Ensemble Control.
 
-    At each step, it compares V after driving without a field with V now, less `fall`.
+    At each step, it compares two values of the Lyapunov function V: V after driving without a field
+    for one control period, and V now minus a threshold (`fall`).
+
+    It needs no random numbers. `key` is only used for the log.
 
     Args:
         section: The fields of the controller in the spec.
@@ -89,9 +97,9 @@ class Ensemble(PlainController):
         """Angle by which the field has turned since it was switched on [rad]."""
 
     def predicted(self, observation: Observation, last_command: Command | None) -> Problem:
-        """Return the problem with the poses at which the decision will act.
+        """Return the problem with the poses predicted for the time at which the decision acts.
 
-        That is one dead time after the exposure of the frame.
+        That time is one dead time after the exposure of the frame.
         """
         now_ns = observation.sampled_ns
         while len(self._held) > 1 and self._held[1].since_ns <= now_ns:
@@ -130,7 +138,7 @@ class Ensemble(PlainController):
         return self._planned(problem, signals, end, step_key)
 
     def _rotate(self, problem: Problem) -> None:
-        """Rotate the field by one step; if it is off, begin at the robots' mean heading."""
+        """Rotate the field by one step. If it was off, start at the robots' mean heading."""
         if self._field is None:
             heading = problem.poses.heading
             east = elementwise.cos(heading).sum()
@@ -141,7 +149,7 @@ class Ensemble(PlainController):
         self._turned_rad += step_rad
 
     def _planned(self, problem: Problem, signals: Floats, end: Poses, step_key: int) -> Plan:
-        """Return the plan of one control period, which ends at the poses `end`."""
+        """Create the plan of one control period that ends at the poses `end`."""
         path = np.stack([problem.poses.array(), end.array()])
         foreseen = foreseen_along(problem, path)
         search = given_search(problem, signals, foreseen)
@@ -150,9 +158,9 @@ class Ensemble(PlainController):
 
 
 def driven(problem: Problem, poses: Poses, direction: float | None, seconds: float) -> Poses:
-    """Predict the poses of robots under a field, or without one.
+    """Predict the poses of robots under a constant field, or without a field.
 
-    Without a field, robots keep their headings and do not turn.
+    Without a field, robots drive straight on.
 
     Args:
         problem: The robots' parameters.

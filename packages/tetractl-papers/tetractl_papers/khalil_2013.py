@@ -1,8 +1,8 @@
-"""Claims of Khalil, Magdanz, Sanchez, Schmidt, Misra: bacteria and microjets held, IROS 2013.
+"""Claims of Khalil, Magdanz, Sanchez, Schmidt and Misra: bacteria and microjets held in place.
 
-Speeds and boundary frequencies are given to the specs; the diameter in which a robot is held is the
-outcome. No controller can hold the bacterium at 2 mT in a disc of 23 um for 95 % of the time: see
-the page.
+The paper is from IROS 2013. Its speeds and boundary frequencies are inputs of the specs. The
+diameter of the disc in which a robot is held is the result. No controller can hold the bacterium at
+2 mT in a disc of 23 um for 95 % of the time: see the page.
 """
 
 import json
@@ -18,12 +18,15 @@ OVER_LEAST = 1.15
 
 
 def disc(log: TrialLog) -> float:
-    """Return the diameter of the disc of the only robot [length unit]."""
+    """Return the diameter of the disc that holds the robot for 95 % of a hold [length unit].
+
+    The trial must have only one robot.
+    """
     return float(discs(log)[0])
 
 
 def disc_over_least(log: TrialLog) -> float:
-    """Divide that diameter by 2 v / a of the simulated robot, the minimum mean diameter."""
+    """Return that diameter divided by 2 v / a of the simulated robot, the minimum mean diameter."""
     facts = log.start.plant.facts
     (a,) = json.loads(facts["true_a"])
     (speed,) = json.loads(facts["true_speed"])

@@ -1,4 +1,7 @@
-"""Measures of a trial what Ou and others claim: errors, searches, space, fields that turn."""
+"""Measures of one trial for the claims of Ou and others.
+
+They are errors, searches, the space that robots use, and fields that rotate.
+"""
 
 import numpy as np
 
@@ -13,13 +16,13 @@ EARLY = 10
 
 
 def total_error(log: TrialLog) -> float:
-    """Return the sum of the robots' distances to their targets at the end [length unit]."""
+    """Return the sum of the robots' final distances to their targets [length unit]."""
     assert log.result is not None, "a batch's trial has a result"
     return log.result.total_error
 
 
 def error_of_a_robot(log: TrialLog) -> float:
-    """Return the mean distance of the robots to their targets at the end [length unit]."""
+    """Return the mean of the robots' final distances to their targets [length unit]."""
     return total_error(log) / len(log.start.setup.names)
 
 
@@ -34,7 +37,7 @@ def left(log: TrialLog) -> bool:
 
 
 def iterations(log: TrialLog) -> float:
-    """Return the mean iteration at which criterion (20) ends a search."""
+    """Return the mean number of iterations after which criterion (20) ended a search."""
     ends = [len(search.history) - 1 for step in log.steps for search in step.plan.searches]
     return float(np.mean(ends))
 
@@ -45,11 +48,12 @@ def first_cost(log: TrialLog) -> float:
 
 
 def warm_gain(log: TrialLog) -> float:
-    """Compare the cost of a warm-started plan with the cost of a plan from nothing [length unit].
+    """Compute how much a warm start changes the cost of the plan in the middle of a trial.
 
-    The result is J of the plan of the middle step, found from a warm start by three searches, minus
-    J of the plan that a controller finds there if it searches all lengths from nothing, as in step
-    0.
+    Returns:
+        J of the logged plan, which three searches found from a warm start, minus J of the plan that
+        a new controller finds if it searches all lengths without a warm start, as in step 0 [length
+        unit].
     """
     middle = len(log.steps) // 2
     step = log.steps[middle]
@@ -60,7 +64,7 @@ def warm_gain(log: TrialLog) -> float:
 
 
 def off_start(log: TrialLog) -> float:
-    """Return the mean distance of stopped robots from where they started."""
+    """Return the robots' mean distance between first and last true position [length unit]."""
     assert log.truth is not None, "the trials are simulated"
     moved = (log.truth[-1] - log.truth[0])[:, :2]
     distances = np.hypot(moved[:, 0], moved[:, 1])
@@ -68,32 +72,36 @@ def off_start(log: TrialLog) -> float:
 
 
 def chosen_history(log: TrialLog) -> Floats:
-    """Return J after each iteration of the search whose plan step 0 took."""
+    """Return J after each iteration of the search that found the plan of step 0."""
     plan = log.steps[0].plan
     return plan.searches[plan.chosen].history
 
 
 def early_share(log: TrialLog) -> float:
-    """Return the share of a search's decrease of J that its first EARLY iterations bring."""
+    """Return the fraction of a search's decrease of J that its first EARLY iterations achieve."""
     j = chosen_history(log)
     return float((j[0] - j[EARLY]) / (j[0] - j[-1]))
 
 
 def exponential(log: TrialLog) -> float:
-    """Compare lines through log J and through J against the iteration, as a difference of R^2."""
+    """Compare how well J falls exponentially and linearly in the search of step 0.
+
+    Returns:
+        R^2 of a line through log J against the iteration, minus R^2 of a line through J.
+    """
     j = chosen_history(log)
     return _straightness(np.log(j)) - _straightness(j)
 
 
 def _straightness(values: Floats) -> float:
-    """Return R^2 of a line through values (n,) against their index."""
+    """Compute R^2 of a line through values (n,) against their indices."""
     index = np.arange(len(values))
     correlation = np.corrcoef(index, values)[0, 1]
     return float(correlation**2)
 
 
 def space(log: TrialLog) -> float:
-    """Divide the area of the box around all paths by that around starts and targets."""
+    """Compute the area of the paths' bounding box, relative to that of all starts and targets."""
     setup = log.start.setup
     assert log.truth is not None, "the trials are simulated"
     ends = np.concatenate([setup.starts.xy, setup.targets])
@@ -102,16 +110,16 @@ def space(log: TrialLog) -> float:
 
 
 def _box(points: Floats) -> float:
-    """Return the area of the box around points (n, 2), some of which may be unknown."""
+    """Compute the area of the bounding box of points (n, 2). Points with NaN are ignored."""
     known_points = points[np.isfinite(points).all(axis=1)]
     width, height = np.ptp(known_points, axis=0)
     return float(width * height)
 
 
 def spinning(log: TrialLog) -> float:
-    """Measure how long the field turns in one sense, over at least a whole turn [s].
+    """Compute for how long the field turns in one sense through at least a whole turn [s].
 
-    Reversals up to REVERSAL [s] are ignored.
+    Reversals up to REVERSAL [rad] are ignored.
     """
     directions = [step.plan.direction for step in log.steps]
     angle = np.array([np.nan if u is None else u for u in directions], dtype=float)
@@ -125,9 +133,10 @@ def spinning(log: TrialLog) -> float:
 
 
 def _runs(holds: Bools) -> Integers:
-    """Return the beginning and the end (K, 2) of each run of entries that hold.
+    """Find each run of consecutive True values.
 
-    The end is after the last entry.
+    Returns:
+        The first index and the index after the last one of each run, shape (K, 2).
     """
     bordered = np.concatenate([[False], holds, [False]])
     bounds = np.flatnonzero(np.diff(bordered.astype(int)))
@@ -135,10 +144,14 @@ def _runs(holds: Bools) -> Integers:
 
 
 def spinning_time(angle: Floats, time_s: Floats) -> float:
-    """Measure how long a field spins [s]. Its angles (K,) [rad] count whole turns.
+    """Compute for how long a field turns in one sense through at least a whole turn [s].
 
-    The angle is cut where its sense changes by more than REVERSAL; a piece counts from a whole turn
-    on.
+    The angle is split into pieces where it turns back by more than REVERSAL. Only pieces of at
+    least a whole turn count.
+
+    Args:
+        angle: Unwrapped angle of the field, shape (K,) [rad].
+        time_s: Times of the angles, shape (K,) [s].
     """
     total_s = 0.0
     begin = 0  # of the present piece
@@ -158,6 +171,6 @@ def spinning_time(angle: Floats, time_s: Floats) -> float:
 
 
 def _if_whole_turn(angle: Floats, time_s: Floats, begin: int, end: int) -> float:
-    """Return the time of a piece [s] if it turns through a whole turn, else 0."""
+    """Return the duration of a piece [s], or 0 if it is less than a whole turn."""
     turns = abs(angle[end] - angle[begin]) >= 2 * np.pi
     return float(time_s[end] - time_s[begin]) if turns else 0.0

@@ -1,7 +1,8 @@
-"""A paper to reproduce: the trials that it needs, and its claims, assessed on these trials.
+"""A paper to reproduce: its claims, and the trials that are needed to check them.
 
-The arms of a paper are batches of shipped specs with values replaced (`Runs`), or what a function
-computes (`Work`). Its claims are a table of `claim.Claim`, whose verdicts `claim.assess` gives.
+An *arm* is a named group of trials with the same conditions: a batch of a shipped spec with
+replaced values (`Runs`), or n results of a function (`Work`). The claims are a table of
+`claim.Claim`, which `claim.assess` judges.
 """
 
 import math
@@ -15,16 +16,16 @@ from tetractl_papers.claim import Claim, NumberKind, OurNumber, Row
 
 @dataclass(frozen=True, slots=True)
 class Runs:
-    """Trials of a shipped spec with values replaced.
+    """An arm: trials of a shipped spec with replaced values.
 
     Attributes:
-        example: Name of the spec.
-        sets: The replaced values, as for `--set`.
+        example: Name of the shipped spec.
+        sets: Settings that replace values, such as "controller.period=0.1".
         trials: Number of trials.
-        plan_of: An arm. All trials send, open loop, the plan of step 0 of its first trial. None for
-            none.
-        plans_of: An arm. Each trial sends, open loop, the plan of step 0 of another trial of it.
-            None for none.
+        plan_of: Name of an arm. All trials send, open loop, the plan of step 0 of that arm's first
+            trial. None for closed-loop trials.
+        plans_of: Name of an arm. Each trial sends, open loop, the plan of step 0 of one of that
+            arm's trials. None for closed-loop trials.
     """
 
     example: str
@@ -36,9 +37,11 @@ class Runs:
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """Something that is computed n times and is not a trial of a spec.
+    """An arm that is computed by a function instead of running a spec.
 
-    `once` is called with the root seed and a number from 0, and returns what JSON can hold.
+    Attributes:
+        once: Called with the root seed and an index from 0. Returns values that JSON can represent.
+        trials: How many times it is called.
     """
 
     once: Callable[[int, int], dict[str, Any]]
@@ -47,7 +50,13 @@ class Work:
 
 @dataclass(frozen=True, slots=True)
 class Paper:
-    """A paper: its source, its arms by name, in the order in which they are run, and its claims."""
+    """A paper that can be reproduced.
+
+    Attributes:
+        source: Its reference.
+        arms: Its arms by name, in the order in which they are run.
+        claims: Its claims.
+    """
 
     source: str
     arms: Mapping[str, Runs | Work]
@@ -55,12 +64,12 @@ class Paper:
 
 
 def table(name: str, source: str, rows: Sequence[Row]) -> Table:
-    """Return the table of a paper's claims.
+    """Create the table of a paper's judged claims.
 
     Args:
         name: Name of the paper.
         source: Its reference.
-        rows: The claims.
+        rows: The claims with our numbers and verdicts.
     """
     header = ("figure", "published", "asked", "ours", "n", "95 % interval", "verdict", "why")
     texts = []
@@ -81,7 +90,7 @@ def table(name: str, source: str, rows: Sequence[Row]) -> Table:
 
 
 def _number(number: OurNumber, unit: str) -> str:
-    """Return our number as text."""
+    """Format our number with its unit, or as "k of n" if it is a fraction of trials."""
     if number.kind is NumberKind.SHARE:
         return f"{round(number.value * number.n)} of {number.n}"
     if math.isnan(number.value):  # the deviation of a single trial
@@ -94,12 +103,12 @@ def _number(number: OurNumber, unit: str) -> str:
 
 
 def _length(value: float) -> str:
-    """Return a length with the digits that suit it."""
+    """Format a number with the digits that suit its size."""
     return lengths(value)(value)
 
 
 def _interval(number: OurNumber) -> str:
-    """Return the interval of our number as text."""
+    """Format the interval of our number. "none" if it is unknown or a point."""
     if number.kind is NumberKind.SHARE:
         return f"{100 * number.low:.0f} to {100 * number.high:.0f} %"
     if math.isnan(number.low) or number.low == number.high:
@@ -109,7 +118,12 @@ def _interval(number: OurNumber) -> str:
 
 
 def items(row: Row) -> dict[str, Any]:
-    """Return the items of JSON that describe a row."""
+    """Return a judged claim as a JSON object.
+
+    Returns:
+        The keys "figure", "published", "asked", "unit", the fields of `OurNumber`, "verdict",
+        "expected" and "why".
+    """
     claim = row.claim
     return {
         "figure": claim.figure,

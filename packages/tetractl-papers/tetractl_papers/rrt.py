@@ -57,7 +57,11 @@ class RrtSection(PlainSection):
     """A robot is heading for a target if the cosine of the angle between them is at least this."""
 
     def bounds(self) -> dict[str, str]:
-        """Return the largest size of a tree, for display: {name: text}."""
+        """Describe the limit on the size of a tree, for display.
+
+        Returns:
+            One entry: "nodes of a tree" maps to the maximum number.
+        """
         return {"nodes of a tree": f"at most {self.draws}"}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
@@ -69,7 +73,7 @@ class RrtSection(PlainSection):
             yield ("type",), "needs a robot that moves, but the robot's speed is 0"
 
     def problem(self, setup: Setup) -> Problem:
-        """Return the problem used to compute the logged cost, for the robot at its start."""
+        """Return the problem for computing the logged cost, with the robot at its start."""
         obstacles = Obstacles.from_shapes(setup.obstacles, self.margin, setup.arena)
         return replace(super().problem(setup), obstacles=obstacles, swept=True)
 
@@ -79,12 +83,12 @@ class RrtSection(PlainSection):
 
 
 class Rrt(PlainController):
-    """The controller of one trial by a rapidly-exploring random tree with feedback.
+    """The controller of one trial with a rapidly-exploring random tree.
 
     Args:
-        section: The fields of the controller in the spec.
+        section: The controller's section of the spec.
         setup: The constants of the experiment.
-        key: Seed of all random numbers.
+        key: Seed of all its random numbers.
     """
 
     def __init__(self, section: RrtSection, setup: Setup, key: int) -> None:
@@ -103,11 +107,12 @@ class Rrt(PlainController):
         return ended or given_plan(problem, signals, step_key)
 
     def _towards(self, problem: Problem, key: int) -> float:
-        """Return the direction of the next corner [rad]. A blocked path is replaced by a new one.
+        """Return the direction to send [rad], and plan a new path if the present one is blocked.
 
-        No path can begin inside an obstacle grown by the margin, so a robot inside keeps its path.
-        A robot too near to its target to turn towards it would circle it for ever; it drives
-        straight on until it is far enough away.
+        It is the direction of the next corner. No path can begin inside an obstacle grown by the
+        margin, so a robot inside keeps its path. A robot that is too near its target to turn
+        towards it would circle it for ever. It therefore drives straight on until it is far enough
+        away.
         """
         place = problem.poses.xy[0]
         region = problem.obstacles
@@ -126,9 +131,11 @@ class Rrt(PlainController):
         return heading if beside and elementwise.cos(u - heading) < self.section.ahead else u
 
     def _passing(self, problem: Problem, signals: Floats, gap: float) -> Outcome | End | None:
-        """Return the end of the trial for the moment when the robot passes its target.
+        """Decide when the trial ends if the robot passes its target in this control period.
 
-        None if that does not happen in this step.
+        Returns:
+            The outcome, or an `End` with the delay until the closest point. None if the robot does
+            not pass its target in this period.
         """
         off = signals[0] - problem.poses.heading[0]
         if len(self._path) > 1 or gap > self._reach or elementwise.cos(off) < self.section.ahead:

@@ -37,11 +37,14 @@ LIMIT = 1.04 * np.pi
 
 @style.styled()
 def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the particle swarm of the first plan's search at three iterations.
+    """Draw the particle swarm of the first plan's search at three iterations (Figure 2).
 
     The axes are the first two signals of the sequence. The background shows the cost J as a
-    function of these two; the other signals are those of the best sequence found. The last panel
-    shows the path of one particle, and its own best point at the end.
+    function of these two signals, while all other signals are taken from the best sequence found.
+    The last panel also shows the path of one particle, and the best point that this particle found.
+
+    Args:
+        logs: Exactly one log, of a trial with at least one step.
     """
     log = one_trial(logs)
     need_steps(log)
@@ -69,7 +72,7 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _course(axes: Axes, history: SwarmHistory) -> None:
-    """Draw the path of one particle, and its own best point at the end."""
+    """Draw the path of one particle, and the best point that it found."""
     u_1, u_2 = history.path.T
     axes.plot(u_1, u_2, "-", color=style.INK, lw=0.5, alpha=0.6, zorder=3)
     axes.plot(u_1, u_2, "o", color=style.INK, ms=1.8, zorder=3, gid="course")
@@ -77,7 +80,7 @@ def _course(axes: Axes, history: SwarmHistory) -> None:
 
 
 def _legend(figure: Figure, history: SwarmHistory, signals: int) -> None:
-    """Say what the signs mean, and whether J could be computed to the bit."""
+    """Draw the legend, which also reports whether the computed J equals the logged J."""
     count = len(history.frames[0].particles)
     rounding = "as logged" if history.repeated else "differs from the log by rounding"
     dot: dict[str, Any] = {"marker": "o", "mec": "white"}
@@ -92,13 +95,13 @@ def _legend(figure: Figure, history: SwarmHistory, signals: int) -> None:
 
 
 def _dots(axes: Axes, points: Floats, color: str, size: float, **look: Any) -> None:
-    """Draw dots at points (n, 2) or at one point (2,)."""
+    """Draw dots at points (n, 2), or at one point (2,)."""
     whole_look = {"ls": "none", "marker": "o", **look}
     axes.plot(*points.T, ms=size, color=color, mec="white", **whole_look)
 
 
 def _shades(axes: Axes, history: SwarmHistory) -> AxesImage:
-    """Draw J over the two signals as an image, lighter for a lower J; return the image."""
+    """Draw J over the two signals as an image, with lower J in lighter grey."""
     shares = np.linspace(0, 1, SHADES + 1)
     levels = np.unique(np.quantile(history.costs, shares))
     if len(levels) < 2:

@@ -1,8 +1,9 @@
 """Repeats a logged search to obtain its particle swarm, which logs do not contain.
 
-It also checks whether the cost is the logged one, which the figure `swarm` states. The controller,
-rebuilt from the log, repeats a control step and receives the logged searches. The problem, the warm
-start and the key that it passes to `search` determine the swarm.
+A controller that is rebuilt from the log repeats control step 0, and receives the logged results of
+its searches. The problem, the warm start and the random key that it passes to `search` determine
+the swarm. The module also checks whether the costs equal the logged ones, which the figure `swarm`
+reports.
 """
 
 from collections.abc import Sequence
@@ -32,9 +33,9 @@ class Frame:
 
     Attributes:
         z: Index of the iteration.
-        particles: Two signals of each particle [rad], shape (number of particles, 2).
-        best: The same signals of the best sequence found so far, u_gb [rad], shape (2,).
-        cost: Its cost J.
+        particles: The first two signals of each particle [rad], shape (number of particles, 2).
+        best: The first two signals of the best sequence found so far, u_gb [rad], shape (2,).
+        cost: Cost J of that sequence.
     """
 
     z: int
@@ -45,16 +46,16 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class SwarmHistory:
-    """A particle swarm search, reduced to two dimensions: the first two signals of each sequence.
+    """The history of a particle swarm search, reduced to the first two signals of each sequence.
 
     Attributes:
-        frames: The swarm in each iteration.
-        path: Course of the first particle over Z iterations, shape (Z + 1, 2).
-        path_best: That particle's local best at the end, shape (2,).
-        costs: J on a grid over the range of the two signals, which the paper's equation (12) gives,
-            shape (GRID, GRID), with the lowest row first. The other signals are those of u_gb, the
-            best sequence found.
-        repeated: Whether J(u_gb) agrees with the log in every iteration.
+        frames: The swarm after the chosen iterations.
+        path: Path of the first particle over Z iterations [rad], shape (Z + 1, 2).
+        path_best: Best point that this particle found [rad], shape (2,).
+        costs: J on a grid over the range of the two signals, with the lowest row first, shape
+            (GRID, GRID). The range is given by the paper's equation (12). All other signals are
+            taken from u_gb, the best sequence found.
+        repeated: Whether J(u_gb) equals the logged cost in every iteration.
     """
 
     frames: tuple[Frame, ...]
@@ -65,11 +66,15 @@ class SwarmHistory:
 
 
 def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
-    """Run the chosen search of control step 0 again and return its swarm.
+    """Repeat the chosen search of control step 0, and record its swarm.
 
-    `shares` are the instants to keep as frames, each as a fraction of the iterations from 0 to 1.
-    Raises LogError for a search that was not by a particle swarm, has a single signal, does not
-    follow from the log, or takes longer than `limits` allows.
+    Args:
+        log: The log of the trial.
+        shares: Iterations to keep as frames, each as a fraction of all iterations, from 0 to 1.
+
+    Raises:
+        LogError: If the search was not by a particle swarm, has only one signal, cannot be repeated
+            from the log, or takes too long.
     """
     searches = StepSearches(search_again=False)
     request = _first_request(log, searches)
@@ -109,12 +114,10 @@ def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
 
 
 def _first_request(log: TrialLog, searches: StepSearches) -> SearchRequest:
-    """Return the chosen search as the log's controller requested it.
-
-    The controller decides control step 0 again.
+    """Let the log's controller repeat control step 0, and return its request for the chosen search.
 
     Raises:
-        LogError: If it does not come to this search.
+        LogError: If the controller does not request this search.
     """
     step = log.steps[0]
     searches.begin(step.plan.searches)
@@ -131,9 +134,9 @@ def _first_request(log: TrialLog, searches: StepSearches) -> SearchRequest:
 
 
 def _landscape(problem: Problem, u_gb: Floats) -> Floats:
-    """Compute J on a grid over the two signals of the figure.
+    """Compute J on a grid over the first two signals, shape (GRID, GRID).
 
-    The other signals are those of `u_gb`.
+    The other signals are taken from `u_gb`.
     """
     axis = np.linspace(LOWER, UPPER, GRID)
     costs = np.empty((GRID, GRID))

@@ -1,4 +1,4 @@
-"""Runs the arms of a paper, each as a batch in a folder that a later call completes."""
+"""Runs the arms of a paper. Each arm is a batch in a folder that a later call completes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -27,18 +27,20 @@ def run_arms(
     run_batch: RunBatch,
     tell: Callable[[str], None],
 ) -> dict[str, Sequence[Any]]:
-    """Run all arms of a paper, and return their results by name.
+    """Run all arms of a paper, and return their results.
 
-    The results are logs of trials, and what a `Work` computes. An arm that was run before is only
-    completed. What a `Work` computes is computed again.
+    Only the missing trials of an arm are run. An arm of type `Work` is always computed again.
 
     Args:
         paper: The paper.
-        folder: Folder for the logs.
-        specs: The shipped specs, by name.
-        trials: Number of trials of each arm. None for the paper's number.
-        run_batch: Runs a batch.
-        tell: Called with lines for the user.
+        folder: Folder for the logs. Each arm has a folder in it.
+        specs: Paths of the shipped specs, by name.
+        trials: Number of trials of each arm. None for the arm's own number.
+        run_batch: Runs the missing trials of a batch.
+        tell: Called with progress messages for the user.
+
+    Returns:
+        For each arm's name, its trial logs, or the values that its `Work` has computed.
     """
     results = dict[str, Sequence[Any]]()
     for name, arm in paper.arms.items():
@@ -62,7 +64,7 @@ def _logs(
     count: int,
     run_batch: RunBatch,
 ) -> list[TrialLog]:
-    """Return the logs of an arm's trials. Trials that the folder lacks are run."""
+    """Run the missing trials of an arm, and return the logs of all its trials."""
     spec = specs[arm.example]
     if arm.plans_of is not None:
         logs = list[TrialLog]()
@@ -77,7 +79,7 @@ def _logs(
 
 
 def open_loop(log: TrialLog) -> str:
-    """Return the controller that sends the plan of a trial's step 0 to its end, as a setting."""
+    """Return the setting of a controller that sends the plan of a trial's step 0, open loop."""
     directions = log.steps[0].plan.signals.tolist()
     period_s = log.experiment.controller.period
     return f"controller={{type: sequence, period: {period_s}, directions: {directions}}}"
@@ -86,6 +88,7 @@ def open_loop(log: TrialLog) -> str:
 def _batch(
     path: Path, sets: Sequence[str], folder: Path, count: int, run_batch: RunBatch
 ) -> list[TrialLog]:
+    """Run the missing trials of a spec with settings, and return the logs of all its trials."""
     trials = FieldValue("trials.count", count, "--trials")
     seed = FieldValue("trials.seed", SEED, "the seed of all papers")
     spec = load_spec(path, (*sets, trials, seed))

@@ -1,1 +1,1 @@
-"""Motion capture of many brands as a camera, with the library libmotioncapture."""
+"""Camera for motion-capture systems of several brands, through the library libmotioncapture."""

@@ -1,4 +1,7 @@
-"""The process of libmotioncapture. It prints a line of JSON per frame, and imports little."""
+"""The child process that runs libmotioncapture, and prints each frame as a line of JSON.
+
+It imports few modules, so that it starts quickly.
+"""
 
 import ctypes
 import json
@@ -15,13 +18,14 @@ DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
 
 
 def stream(connect: Callable[[str, dict[str, str]], Any], name: str, out: TextIO) -> None:
-    """Print each frame of a motion-capture system until no program reads it.
+    """Print each frame of a motion-capture system, until the output pipe is closed.
 
-    Each frame follows its time on the system's monotonic clock [ns].
+    A line contains the time on the host's monotonic clock [ns], then a JSON object: {"bodies":
+    {NAME: [x, y, z, qx, qy, qz, qw]}}, with positions in m.
 
     Args:
-        connect: Connects to a system, given its name and options.
-        name: The system, its hostname and its options, as JSON.
+        connect: Connects to a system, given its type and a mapping of options.
+        name: JSON array of the system's type, its hostname and a mapping of further options.
         out: Where to print.
     """
     system, hostname, options = json.loads(name)
@@ -35,13 +39,16 @@ def stream(connect: Callable[[str, dict[str, str]], Any], name: str, out: TextIO
 
 
 def _numbers(body: Any) -> list[float]:
-    """Return position [m] and quaternion x, y, z, w of a body."""
+    """Return the position [m] and the quaternion x, y, z, w of a rigid body, 7 numbers."""
     turn = body.rotation
     return [*map(float, body.position), turn.x, turn.y, turn.z, turn.w]
 
 
 def main() -> None:
-    """Stream the system named by the first argument, as long as the parent lives."""
+    """Stream frames of the system described by the first argument, until the parent process ends.
+
+    If the connection fails, the process exits with a message on its standard error.
+    """
     out = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # libraries print to the standard output what is no frame
     import motioncapture

@@ -1,4 +1,7 @@
-"""Motion capture as a `Camera`: frames of named bodies, as lines of JSON from another process."""
+"""A `Camera` that reads frames of named rigid bodies from a motion-capture system.
+
+The frames are lines of JSON, printed by a child process (`bridge`).
+"""
 
 import json
 from collections.abc import Callable
@@ -22,14 +25,14 @@ NAMES_MAX = 20
 
 
 class MotionCapture(PortCamera):
-    """Tracks robots by their rigid bodies; see `tetractl.core.protocols.Camera`.
+    """Tracks the setup's robots by their rigid bodies; see `tetractl.core.protocols.Camera`.
 
     Args:
-        section: The fields of the camera in the spec.
+        section: The camera's section of the spec.
         setup: The constants of the experiment.
         clock: The clock for times.
-        wake: Called after every new frame.
-        ports: Creates another port than the one to the library's process. None for that one.
+        wake: Called when a frame has arrived.
+        ports: Creates the port to read from. By default, the port to the library's process.
     """
 
     connect_s = 10.0
@@ -52,13 +55,13 @@ class MotionCapture(PortCamera):
         super().__init__(section, setup, clock, wake, ports)
 
     def port(self, *arguments: Any) -> SerialPort:
-        """Return the port to the library's process."""
+        """Create the port to the library's process."""
         section = self.section
         name = json.dumps([section.system, section.hostname, section.options])
         return ProcessPort(name, *arguments[1:])
 
     def check(self) -> Health:
-        """Report the robots that have no body in the stream."""
+        """Report each robot whose rigid body is missing from the stream."""
         lost = [robot for robot in self.robots if str(robot.body) not in self._bodies]
         streamed = ", ".join(printable(name, NAME_MAX) for name in self._bodies[:NAMES_MAX])
         rest = len(self._bodies) - NAMES_MAX
@@ -67,7 +70,7 @@ class MotionCapture(PortCamera):
         return Health(tuple(lines), emulated=self.emulated)
 
     def poses(self, message: bytes) -> tuple[Pose | None, ...]:
-        """Return the pose of each robot, None if its body is not in the frame."""
+        """Return the pose of each robot in a frame. None for a robot whose body is missing."""
         line = json.loads(message)
         self._bodies = list(line["bodies"])
         self.emulated = "emulated" in line
@@ -76,6 +79,15 @@ class MotionCapture(PortCamera):
         )
 
     def _pose(self, body: list[float] | None, offset: float) -> Pose | None:
+        """Convert a body's position and quaternion to a pose.
+
+        Args:
+            body: Position [m] and quaternion x, y, z, w. None if the body is not in the frame.
+            offset: Angle to add to the heading [rad].
+
+        Returns:
+            The pose. None if the body is not in the frame.
+        """
         if body is None:
             return None
         x, y, z, *turn = body

@@ -1,4 +1,4 @@
-"""The emulated camera of type `motioncapture`: the lines of the library's process."""
+"""The emulated camera of type `motioncapture`: it sends the same lines as `bridge`."""
 
 import json
 from collections.abc import Sequence
@@ -18,7 +18,9 @@ from tetractl_motioncapture.section import MotionCaptureSection
 
 
 class EmulatedMotionCapture(PoseStream):
-    """Bodies as the library gives them: position [m] and quaternion, in the system's axes.
+    """An emulated motion-capture system that streams the rigid bodies of the emulated robots.
+
+    Each body has a position [m] and a quaternion, in the axes of the motion-capture system.
 
     Args:
         stage: The data and functions that the lab's emulated devices share.
@@ -54,7 +56,7 @@ class EmulatedMotionCapture(PoseStream):
             body.asset.offset = robot.heading_offset
 
     def packed(self, shot: Shot) -> bytes:
-        """Return a frame's line; bodies that are not tracked are left out."""
+        """Encode a frame as a line of JSON. Untracked bodies are left out."""
         poses = {
             self._names[body.id]: [*body.position, *body.quaternion]
             for body in shot.bodies

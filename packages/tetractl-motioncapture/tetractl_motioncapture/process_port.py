@@ -1,7 +1,7 @@
-"""The end of the library's process (`bridge`) in ours, used like a port.
+"""Runs libmotioncapture in a child process (`bridge`), and reads the child's output like a port.
 
-The library waits for frames without a limit, and has ended the interpreter on streams that it
-could not read; neither must reach the process that drives robots.
+The library is kept out of the process that drives robots, for two reasons: it waits for frames
+without a time limit, and it has crashed the interpreter on streams that it could not read.
 """
 
 import signal
@@ -13,26 +13,33 @@ from tetractl.tools.children import Child, python
 
 
 class ProcessPort(ClientPort):
-    """The library's process, read like a port. `on_received` gets each line of its output.
+    """Runs the library in a child process, and passes each line of its output to a callback.
 
-    `name` is its argument.
+    Args:
+        name: The child's argument: a JSON array of the system, its hostname and its options.
+        heard: Called in the reader's thread with each line and its time [ns].
+
+    The other arguments are described in `SerialPort`.
     """
 
     _process: Child | None = None
 
     def open(self, alone: bool = True) -> None:
-        """Start the process."""
+        """Start the child process and the thread that reads its output."""
         self._process = Child(python("tetractl_motioncapture.bridge", self._name), alone=True)
         super().open(alone)
 
     def connect(self) -> None:
-        """Do nothing: the process connects."""
+        """Do nothing, because the child process connects to the motion-capture system."""
 
     def wait(self) -> None:
-        """Wait for the next line.
+        """Wait for the next line of the child's output, and pass it on.
+
+        The time that the line spent in the pipe is subtracted from its time of arrival.
 
         Raises:
-            AbortError: If the process has ended.
+            AbortError: If the child process has ended. The message contains its exit code or
+                signal.
         """
         assert self._process is not None, "it was opened"
         line = self._process.stdout.readline()
@@ -49,12 +56,12 @@ class ProcessPort(ClientPort):
         self.take(message, waited_ns)
 
     def disconnect(self) -> None:
-        """Close the pipe."""
+        """Close the pipe from the child process."""
         if self._process is not None:
             self._process.stdout.close()
 
     def close(self) -> None:
-        """End the process; may be called twice, never raises."""
+        """Kill the child process. This method can be called repeatedly and never raises."""
         self._closing.set()
         if self._process is not None:
             self._process.kill()

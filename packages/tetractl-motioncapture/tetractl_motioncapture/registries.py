@@ -1,4 +1,4 @@
-"""What this package brings in addition to its camera: a part of `tetractl init --lab`."""
+"""The templates that this package adds to `tetractl init --lab`."""
 
 from pathlib import Path
 

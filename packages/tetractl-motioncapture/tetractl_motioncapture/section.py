@@ -40,11 +40,15 @@ class MotionCaptureSection(CameraSection):
         return self.hostname
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the place and text of each problem with the robots."""
+        """Yield the location and a message for each mismatch with the robots of the spec."""
         yield from mismatches(self.robots, setup.names, ("body",))
 
     def bounds(self) -> dict[str, str]:
-        """Return the system's address as {name: text}, for display."""
+        """Describe the connection for display.
+
+        Returns:
+            One entry: "cameras" maps to the system and the hostname, such as "vicon at 10.0.0.5".
+        """
         return {"cameras": f"{self.system} at {self.hostname}"}
 
     def heading_offset(self, name: str) -> float:

@@ -91,9 +91,10 @@ def ranked(
     """Rank choices of cells by the total error predicted for steering them together.
 
     Errors are predicted with a linearised closed loop that starts at the cells' poses. In the first
-    round, a few plans are tried for the COMPARED choices with the largest `rate_choice`. In later rounds,
-    more plans are tried for the best choices only (successive halving). All choices use the same
-    random numbers. If no plan reaches the targets in the first round, there are no further rounds.
+    round, a few plans are tried for the COMPARED choices that `rate_choice` rates highest. In later
+    rounds, more plans are tried for the best choices only (successive halving). All choices use the
+    same random numbers. If no plan reaches the targets in the first round, there are no further
+    rounds.
 
     Only cells that respond to the field are chosen, and no choice contains two similar cells. A
     choice with a cell near the edge, whose turning rate is unreliable, ranks below all other

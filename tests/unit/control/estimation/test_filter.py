@@ -286,7 +286,7 @@ def test_where_robots_with_lagging_wheels_come_to_rest_is_predicted():
 
 
 def lagging_wheels(lag_s, told_s, seconds=6, told=True):
-    """Drive robots whose wheels lag by `lag_s`, by a spec with another lag; the host is told the
+    """Drive robots whose wheels lag by `lag_s`, by a spec with another lag; the host learns the
     one that is found, if `told`."""
     wheels = f"{{rate: 400, lead: 0.01, lag: {lag_s}}}"
     radio = "[{type: radio, delay: 0.01, jitter: 0, loss: 0.05}]"

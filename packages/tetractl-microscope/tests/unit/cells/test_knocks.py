@@ -68,7 +68,7 @@ def test_a_knock_is_seen_in_pictures_of_any_size_and_form(side, height):
 def test_what_is_no_knock_has_no_shift():
     before = scene()
     assert shift_of(before, before) == (0.0, 0.0)
-    assert shift_of(before, scene(right=100)) == (0.0, 0.0)  # farther than can be told
+    assert shift_of(before, scene(right=100)) == (0.0, 0.0)  # farther than a shift is looked for
     brighter = np.clip(before.astype(float) + 20, 0, 255).astype(np.uint8)
     assert shift_of(before, brighter) == (0.0, 0.0)
     swum = before.copy()

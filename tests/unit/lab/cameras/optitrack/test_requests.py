@@ -74,7 +74,7 @@ def test_the_time_between_questions_for_models_doubles_up_to_eight_seconds(reaso
     made.stream = SimpleNamespace(**KNOWN)
     made._due["models"] = 99 * SECOND
     assert asked(made, now=SECOND) == {}
-    assert made._asked["models"] == 0  # it begins anew
+    assert made._asked["models"] == 0  # it starts again
     assert made._due["models"] == SECOND + ASK_NS
 
 

@@ -246,6 +246,9 @@ def test_warm_compiles_what_specs_and_studies_name(folder):
     assert kinds == "pso-mpc, pso, euler"
     assert float(seconds.removesuffix(" s\n")) >= 0
     assert done.stderr.startswith("kept in /")
+    done = tetractl(folder, "warm", "spec.yaml", "--verbose").ok()
+    total = done.stdout.splitlines()[1]
+    assert re.fullmatch(r"\d+ functions compiled in \d+\.\d s of processor time", total)
     done = tetractl(folder, "warm", "spec.yaml", "--set", "controller.motion=exact")
     assert done.stdout.startswith("pso-mpc, pso, exact: ")
     done = tetractl(folder, "warm", "study.yaml", "--set", "controller.motion=exact")

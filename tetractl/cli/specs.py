@@ -297,6 +297,9 @@ def warm(
         ),
     ] = None,
     sets: Sets = None,
+    verbose: Annotated[
+        bool, switch("Also print how long each function took to compile.", "--verbose")
+    ] = False,
 ) -> int:
     """Compile the code that specs and studies need, so that runs start at once.
 
@@ -318,8 +321,23 @@ def warm(
             for experiment in experiments:  # the first spec compiles most of the code
                 warm_up(experiment, lambda text: None)
         print(f"{kinds}: {perf_counter() - began_s:.1f} s", flush=True)
+    if verbose:
+        _print_compile_times()
     ui.tell(f"kept in {cache_folder()}")
     return Exit.DONE
+
+
+def _print_compile_times() -> None:
+    """Print which functions were compiled, the slowest first."""
+    from tetractl.tools.kernels.kernel_cache import compile_times
+
+    times = sorted(compile_times().items(), key=lambda item: -item[1].own_s)
+    total_s = sum(compile_time.own_s for _, compile_time in times)
+    versions = sum(compile_time.versions for _, compile_time in times)
+    print(f"{versions} functions compiled in {total_s:.1f} s of processor time")
+    print("seconds  signatures  function, without those that it calls")
+    for name, compile_time in times:
+        print(f"{compile_time.own_s:7.2f}  {compile_time.versions:10d}  {name}")
 
 
 def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":

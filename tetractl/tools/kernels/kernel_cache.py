@@ -17,6 +17,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -101,29 +102,51 @@ def shipped() -> Path | None:
     return SHIPPED if all(features.get(name) for name in _NEEDED.split()) else None
 
 
+@dataclass(slots=True)
+class CompileTime:
+    """How long one function took to compile.
+
+    Attributes:
+        versions: For how many signatures it was compiled.
+        own_s: Processor time without that of the functions that it calls [s].
+    """
+
+    versions: int = 0
+    own_s: float = 0.0
+
+
 class _Compiling(event.Listener):
     """Calls the functions in `compiling` when numba starts to compile, and adds up the time.
 
     Attributes:
         spent_s: Processor time that compiling has taken so far [s].
+        times: The time of each function, by "module.name".
     """
 
     def __init__(self) -> None:
         self.spent_s = 0.0
-        self._depth = 0  # compiling a function compiles those that it calls
-        self._began_s = 0.0
+        self.times: dict[str, CompileTime] = {}
+        self._begun_s: list[float] = []  # compiling a function compiles those that it calls
+        self._called_s: list[float] = []  # time of the functions called by each of these
 
     def on_start(self, event: Any) -> None:
         for call in tuple(compiling):
             call()
-        if self._depth == 0:
-            self._began_s = time.thread_time()
-        self._depth += 1
+        self._begun_s.append(time.thread_time())
+        self._called_s.append(0.0)
 
     def on_end(self, event: Any) -> None:
-        self._depth -= 1
-        if self._depth == 0:
-            self.spent_s += time.thread_time() - self._began_s
+        whole_s = time.thread_time() - self._begun_s.pop()
+        own_s = whole_s - self._called_s.pop()
+        if self._called_s:
+            self._called_s[-1] += whole_s
+        else:
+            self.spent_s += whole_s
+        function = event.data["dispatcher"].py_func
+        name = f"{function.__module__}.{function.__name__}"
+        compile_time = self.times.setdefault(name, CompileTime())
+        compile_time.versions += 1
+        compile_time.own_s += own_s
 
 
 _listener = _Compiling()
@@ -133,6 +156,14 @@ event.register("numba:compile", _listener)
 def computing_s() -> float:
     """Return the processor time of this thread without the time that compiling took [s]."""
     return time.thread_time() - _listener.spent_s
+
+
+def compile_times() -> dict[str, CompileTime]:
+    """Return how long each function took that this process has compiled, by "module.name".
+
+    Functions that were loaded from the cache are not contained.
+    """
+    return dict(_listener.times)
 
 
 class KernelCache:

@@ -7,36 +7,41 @@ from typing import Any
 
 from numba import njit
 
+from tetractl.tools.kernels.kernel_compiler import KernelCompiler, PartCompiler
+
 # NaN and inf are kept, to check costs for them. With "reassoc" or "contract", sums would depend on
 # the version of Python, whose bytecode the compiler reads.
 FAST = {"arcp", "nsz"}
 VECTOR = 8
 """Number of float64 in the widest vector of any processor, and in a cache line."""
-_PART: Any = {
-    "nogil": True,
-    "error_model": "numpy",
-    "forceinline": True,
+_COMMON: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+_PART: Any = _COMMON | {
+    "forceinline": False,
     "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
+    "pipeline_class": PartCompiler,
 }
-_ENTRY: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-INLINE_FAST: Any = _PART | {"fastmath": FAST}
-"""For functions that a kernel calls, which are inlined.
+_INLINE: Any = _PART | {"forceinline": True}
+_ENTRY: Any = _COMMON | {"pipeline_class": KernelCompiler}
+PART_FAST: Any = _PART | {"fastmath": FAST}
+"""For parts that a kernel calls from several places, and that take longer than a call.
 
-A call would cost as much as the loop, and a freshly compiled kernel would call other machine code
-than one from the cache, so that results would differ in the last bits from run to run.
+Inlining may change the last bits: with "arcp", the compiler may replace a division by a product
+where it sees more of the program. If the options of a part change, compare digests of trials.
+"""
+INLINE_FAST: Any = _INLINE | {"fastmath": FAST}
+"""For parts that are inlined at each call: a call would cost as much as they do.
+
+Loops become vector code only if all that they call is inlined.
 """
 ENTRY_FAST: Any = _ENTRY | {"fastmath": FAST}
 """For kernels, which Python calls."""
-INLINE_EXACT: Any = _PART | {"fastmath": False}
+INLINE_EXACT: Any = _INLINE | {"fastmath": False}
 ENTRY: Any = _ENTRY | {"fastmath": False}
 """The same for kernels that compute the same bits as their reference implementations.
 
 An option that is not set is inherited from the function that happens to be compiled first with a
 call of this one.
 """
-INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
-"""For functions of scalars, inlined at each call."""
 
 
 def with_parts(function: Callable[..., Any], part: Callable[..., Any]) -> FunctionType:
@@ -56,7 +61,7 @@ def with_parts(function: Callable[..., Any], part: Callable[..., Any]) -> Functi
 @cache
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a plain function of scalars, compiled together with the plain functions it calls."""
-    return njit(**INLINE)(with_parts(function, inlined))
+    return njit(**INLINE_FAST)(with_parts(function, inlined))
 
 
 @cache
@@ -72,10 +77,10 @@ def one_of(size: int) -> Callable[..., Any]:
     Vector code needs it in this form.
     """
     items = "".join(f"one[{k}] if first else other[{k}], " for k in range(size))
-    return njit(**INLINE)(eval(f"lambda first, one, other: ({items})"))
+    return njit(**INLINE_FAST)(eval(f"lambda first, one, other: ({items})"))
 
 
 def entries(size: int) -> Callable[..., Any]:
     """Return a compiled function that returns the first `size` entries of a row as a tuple."""
     items = "".join(f"row[{k}], " for k in range(size))
-    return njit(**INLINE)(eval(f"lambda row: ({items})"))  # numba knows no shorter way
+    return njit(**INLINE_FAST)(eval(f"lambda row: ({items})"))  # numba knows no shorter way

@@ -68,14 +68,15 @@ print(sum(hits), digest.hexdigest())
 PARTS = """
 import numpy as np
 from tetractl.tools.kernels.kernel_cache import compiled
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, PART_FAST
 
-@compiled(no_cpython_wrapper=True)
+@compiled(**PART_FAST)
 def part(x, y):
     for _ in range(3):
         x, y = x + 0.1 * np.sin(y), y * np.exp(-x) + np.hypot(x, y)
     return x - y
 
-@compiled(nogil=True)
+@compiled(**ENTRY_FAST)
 def kernel(values):
     total = 0.0
     for value in values:
@@ -113,6 +114,37 @@ def test_compiling_and_loading_give_the_same_bits(tmp_path, script, kernels):
     ]
     assert [int(hits) for hits, _ in files] == [0, kernels]
     assert files[0][1] == files[1][1]
+
+
+TIMES = """
+from tetractl.tools.kernels.kernel_cache import compile_times, compiled
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
+
+@compiled(**INLINE_FAST)
+def half(x):
+    return x / 2
+
+@compiled(**ENTRY_FAST)
+def kernel(x):
+    return half(x) + half(x + 1)
+
+kernel(1.0), kernel(2.0), kernel(3)
+for name, compile_time in compile_times().items():
+    print(name, compile_time.versions, compile_time.own_s > 0)
+"""
+
+
+@pytest.mark.long
+def test_compile_times_count_each_function_and_its_signatures(tmp_path):
+    """Two calls with a float compile nothing new; an integer is another signature."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", TIMES]
+    first, again = (
+        subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        for _ in range(2)
+    )
+    assert sorted(first.stdout.splitlines()) == ["__main__.half 2 True", "__main__.kernel 2 True"]
+    assert again.stdout == ""  # it came from the cache
 
 
 SMALL = """

@@ -23,7 +23,7 @@ from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos, wrap
 from tetractl.model.motion.turn_rate import RobotParameters
 from tetractl.tools.kernels.kernel_cache import compiled
-from tetractl.tools.kernels.kernel_options import INLINE_FAST, VECTOR, inlined
+from tetractl.tools.kernels.kernel_options import INLINE_FAST, PART_FAST, VECTOR, inlined
 
 NEVER_SATURATES = 1.0
 """The `saturation` of motors that turn a robot by (3) always."""
@@ -86,7 +86,7 @@ def width(length: int) -> int:
     return -(-length // VECTOR) * VECTOR
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def trace(u, problem, path):
     """Predict the path of robots under signals, with the derivatives of its steps.
 
@@ -184,7 +184,7 @@ def _add_up(i, length, problem, path):
         y[i, j] = y[i, j - 1] + y[i, j] + flow_y * problem.period
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def backward(path, i, signal, east, north, row):
     """Add the derivatives of a position, projected onto a vector, with respect to each signal.
 

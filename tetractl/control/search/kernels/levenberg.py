@@ -39,7 +39,7 @@ from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
 from tetractl.tools.kernels.kernel_cache import compiled
-from tetractl.tools.kernels.kernel_options import INLINE_FAST, inlined
+from tetractl.tools.kernels.kernel_options import INLINE_FAST, PART_FAST, inlined
 
 Integers = NDArray[np.int64]
 _wrap = inlined(polynomials.wrap)
@@ -140,7 +140,7 @@ def _room_for(thread: int, robots: int, obstacles: int, pairs: int, length: int)
     )
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def polish(problem, room, u, settings, budget, merits, state, pause):
     """Improve a sequence in place by Levenberg-Marquardt iterations.
 
@@ -210,7 +210,7 @@ def polish(problem, room, u, settings, budget, merits, state, pause):
     return False
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def measure(problem, room, slack):
     """Compute the merit m of the path, and fill `depths` and `meetings` with d_io and d_ik.
 
@@ -439,7 +439,7 @@ def _step(room, u, residuals):
         room.trial[j] = u[j] - b * room.trial[j]
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def judge(problem, room, u):
     """Wrap a sequence into [-pi, pi] in place, and return J of (7) for its path.
 
@@ -463,7 +463,7 @@ def _sum_of_distances(problem, room):
     return total
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def _sum_of_hits(problem, room):
     """Return P of (9) of the path."""
     x = room.path.x

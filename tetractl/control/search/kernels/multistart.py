@@ -38,7 +38,7 @@ from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
 from tetractl.model.motion.motion import UPPER
 from tetractl.tools.kernels.kernel_cache import compiled
-from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlined
+from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, PART_FAST, inlined
 
 BETWEEN_LOOKS = 130_000
 """Robot steps between two checks of the deadline: they take less than 1 ms."""
@@ -225,7 +225,7 @@ def finish(task: SearchTask, rounds: Rounds) -> int:
     return search(task._replace(settings=settings), rounds, 1)
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def _scatter(task, rounds):
     """Scatter the sequences of the next round; the best become the starts.
 
@@ -255,7 +255,7 @@ def _scatter(task, rounds):
     return UNDER_WAY
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def _draw_sequences(task, key, rounds):
     """Fill `scattered` with random sequences.
 
@@ -287,7 +287,7 @@ def _draw_sequences(task, key, rounds):
             signals[j, n] = _wrap(u)
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def _take_start(rounds):
     """Begin with the next start."""
     rounds.polish.iterations = 0
@@ -296,7 +296,7 @@ def _take_start(rounds):
         u[j] = rounds.starts[rounds.state.starts_done, j]
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def _end_start(task, rounds):
     """Evaluate the result of a start, and keep it if it is the best.
 
@@ -320,7 +320,7 @@ def _end_start(task, rounds):
     return GOOD if cost <= task.settings.tolerance else UNDER_WAY
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def _note_merits(rounds, cost):
     """Add the merits of a polish to the history if it has found a better sequence.
 
@@ -332,7 +332,7 @@ def _note_merits(rounds, cost):
             _note(rounds, min(max(rounds.merits[z], cost), best_cost))
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def _keep(rounds, u, cost):
     """Keep the sequence u (L,) if it has the lowest cost, and add that cost to the history."""
     if cost < rounds.state.best_cost:
@@ -342,7 +342,7 @@ def _keep(rounds, u, cost):
     _note(rounds, rounds.state.best_cost)
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def _note(rounds, cost):
     """Add an entry to the history."""
     rounds.history[rounds.state.history_entries] = cost
@@ -360,7 +360,7 @@ def _bearing(problem):
     return atan2(north, east)
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def _sort(scattered_costs, order):
     """Fill `order` (K,) with the indices of the lowest costs, in ascending order.
 

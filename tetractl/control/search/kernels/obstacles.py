@@ -13,7 +13,7 @@ from tetractl.core import shape
 from tetractl.core.obstacles import BOTTOM, LEFT, RIGHT, TOP, Obstacles
 from tetractl.core.poses import Floats, Integers
 from tetractl.tools.kernels.kernel_cache import compiled
-from tetractl.tools.kernels.kernel_options import INLINE_FAST, exact
+from tetractl.tools.kernels.kernel_options import INLINE_FAST, PART_FAST, exact
 
 offset = exact(shape.offset)
 segments_gap2 = exact(shape.segments_gap2)
@@ -136,7 +136,7 @@ def nearest(corners, count, radius, x, y):
     return (-away if inside else away) - radius, out_x / size, out_y / size
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def count_hits(problem, x, y, i, room):
     """Add 1 to hits[i, n] of the room if robot i of particle n has touched an obstacle.
 
@@ -204,7 +204,7 @@ def count_hits(problem, x, y, i, room):
         room.hits[i, n] += 1.0 if gap[n] <= 0 else 0.0
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def find_deepest(problem, floor, room):
     """Find each robot's deepest position in each obstacle along a path.
 

@@ -38,7 +38,10 @@ def predict(u, problem, start):
     """
     robots = len(problem.robots)
     path = np.empty((u.size + 1, robots, 3))
-    path[0] = start
+    for i in range(robots):
+        path[0, i, X] = start[i, X]
+        path[0, i, Y] = start[i, Y]
+        path[0, i, HEADING] = start[i, HEADING]
     for j in range(u.size):
         t = problem.first_period if j == 0 else problem.period
         for i in range(robots):

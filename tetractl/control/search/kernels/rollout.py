@@ -15,7 +15,13 @@ from tetractl.control.search.kernels.obstacles import count_hits
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos
 from tetractl.tools.kernels.kernel_cache import compiled
-from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, VECTOR, inlined
+from tetractl.tools.kernels.kernel_options import (
+    ENTRY_FAST,
+    INLINE_FAST,
+    PART_FAST,
+    VECTOR,
+    inlined,
+)
 
 _sincos = inlined(sincos)
 
@@ -73,7 +79,7 @@ def _aligned(shape: tuple[int, ...]) -> Floats:
     return raw[first : first + size].reshape(shape)
 
 
-@compiled(**ENTRY_FAST, forceinline=True)
+@compiled(**ENTRY_FAST)
 def costs(problem, rollouts, signals, total):
     """Compute the cost J of many sequences.
 
@@ -140,7 +146,7 @@ def costs(problem, rollouts, signals, total):
     return _add_up(problem, rollouts, total)
 
 
-@compiled(**INLINE_FAST)
+@compiled(**PART_FAST)
 def count_meetings(x, y, separation, hits):
     """Count the robots that are too close to each other.
 

@@ -84,16 +84,16 @@ def task_of(arm):
 def test_the_time_left_is_the_mean_of_each_arm_or_of_all_trials():
     times = TrialTimes([task_of(arm) for arm in ("slow", "slow", "slow", "quick", "new", "new")])
     assert times.left_s(1) is None
-    times.ended("slow", 30.0)
-    times.ended("slow", 50.0)
-    times.ended("quick", 4.0)
+    times.note_end("slow", 30.0)
+    times.note_end("slow", 50.0)
+    times.note_end("quick", 4.0)
     assert not times.of_every_arm
     mean_s = (30 + 50 + 4) / 3
     assert times.left_s(1) == pytest.approx(40 + 2 * mean_s)
     assert times.left_s(4) == pytest.approx((40 + 2 * mean_s) / 4)
-    times.ended("slow", None)  # without a result, it says nothing about time
+    times.note_end("slow", None)  # without a result, it says nothing about time
     assert times.left_s(1) == pytest.approx(2 * mean_s)
-    times.ended("new", 6.0)
+    times.note_end("new", 6.0)
     assert times.of_every_arm
     assert times.left_s(1) == pytest.approx(6.0)
 

@@ -199,10 +199,9 @@ class EmulatedCubePort(UdpPort):
 def make_port(
     name: str, baud: int, device: str, clock: Clock, on_received: OnReceived, hint: str
 ) -> SerialPort:
-    """Create the port to a cube, without opening it.
+    """Create the port to a cube, without opening it; see `tetractl.lab.serial_port.SerialPort`.
 
-    The port uses UDP for an emulated cube, whose name is an address, and Bluetooth otherwise. For
-    the arguments see `tetractl.lab.serial_port.SerialPort`.
+    The port uses UDP for an emulated cube, whose name is an address, and Bluetooth otherwise.
     """
     if name.startswith(SCHEME):
         return EmulatedCubePort(name, baud, device, clock, on_received, hint)

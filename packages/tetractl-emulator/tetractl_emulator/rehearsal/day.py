@@ -1,7 +1,7 @@
-"""Runs one day of a rehearsal: a fault script, by `tetractl run` in a separate process.
+"""Runs one randomised test run (a *day*) with a script of faults, in its own process.
 
-The process is forked, so that a signal, a full disk or a kill is that of a whole run, and what it
-leaves behind (threads, open files) can be seen.
+The process, which executes `tetractl run`, is forked, so that a signal, a full disk or a kill
+affects a whole run, and so that what the run leaves behind (threads, open files) can be observed.
 """
 
 import gc
@@ -41,15 +41,15 @@ KEPT = 20_000
 
 @dataclass(frozen=True, slots=True)
 class DayOutcome:
-    """What became of a day.
+    """The result of a randomised test run.
 
     Attributes:
-        plan: What was to happen.
-        events: What truly happened.
-        exit_code: The exit code of the run; -9 if it was killed, HUNG if it hung.
-        said: What the run printed.
-        log: The log of the trial; None without one.
-        left_behind: The threads, open files and memory that the run left; "" if nothing.
+        plan: The plan of the test run.
+        events: The true events that the emulation has recorded.
+        exit_code: Exit code of the run. -9 if it was killed, HUNG if it hung.
+        output: The text that the run printed.
+        log: The log of the trial. None if there is none.
+        left_behind: Threads, open files and memory that the run left behind. "" if there are none.
         seconds: Processor time of the run [s].
     """
 
@@ -63,13 +63,13 @@ class DayOutcome:
 
     @property
     def digest(self) -> str:
-        """The hash of all that truly happened, the same in each play of the plan."""
+        """A hash of all true events. It is the same each time the plan is run."""
         events = json.dumps(self.events).encode()
         return hashlib.sha256(events).hexdigest()[:16]
 
 
 class DayFolder:
-    """The folder of a day, with the files that the day's process leaves."""
+    """The files through which the process of a test run returns its results."""
 
     def __init__(self, folder: Path) -> None:
         self.script = folder / "script.yaml"
@@ -87,18 +87,18 @@ class DayFolder:
 
 
 def _text(file: Path) -> str:
-    """Read a file. Empty if the process ended before it wrote the file."""
+    """Return the text of a file, or "" if the process ended before it wrote the file."""
     return file.read_text() if file.exists() else ""
 
 
 def run_day(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> DayOutcome:
-    """Run the plan of a day.
+    """Run the plan of a randomised test run.
 
     Args:
         spec: The spec.
-        sets: Settings of the spec.
+        sets: Settings that replace values of the spec.
         plan: The plan.
-        folder: An empty folder for its files.
+        folder: An empty folder for the files of the test run.
     """
     files = DayFolder(folder)
     files.script.write_text(dump(plan.script()))
@@ -129,7 +129,7 @@ def run_day(spec: Path, sets: Sequence[str], plan: DayPlan, folder: Path) -> Day
 
 
 def _run_and_exit(words: list[str], files: DayFolder) -> NoReturn:
-    """Run a command in this forked process, and end the process."""
+    """Run a command in this forked process, write its results to files, and exit."""
     code = 1
     try:
         _limit_processor_time()
@@ -152,13 +152,13 @@ def _run_and_exit(words: list[str], files: DayFolder) -> NoReturn:
 
 
 def _limit_processor_time() -> None:
-    """End this process if it runs on although the process that waits for it is gone."""
+    """Limit the processor time of this process, in case its parent process is gone."""
     most_s = round(HANGS_S + STILL_S)
     resource.setrlimit(resource.RLIMIT_CPU, (most_s, most_s))
 
 
 def _redirect(output: Path) -> None:
-    """Let this process read nothing, and write what it prints to a file."""
+    """Redirect the standard output and error of this process to a file, and close its input."""
     said_file = os.open(output, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
     null = os.open(os.devnull, os.O_RDONLY)
     for target, source in ((0, null), (1, said_file), (2, said_file)):
@@ -171,7 +171,7 @@ def _redirect(output: Path) -> None:
 
 
 class Census:
-    """The threads, open files, modules and memory of this process before a run, to be compared."""
+    """A snapshot of this process's threads, open files, modules and memory before a run."""
 
     def __init__(self) -> None:
         self._threads = set(threading.enumerate())
@@ -182,11 +182,11 @@ class Census:
         self._blocks = sys.getallocatedblocks()
 
     def new_modules(self) -> list[str]:
-        """Return the names of the modules that were imported since."""
+        """Return the names of the modules that were imported since the snapshot."""
         return [name for name in sys.modules if name not in self._modules]
 
     def left_behind(self) -> list[str]:
-        """Describe the threads, open files and memory that are there since and were not before."""
+        """Describe the threads, open files and memory that were added since the snapshot."""
         gc.collect()
         threads = [thread.name for thread in threading.enumerate() if thread not in self._threads]
         files = sorted(_open_files() - self._files)
@@ -197,7 +197,7 @@ class Census:
 
 
 def _open_files() -> set[str]:
-    """Return the files that this process has open, with their numbers."""
+    """Return the number and name of each open file of this process."""
     names = set[str]()
     for entry in Path("/proc/self/fd").glob("*"):
         try:
@@ -220,16 +220,17 @@ def wait_for_child(
     used_s: Callable[[int], float] = processor_time_s,
     still_s: float = STILL_S,
 ) -> tuple[int, float]:
-    """Wait for a process that closes the other end of a pipe when it ends.
+    """Wait until a process closes the other end of a pipe, and kill it if it hangs.
 
     Args:
-        pid: The process.
+        pid: Id of the process.
         pipe_end: Our end of the pipe.
         used_s: Returns the processor time of a process [s].
-        still_s: How often that time is read [s]. A process that has used none since hangs.
+        still_s: Interval between checks [s]. A process that has used no processor time in this
+            interval hangs.
 
     Returns:
-        The exit code, the negative number of the signal that killed it, or HUNG; and its processor
+        The exit code, the negative number of the signal that killed it, or HUNG, and its processor
         time [s].
     """
     hangs = False

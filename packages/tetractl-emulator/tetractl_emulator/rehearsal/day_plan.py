@@ -1,4 +1,4 @@
-"""Samples the faults, the emulated world and the settings of a day of a rehearsal."""
+"""Samples the plan of a randomised test run: faults, true properties of devices, and settings."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -37,13 +37,14 @@ OWN = ("kind", "right")  # keys of a drawn fault that a script does not have
 
 @dataclass(frozen=True, slots=True)
 class DayPlan:
-    """What is to happen on a day, that is, in one randomised test run.
+    """The plan of a randomised test run (a *day*).
 
     Attributes:
-        seed: Number of the trial for which the script was generated.
+        seed: Seed of the trial.
         emulation: True properties of the devices.
-        faults: The faults of the script.
-        settings: Settings of the spec on that day.
+        faults: The faults of the script, each with its variant's name ("kind") and the pattern of
+            reasons that name it correctly ("right").
+        settings: Settings that replace values of the spec.
     """
 
     seed: int
@@ -57,7 +58,7 @@ class DayPlan:
         return sorted(self.faults, key=lambda fault: fault["at"])
 
     def script(self) -> dict[str, Any]:
-        """Return the script of the day."""
+        """Return the plan as a script for an emulated lab."""
         drawn = self.faults_in_order
         faults = [{key: value for key, value in fault.items() if key not in OWN} for fault in drawn]
         about = ", ".join(dict.fromkeys(fault["kind"] for fault in drawn)) or "no fault"
@@ -66,7 +67,7 @@ class DayPlan:
 
 
 def rows_of(lab: LabSection, setup: Setup) -> list[FaultRow]:
-    """Return the rows of all faults that a lab can have."""
+    """Return the variants of all faults that a lab can have."""
     sides = Sides.of_types(lab.camera.type, lab.actuator.type)
     rows = [row for kind in sides.faults.values() for row in kind.rows]
     return [row for row in rows if "other" not in row.fields or len(setup.names) > 1]
@@ -75,15 +76,17 @@ def rows_of(lab: LabSection, setup: Setup) -> list[FaultRow]:
 def plan_of_day(
     seed: int, day: int, lab: LabSection, setup: Setup, chosen: bool = False, bad: bool = True
 ) -> DayPlan:
-    """Generate the plan of a day. It depends only on the lab, the seed and the day's number.
+    """Sample the plan of a randomised test run.
+
+    It depends only on the arguments.
 
     Args:
-        seed: Seed of all days.
-        day: Number of the day.
-        lab: The section of the lab.
+        seed: Seed of all test runs.
+        day: Index of this test run.
+        lab: The lab's section of the spec.
         setup: The constants of the experiment.
-        chosen: Whether trials choose their cells.
-        bad: Whether there are faults.
+        chosen: Whether trials choose their robots among the cells in a dish.
+        bad: Whether to include faults.
     """
     # the order of the draws is part of the result: another one would change all days
     random = Random(f"{seed}-{day}")
@@ -110,10 +113,10 @@ def plan_of_day(
 
 
 def _settings_of_day(random: Random, lab: LabSection, setup: Setup) -> tuple[list[str], Poses]:
-    """Draw whether a day's trial is short, blind or as usual.
+    """Sample whether the trial is short, steered without feedback, or as in the spec.
 
     Returns:
-        The settings of the spec on that day, and where the robots start.
+        Settings that replace values of the spec, and the poses at which the robots start.
     """
     drawn = random.random()
     if drawn < SHORT_SHARE:
@@ -132,9 +135,12 @@ def _settings_of_day(random: Random, lab: LabSection, setup: Setup) -> tuple[lis
 
 
 def _blind(random: Random, period_s: float, first_rad: float) -> str:
-    """Generate a blind controller that holds each direction for about a second.
+    """Generate the setting of an open-loop controller that holds each direction for about a second.
 
-    The first direction is given.
+    Args:
+        random: The random generator.
+        period_s: Control period [s].
+        first_rad: The first direction [rad]. The others are random.
     """
     held = round(1 / period_s)
     drawn_rad = [first_rad, *(random.uniform(-math.pi, math.pi) for _ in range(BLIND_S - 1))]
@@ -143,12 +149,15 @@ def _blind(random: Random, period_s: float, first_rad: float) -> str:
 
 
 def _face_to_face(random: Random, setup: Setup, separation: float) -> tuple[Poses, float]:
-    """Return starts with two robots face to face, and the heading of the first of them [rad].
+    """Generate starts at which two robots face each other.
 
-    If that direction is sent, the first robot drives ahead, and the other towards it until it has
-    turned around. The first is on its own start, and faces the middle of the arena. If the other
-    would be in an obstacle, another pair is tried. If none remains, all robots are where the spec
-    says.
+    The first robot is on its own start, and faces the middle of the arena. If its heading is sent
+    as the direction, it drives ahead, and the other robot drives towards it until it has turned
+    around. If the other robot would be in an obstacle, another pair is tried. If there is no such
+    pair, the starts are those of the spec.
+
+    Returns:
+        The starts, and the heading of the first robot [rad].
     """
     starts = setup.starts.array()
     pairs = list(permutations(range(len(starts)), 2))
@@ -174,17 +183,18 @@ def faults_of_day(
     span_s: float = SPAN_S,
     scale: float = 1.0,
 ) -> list[dict[str, Any]]:
-    """Generate a day's faults, in the form of a script.
+    """Sample the faults of a randomised test run, in the form of a script.
 
-    A third of the days have one fault, the others two to six. Each fault also states its `kind`,
-    the name of the row, and which reasons are `right`.
+    A third of the test runs have one fault, and the others have two to six. Each fault also
+    contains the name of its variant as `kind`, and the pattern of reasons that name it correctly as
+    `right`.
 
     Args:
         random: The random generator.
         names: The robots.
         rows: The variants of faults.
         span_s: Time in which faults begin [s].
-        scale: Factor for lengths.
+        scale: Factor for lengths; see `scale_of`.
     """
     count = 1 if random.random() < 1 / 3 else random.randint(2, 6)
     chosen = random.choices(rows, [row.weight for row in rows], k=count)
@@ -194,6 +204,7 @@ def faults_of_day(
 def _fault(
     row: FaultRow, random: Random, names: Sequence[str], span_s: float, scale: float
 ) -> dict[str, Any]:
+    """Sample one fault of a variant: its fields, when it begins, and how long it lasts."""
     draw = Draw(random, random.sample(names, len(names)), random.random(), scale)
     fault: dict[str, Any] = {"kind": row.name, "right": row.right, "fault": row.fault}
     for key, value in row.fields.items():
@@ -213,7 +224,7 @@ def _fault(
 def _placed(
     random: Random, names: Sequence[str], starts: Poses, near: float
 ) -> list[dict[str, Any]]:
-    """Return robots at places off their starts by up to `near` [length unit]."""
+    """Sample true starts of the robots, within `near` [length unit] of their starts in the spec."""
     placed = []
     for name, (x, y, heading) in zip(names, starts.array().tolist(), strict=True):
         off = random.uniform(0, near)

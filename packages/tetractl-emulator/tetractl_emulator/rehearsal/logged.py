@@ -1,4 +1,4 @@
-"""That the log says what happened: each command as it was sent, and each frame as it was shown."""
+"""Checks that the log agrees with what happened: each command as sent, and each frame as shown."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -18,7 +18,7 @@ FAULTY = ("other_version", "edit_mode", "twin_id", *MUTE)  # frames that are sho
 
 
 def logged(truth: Truth) -> Iterator[Violation]:
-    """Yield what a whole log says otherwise than it was."""
+    """Yield each contradiction between a complete log and what truly happened."""
     log = truth.trial
     if log is None or log.result is None or log.damage is not None:
         return
@@ -31,7 +31,7 @@ def logged(truth: Truth) -> Iterator[Violation]:
 
 
 def _commands(truth: Truth) -> Iterator[Violation]:
-    """Each command in the log was sent as it says, and each that was sent is in the log."""
+    """Check that the log has exactly the commands that were sent."""
     assert truth.trial is not None
     logged_s = np.array([command.sent_ns for command in truth.trial.commands]) / 1e9
     for command in truth.trial.commands:
@@ -54,9 +54,12 @@ def _commands(truth: Truth) -> Iterator[Violation]:
 
 
 def _false_command(truth: Truth, command: Command, logged_s: Floats) -> str:
-    """Describe how a logged command differs from the true one. Empty if it does not.
+    """Compare a logged command with the messages that were sent at its time.
 
-    It may have been sent as several messages, one for each robot.
+    There may be several messages, one for each robot.
+
+    Returns:
+        How they differ, or "" if they agree.
     """
     at_s = command.sent_ns / 1e9
     is_noted = (truth.commanded_s >= at_s) & (truth.commanded_s <= at_s + NOTED_S)
@@ -74,13 +77,13 @@ def _false_command(truth: Truth, command: Command, logged_s: Floats) -> str:
 
 
 def _reached(delivered: Sequence[bool], drives: Sequence[Sequence[bool]]) -> bool:
-    """Check that a message drives each robot to which a command was delivered."""
+    """Check that every robot to which a command was delivered is driven by one of its messages."""
     driven = [any(messages) for messages in zip(*drives, strict=False)]
     return all(drove for got, drove in zip(delivered, driven, strict=False) if got)
 
 
 def _whole(truth: Truth, rows: list[int]) -> Iterator[Violation]:
-    """Frames are missing only where the camera showed none."""
+    """Check that frames are only missing from the log if the camera showed no robot."""
     for row, next_row in pairwise(rows):
         if next_row <= row + FRAMES:
             continue

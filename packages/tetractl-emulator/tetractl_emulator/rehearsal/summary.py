@@ -1,4 +1,4 @@
-"""What many days of a rehearsal come to: how often each fault was met, noticed, in what time."""
+"""Summarises many randomised test runs: how often faults occurred, and how soon they were seen."""
 
 import re
 from collections import Counter
@@ -16,13 +16,16 @@ FIELDS = frozenset({"day", "digest", "seconds", "ended", "reason", "met", "viola
 
 
 def row_of(day: int, truth: Truth, violations: Sequence[Violation], observed_s: float) -> DayRow:
-    """Return the summary of a day that is kept.
+    """Summarise one test run as a record.
 
     Args:
-        day: Number of the day.
+        day: Index of the test run.
         truth: What truly happened.
-        violations: The broken invariants.
-        observed_s: Processor time that the observer used [s].
+        violations: The violated invariants.
+        observed_s: Processor time of the checks [s].
+
+    Returns:
+        The values, by the names in FIELDS.
     """
     result = truth.trial.result if truth.trial is not None else None
     ended = "killed" if truth.day.exit_code < 0 else "refused"
@@ -40,7 +43,10 @@ def row_of(day: int, truth: Truth, violations: Sequence[Violation], observed_s: 
 
 
 def _noticed_s(truth: Truth, began_s: float) -> float | None:
-    """Return the time from a fault to the guard's abort or hold [s]. None if there was neither."""
+    """Return the time from the beginning of a fault to the guard's next abort or hold [s].
+
+    It is None if there was neither.
+    """
     for event in truth.events("guard"):
         at_s = time_s(event)
         if at_s >= began_s and event["state"] in ("hold", "abort"):
@@ -49,9 +55,10 @@ def _noticed_s(truth: Truth, began_s: float) -> float | None:
 
 
 def table(rows: Sequence[DayRow]) -> str:
-    """Return a Markdown table of the faults and how quickly the guard noticed them.
+    """Create a Markdown table of the faults and how quickly the guard noticed them.
 
-    It shows on how many days each fault occurred, and on how many of these alone.
+    For each fault, it contains the number of test runs with this fault, and, for those with no
+    other fault, how often and when the guard noticed it.
     """
     days = Counter(name for row in rows for name, _ in row["met"])
     alone = [row["met"][0] for row in rows if len(row["met"]) == 1]
@@ -69,13 +76,13 @@ def table(rows: Sequence[DayRow]) -> str:
 
 
 def reasons(rows: Sequence[DayRow]) -> str:
-    """Return for what reasons days were refused or aborted, the most frequent ones first."""
+    """List the ten most frequent reasons for which test runs were refused or aborted."""
     why = Counter(re.sub(r"\d+(\.\d+)?", "…", row["reason"]) for row in rows if row["reason"])
     return "\n".join(f"{n} {plural('day', n)}: {reason}" for reason, n in why.most_common(10))
 
 
 def summary(rows: Sequence[DayRow]) -> str:
-    """Summarise how the days ended, and how long a day took."""
+    """Describe how the test runs ended, and their mean processor time."""
     count = max(len(rows), 1)
     ended = Counter(row["ended"] for row in rows)
     shares = "".join(f"{n} {how} ({n / count:.0%}); " for how, n in ended.most_common())

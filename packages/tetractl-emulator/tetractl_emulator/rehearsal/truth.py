@@ -85,12 +85,12 @@ NEAR_S = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """A violation of an invariant.
+    """A violated invariant.
 
     Attributes:
         name: Name of the invariant.
         at_s: When it was violated [s].
-        finding: What was found then.
+        finding: What was observed.
     """
 
     name: str
@@ -100,11 +100,11 @@ class Violation:
 
 @dataclass(frozen=True, slots=True)
 class TimeSpan:
-    """A span of time.
+    """A time interval.
 
     Attributes:
-        began_s: Its begin [s].
-        ended_s: Its end [s]. Infinite if it did not end.
+        began_s: When it began [s].
+        ended_s: When it ended [s]. inf if it did not end.
     """
 
     began_s: float
@@ -113,11 +113,11 @@ class TimeSpan:
 
 @dataclass(frozen=True, slots=True)
 class VisibleFault:
-    """A fault, and when it could be seen.
+    """A fault that became visible.
 
     Attributes:
-        span: The time in which it could be seen.
-        fields: The sampled fields of the fault.
+        span: The interval in which it was visible.
+        fields: Its fields in the plan.
     """
 
     span: TimeSpan
@@ -130,7 +130,7 @@ class VisibleFault:
 
     @property
     def kind(self) -> str:
-        """The row of the table of faults from which it was drawn, such as `pose creeps`."""
+        """Name of its variant in the table of faults, such as `pose creeps`."""
         return str(self.fields["kind"])
 
     @property
@@ -140,13 +140,13 @@ class VisibleFault:
 
     @property
     def speed_mm_s(self) -> float:
-        """The speed at which one that creeps moves a pose at `FROM_ORIGIN_MM`."""
+        """The speed at which a creeping fault moves a pose at FROM_ORIGIN_MM [mm/s]."""
         grows_mm = abs(self.fields.get("scale", 1.0) - 1.0) * FROM_ORIGIN_MM
         return (math.hypot(*self.fields.get("by", (0.0, 0.0))) + grows_mm) / FRAME_S
 
     @property
     def rate_rad_s(self) -> float:
-        """The rate at which one that creeps turns poses."""
+        """The rate at which a creeping fault turns poses [rad/s]."""
         return abs(self.fields.get("turn", 0.0)) / FRAME_S
 
 
@@ -180,13 +180,15 @@ def nearest_exposures(
 
 @dataclass
 class Truth:
-    """The truth of a day in a lab of N robots. Each value is computed when it is first needed.
+    """What truly happened in a randomised test run with N robots, derived from the recorded events.
+
+    All properties are computed when they are first used.
 
     Attributes:
-        day: The outcome of the day.
+        day: The result of the test run.
         setup: The constants of the experiment.
         limits: The limits of the lab.
-        watchdog_s: Time after which a robot that receives no command stops by itself [s].
+        watchdog_s: Time without a command after which a robot stops by itself [s].
         halts: Whether robots can stand still. False for cells.
     """
 
@@ -205,41 +207,45 @@ class Truth:
 
     @cached_property
     def _events_by_kind(self) -> dict[str, list[Event]]:
+        """The recorded events, by their kind."""
         by_kind = dict[str, list[Event]]()
         for event in self.day.events:
             by_kind.setdefault(event["event"], []).append(event)
         return by_kind
 
     def events(self, kind: str, **facts: Any) -> list[Event]:
-        """Return the events of a kind that have these facts."""
+        """Return the events of a kind that have the given facts."""
         of_kind = self._events_by_kind.get(kind, [])
         return [event for event in of_kind if facts.items() <= event.items()]
 
     def first_s(self, kind: str, **facts: Any) -> float:
-        """Return the time of the first such event; infinite if there is none."""
+        """Return the time of the first such event [s]. inf if there is none."""
         return min(map(time_s, self.events(kind, **facts)), default=np.inf)
 
     # Exposures
 
     @cached_property
     def exposures(self) -> list[Event]:
-        """The events of the exposures (T,)."""
+        """The events of the T exposures."""
         return self.events("truth")
 
     @cached_property
     def times_s(self) -> Floats:
-        """Times of the exposures (T,)."""
+        """Times of the exposures, shape (T,) [s]."""
         return np.array([*map(time_s, self.exposures)])
 
     @cached_property
     def poses(self) -> Floats:
-        """True poses at the exposures (T, N, 3) [mm, rad]."""
+        """True poses at the exposures, shape (T, N, 3) [mm, mm, rad]."""
         poses = np.array([exposure["poses"] for exposure in self.exposures])
         return poses.reshape(-1, len(self.setup.names), 3)
 
     @cached_property
     def wheel_speed_mm_s(self) -> Floats:
-        """Maximum speed of a robot's wheels at the exposures, shape (T, N). 0 if unknown."""
+        """Maximum speed of each robot's wheels at the exposures, shape (T, N) [mm/s].
+
+        0 if unknown.
+        """
         count = len(self.setup.names)
         at_rest = [[0.0, 0.0]] * count
         wheels = np.array([exposure.get("wheels", at_rest) for exposure in self.exposures])
@@ -247,7 +253,7 @@ class Truth:
 
     @cached_property
     def unseen_s(self) -> Floats:
-        """Time since each robot was last shown (T, N).
+        """Time since each robot was last shown, shape (T, N) [s].
 
         It is 0 if it is unknown, for example in a dish with other cells than those that are
         steered.
@@ -259,9 +265,13 @@ class Truth:
         return np.array(rows_of_robots).reshape(-1, count) / 1000
 
     def has_status(self, bit: int) -> Bools:
-        """Find the robots whose firmware has a status at the exposures, shape (T, N).
+        """Check whether robots have a status flag at the exposures, shape (T, N).
 
-        The status is `RUNNING`, `LATCHED` or `SILENT`. The result is False if it is unknown.
+        Args:
+            bit: RUNNING, LATCHED or SILENT.
+
+        Returns:
+            Whether the flag is set. False if the status is unknown.
         """
         count = len(self.setup.names)
         unknown = [0] * count
@@ -270,7 +280,7 @@ class Truth:
 
     @property
     def alive_s(self) -> float:
-        """Time at which our process ended; the emulation goes on alone for a moment."""
+        """Time at which our process ended [s]. The emulation then continues for a moment."""
         if not len(self.times_s):
             return 0.0
         return float(self.times_s[-1]) - AFTER_NS / SECOND
@@ -279,19 +289,16 @@ class Truth:
 
     @cached_property
     def commands(self) -> list[Event]:
-        """The events of the commands (C,)."""
+        """The events of the C commands."""
         return self.events("command")
 
     @cached_property
     def commanded_s(self) -> Floats:
-        """Times of the commands (C,)."""
+        """Times of the commands, shape (C,) [s]."""
         return np.array([*map(time_s, self.commands)])
 
     def drives(self, command: Event) -> list[bool]:
-        """Find the robots that a command drives.
-
-        It may say so itself. Otherwise, they are the robots whose wheels it turns.
-        """
+        """Return for each robot whether a command drives it."""
         if "drives" in command:
             return command["drives"]
         may_run = bool(command["flags"] & RUN)
@@ -299,24 +306,25 @@ class Truth:
 
     @cached_property
     def halts_s(self) -> list[float]:
-        """Times of the commands that drive no robot."""
+        """Times of the commands that drive no robot [s]."""
         return [time_s(command) for command in self.commands if not any(self.drives(command))]
 
     @cached_property
     def acting_s(self) -> Floats:
-        """How long each command acts (C,).
+        """How long each command acts, shape (C,) [s].
 
-        It acts until the next command, or until a watchdog stops robots that receive none.
+        It acts until the next command, or until the watchdog of a robot that receives none expires.
         """
         next_s = np.append(self.commanded_s[1:], self.alive_s)
         return np.clip(next_s - self.commanded_s, 0.0, self.watchdog_s)
 
     @cached_property
     def undirected_s(self) -> Floats:
-        """Time since the controller's last direction before each command, shape (C,), from the log.
+        """Time from the last direction of the controller to each command, shape (C,) [s].
 
-        If robots were to turn on the spot, the end of their turn counts. It is 0 before the first
-        direction, without a log, and after the last in an incomplete log.
+        If robots were commanded to turn on the spot, the end of their turn counts. The time is 0
+        before the first direction, without a log, and after the last direction in an incomplete
+        log.
         """
         if self.trial is None or not self.trial.steps:
             return np.zeros(len(self.commanded_s))
@@ -335,7 +343,7 @@ class Truth:
 
     @cached_property
     def driven_spans(self) -> list[TimeSpan]:
-        """The times in which the guard let robots be driven."""
+        """The intervals in which the guard let robots be driven."""
         spans = list[TimeSpan]()
         began_s: float | None = None
         for event in self.events("guard"):
@@ -351,19 +359,19 @@ class Truth:
 
     @cached_property
     def began_s(self) -> float:
-        """Time from which the guard lets the controller steer; infinite if it never does."""
+        """When the guard first let the controller steer [s]. inf if it never did."""
         return self.first_s("guard", state="run")
 
     @cached_property
     def abort_s(self) -> float:
-        """Time of the guard's abort. Infinite if there was none."""
+        """Time of the guard's abort [s]. inf if there was none."""
         return self.first_s("guard", state="abort")
 
     @cached_property
     def ended_s(self) -> float:
-        """Time from which our side no longer drives.
+        """Time since when our side no longer drives robots [s].
 
-        It is the abort, or when the guard finally left its run.
+        It is the time of the abort, or when the guard finally left its driving states.
         """
         left_run_s = np.inf
         is_driving = False
@@ -378,12 +386,12 @@ class Truth:
 
     @property
     def pressed_s(self) -> float:
-        """Time of the first emergency stop that was pressed. Infinite if there was none."""
+        """Time of the first emergency stop by the operator [s]. inf if there was none."""
         return self.first_s("fault", name="emergency", phase="start")
 
     @cached_property
     def left_s(self) -> float:
-        """Time from which no process drives the robots: the end or a kill, whichever came first."""
+        """Time since when no process drives robots [s]: the end or a kill, whichever was first."""
         return min([self.ended_s, *(fault.span.began_s for fault in self.faults if fault.is_kill)])
 
     # Faults
@@ -401,19 +409,19 @@ class Truth:
         return visible
 
     def faults_of(self, *names: str) -> list[VisibleFault]:
-        """Return the visible faults of these names of scripts."""
+        """Return the visible faults with one of these names in a script."""
         return [fault for fault in self.faults if fault.name in names]
 
     def robot_of(self, fault: VisibleFault) -> int:
-        """Return the robot that has a fault."""
+        """Return the index of the robot that has a fault."""
         return self.setup.names.index(fault.fields["robot"])
 
     def delay_s(self, *names: str) -> float:
-        """Return by how much faults of these names, which state their delay, delay together [s]."""
+        """Return the total delay that the visible faults with these names cause [s]."""
         return sum(fault.fields["by"] for fault in self.faults_of(*names))
 
     def met(self, *names: str) -> bool:
-        """Check whether one of these faults became visible. Faults are named as in scripts."""
+        """Check whether a fault with one of these names became visible."""
         return bool(self.faults_of(*names))
 
     @cached_property
@@ -423,12 +431,12 @@ class Truth:
 
     @cached_property
     def creeping(self) -> list[VisibleFault]:
-        """The faults that move poses further in each frame."""
+        """The visible faults that move poses further with each frame."""
         return [f for f in self.faults if f.name == "ghost" or f.fields.get("creeps", False)]
 
     @cached_property
     def shown_moving(self) -> list[VisibleFault]:
-        """The faults by which a camera plainly shows motion of robots that may rest."""
+        """The visible faults that make a camera show motion clearly, even of stationary robots."""
         return [
             fault
             for fault in (self.creeping if self.halts else ())
@@ -437,10 +445,10 @@ class Truth:
 
     @cached_property
     def false_as_true(self) -> bool:
-        """Whether false poses look like true ones on this day, so that no camera can tell.
+        """Whether false poses look like true ones, so that no camera can detect them.
 
-        They move no faster than wheels within `wheel_error` could move robots, or they crept before
-        the run, and all poses are measured in the image that did.
+        They then move no faster than wheels within `wheel_error` could move robots, or they crept
+        before the run, and all poses are measured in the displaced image.
         """
         setup = self.setup
         off_mm_s = self.limits.wheel_error * float(setup.speed.max()) * self.unit_mm
@@ -454,33 +462,33 @@ class Truth:
 
     @cached_property
     def froze_as_rest(self) -> bool:
-        """Whether a camera that measures on a grid repeated poses or frames on this day.
+        """Whether a camera that measures on a grid repeated poses or frames in this test run.
 
-        These look like those of stationary robots.
+        Such poses look like those of stationary robots.
         """
         return self.setup.sight.coarse and self.met("repeat", "freeze")
 
     @cached_property
     def numbered(self) -> bool:
-        """Whether frames have numbers."""
+        """Whether the camera's frames have numbers."""
         return any(exposure["frame"] for exposure in self.exposures)
 
     @cached_property
     def dated(self) -> bool:
-        """Whether frames have times of their own. toio's readings have times of arrival."""
+        """Whether the camera's frames have their own times.
+
+        Readings of a mat only have times of arrival.
+        """
         return self.numbered and not self.setup.sight.coarse
 
     @cached_property
     def late_s(self) -> float:
-        """How much older frames without their own time were than they seemed.
-
-        Such frames count as new.
-        """
+        """How much older frames without their own times can be than they seem [s]."""
         return 0.0 if self.dated else self.longest_delay_s
 
     @cached_property
     def longest_delay_s(self) -> float:
-        """Maximum delay of a frame, including frames that waited in the wire."""
+        """Maximum delay of frames [s], because of faults or because they waited to be read."""
         late_s = self.delay_s(*LATE_FRAMES)
         suspended_s = sum(fault.fields["for"] for fault in self.faults_of("stopped"))
         busy_s = sum(fault.fields["seconds"] for fault in self.faults_of("busy"))
@@ -490,7 +498,7 @@ class Truth:
 
     @cached_property
     def log(self) -> TrialLog | str:
-        """The log, or the reason why it cannot be read. Empty if there is none."""
+        """The trial's log. If it cannot be read, the error message; "" if there is none."""
         if self.day.log is None:
             return ""
         try:
@@ -503,19 +511,19 @@ class Truth:
         """The records of the log.
 
         Raises:
-            LogError: If it has none.
+            LogError: If the log has no records.
         """
         assert self.day.log is not None, "there is a log"
         return scan(self.day.log)
 
     @property
     def trial(self) -> TrialLog | None:
-        """The log, None if there is none that can be read."""
+        """The trial's log. None if there is none that can be read."""
         return self.log if isinstance(self.log, TrialLog) else None
 
     @property
     def reason(self) -> str:
-        """Why the trial was aborted or the run refused. Empty if neither happened."""
+        """Why the trial was aborted or the run was refused. "" if neither happened."""
         if self.trial is not None and self.trial.result is not None:
             result = self.trial.result
             return result.reason if result.outcome == "aborted" else ""
@@ -524,7 +532,7 @@ class Truth:
 
     @cached_property
     def named_at_the_end(self) -> set[str]:
-        """The robots that the run has named as still moving, or as not seen to stand."""
+        """The robots that the run named as still moving, or as not seen to stand still."""
         named = re.findall(r"(?:still moves|not seen to stand): ([^:;\n]*):", self.day.output)
         if "the cameras do not show that the robots stand" in self.day.output:
             named.append(", ".join(self.setup.names))
@@ -534,9 +542,11 @@ class Truth:
 
     @cached_property
     def exposure_of_frame(self) -> Integers:
-        """The exposure of each frame in the log (F,). UNKNOWN if there is none.
+        """Index of the exposure of each of the F frames in the log, shape (F,).
 
-        It is found by its number or, because images have none, by its time on the host's clock.
+        UNKNOWN if there is none.
+
+        It is found by the number of the frame. Images have no numbers, so it is then found by time.
         """
         assert self.trial is not None, "a log was read"
         if self.numbered:
@@ -549,6 +559,7 @@ class Truth:
         return nearest_exposures(self.trial.mocap_ns / SECOND, host_s, suspended)
 
     def _exposures_by_number(self, trial: TrialLog) -> Integers:
+        """Find the exposure of each frame in a log by the frame's number, shape (F,)."""
         numbers = np.array([exposure["frame"] for exposure in self.exposures])
         times_ns = self.times_s * SECOND
         row_of_frame = np.full(len(trial.frames), UNKNOWN)
@@ -560,27 +571,28 @@ class Truth:
 
     @property
     def has_exposure(self) -> Bools:
-        """Whether the exposure of a frame in the log is known (F,)."""
+        """Whether the exposure of each frame in the log is known, shape (F,)."""
         return self.exposure_of_frame != UNKNOWN
 
     @cached_property
     def logged_exposures(self) -> Integers:
-        """The exposures of the frames in the log of which they are known."""
+        """Indices of the exposures of those frames in the log whose exposure is known."""
         return self.exposure_of_frame[self.has_exposure]
 
     @property
     def final_exposure(self) -> int:
-        """The exposure of the last frame in the log, after which people may move robots.
+        """Index of the exposure of the last frame in the log.
 
-        Without such a frame, it is the last exposure of all.
+        After it, people may move robots. Without such a frame, it is the last exposure of all.
         """
         return int(self.logged_exposures[-1]) if len(self.logged_exposures) else -1
 
     @cached_property
     def accepted(self) -> Floats:
-        """Poses that our side accepted (T, N, 3) [mm, rad], each held until the next.
+        """The newest pose that our side has accepted, at each exposure.
 
-        NaN where there is none, and after the end of an incomplete log.
+        Its shape is (T, N, 3) [mm, mm, rad]. It is NaN if there is none, and after the end of an
+        incomplete log.
         """
         poses = np.full((len(self.times_s), len(self.setup.names), 3), np.nan)
         if self.trial is None or not len(self.trial.frames):
@@ -598,7 +610,7 @@ class Truth:
 
     @cached_property
     def fresh(self) -> Bools:
-        """Whether the log has a pose of a robot that was exposed then (T, N)."""
+        """Whether the log has a pose of each robot that was exposed then, shape (T, N)."""
         fresh = np.zeros((len(self.times_s), len(self.setup.names)), bool)
         if self.trial is None:
             return fresh
@@ -609,22 +621,26 @@ class Truth:
 
     @cached_property
     def repeated(self) -> Bools:
-        """Whether a pose accepted equals the one before to the last bit (T, N)."""
+        """Whether an accepted pose equals the previous one in every bit, shape (T, N)."""
         equal = np.zeros(self.fresh.shape, bool)
         equal[1:] = (self.accepted[1:] == self.accepted[:-1]).all(axis=-1)
         return equal & self.fresh
 
     @cached_property
     def error_mm(self) -> Floats:
-        """Distance of accepted poses from the true ones, shape (T, N). 0 before the first pose."""
+        """Distance between the accepted and the true position, shape (T, N) [mm].
+
+        It is 0 before the first accepted pose.
+        """
         off = self.accepted - self.poses
         return np.nan_to_num(np.hypot(off[..., 0], off[..., 1]))
 
     @cached_property
     def outside_mm(self) -> Floats:
-        """Depth of robots in an obstacle or beyond the arena's edge, shape (T, N). 0 if neither.
+        """How far a robot is outside the arena or inside an obstacle, shape (T, N) [mm].
 
-        The rim is for centres, as in the spec; obstacles are grown by the body's radius.
+        It is 0 if the robot is neither. The limits of the arena are for centres, as in the spec.
+        Obstacles are grown by the body's radius.
         """
         arena = self.setup.arena
         x = self.poses[..., 0] / self.unit_mm

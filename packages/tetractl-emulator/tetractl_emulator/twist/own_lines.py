@@ -176,10 +176,7 @@ class OwnLines(PortedSide):
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults
     ) -> EmulatedRobot:
-        """Create a robot whose program decodes messages with `read`.
-
-        See `PortedSide.make_robot`.
-        """
+        """Create a robot whose program uses `read`; see `PortedSide.make_robot`."""
 
         def program(index: int) -> OwnProgram:
             return OwnProgram(lambda message: self.read(message, index), self._watchdog_s)

@@ -1,4 +1,4 @@
-"""The `cells` camera: tracks swimming cells in a microscope's pictures."""
+"""The `cells` camera: it tracks swimming cells in the images of a microscope."""
 
 import math
 from collections import deque
@@ -42,7 +42,12 @@ NO_CELL = -1  # number of a robot's cell before all robots were seen in one pict
 
 @dataclass(frozen=True, slots=True)
 class FirstSight:
-    """When [s], and where on its way [um], a track came into view."""
+    """The moment at which a track came into view.
+
+    Attributes:
+        seconds: Its time [s].
+        way_um: Distance that the cell had swum until then [um].
+    """
 
     seconds: float
     way_um: float
@@ -84,9 +89,12 @@ class CellsInView:
         return CellsInView(cells, now_s, first, moved_um)
 
     def speed(self, cell: SeenCell) -> tuple[float, float]:
-        """Return a cell's mean speed since it came into view, and its standard deviation [um/s].
+        """Estimate a cell's mean speed since it came into view.
 
-        During its first MEAN_S in view, the filter's present speed is returned.
+        During its first MEAN_S in view, the estimate is the filter's present speed.
+
+        Returns:
+            The speed and its standard deviation [um/s].
         """
         first = self.first[cell.track]
         seconds = self.now_s - first.seconds
@@ -111,7 +119,11 @@ class LearningPictures:
         self._first_ns: int | None = None
 
     def take(self, picture: Grey, exposed_ns: int) -> list[Grey]:
-        """Take a picture, if one is due; return all once they are enough, else none."""
+        """Add an image, if one is due.
+
+        Returns:
+            All images, once there are enough of them to learn the background. Empty until then.
+        """
         if self._first_ns is None:
             self._first_ns = exposed_ns
         passed_s = (exposed_ns - self._first_ns) / SECOND
@@ -198,24 +210,27 @@ class CellCamera(PictureCamera[SeenDish]):
         self._sent = FieldSignals()
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
-        """Record the common direction [rad, in the spec's axes] sent at `sent_ns`.
+        """Record a direction that was sent to the cells.
 
-        None means that the field was switched off.
+        Args:
+            direction: The common direction in the spec's axes [rad]. None if the field was switched
+                off.
+            sent_ns: When it was sent [ns].
         """
         self._sent.note(direction, sent_ns)
 
     def candidates(self) -> list[RobotCandidate]:
         """List the cells in the newest image that are identified with certainty.
 
-        Each has the filter's estimates of a and of its mean speed since it came into view. Cells
-        near the arena's edge do not count as free.
+        Each has the filter's estimate of a, and its mean speed since it came into view. Cells near
+        the arena's edge are not `free`.
         """
         view = self._view
         sure = [cell for cell in view.cells if cell.has_blob and cell.probability >= SURE]
         return [self._candidate(cell, view) for cell in sure]
 
     def _candidate(self, cell: SeenCell, view: CellsInView) -> RobotCandidate:
-        """Return a cell in view as a candidate."""
+        """Convert a cell in view to a candidate."""
         um_s, sd_um_s = view.speed(cell)
         per_um = 1e-6 / self._metres
         a = float(cell.mean[A])
@@ -232,23 +247,33 @@ class CellCamera(PictureCamera[SeenDish]):
         )
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Track the cells with these numbers as the robots of a setup from now on."""
+        """Start to track the cells with these numbers as the robots of a setup.
+
+        Args:
+            setup: The constants of the experiment.
+            numbers: Number of each robot's cell, in the order of the setup's robots.
+        """
         robots = RobotCells(setup)
         robots.bind(numbers)
         self._robots = robots
 
     @property
     def robots(self) -> Sequence[int]:
-        """The numbers of the robots' cells; empty before all were seen in one picture."""
+        """The numbers of the robots' cells. Empty until one image has shown all of them."""
         return self._robots.numbers
 
     @property
     def divided(self) -> Collection[int]:
-        """The robots from whose blob another cell separated."""
+        """The indices of the robots whose cell has divided."""
         return self._robots.divided
 
     def replace(self, robot: int, number: int) -> None:
-        """From now on, track the cell with this number as the robot with the index `robot`."""
+        """Start to track another cell as a robot.
+
+        Args:
+            robot: Index of the robot.
+            number: Number of the cell.
+        """
         robots = self._robots
         assert robots.cells, "only a robot that was seen can be replaced"
         # the other robots' cells are the same objects: what is noted of them meanwhile is not lost
@@ -257,20 +282,23 @@ class CellCamera(PictureCamera[SeenDish]):
         self._robots = RobotCells(robots.setup, cells)
 
     def frames(self) -> list[CameraFrame]:
-        """Return the frames as the base class does, but none in which others were the robots."""
+        """Return the frames since the last call.
+
+        Frames in which other cells were the robots are dropped.
+        """
         frames = self._searches.take_frames()
         return [frame for frame, dish in frames if dish.robots is self._robots]
 
     def additions(self) -> list[FrameAddition]:
-        """Return the messages of each frame since the last call, oldest first."""
+        """Return the additional log messages of each frame since the last call, oldest first."""
         return drained(self._reports.added)
 
     def watch(self, setup: Setup, limits: LabLimits) -> CellWatch:
-        """Return the watch of a trial with this setup's robots."""
+        """Create the watch on the robots' identities for a trial with this setup."""
         return CellWatch(self, self._reports.identified, setup, limits.identity)
 
     def _health(self, searches: Sequence[PictureSearch[SeenDish]]) -> Health:
-        """Return problems, warnings and facts of light, focus and cells."""
+        """Describe problems and warnings about light, focus and cells, and facts for the log."""
         width_px = named(self.section.organism).body_um[1] / self.section.um_px
         wrong, doubtful = dish_lines(self._robots.setup.names, searches, width_px)
         facts = {

@@ -1,4 +1,4 @@
-"""The tracks of a dish's cells, and the question which cell is on which track."""
+"""The tracks of the cells in a dish, and the inference of which cell is on which track."""
 
 import math
 from collections.abc import Sequence
@@ -49,7 +49,7 @@ class TrackBlob:
 
     @property
     def whole_place(self) -> Floats:
-        """The place (5,), with NaN for the size of a blob that the picture's edge cuts off."""
+        """The place, shape (5,), with NaN as the size of a blob that the image's edge cuts off."""
         if not self.blob.at_edge:
             return self.place
         return np.array((*self.place[:3], math.nan, math.nan))
@@ -57,26 +57,26 @@ class TrackBlob:
 
 @dataclass(slots=True, eq=False)
 class CellTrack:
-    """A cell that the tracker follows.
+    """A cell that is tracked from image to image.
 
     Attributes:
         number: Number of the track.
-        row: The cell's row of the filter.
-        size: Usual size of its blobs, which tells how many cells a blob shows.
+        row: Row of the filter that predicts the cell.
+        size: Size of the cell.
         last: Position of its last blob [um], shape (2,).
-        path: Its newest own blobs.
-        missed_s: Time since the last blob [s].
-        newest: Its newest blob. None without one.
-        size_seen_s: When a blob of its own last had the cell's size [s].
-        start: First place of a cell that has not swum far yet [um], shape (2,). None for others.
+        path: Its newest blobs that show only this cell.
+        missed_s: Time since its last blob [s].
+        newest: Its blob in the newest image. None if it has none.
+        size_seen_s: When a blob of its own last had the cell's size [s]. The size of a blob shows
+            how many cells it contains.
+        start: Its first position [um], shape (2,). None once it has swum far enough.
         began_s: When the track began [s].
-        outliers_in_row: Number of successive blobs far from where the filter expected them.
-        identity: Number of the cell, which `Names` finds out.
-        certainty: Probability of the identity, as long as the cell is in no meeting and no question
-            is open.
-        meeting: The meeting in which the cell is. None for none.
-        question: The open question about its name. None for none.
-        together_s: When it was last too near to another cell to be distinguished [s].
+        outliers_in_row: Number of successive blobs far from the filter's prediction.
+        identity: Number of the cell that is most probably on the track; see `Names`.
+        certainty: Probability of that identity while the track is in no meeting and no question.
+        meeting: The meeting that it takes part in. None if there is none.
+        question: The open question about its identity. None if there is none.
+        together_s: When it was last too close to another cell to be distinguished [s].
     """
 
     number: int
@@ -98,27 +98,26 @@ class CellTrack:
 
     @property
     def is_new(self) -> bool:
-        """Whether it has not swum as far yet as a cell must."""
+        """Whether the cell has not yet swum as far as a cell must."""
         return self.start is not None
 
     @property
     def is_shared(self) -> bool:
-        """Whether its blob shows other cells, too."""
+        """Whether its blob also shows other cells."""
         return self.newest is not None and self.newest.is_shared
 
     @property
     def rows(self) -> Sequence[int]:
-        """The filter's rows that follow the track.
+        """The rows of the filter that follow the track.
 
-        If it is an open question which cell is on the track, there is one row for each cell that it
-        may be.
+        While its identity is an open question, there is one row for each cell that it may be.
         """
         if self.question is None:
             return [self.row]
         return self.question.rows[self.question.tracks.index(self)].tolist()
 
     def shift(self, x: float, y: float) -> None:
-        """Move all that is known of its places by x, y [um], with the picture's content."""
+        """Move all stored positions by x and y [um], with the content of the image."""
         self.path = [blob.moved(x, y) for blob in self.path]
         by_um = np.array((x, y))
         self.last = self.last + by_um
@@ -147,9 +146,11 @@ class Member:
 
 @dataclass(slots=True, eq=False)
 class Meeting:
-    """Tracks that are too close together to tell which cell is on which.
+    """Tracks that are too close together to distinguish their cells.
 
-    An unknown object may have joined them.
+    Attributes:
+        members: The tracks, with the cell that was on each of them when it joined.
+        with_unknown: Whether an unknown object may have joined them.
     """
 
     members: list[Member]
@@ -157,12 +158,12 @@ class Meeting:
 
     @property
     def tracks(self) -> list[CellTrack]:
-        """The tracks in it now."""
+        """The tracks that are in the meeting now."""
         return [member.track for member in self.members]
 
     @property
     def rows(self) -> list[int]:
-        """The filter's rows that predict the members' cells."""
+        """The rows of the filter that predict the members' cells."""
         return [member.row for member in self.members]
 
 
@@ -196,7 +197,7 @@ class WhichIsWhich:
 
     @property
     def tracks(self) -> list[CellTrack]:
-        """The tracks that are asked about."""
+        """The tracks whose identities are inferred."""
         return [member.track for member in self.members]
 
     def add(
@@ -224,15 +225,15 @@ class WhichIsWhich:
             self.likelihood[t] += log_likelihoods / SIZED
 
     def probabilities(self) -> Floats:
-        """Return the probability of each assignment of cells to tracks (P,), as in `orders`."""
+        """Compute the probability of each assignment in `orders`, shape (P,)."""
         return normalised(self.prior + log_of_each(self.orders, self.likelihood))
 
     def best(self) -> tuple[tuple[int, ...], Floats]:
-        """Return the most probable assignment.
+        """Find the most probable assignment.
 
         Returns:
-            The cell of each track, and for each track the probability that this cell is on it,
-            (K,).
+            The index of the cell on each track, and for each track the probability that this cell
+            is on it, shape (K,).
         """
         shares = self.probabilities()
         order = self.orders[int(np.argmax(shares))]
@@ -240,28 +241,32 @@ class WhichIsWhich:
         return tuple(order.tolist()), not_unknown * (shares @ (self.orders == order))
 
     def ends(self, now_s: float) -> bool:
-        """Decide whether the answer is certain enough, or was awaited for long enough."""
+        """Check whether the answer is certain enough, or has been awaited long enough."""
         open_s = now_s - self.since_s
         return open_s > PATIENCE_S or (open_s > LEAST_S and self.probabilities().max() > SURE)
 
 
 def orders(tracks: int) -> np.ndarray:
-    """Return all assignments (P, tracks) of as many cells to tracks."""
+    """Return all assignments of n cells to n tracks, shape (n!, n)."""
     all_orders = list(permutations(range(tracks)))
     return np.array(all_orders, int).reshape(-1, tracks)
 
 
 def log_of_each(orders: np.ndarray, table: Floats) -> Floats:
-    """Compute the log-probability of each assignment in `orders` (P, K), up to a constant.
+    """Compute the log-probability of each assignment, up to a constant.
 
-    It is the sum of `table[t, orders[p, t]]` over t, with the log-probability of each cell on each
-    track in `table` (K, K).
+    Args:
+        orders: The assignments, shape (P, K).
+        table: Log-probability of each cell (columns) on each track (rows), shape (K, K).
+
+    Returns:
+        The sum of `table[t, orders[p, t]]` over t, shape (P,).
     """
     return table[np.arange(len(table)), orders].sum(axis=1)
 
 
 def normalised(logs: Floats) -> Floats:
-    """Return probabilities from their logarithms up to a constant."""
+    """Convert log-probabilities, known up to a constant, to probabilities."""
     shares = np.exp(logs - logs.max())
     return shares / shares.sum()
 

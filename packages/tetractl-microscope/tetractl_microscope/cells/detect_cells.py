@@ -1,8 +1,9 @@
-"""Finds blobs in a grey picture: regions that differ from a slowly updated background.
+"""Finds blobs in a grey image: regions that differ from a slowly updated background.
 
-Steps: blur; subtract the background, scaled to the picture's light; average the difference, of
-either sign, over a square as small as the smallest cell, so that a body and its halo are one; take
-what exceeds the noise of these averages; compute the moments of each body.
+The steps are: blur the image; subtract the background, scaled to the brightness of the image;
+average the absolute difference over a square as small as the smallest cell, so that a body and its
+halo become one region; keep the pixels that exceed the noise of these averages; compute the moments
+of each body.
 """
 
 import math
@@ -80,27 +81,28 @@ class Blob:
 
     @property
     def part(self) -> tuple[slice, slice]:
-        """Rows and columns of the rectangle of `body` in the picture."""
+        """Rows and columns of the rectangle of `body` in the image."""
         tall, wide = self.body.shape
         return Box(*self.corner, wide, tall).part
 
     @property
     def pixels(self) -> Floats:
-        """Columns and rows of the blob's pixels (M, 2)."""
+        """Column and row of each of the blob's M pixels, shape (M, 2)."""
         rows, columns = np.nonzero(self.body)
         return np.column_stack([columns + self.corner[0], rows + self.corner[1]]).astype(float)
 
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """Properties of an image's light and contrast.
+    """Brightness, noise and contrast of an image.
 
     Attributes:
-        gain: Its light, relative to the background's.
+        gain: Brightness of the image, relative to the background.
         noise: Standard deviation of its noise [grey levels].
-        contrast: Median strength of the blobs [grey levels]. None without blobs.
-        changed: Fraction of pixels that differ from the background.
-        lost: Whether cells cannot explain that fraction.
+        contrast: Median strength of its blobs [grey levels]. None without blobs.
+        changed: Fraction of the pixels that differ from the background.
+        lost: Whether the image cannot be compared with the background, because cells cannot explain
+            how much of it has changed.
         shift_px: How far the stage has moved since the previous image [px]: columns to the right,
             rows down.
         limit: Minimum contrast at which a cell is found [grey levels].
@@ -116,10 +118,12 @@ class Light:
 
 
 class Background:
-    """The image without cells.
+    """The image of the dish without cells, which is learned and then slowly updated.
 
-    It is kept in fractions of grey levels, in whole grey levels, and as it was when it was
-    `learned`.
+    Attributes:
+        fine: The background, with fractions of grey levels.
+        learned: The background when it was learned.
+        grey: The background in whole grey levels.
     """
 
     def __init__(self, fine: NDArray[np.float32]) -> None:
@@ -128,15 +132,24 @@ class Background:
         self.grey = _grey(cv2.convertScaleAbs(fine))
 
     def move(self, shift_px: tuple[float, float]) -> None:
-        """Move it with the picture's content: columns to the right, rows down."""
+        """Shift the background with the content of the image.
+
+        Args:
+            shift_px: Shift [px]: columns to the right, rows down.
+        """
         self.fine = np.asarray(moved(self.fine, shift_px), np.float32)
         self.learned = np.asarray(moved(self.learned, shift_px), np.float32)
         self.grey = _grey(cv2.convertScaleAbs(self.fine))
 
     def follow_knock(self, smooth: Grey, gain: float) -> tuple[float, float]:
-        """Move the background as far as an image has shifted, and return the shift.
+        """Shift the background as far as an image has shifted.
 
-        The image's light is `gain` times the background's.
+        Args:
+            smooth: The blurred image.
+            gain: Brightness of the image, relative to the background.
+
+        Returns:
+            The shift [px]: columns to the right, rows down.
         """
         shift = shift_of(cv2.convertScaleAbs(self.grey, alpha=gain), smooth)
         if shift != (0.0, 0.0):
@@ -146,23 +159,23 @@ class Background:
     def correct(
         self, part: tuple[slice, slice], wrong: Bools, levels: NDArray[np.floating]
     ) -> None:
-        """Replace the wrong pixels in a part of the background.
+        """Replace wrong pixels in a part of the background.
 
         Args:
             part: The part, as slices of rows and columns.
-            wrong: Which of its pixels are wrong.
+            wrong: Which of its pixels to replace.
             levels: The grey levels that replace them.
         """
         self.fine[part][wrong] = levels[wrong]
         self.grey[part][wrong] = np.clip(self.fine[part][wrong], 0, 255)
 
     def update(self, rows: slice, levels: NDArray[np.float32], calm: Grey) -> None:
-        """Let rows of the background slowly approach new levels.
+        """Update rows of the background by a weighted mean with new grey levels.
 
         Args:
             rows: The rows.
             levels: The new grey levels.
-            calm: A mask of the pixels to update.
+            calm: Mask of the pixels to update.
         """
         fine = self.fine[rows]
         cv2.accumulateWeighted(levels, fine, LEARNING, calm)
@@ -173,8 +186,8 @@ class SearchLimits(NamedTuple):
     """Limits for finding bodies in the averaged difference from the background.
 
     Attributes:
-        low: All differences of a body are above it [grey levels].
-        high: Some difference of a body is above it [grey levels].
+        low: Minimum difference at every pixel of a body [grey levels].
+        high: Minimum of the largest difference in a body [grey levels].
         least_px2: Minimum area of a body [px^2].
         most_px2: Maximum area of a body [px^2].
     """
@@ -186,7 +199,7 @@ class SearchLimits(NamedTuple):
 
     @property
     def level(self) -> float:
-        """The mean of averaged differences where there is no body."""
+        """The mean of the averaged differences where there is no body [grey levels]."""
         return self.low - (self.high - self.low) * LOW / (HIGH - LOW)
 
 
@@ -195,11 +208,15 @@ NO_BODY = SearchLimits(low=math.inf, high=math.inf, least_px2=0.0, most_px2=0.0)
 
 
 class SearchArrays:
-    """The newest image, and its differences from the background. All images have one shape.
+    """Working arrays for the newest image, all of the image's shape.
 
-    `smooth` is the blurred picture, `difference` that from the background, `mean` its averages over
-    squares, `mask` those above the lower of `limits`. `stripe` is the stripe of the background that
-    is updated next.
+    Attributes:
+        limits: The limits of the search.
+        smooth: The blurred image.
+        difference: Absolute difference between the blurred image and the background.
+        mean: The difference averaged over squares.
+        mask: Where `mean` is above the lower limit.
+        stripe: Index of the stripe of the background that is updated next.
     """
 
     def __init__(self, picture: Grey) -> None:
@@ -211,7 +228,7 @@ class SearchArrays:
         self.stripe = 0
 
     def next_stripe(self) -> slice:
-        """Return the rows of the next stripe, and go on to the one after it."""
+        """Return the rows of the stripe to update, and advance to the next stripe."""
         height = len(self.smooth)
         top = self.stripe * height // STRIPES
         bottom = (self.stripe + 1) * height // STRIPES
@@ -221,7 +238,12 @@ class SearchArrays:
 
 @dataclass(slots=True)
 class LostPictures:
-    """How many pictures were lost `in_turn`, and a `sample` of them, for a new background."""
+    """The images that could not be compared with the background.
+
+    Attributes:
+        in_turn: Number of such images in a row.
+        sample: A sample of them, from which a new background is learned.
+    """
 
     in_turn: int = 0
     sample: list[Grey] = field(default_factory=list)
@@ -254,14 +276,14 @@ class BlobFinder:
 
     @property
     def background(self) -> Grey | None:
-        """The learned picture without cells."""
+        """The background in whole grey levels. None before it was learned."""
         return None if self._background is None else self._background.grey
 
     def learn(self, pictures: Sequence[Grey]) -> None:
         """Compute the background as the median of images (height, width).
 
-        Each image is first shifted and scaled to fit the middle one. This also determines whether
-        most cells are brighter or darker than the background.
+        Each image is first shifted and scaled to fit the middle one. The method also determines
+        whether most cells are brighter or darker than the background.
         """
         medians = np.array([np.median(_sparse(picture)) for picture in pictures])
         levels = np.maximum(medians, 1.0)
@@ -285,7 +307,7 @@ class BlobFinder:
         self._lost = LostPictures()
 
     def find(self, picture: Grey) -> list[Blob]:
-        """Return the blobs of a picture (height, width), largest first."""
+        """Find the blobs of an image (height, width), the largest first."""
         assert self._background is not None, "learn() comes first"
         background = self._background
         if self._newest.smooth.shape != picture.shape:
@@ -317,10 +339,12 @@ class BlobFinder:
         return blobs
 
     def _compare(self, background: Background, newest: SearchArrays) -> Light:
-        """Compare the newest image with the background, and return its light.
+        """Compare the newest image with the background.
 
-        This computes the difference, its limits, the mean differences, and the mask of those above
-        the lower limit.
+        The difference, its limits, its averages and the mask are stored in `newest`.
+
+        Returns:
+            The brightness and noise of the image.
         """
         levels = _sparse(newest.smooth)
         background_levels = np.maximum(_sparse(background.grey), 1)
@@ -391,10 +415,12 @@ class BlobFinder:
         return blobs
 
     def follow(self, keep: Sequence[tuple[int, int, int, int]]) -> None:
-        """Update the next stripe of the background with the last image, except around cells.
+        """Update the next stripe of the background with the newest image, except around cells.
 
-        If images are lost, it is learned again. `keep` are rectangles: left, top, right and bottom
-        [px].
+        If the background no longer applies, it is learned again.
+
+        Args:
+            keep: Rectangles around the cells: left, top, right and bottom [px].
         """
         assert self._background is not None, "learn() comes first"
         newest = self._newest
@@ -411,7 +437,7 @@ class BlobFinder:
         self._relearn_if_lost()
 
     def _relearn_if_lost(self) -> None:
-        """Sample the newest picture if too many in turn are lost; learn once there are enough."""
+        """Sample the newest image after several lost images, and learn from enough samples."""
         newest = self._newest
         if self._lost.in_turn > LOST and newest.stripe % EVERY == 0:
             self._lost.sample.append(newest.smooth.copy())
@@ -434,7 +460,7 @@ def _is_ghost(
 
 
 class Box(NamedTuple):
-    """A rectangle of pixels."""
+    """A rectangle of pixels: its left column, top row, width and height."""
 
     left: int
     top: int
@@ -443,12 +469,12 @@ class Box(NamedTuple):
 
     @property
     def part(self) -> tuple[slice, slice]:
-        """Its rows and columns in a picture."""
+        """Rows and columns of the rectangle in an image."""
         return slice(self.top, self.top + self.tall), slice(self.left, self.left + self.wide)
 
 
 def _box_px2(contour: np.ndarray) -> int:
-    """Return the area of the box around a contour [px^2]."""
+    """Compute the area of a contour's bounding box [px^2]."""
     _, _, wide, tall = cv2.boundingRect(contour)
     return wide * tall
 
@@ -456,10 +482,13 @@ def _box_px2(contour: np.ndarray) -> int:
 def _bodies(
     region: np.ndarray, difference: Grey, mean: NDArray[np.float32], limits: SearchLimits
 ) -> Iterator[Blob]:
-    """Find the bodies in a region, the one with the largest mean difference first.
+    """Find the bodies in a region, in the order of decreasing difference from the background.
 
-    `region` is a contour. `difference` is the image minus its background, and `mean` the mean of
-    that over squares.
+    Args:
+        region: Contour of the region.
+        difference: Absolute difference between the image and the background.
+        mean: The difference averaged over squares.
+        limits: The limits of the search.
     """
     box = Box(*cv2.boundingRect(region))
     inside = np.zeros((box.tall, box.wide), np.uint8)
@@ -492,11 +521,11 @@ def _bodies(
 def _blob(
     body: Grey, weights: NDArray[np.floating], difference: Grey, box: Box, at_edge: bool
 ) -> Blob:
-    """Return the ellipse with the weighted moments of a body in a box of the picture.
+    """Compute the ellipse with the same weighted moments as a body.
 
-    The weights rise from 0 with the difference, up to a greatest one, so that neither a pixel at
-    the body's edge nor what is inside moves the moments much. An ellipse has the second moments
-    length^2 / 16 and width^2 / 16 along its axes; each pixel adds 1 / 12.
+    The weights rise from 0 with the difference, up to a maximum, so that neither single pixels at
+    the body's edge nor structures inside it change the moments much. An ellipse has the second
+    moments length^2 / 16 and width^2 / 16 along its axes. Each pixel adds 1 / 12.
     """
     moments = cv2.moments(weights)
     if moments["m00"] == 0:
@@ -521,27 +550,35 @@ def _blob(
 
 
 def _square(least_px2: float) -> Grey:
-    """Return the square over which differences are averaged, an odd number of pixels wide."""
+    """Return the square over which differences are averaged.
+
+    Its side is an odd number of pixels.
+    """
     return np.ones((2 * int(BOX * math.sqrt(least_px2) / 2) + 1,) * 2, np.uint8)
 
 
 def _blurred(picture: np.ndarray, between: np.ndarray, into: np.ndarray) -> None:
-    """Blur a picture by two box filters, which take a quarter of the time of a Gaussian filter.
+    """Blur an image with two box filters, which is four times as fast as a Gaussian filter.
 
-    The result, written to `into`, is nearly that of a Gaussian with a standard deviation of 1.15
-    px; `between` is a buffer.
+    The result is close to a Gaussian blur with a standard deviation of 1.15 px.
+
+    Args:
+        picture: The image.
+        between: A buffer.
+        into: Filled with the result.
     """
     cv2.blur(picture, (3, 3), between)
     cv2.blur(between, (3, 3), into)
 
 
 def _sparse(picture: np.ndarray) -> np.ndarray:
+    """Return every n-th pixel of an image, for statistics."""
     step = max(8, picture.shape[0] // SPARSE)
     return picture[::step, ::step]
 
 
 def _median(pictures: Sequence[Grey], gains: Floats) -> NDArray[np.float32]:
-    """Compute the median of scaled images, some rows at a time to save memory."""
+    """Compute the median of images multiplied by gains, a few rows at a time to save memory."""
     median = np.empty(pictures[0].shape, np.float32)
     tall = max(1, min(SPARSE, ROWS_PX // median[0].size))
     for top in range(0, len(median), tall):
@@ -554,4 +591,5 @@ def _median(pictures: Sequence[Grey], gains: Floats) -> NDArray[np.float32]:
 
 
 def _grey(picture: np.ndarray) -> Grey:
+    """Convert an image to whole grey levels."""
     return np.asarray(picture, np.uint8)

@@ -62,13 +62,13 @@ class Names:
         self._answers: list[CellAnswer] = []  # not taken yet
 
     def take_answers(self) -> list[CellAnswer]:
-        """Take the answers since they were last taken."""
+        """Return the answers since the last call, and remove them from the list."""
         answers = self._answers
         self._answers = []
         return answers
 
     def take_number(self) -> int:
-        """Take the next number, for a new cell."""
+        """Return the next number for a new cell."""
         self._last_number += 1
         return self._last_number
 
@@ -197,7 +197,7 @@ class Names:
         self._bank.drop(track.row)
 
     def _give_up_in(self, meeting: Meeting, track: CellTrack) -> None:
-        """Take a track that is given up out of a meeting."""
+        """Remove a track that is given up from its meeting."""
         shares = self._meetings.own_shares(meeting).tolist()
         remaining = [
             (member, share)
@@ -214,14 +214,14 @@ class Names:
     # ---- answers ----
 
     def answer(self, seconds: float) -> None:
-        """Give tracks their names by the likeliest answers; end the questions that are decided."""
+        """Name tracks by the most probable answers, and close the questions that are decided."""
         for question in list(self._questions):
             self._name_by(question)
             if question.ends(seconds):
                 self._end(question)
 
     def probabilities(self, tracks: Sequence[CellTrack]) -> list[float]:
-        """Return the probability, for each of some tracks, that it has the right name."""
+        """Compute for each track the probability that its identity is right."""
         by_number: dict[int, float] = {}
         for question in self._questions:
             order, shares = question.best()
@@ -235,7 +235,13 @@ class Names:
         return [by_number.get(track.number, track.certainty) for track in tracks]
 
     def _ask(self, meeting: Meeting, places: Floats, seconds: float) -> None:
-        """Ask which cell is on which track after a meeting, with the tracks at `places` (K, 3)."""
+        """Open the question which cell is on which track after a meeting.
+
+        Args:
+            meeting: The meeting, which ends.
+            places: x, y [um] and axis [rad] of each track, shape (K, 3).
+            seconds: The time [s].
+        """
         tracks = meeting.tracks
         table = self._meetings.log_densities(meeting, places, np.full(len(tracks), PLACE_SD))
         not_unknown = self._meetings.not_unknown(meeting, table)
@@ -274,14 +280,14 @@ class Names:
         return rows
 
     def _name_by(self, question: WhichIsWhich) -> None:
-        """Give the tracks of an open question names and filter rows by its likeliest answer."""
+        """Set the identities and filter rows of a question's tracks to its most probable answer."""
         order, _ = question.best()
         for t, track in enumerate(question.tracks):
             track.identity = question.members[order[t]].name
             track.row = int(question.rows[t, order[t]])
 
     def _end(self, question: WhichIsWhich) -> None:
-        """Settle a question by its likeliest answer."""
+        """Close a question with its most probable answer."""
         order, shares = question.best()
         probabilities = question.probabilities()
         self._name_by(question)
@@ -300,7 +306,7 @@ class Names:
         self._tell(question.tracks, float(probabilities.max()), names)
 
     def _doubt(self, track: CellTrack, fraction: float) -> None:
-        """Lower the certainty of a track's name to a share, since it was last together."""
+        """Multiply the certainty of a track's identity by a probability, and report this."""
         name_before = track.identity
         track.certainty *= fraction
         self._tell([track], fraction, [name_before])

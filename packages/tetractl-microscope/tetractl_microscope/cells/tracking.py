@@ -1,18 +1,20 @@
-"""Tracks cells through a sequence of pictures: assigns blobs to tracks and updates their states.
+"""Tracks cells through a sequence of images: assigns blobs to tracks and updates their states.
 
-Every object has a track. One that has not swum yet is a *speck*: its last motion says where it will
-be. A speck that swims becomes a *cell*, with a row in the filter, which predicts it given the known
-signal. `CellTracker.see` does these steps for each picture:
+Every object has a track. An object that has not yet swum is a *speck*, which is predicted by its
+last motion. A speck that swims becomes a *cell*, with a row in the filter, which predicts the cell
+for the known field. `CellTracker.see` performs these steps for each image:
 
-1. the filter predicts all cells to the picture's time, and the finder finds the blobs;
-2. `match` assigns blobs to tracks: each track has one blob or none; several cells may share one;
-3. `readings` are what the blobs say of the cells; they update the filter (`filter_update`);
-4. `names` decides which cell is which where cells shared a blob;
-5. `newcomers` follows specks by the blobs that no cell has; those that swim become cells;
-6. cells without a blob for too long end, and so do those that do not swim after all.
+1. the filter predicts all cells at the time of the image, and the finder finds the blobs;
+2. `match` assigns blobs to tracks: each track has one blob or none, and several cells may share
+   one;
+3. `readings` converts the blobs to measurements, which update the filter (`filter_update`);
+4. `names` infers which cell is which after cells have shared a blob;
+5. `newcomers` tracks specks by the blobs without a cell, and those that swim become cells;
+6. cells without a blob for too long are dropped, and so are those that do not swim after all.
 
-B is the number of blobs, K that of the cells in one blob. The place of a blob is x, y [um],
-axis [rad], length and width [um] (5,), that of a cell x, y [um] and axis [rad] (3,).
+B is the number of blobs, and K the number of cells in one blob. The place of a blob is x, y [um],
+axis [rad], length and width [um], shape (5,). The place of a cell is x, y [um] and axis [rad],
+shape (3,).
 """
 
 import bisect
@@ -99,16 +101,21 @@ class CellTracker:
 
     @property
     def born(self) -> Sequence[Born]:
-        """The cells recognised in the newest picture."""
+        """The cells that were recognised in the newest image."""
         return self._newcomers.born
 
     def see(self, picture: Grey, seconds: float, field: FieldPieces) -> list[SeenCell]:
-        """Return the cells in an image.
+        """Find and track the cells in an image.
+
+        Images must be given in the order of time, after the finder has learned the background.
 
         Args:
             picture: The image.
             seconds: Its time [s].
             field: Returns the field that acted since the previous image.
+
+        Returns:
+            The estimates of all cells that were seen recently.
         """
         now = self._now(picture, seconds)
         self._predict(now, field)
@@ -128,18 +135,21 @@ class CellTracker:
     # ---- step 1: cells are predicted, and blobs found ----
 
     def _now(self, picture: Grey, seconds: float) -> PictureNow:
-        """Return the time and size of a picture taken at a time [s]."""
+        """Describe the newest image: its time, the time since the previous one, and its size."""
         height, width = picture.shape
         passed_s = 0.0 if self._seconds is None else seconds - self._seconds
         return PictureNow(seconds, passed_s, self.um_px, height, width)
 
     def _predict(self, now: PictureNow, field: FieldPieces) -> None:
-        """Predict the cells' states from the picture before to the newest."""
+        """Predict the states of the cells from the previous image to the newest."""
         pieces = () if self._seconds is None else field(self._seconds, now.seconds)
         self.bank.predict(pieces)
 
     def _find_blobs(self, picture: Grey) -> list[Blob]:
-        """Return the blobs of a picture, after all objects were moved if a knock has shifted it."""
+        """Find the blobs of an image.
+
+        If a knock has shifted the image, all objects are moved with it.
+        """
         blobs = self.finder.find(picture)
         light = self.finder.light
         (shortest_um, _), _ = self.bank.organism.outline_um
@@ -151,7 +161,7 @@ class CellTracker:
         return [blob for blob in blobs if blob.long * self.um_px > shortest_um]
 
     def _shift(self, x: float, y: float) -> None:
-        """Move all objects by x, y [um], with the picture's content."""
+        """Move all objects by x and y [um], with the content of the image."""
         self.bank.mean[:, :2] += x, y
         self._newcomers.shift(x, y)
         for cell in self._cells:
@@ -162,7 +172,11 @@ class CellTracker:
     def _assign_blobs(
         self, blobs: Sequence[Blob], now: PictureNow
     ) -> tuple[list[CellsInBlob], list[FreeBlob]]:
-        """Give each track its blob; return the blobs that cells have, and those that none has."""
+        """Assign blobs to cells and specks.
+
+        Returns:
+            The blobs that have cells, each with its cells, and the blobs without a cell.
+        """
         cells = self._cells
         specks = self._newcomers.specks
         places = now.places_of(blobs)
@@ -211,7 +225,7 @@ class CellTracker:
     def _give_specks(
         self, assignment: match.Assignment, seen: Sequence[TrackBlob], now: PictureNow
     ) -> list[FreeBlob]:
-        """Give the specks their blobs; return all blobs that no cell has."""
+        """Give the specks their blobs, and return all blobs without a cell."""
         speck_of = {}
         for speck, blob in zip(self._newcomers.specks, assignment.of_specks, strict=True):
             if blob is None:
@@ -231,7 +245,8 @@ class CellTracker:
     def _update_cells(self, groups: Sequence[CellsInBlob], now: PictureNow) -> None:
         """Update the cells' states with their blobs, after all meetings of cells are known.
 
-        While it is a question which cell is on a track, the filter has other rows for the cell.
+        While it is an open question which cell is on a track, several rows of the filter are
+        updated.
         """
         for group in groups:
             if group.newest.is_shared:
@@ -258,7 +273,7 @@ class CellTracker:
             self._meet([cell], now)
 
     def _readings(self, group: CellsInBlob, now: PictureNow) -> list[BlobReading]:
-        """Return the measurements that a blob gives of its cells."""
+        """Convert a blob to the measurements of its cells."""
         body_um = self.bank.organism.body_um[0]
         if group.newest.is_shared:
             return shared_readings(group.cells, group.newest, group.expected, now, body_um)
@@ -269,11 +284,11 @@ class CellTracker:
     # ---- step 4: which cell is which ----
 
     def _meet(self, cells: Sequence[CellTrack], now: PictureNow) -> None:
-        """Note that cells are not distinguished, and whether another object may be with them."""
+        """Record that cells are not distinguished, and whether an unknown object may join them."""
         self._names.meet(cells, now.seconds, any(self._may_join(cell, now) for cell in cells))
 
     def _may_join(self, cell: CellTrack, now: PictureNow) -> bool:
-        """Decide whether an untracked object may be about to enter a cell's blob."""
+        """Check whether an untracked object may be about to enter a cell's blob."""
         if cell.is_new:
             return True
         body_um = self.bank.organism.body_um[0]
@@ -284,7 +299,7 @@ class CellTracker:
         return any(math.dist(speck, (x, y)) < FROM_BLOB * body_um for speck in specks)
 
     def _update_names(self, groups: Sequence[CellsInBlob], now: PictureNow) -> None:
-        """End the meetings of cells that are apart again, and the questions that are decided."""
+        """End the meetings of cells that are apart again, and close decided questions."""
         places: dict[int, Floats] = {}
         for group in groups:
             for cell in group.cells:
@@ -297,8 +312,8 @@ class CellTracker:
     def _end_cells(self, now: PictureNow) -> None:
         """Drop cells that have not been seen for long, have left the image, or do not swim.
 
-        A new cell does not swim if it has not swum far in the time that the slowest need for it.
-        Cells that have swum far enough are no longer new.
+        A new cell does not swim if it has not swum far enough in the time that the slowest cell
+        needs. Cells that have swum far enough are no longer new.
         """
         organism = self.bank.organism
         slowest_s = NEW * organism.body_um[0] / organism.slowest_um_s
@@ -321,7 +336,7 @@ class CellTracker:
         self._cells = remaining
 
     def _has_swum(self, cell: CellTrack) -> bool:
-        """Decide whether a cell has swum so far that it no longer counts as new."""
+        """Check whether a cell has swum far enough to be no longer new."""
         if cell.start is None:
             return True
         way_um = math.dist(cell.last.tolist(), cell.start.tolist())
@@ -346,7 +361,7 @@ class CellTracker:
         return rectangles
 
     def _shown(self, cells: Sequence[CellTrack], now: PictureNow) -> list[SeenCell]:
-        """Return the cells to show in the newest image."""
+        """Return the estimates of cells in the newest image."""
         rows = np.array([cell.row for cell in cells], int)
         places, _ = self.bank.expected(rows)
         means = self.bank.mean[rows]

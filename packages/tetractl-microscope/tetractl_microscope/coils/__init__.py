@@ -1,1 +1,1 @@
-"""A magnetic field from two orthogonal coil pairs: the common direction of the paper's cells."""
+"""Steers cells by the magnetic field of two orthogonal coil pairs."""

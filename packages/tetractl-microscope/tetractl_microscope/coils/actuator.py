@@ -42,9 +42,9 @@ class Requested:
     """Currents that were requested from the driver.
 
     Attributes:
-        currents: The currents.
+        currents: The currents in the x and y coils [A].
         sent_ns: When they were requested [ns].
-        held_until_ns: Until when the driver holds them [ns]. Then it lets them go to 0.
+        held_until_ns: Until when the driver holds them [ns]. They then fall to 0.
     """
 
     currents: Pair
@@ -53,17 +53,18 @@ class Requested:
 
 
 class FieldActuator:
-    """Turns N cells by one field; see `tetractl.core.protocols.Actuator`.
+    """Turns N cells with a common magnetic field; see `tetractl.core.protocols.Actuator`.
 
-    No cell can be held still: every transmission, even a stop, states that all cells move at their
-    own speed. A transmission's `outputs` are the currents requested from the driver, `current_x_a`
-    and `current_y_a` [A], and the field that they make, `field_mt` and `field_direction_rad`.
+    No cell can be stopped: every transmission, even a stop, reports that all cells move at their
+    own speed. The `outputs` of a transmission are the currents requested from the driver,
+    `current_x_a` and `current_y_a` [A], and the resulting field, `field_mt` [mT] and
+    `field_direction_rad` [rad].
 
     Args:
-        section: The fields of the actuator in the spec.
+        section: The actuator's section of the spec.
         setup: The constants of the experiment.
-        clock: The clock for times [ns].
-        ports: Creates the driver's port. None for a port of this computer.
+        clock: The clock for times.
+        ports: Creates the driver's serial port. None for `SerialPort`.
     """
 
     halts = False
@@ -96,7 +97,7 @@ class FieldActuator:
         self.driver.close()
 
     def settle(self, setup: Setup) -> None:
-        """Take turning rates and speeds from a new setup, made after the cells have been chosen."""
+        """Use the turning rates and speeds of a new setup, after a trial has chosen its cells."""
         self._a = setup.a
         self._speed = setup.speed
 
@@ -107,7 +108,7 @@ class FieldActuator:
 
     @property
     def failure(self) -> str | None:
-        """The reason why the driver no longer makes a field. None while it does."""
+        """The reason why the driver no longer makes a field. None if it does."""
         return self.driver.failure
 
     def send(
@@ -119,8 +120,8 @@ class FieldActuator:
     ) -> Transmission:
         """Turn the field to a direction, as far as the slew limit allows; see `Actuator.send`.
 
-        The currents (x, y) change along a straight line, so a field that turns by half a circle
-        becomes 0 in between.
+        The currents (x, y) change along a straight line, so the strength of a field that turns by
+        half a circle passes through 0.
         """
         if isinstance(action, Turn):
             raise AbortError("cells cannot turn on the spot")
@@ -143,11 +144,15 @@ class FieldActuator:
         return self._transmission(action, sent_ns, (x_ma / 1000, y_ma / 1000), headings)
 
     def stop(self, emergency: bool = False) -> Transmission:
-        """Switch the field off: both currents go to 0 at the slew limit, and the cells swim on.
+        """Switch the field off. Both currents fall to 0 at the slew limit, and the cells swim on.
 
-        Three frames are sent, so that a damaged one does not lose the stop. After an `emergency`
-        stop the driver makes no field until it is switched off and on.
-        AbortError if the port has failed.
+        Three frames are sent, so that a damaged frame does not lose the stop.
+
+        Args:
+            emergency: Whether the driver must make no field until it is power-cycled.
+
+        Raises:
+            AbortError: If the port has failed.
         """
         with self._lock:
             currents = self._now(self._clock.now())
@@ -159,11 +164,11 @@ class FieldActuator:
         return self._transmission(Stop(), sent_ns, OFF, no_turning)
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Return one status per cell, with `answers` None, since cells cannot be polled."""
+        """Return one status per cell, with `answers` None, because cells cannot be polled."""
         return [RobotStatus(answers=None)] * len(self._a)
 
     def check(self) -> Health:
-        """Switch the field off; return problems, warnings and facts of the driver."""
+        """Switch the field off, and check the driver; see `inspect`."""
         try:
             reply = self.driver.ask()
         except AbortError as error:
@@ -175,13 +180,14 @@ class FieldActuator:
         return self.section.slew_max_a_s * passed_ns / SECOND
 
     def _now(self, now_ns: int) -> Pair:
-        """Return the driver's set points [A] at a time [ns]; without commands they fall to 0."""
+        """Compute the driver's set points [A] at a time [ns]. Without commands, they fall to 0."""
         falling_ns = max(0, now_ns - self._requested.held_until_ns)
         return approach(self._requested.currents, OFF, self._room(falling_ns))
 
     def _transmission(
         self, action: Action, sent_ns: int, currents: Pair, headings: Floats
     ) -> Transmission:
+        """Describe a transmission: the field of the currents [A], and how it turns each cell."""
         x_mt, y_mt = self.coils.field(currents)
         strength = float(np.hypot(x_mt, y_mt))
         towards = float(np.arctan2(y_mt, x_mt))
@@ -206,9 +212,12 @@ def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -
     """Check the driver's reply before a run.
 
     Args:
-        reply: The reply. None if the driver is silent.
-        section: The section of the field.
+        reply: The reply. None if the driver does not reply.
+        section: The actuator's section of the spec.
         wanted_mt: The field strength that is needed [mT].
+
+    Returns:
+        Problems that prevent a run, warnings, and facts about the driver for the log.
     """
     if reply is None:
         where = f"{section.port} at {section.baud} baud"
@@ -263,9 +272,11 @@ def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -
 def stop_all(section: FieldSection, setup: Setup, clock: Clock, alone: bool) -> str:
     """Switch the field off until the driver is power-cycled; see `ActuatorSection.stop_all`.
 
-    It sends ten stops within 200 ms. It raises AbortError if the driver does not reply that it is
-    stopped. If not `alone`, another process may have the port open and take the replies, so no
-    reply is expected.
+    Ten stops are sent within 200 ms. If `alone` is False, another process may have the port open
+    and take the replies, so no reply is expected.
+
+    Raises:
+        AbortError: If the driver does not reply that it is stopped.
     """
     actuator = FieldActuator(section, setup, clock)
     driver = actuator.driver
@@ -286,4 +297,5 @@ def stop_all(section: FieldSection, setup: Setup, clock: Clock, alone: bool) -> 
 
 
 def _holding(lines: dict[str, bool]) -> tuple[str, ...]:
+    """Return the messages whose condition holds."""
     return tuple(text for text, holds in lines.items() if holds)

@@ -1,10 +1,11 @@
-"""The current driver on a serial port: packs numbered command frames and reads the replies.
+"""The current driver on a serial port: encodes numbered commands, and decodes the replies.
 
-The bytes of a command: 0x53, sequence, flags, i16 x, i16 y [mA], CRC. The bytes of a reply, sent
-only when polled: 0x54, sequence, status, version, i16 measured x, i16 measured y [mA], u16 supply
-[mV], i16 temperature [0.1 degrees Celsius], u16 frames received, u16 frames rejected, u16 greatest
-current [mA], u32 greatest slew [mA/s], u16 watchdog [ms], CRC. All numbers are little-endian;
-`cobs.frame_with_crc` makes the frames. `firmware/field_core.c` is the driver's side.
+The bytes of a command: 0x53, sequence, flags, i16 x, i16 y [mA], CRC. The bytes of a reply, which
+is sent only if it is polled: 0x54, sequence, status, version, i16 measured x, i16 measured y [mA],
+u16 supply [mV], i16 temperature [0.1 degrees Celsius], u16 frames received, u16 frames rejected,
+u16 maximum current [mA], u32 maximum slew rate [mA/s], u16 watchdog [ms], CRC. All numbers are
+little-endian. `cobs.frame_with_crc` creates the frames. `firmware/field_core.c` is the driver's
+side.
 """
 
 import struct
@@ -27,7 +28,7 @@ _REPLY = struct.Struct("<BBBBhhHhHHHIH")
 
 
 class DriverStatus(IntFlag):
-    """Status flags of the driver."""
+    """Status flags in the driver's reply."""
 
     RUNNING = 1  # the last frame set the run flag
     EMERGENCY_STOPPED = 2
@@ -38,7 +39,14 @@ class DriverStatus(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class FieldCommand:
-    """The currents of both coil pairs [mA]; the driver ignores them without `Flag.RUN`."""
+    """A command to the driver. The driver ignores the currents without `Flag.RUN`.
+
+    Attributes:
+        sequence: Number of the command, modulo 256.
+        flags: Flags of the command.
+        x_ma: Current of the x coils [mA].
+        y_ma: Current of the y coils [mA].
+    """
 
     sequence: int
     flags: Flag
@@ -51,18 +59,18 @@ class FieldReply:
     """The driver's reply to a poll.
 
     Attributes:
-        sequence: Copied from the command that polled it.
-        status: The driver's status.
+        sequence: Number of the command that polled it.
+        status: Status flags.
         version: Version of the protocol.
         x_ma: Measured current of the x coils [mA].
         y_ma: Measured current of the y coils [mA].
-        supply_mv: Voltage of the supply [mV]. 0 if unknown.
-        temperature_dc: Temperature in tenths of a degree Celsius. `UNKNOWN_TEMPERATURE` if unknown.
-        received: Number of frames with a right CRC, modulo 65536.
+        supply_mv: Supply voltage [mV]. 0 if unknown.
+        temperature_dc: Temperature [0.1 degrees Celsius]. UNKNOWN_TEMPERATURE if unknown.
+        received: Number of frames with a correct CRC, modulo 65536.
         rejected: Number of frames with a wrong CRC, modulo 65536.
-        current_max_ma: The driver's limit of a current [mA].
-        slew_ma_s: The driver's limit of a change of a current [mA/s].
-        watchdog_ms: Time without a frame after which its watchdog switches the field off [ms].
+        current_max_ma: The driver's limit of each current [mA].
+        slew_ma_s: The driver's limit of a current's rate of change [mA/s].
+        watchdog_ms: Time without a frame after which the driver switches the field off [ms].
     """
 
     sequence: int
@@ -80,19 +88,27 @@ class FieldReply:
 
 
 def encode_command(command: FieldCommand) -> bytes:
-    """Pack a command, including the closing byte 00."""
+    """Encode a command, including the closing byte 00."""
     checked_flags(command.flags)
     return pack_fields(_COMMAND, COMMAND, *astuple(command))
 
 
 def decode_command(frame: bytes) -> FieldCommand:
-    """Read a command, given without the closing byte 00."""
+    """Decode a command, given without the closing byte 00.
+
+    Raises:
+        WireError: If the frame is not a valid command.
+    """
     sequence, flags, x_ma, y_ma = unpack_fields(_COMMAND, COMMAND, frame)
     return FieldCommand(sequence, checked_flags(flags), x_ma, y_ma)
 
 
 def decode_reply(frame: bytes) -> FieldReply:
-    """Read a reply, given without the closing byte 00; ignore unknown status bits."""
+    """Decode a reply, given without the closing byte 00. Unknown status bits are ignored.
+
+    Raises:
+        WireError: If the frame is not a valid reply.
+    """
     sequence, status, *rest = unpack_fields(_REPLY, REPLY, frame)
     return FieldReply(sequence, DriverStatus(status & 31), *rest)
 
@@ -131,7 +147,7 @@ class Driver:
 
     @property
     def failure(self) -> str | None:
-        """The reason why the driver no longer makes a field. None while it does."""
+        """The reason why the driver no longer makes a field. None if it does."""
         newest = self.newest
         now_ns = self._clock.now()
         if self._port.failure is not None:
@@ -147,20 +163,23 @@ class Driver:
 
     @property
     def is_emergency_stopped(self) -> bool:
-        """Whether the newest reply says that the driver makes no field until it is switched off."""
+        """Whether the newest reply reports an emergency stop, which lasts until a power cycle."""
         newest = self.newest
         return newest is not None and DriverStatus.EMERGENCY_STOPPED in newest.status
 
     def open(self, alone: bool = True) -> None:
-        """Open the port, exclusively if `alone`.
+        """Open the port.
+
+        Args:
+            alone: Whether to open it exclusively.
 
         Raises:
-            AbortError: If that is not possible.
+            AbortError: If the port cannot be opened.
         """
         self._port.open(alone)
 
     def send(self, flags: Flag, x_ma: int = 0, y_ma: int = 0) -> int:
-        """Send a command that also polls, and return when it was sent [ns].
+        """Send a command, which also polls the driver.
 
         After an emergency stop, all commands are emergency stops.
 
@@ -168,6 +187,9 @@ class Driver:
             flags: Flags of the command.
             x_ma: Current of the x coils [mA].
             y_ma: Current of the y coils [mA].
+
+        Returns:
+            When it was sent [ns].
 
         Raises:
             AbortError: If sending fails.
@@ -183,7 +205,7 @@ class Driver:
         return sent_ns
 
     def ask(self) -> FieldReply | None:
-        """Switch the field off, and poll up to five times.
+        """Switch the field off, and poll the driver up to five times.
 
         It waits 0.1 s for each reply.
 
@@ -207,10 +229,11 @@ class Driver:
         return None
 
     def close(self) -> None:
-        """Close the port; may be called twice, never raises."""
+        """Close the port. This method can be called repeatedly and never raises."""
         self._port.close()
 
     def _answered(self, sequence: int) -> bool:
+        """Check whether the newest reply answers the command with this number."""
         return self.newest is not None and self.newest.sequence == sequence
 
     def _hear(self, data: bytes, now_ns: int) -> None:

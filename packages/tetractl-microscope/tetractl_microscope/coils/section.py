@@ -66,9 +66,15 @@ class CoilsSection(Model):
     """Angle from the spec's x axis to the x pair's axis [rad]."""
 
     def reach(self, direction: float, current_max_a: float) -> float:
-        """Compute the maximum field strength [mT] in a direction [rad] with limited currents [A].
+        """Compute the maximum field strength in a direction.
 
-        The limit must be high enough to cancel the ambient field.
+        Args:
+            direction: Direction of the field [rad].
+            current_max_a: Limit of each current [A]. It must be high enough to cancel the ambient
+                field.
+
+        Returns:
+            The strength [mT].
         """
         strength = math.inf
         for axis, pair in zip(self._axes(direction), (self.x, self.y), strict=True):
@@ -79,19 +85,23 @@ class CoilsSection(Model):
         return strength
 
     def least_reach(self, current_max_a: float) -> float:
-        """Return the strength [mT] that currents up to a limit [A] reach in every direction."""
+        """Compute the field strength [mT] that can be reached in every direction.
+
+        Args:
+            current_max_a: Limit of each current [A].
+        """
         pairs = self.x, self.y
         return min(abs(pair.gain_mt_a) * current_max_a - abs(pair.offset_mt) for pair in pairs)
 
     def currents(self, direction: float, strength: float, current_max_a: float) -> Pair:
-        """Compute the currents for a field [A].
+        """Compute the coil currents (x, y) [A] for a field.
 
-        If a current would exceed the limit, the strength is reduced and the direction kept.
+        If a current would exceed the limit, the strength is reduced and the direction is kept.
 
         Args:
             direction: Direction of the field [rad].
             strength: Strength of the field [mT].
-            current_max_a: Maximum current [A].
+            current_max_a: Limit of each current [A].
         """
         strength = min(strength, self.reach(direction, current_max_a))
         along_x, along_y = self._axes(direction)
@@ -103,7 +113,7 @@ class CoilsSection(Model):
         )
 
     def field(self, currents: Pair) -> Pair:
-        """Return the field [mT], in the spec's axes, that the two coil currents [A] make."""
+        """Compute the field (x, y) [mT] of the coil currents (x, y) [A], along the spec's axes."""
         pairs = zip((self.x, self.y), currents, strict=True)
         x, y = (pair.offset_mt + pair.gain_mt_a * current for pair, current in pairs)
         cos = math.cos(self.rotation)
@@ -111,7 +121,7 @@ class CoilsSection(Model):
         return cos * x - sin * y, sin * x + cos * y
 
     def _axes(self, direction: float) -> Pair:
-        """Return the unit vector along a direction [rad], as components in the coils' axes."""
+        """Return the unit vector along a direction [rad], in the coils' axes."""
         return math.cos(direction - self.rotation), math.sin(direction - self.rotation)
 
 
@@ -156,7 +166,7 @@ class FieldSection(ActuatorSection):
         return self
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield what contradicts the spec's field."""
+        """Yield the location and a message for each contradiction with the spec's strength."""
         if setup.strength is not None and setup.strength_unit != "mT":
             yield (), f"coils make a field in mT, not in {setup.strength_unit}"
         if setup.strength is None and self.strength_mt is None:
@@ -165,17 +175,29 @@ class FieldSection(ActuatorSection):
             yield ("strength_mt",), "is stated by the spec's strength already; remove one of them"
 
     def reference_mt(self, setup: Setup) -> float:
-        """Return the field strength [mT] at which cells turn at the rates of a setup."""
+        """Return the field strength at which cells turn at the setup's rates [mT].
+
+        NaN if unknown.
+        """
         return setup.strength or self.strength_mt or math.nan
 
     def require_port(self) -> None:
-        """Raise AbortError if the current driver's port does not exist."""
+        """Check that the serial port of the driver exists.
+
+        Raises:
+            AbortError: If it does not exist.
+        """
         from tetractl.lab.serial_port import require_port
 
         require_port(self.port, "the current driver")
 
     def bounds(self) -> dict[str, str]:
-        """Return the driver's port and rate and the current limit as {name: text}, for display."""
+        """Describe the driver and its limits for display.
+
+        Returns:
+            Two entries: "current driver" maps to the port and the command rate, and "coil currents"
+            to the maximum current.
+        """
         return {
             "current driver": f"{self.port}, {self.rate:g} commands per second",
             "coil currents": f"at most {self.current_max_a:g} A",

@@ -1,4 +1,4 @@
-"""The `apriltag` camera: tracks robots by their tags and reports problems, warnings and facts."""
+"""The `apriltag` camera: it tracks robots by their tags, and checks tags, floor and lens."""
 
 import math
 import statistics
@@ -36,7 +36,8 @@ class Seen:
 
     Attributes:
         poses: Pose of each robot. None if it is untracked.
-        strangers: Poses of unknown tags, computed as if they were on the floor.
+        unknown_objects: Poses of tags that are not in the spec, computed as if they were on the
+            floor.
         tags: The numbers of all tags, repeated if a tag is seen several times.
         sizes: For each robot, the measured side of its tag relative to `size_mm`. None if not seen.
         blur: Maximum blur of an edge of the robots' and floor tags [modules: eighths of a tag's
@@ -71,10 +72,10 @@ class Tracker:
         self.floor = Floor(section.floor, metres, section.lens, highest)
 
     def see(self, picture: Grey) -> Seen:
-        """Return the tags and poses found in a grey picture (height, width).
+        """Find the tags in a grey image (height, width), and compute the poses of the robots.
 
-        If a number is seen on two tags, both are ignored: the robot with this tag is not tracked,
-        or the floor tag is not used.
+        If a number is seen on two tags, both are ignored: the robot with this tag is untracked, or
+        the floor tag is not used.
         """
         sightings = self._detector.find(picture)
         counts = Counter(sighting.tag for sighting in sightings)
@@ -95,6 +96,11 @@ class Tracker:
     def _robot(
         self, robot: RobotTag, sighting: Sighting | None
     ) -> tuple[Pose | None, float | None]:
+        """Compute a robot's pose, and the measured side of its tag relative to `size_mm`.
+
+        The pose is None if the tag is not seen or has the wrong size. The size is None if the tag
+        is not seen.
+        """
         plane = self.floor.plane
         if sighting is None or plane is None:
             return None, None
@@ -112,6 +118,7 @@ class Tracker:
         return pose, size
 
     def _unknown_tags(self, sightings: Sequence[Sighting]) -> tuple[Pose, ...]:
+        """Compute the poses of tags that are not in the spec, as if they were on the floor."""
         plane = self.floor.plane
         if plane is None:
             return ()
@@ -119,7 +126,11 @@ class Tracker:
         return tuple(self._posed(plane.locate(sighting.corners), 0.0)[0] for sighting in unknown)
 
     def _posed(self, corners: Floats, heading_offset: float) -> tuple[Pose, float]:
-        """Return pose and side [m] of the square that fits the corners (4, 2) [m] best."""
+        """Fit a square to four corners, shape (4, 2) [m].
+
+        Returns:
+            Its pose, and the length of its side [m].
+        """
         x, y = corners.mean(axis=0) / self._metres
         fit = np.vdot(_MODEL, corners[:, 0] + 1j * corners[:, 1]) / np.vdot(_MODEL, _MODEL).real
         heading = math.atan2(fit.imag, fit.real) + heading_offset
@@ -141,6 +152,7 @@ Finding = tuple[bool, str]
 def _findings(
     section: AprilTagSection, tracker: Tracker, searches: Sequence[PictureSearch[Seen]]
 ) -> Iterator[Finding]:
+    """Yield the problems and warnings about the tags in the newest images."""
     counts = Counter(tag for search in searches for tag in set(search.result.tags))
     # a tag seen in fewer than half of the pictures counts as not seen
     shown_tags = sorted(tag for tag, n in counts.items() if n >= 0.5 * len(searches))
@@ -176,7 +188,7 @@ def _findings(
 
 
 def _calibrated(section: AprilTagSection, plane: Plane) -> Iterator[Finding]:
-    """Say how well the floor tags fit their places, and determine the lens."""
+    """Yield the problems and warnings about the positions of the floor tags and the lens."""
     if not plane.worst_mm <= MISPLACED_MM:  # true for NaN, too
         yield (
             not plane.worst_mm <= MISFIT_MM,
@@ -192,30 +204,35 @@ def _calibrated(section: AprilTagSection, plane: Plane) -> Iterator[Finding]:
 
 
 def _is_unexplained(ratio: float, side_px: float, size_mm: float, distance_mm: float) -> bool:
-    """Decide whether the size of a robot's tag is unexplained by noise, print scale and tag height.
+    """Decide whether neither noise, print scale nor tag height explains the size of a robot's tag.
 
-    `ratio` is the measured side divided by `size_mm`, `side_px` the side in the picture [px], and
-    `distance_mm` how far the camera is above the tag [mm].
+    Args:
+        ratio: The measured side divided by `size_mm`.
+        side_px: The side in the image [px].
+        size_mm: The side in the spec [mm].
+        distance_mm: Height of the camera above the tag [mm].
     """
     noise = CORNER_PX / math.sqrt(2) / side_px  # of a side that is fitted to four corners
     return abs(ratio - 1) > SURE * noise + RULER_MM / size_mm + HEIGHT_MM / distance_mm
 
 
 def _tags(numbers: Sequence[int]) -> str:
+    """Format tag numbers as the subject of a sentence: "tag 3 is", or "tags 3, 4 are"."""
     if len(numbers) > 1:
         return f"tags {_listed(numbers)} are"
     return f"tag {_listed(numbers)} is"
 
 
 def _listed(numbers: Sequence[int]) -> str:
+    """Join tag numbers with commas. "none" if there are none."""
     return ", ".join(map(str, numbers)) or "none"
 
 
 class AprilTagCamera(PictureCamera[Seen]):
-    """Tracks N robots by their tags; a `Camera`.
+    """Tracks N robots by their tags; see `tetractl.core.protocols.Camera`.
 
-    A robot is not tracked (None) while its tag is not seen, is seen twice, or has the wrong size.
-    No robot is tracked before the floor tags have calibrated the camera.
+    A robot is untracked while its tag is not seen, is seen twice, or has the wrong size. No robot
+    is tracked before the floor tags have calibrated the camera.
 
     Args:
         section: The fields of the camera in the spec.
@@ -238,7 +255,7 @@ class AprilTagCamera(PictureCamera[Seen]):
         self._tracker = Tracker(section, setup.names, setup.metres)
 
     def _health(self, searches: Sequence[PictureSearch[Seen]]) -> Health:
-        """Return problems, warnings and facts of floor and tags."""
+        """Check the floor, the tags and the lens: problems, warnings and facts."""
         section = self.section
         floor = self._tracker.floor
         problems: list[str] = []
@@ -263,4 +280,5 @@ class AprilTagCamera(PictureCamera[Seen]):
         return Health(tuple(problems), tuple(warnings), facts)
 
     def _see(self, picture: Grey, exposed_ns: int) -> Seen:
+        """Find the robots' tags in an image."""
         return self._tracker.see(picture)

@@ -1,8 +1,8 @@
-"""Finds tags of the family 36h11 in a grey picture by OpenCV; draws the picture of a tag.
+"""Finds AprilTags of the family 36h11 in a grey image with OpenCV, and draws tags.
 
-Corners are refined: each side of the black square is fitted by a line where the grey level changes
-most, and neighbouring lines are intersected. A side has many more pixels than a corner, so the
-corners are several times more accurate than those of OpenCV's own refinements
+The corners are refined: a line is fitted to each side of the black square, where the grey level
+changes most, and neighbouring lines are intersected. A side has many more pixels than a corner, so
+the corners are several times more accurate than those of OpenCV's own refinements
 (benchmarks/apriltag.py).
 """
 
@@ -43,7 +43,7 @@ class Sighting:
 
 
 class Detector:
-    """Finds black squares, reads their modules, and refines the corners of tags."""
+    """Finds AprilTags in an image, and refines their corners."""
 
     def __init__(self) -> None:
         parameters = cv2.aruco.DetectorParameters()
@@ -57,7 +57,7 @@ class Detector:
         self._top_left = _top_left_corner(self._detector)
 
     def find(self, picture: Grey) -> list[Sighting]:
-        """Return every tag in the picture; two tags with the same number are both returned."""
+        """Find all tags in an image. If two tags have the same number, both are returned."""
         # narrow pictures are enlarged, as a module is often too small to be read
         factor = 2 if picture.shape[1] < 1000 else 1
         searched = picture
@@ -77,7 +77,11 @@ class Detector:
 
 
 def tag_picture(number: int) -> Grey:
-    """Return a tag as printed by the AprilTag project, one pixel per module, (8, 8), 0 or 255."""
+    """Draw a tag as printed by the AprilTag project.
+
+    Returns:
+        One pixel per module, shape (8, 8), 0 or 255.
+    """
     drawn = [np.rot90(_drawn(0), k) for k in range(4)]
     printed = _zero()
     turns = next(k for k in range(4) if np.array_equal(drawn[k], printed))
@@ -96,15 +100,17 @@ def _top_left_corner(detector: cv2.aruco.ArucoDetector) -> int:
 
 
 def _family() -> cv2.aruco.Dictionary:
+    """Return OpenCV's dictionary of the family 36h11."""
     return cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
 
 
 def _drawn(number: int) -> Grey:
-    """Return a tag as drawn by OpenCV, which may be rotated."""
+    """Draw a tag with OpenCV. It may be rotated relative to the AprilTag project's images."""
     return cv2.aruco.generateImageMarker(_family(), number, MODULES).astype(np.uint8)
 
 
 def _zero() -> Grey:
+    """Draw the AprilTag project's tag 0, one pixel per module, shape (8, 8)."""
     inside = [ZERO >> (35 - k) & 1 for k in range(36)]
     return np.pad(255 * np.array(inside, np.uint8).reshape(6, 6), 1)
 
@@ -120,13 +126,13 @@ def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[
 
     Args:
         picture: The image.
-        corners: Rough corners [px], shape (T, 4, 2), clockwise round a dark square.
-        modules: Number of modules on each side of the square.
+        corners: Rough corners, clockwise round a dark square [px], shape (T, 4, 2).
+        modules: Number of modules along each side of the square.
 
     Returns:
-        The refined corners [px], or the rough ones if a tag's sides cannot be found. Then the blurs
-        (T,) [px]: the standard deviation of the Gaussian that blurs a step to the width of the
-        sides.
+        The refined corners, shape (T, 4, 2) [px]. A tag whose sides cannot be found keeps its rough
+        corners. Then the blurs, shape (T,) [px]: the standard deviation of the Gaussian that blurs
+        a step to the width of the sides.
     """
     rough = corners
     blur = np.zeros(len(corners))
@@ -159,7 +165,7 @@ def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[
 
 
 def _sampled(picture: NDArray[np.uint8], points: Floats) -> Floats:
-    """Return the interpolated grey levels (..., M) at columns and rows (..., M, 2)."""
+    """Interpolate the grey levels (..., M) of an image at columns and rows (..., M, 2)."""
     flat = points.reshape(-1, points.shape[-2], 2).astype(np.float32)
     across = flat[..., 0].copy()
     down = flat[..., 1].copy()

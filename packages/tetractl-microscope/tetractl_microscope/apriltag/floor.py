@@ -1,13 +1,13 @@
-"""Calibrates the camera by the floor tags, and converts pixels to positions above the floor.
+"""Calibrates the camera with the floor tags, and converts pixels to positions above the floor.
 
 The camera is a pinhole with square pixels: it shows the point X at the pixel x = K (R X + t), up to
-scale. Once distortion is removed, a pixel defines a ray; a tag at height h is where its ray meets
-the plane z = h. On the floor, this mapping is the homography; above the floor it corrects the
-parallax.
+scale. Once distortion is removed, a pixel defines a ray. A tag at the height h is where its ray
+meets the plane z = h. On the floor, this mapping is the homography. Above the floor, it corrects
+the parallax.
 
-A lens in the spec is used unchanged. If the spec has no lens, the principal point is the picture's
-middle, and the focal length f and one coefficient of distortion, k1, are fitted together with the
-camera's pose. The usual values of lenses are priors of the fit: if the camera looks straight down,
+A lens in the spec is used unchanged. If the spec has no lens, the principal point is the middle of
+the image, and the focal length f and one distortion coefficient, k1, are fitted together with the
+camera's pose. The usual values of lenses are priors of the fit. If the camera looks straight down,
 every f fits equally well, and the prior decides.
 """
 
@@ -64,9 +64,14 @@ class Plane:
         return -float(self.rotation[:, 2] @ self.shift) / MM
 
     def locate(self, pixels: Floats, height: Floats | float = 0.0) -> Floats:
-        """Return the positions (..., 2) [m] of pixels (..., 2) at a `height` above the floor [m].
+        """Convert pixels to positions at a height above the floor.
 
-        `height` is broadcast against the leading dimensions of `pixels`.
+        Args:
+            pixels: The pixels, shape (..., 2).
+            height: The height [m]. Broadcast against the leading dimensions of `pixels`.
+
+        Returns:
+            The positions, shape (..., 2) [m].
         """
         flat = pixels.reshape(-1, 1, 2)
         rays = cv2.undistortPoints(flat, self.matrix, self.distortion).reshape(pixels.shape)
@@ -100,7 +105,7 @@ class Plane:
         return min(stances, key=lambda stance: stance[1], default=None)
 
     def _upright(self, turn: Floats, shift: Floats) -> tuple[float, float]:
-        """Return a tag's height above the floor [m] and tilt [rad] from its pose in camera axes."""
+        """Convert a tag's pose in camera axes to height above the floor [m] and tilt [rad]."""
         place = self.rotation.T @ (shift.ravel() - self.shift.ravel())
         upward = self.rotation.T @ cv2.Rodrigues(turn)[0][:, 2]
         tilt = np.arccos(np.clip(upward[2], -1.0, 1.0))
@@ -108,7 +113,7 @@ class Plane:
 
 
 def placed(tag: FloorTag, metres: float) -> Floats:
-    """Return the corners of a floor tag in the spec's axes, (4, 2) [m]."""
+    """Compute the corners of a floor tag in the spec's axes, shape (4, 2) [m]."""
     cos = np.cos(tag.heading)
     sin = np.sin(tag.heading)
     turned = SQUARE @ np.array([(cos, sin), (-sin, cos)])
@@ -122,11 +127,11 @@ def calibrated(
     lens: Lens | None = None,
     highest: float = 0.0,
 ) -> Plane:
-    """Find the camera that sees the corners of floor tags where they are seen.
+    """Calibrate a camera: find the pose and the lens with which it sees the floor tags.
 
     Args:
         pixels: Corners of F floor tags in the image [px], shape (F, 4, 2).
-        places: Their positions on the floor [m], shape (F, 4, 2).
+        places: Positions of these corners on the floor [m], shape (F, 4, 2).
         size: Width and height of the image [px].
         lens: The lens. None if it is unknown and must be fitted.
         highest: Maximum height of a robot's tag above the floor [m].
@@ -156,13 +161,18 @@ def calibrated(
 
 
 def _matrix(focal: float, centre: Sequence[float]) -> Floats:
+    """Return the camera matrix K for a focal length and a principal point [px]."""
     return np.array([[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]])
 
 
 def _lens_of(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, Floats]:
-    """Return K and the distortion of a lens.
+    """Compute the camera matrix K and the distortion of a lens.
 
-    `usual` (2,) are log(f / width) and k1, each divided by its prior's standard deviation.
+    Args:
+        usual: log(f / width) and k1, each divided by the standard deviation of its prior, shape
+            (2,).
+        width: Width of the image [px].
+        middle: Principal point [px].
     """
     # standard deviations among lenses, of log(f / width): 40 to 70 degrees of view, and of k1
     focal = width * math.exp(0.35 * usual[0])
@@ -171,9 +181,13 @@ def _lens_of(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats
 
 
 def _posed(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) -> Plane:
-    """Find the pose of a camera with a known lens.
+    """Find the pose of a camera with a known lens from points on the floor.
 
-    It sees the floor positions `spots` (M, 2) [m] at the pixels `points` (M, 2).
+    Args:
+        matrix: The camera matrix K, shape (3, 3).
+        distortion: OpenCV's distortion coefficients.
+        points: Pixels of the points, shape (M, 2).
+        spots: Positions of the points on the floor, shape (M, 2) [m].
     """
     _, turn, shift = cv2.solvePnP(_flat(spots), points, matrix, distortion)
     rotation, _ = cv2.Rodrigues(turn)
@@ -184,14 +198,18 @@ def _posed(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) ->
 def _fitted(
     points: Floats, spots: Floats, width: int, middle: Sequence[float]
 ) -> tuple[Floats, Floats]:
-    """Fit the most probable lens of a camera.
+    """Fit the most probable lens of a camera from points on the floor.
 
-    The camera sees the floor positions `spots` (M, 2) [m] at the pixels `points` (M, 2).
+    Args:
+        points: Pixels of the points, shape (M, 2).
+        spots: Positions of the points on the floor, shape (M, 2) [m].
+        width: Width of the image [px].
+        middle: Principal point [px].
 
     Returns:
-        log(f / width) and k1 (2,), and their standard deviations (2, 2), all divided by the priors'
-        standard deviations. Each row of the second array is one standard deviation along an axis of
-        the error ellipse.
+        log(f / width) and k1, shape (2,), and their standard deviations, shape (2, 2), all divided
+        by the standard deviations of the priors. Each row of the second array is one standard
+        deviation along an axis of the error ellipse.
     """
     start = _posed(*_lens_of(np.zeros(2), width, middle), points, spots)
     turn, _ = cv2.Rodrigues(start.rotation)
@@ -211,7 +229,7 @@ def _fitted(
 
 
 def _flat(spots: Floats) -> Floats:
-    """Return points on the floor (M, 2) as points in space (M, 3)."""
+    """Convert points on the floor (M, 2) to points in space (M, 3)."""
     return np.column_stack([spots, np.zeros(len(spots))])
 
 

@@ -1,12 +1,12 @@
-"""A camera that finds robots in the pictures of a webcam, a microscope or a film.
+"""Base class of cameras that find robots in the images of a webcam, a microscope or a film.
 
-A search may take longer than the time between two pictures. Two threads therefore work: "pictures"
-reads the source and puts each picture into a queue of one place (`PictureQueue`), and "finding"
-takes it from there, searches it, and adds the result to `PictureSearches`. The program's own thread
-asks for frames. These two are all that the threads share, and each has a lock of its own. In
-virtual time there is no thread: the source in memory calls the search with each picture.
+A search can take longer than the time between two images. Two threads therefore work: "pictures"
+reads the source and puts each image into a queue that holds one image (`PictureQueue`), and
+"finding" takes it from there, searches it, and adds the result to `PictureSearches`. The program's
+own thread asks for frames. The threads share only these two objects, each of which has its own
+lock. In virtual time, there is no thread: the source in memory calls the search with each image.
 
-A live source does not wait: a picture that is still in the queue is replaced by the next one.
+A live source does not wait: an image that is still in the queue is replaced by the next one.
 """
 
 import threading
@@ -42,11 +42,11 @@ Join = Callable[[Callable[[bytes], None]], Feed]
 
 
 class PictureResult(Protocol):
-    """What a search found in one picture: poses of the robots and of other objects."""
+    """The poses that a search found in one image."""
 
     @property
     def poses(self) -> tuple[Pose | None, ...]:
-        """The robots' poses, one per robot, None if not tracked."""
+        """The pose of each robot. None for an untracked robot."""
         ...
 
     @property
@@ -60,16 +60,17 @@ R = TypeVar("R", bound=PictureResult)
 
 @dataclass(frozen=True, slots=True)
 class NumberedPicture:
-    """A picture and its number in the source, from 1 on."""
+    """An image and its number in the source, counted from 1."""
 
     number: int
     picture: Picture
 
 
 class PictureQueue:
-    """The one picture that waits to be searched; one thread puts pictures, another takes them.
+    """A queue that holds one image; one thread puts images into it, another takes them out.
 
-    `skipped` counts pictures of a live source that were replaced before they were searched.
+    Attributes:
+        skipped: Number of images of a live source that were replaced before they were searched.
     """
 
     def __init__(self) -> None:
@@ -93,7 +94,11 @@ class PictureQueue:
             self._changed.notify_all()
 
     def take(self) -> NumberedPicture | None:
-        """Wait for an image and return it. None once the queue is closed."""
+        """Wait for an image, and remove it from the queue.
+
+        Returns:
+            The image. None once the queue is closed.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._waiting is not None or self._closed)
             if self._closed:
@@ -104,7 +109,7 @@ class PictureQueue:
             return picture
 
     def close(self) -> None:
-        """End every wait, now and later."""
+        """Close the queue, which ends all present and later waits."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -135,7 +140,7 @@ class PictureSearches(Generic[R]):
         self._last: deque[PictureSearch[R]] = deque(maxlen=KEPT_SEARCHES)
 
     def add(self, frame: CameraFrame, search: PictureSearch[R]) -> None:
-        """Add what was found in a picture."""
+        """Add a frame and the search that found it."""
         with self.changed:
             self._frames.append((frame, search.result))
             self._last.append(search)
@@ -149,16 +154,16 @@ class PictureSearches(Generic[R]):
             self.changed.notify_all()
 
     def fail(self, thread: str, error: Exception) -> None:
-        """Keep the error that ended a thread, for the program's own to raise."""
+        """Record the error that ended a thread, so that the program's own thread raises it."""
         with self.changed:
             self.end_reason = f"the {thread} of pictures has ended: {text_of(error)}"
             self.failure = error
             self.changed.notify_all()
 
     def take_frames(self) -> list[tuple[CameraFrame, R]]:
-        """Return and forget the frames since the last call, oldest first, each with its result.
+        """Return the frames since the last call, oldest first, each with its result.
 
-        An unexpected error that ended the reading or the search is raised.
+        If an unexpected error has ended the reading or the search, it is raised here.
         """
         if self.failure is not None:
             raise self.failure
@@ -166,12 +171,12 @@ class PictureSearches(Generic[R]):
             return drained(self._frames)
 
     def last(self) -> tuple[PictureSearch[R], ...]:
-        """Return the searches of the last pictures, oldest first."""
+        """Return the newest searches, oldest first."""
         with self.changed:
             return tuple(self._last)
 
     def newest_number(self) -> int:
-        """Return the number of the newest searched picture, 0 if there is none."""
+        """Return the number of the newest image that was searched. 0 if there is none."""
         with self.changed:
             return self._last[-1].number if self._last else 0
 
@@ -216,11 +221,19 @@ class PictureCamera(ABC, Generic[R]):
 
     @abstractmethod
     def _see(self, picture: Grey, exposed_ns: int) -> R | None:
-        """Search a picture; return its robots and strangers, None if it does not become a frame."""
+        """Search an image.
+
+        Args:
+            picture: The grey image, shape (height, width).
+            exposed_ns: When it was exposed [ns].
+
+        Returns:
+            The robots and other objects that were found. None if the image makes no frame.
+        """
 
     @abstractmethod
     def _health(self, searches: Sequence[PictureSearch[R]]) -> Health:
-        """Return problems, warnings and facts of what was found in some pictures."""
+        """Check what was found in the given images: problems, warnings and facts."""
 
     def check(self) -> Health:
         """Wait for some images, and check the stream and what it shows; see `Device.check`.
@@ -258,18 +271,18 @@ class PictureCamera(ABC, Generic[R]):
 
     @property
     def damaged(self) -> int:
-        """Number of pictures and of parts of the stream that could not be read."""
+        """Number of images and of parts of the stream that could not be decoded."""
         return self._unread + (0 if self._feed is None else self._feed.damaged)
 
     @property
     def emulated(self) -> bool:
-        """Whether the source states that its robots are not real."""
+        """Whether the source reports that its robots are not real."""
         return self._feed is not None and self._feed.emulated
 
     def frames(self) -> list[CameraFrame]:
         """Return the frames since the last call, oldest first.
 
-        An unexpected error that ended the reading or the search is raised.
+        If an unexpected error has ended the reading or the search, it is raised here.
         """
         return [frame for frame, _ in self._searches.take_frames()]
 
@@ -306,7 +319,7 @@ class PictureCamera(ABC, Generic[R]):
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End both threads and close the source."""
+        """Stop both threads and close the source."""
         self._queue.close()
         if self._feed is not None:
             self._feed.interrupt()
@@ -314,7 +327,7 @@ class PictureCamera(ABC, Generic[R]):
             thread.join(ENDS_WITHIN_S)
 
     def _stream_facts(self, searches: Sequence[PictureSearch[R]]) -> dict[str, str]:
-        """Return resolution, rate of pictures and duration of the search, as far as known."""
+        """Describe the resolution, the frame rate and the duration of a search, as far as known."""
         facts: dict[str, str] = {}
         if self._size is not None:
             facts["resolution"] = f"{self._size[1]}x{self._size[0]}"
@@ -326,7 +339,7 @@ class PictureCamera(ABC, Generic[R]):
         return facts
 
     def _read(self, feed: Feed) -> None:
-        """Put the source's pictures into the queue until it ends; the thread "pictures"."""
+        """Put the images of the source into the queue until it ends, in the thread "pictures"."""
         number = 0
         try:
             while not self._queue.closed:
@@ -342,7 +355,7 @@ class PictureCamera(ABC, Generic[R]):
             feed.close()
 
     def _find(self) -> None:
-        """Search the pictures in the queue until it is closed; the thread "finding"."""
+        """Search the images in the queue until it is closed, in the thread "finding"."""
         try:
             waiting = self._queue.take()
             while waiting is not None:
@@ -353,12 +366,12 @@ class PictureCamera(ABC, Generic[R]):
             self._wake()
 
     def _search_jpeg(self, jpeg: bytes) -> None:
-        """Search the next picture of a source in memory."""
+        """Search the next image of a source in memory."""
         self._joined += 1
         self._search(self._joined, Picture(jpeg, self._clock.now()))
 
     def _search(self, number: int, picture: Picture) -> None:
-        """Search a picture, and add a frame if it shows the robots."""
+        """Decode and search an image, and add a frame if the search returns a result."""
         began_ns = self._clock.now()
         exposed_ns = picture.received_ns - round(self._source.latency * SECOND)
         try:
@@ -389,7 +402,15 @@ class PictureCamera(ABC, Generic[R]):
         return newest is not None and np.array_equal(newest, grey) and int(np.ptp(grey)) > 0
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait until `done` returns true; return False after `timeout_s`."""
+        """Wait until a condition holds.
+
+        Args:
+            done: Returns whether the condition holds.
+            timeout_s: Maximum time to wait [s].
+
+        Returns:
+            Whether it holds. False after the timeout.
+        """
         if self._join is not None:
             return wait_for(self._clock, done, timeout_s)
         with self._searches.changed:

@@ -1,4 +1,4 @@
-"""Sources of pictures: a camera at this computer, a film, a network camera."""
+"""Sources of images: a camera at this computer, a film, and a network camera."""
 
 import http.client
 import io
@@ -39,11 +39,18 @@ NO_CODE = b"\xff\x00" * 8  # 64 set bits: not a Huffman code, and more than a de
 
 
 def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | None:
-    """Return the grey levels (height, width) of a picture, None if its JPEG is damaged.
+    """Decode an image to grey levels.
 
-    Also returns None for a JPEG that does not have the given `size` (height, width) or, if no size
-    is given, for a JPEG with a side above `PIXELS_MAX`. Raises cv2.error if OpenCV cannot convert
-    pixels.
+    Args:
+        picture: The image: pixels, or a JPEG file.
+        size: Height and width that a JPEG file must have [px]. None for any size up to PIXELS_MAX.
+
+    Returns:
+        The grey levels, shape (height, width). None if the JPEG file is damaged or has another
+        size.
+
+    Raises:
+        cv2.error: If OpenCV cannot convert the pixels.
     """
     content = picture.content
     if isinstance(content, np.ndarray):
@@ -117,7 +124,11 @@ class DeviceFeed(Feed):
             )
 
     def read(self) -> Picture:
-        """Wait for the next picture."""
+        """Wait for the next image.
+
+        Raises:
+            SourceEndedError: If the camera delivers no more images.
+        """
         if not self._capture.grab():
             raise SourceEndedError(f"{self._name} delivers no more pictures")
         received = self._clock.now()  # taken before the picture is decompressed
@@ -132,7 +143,7 @@ class DeviceFeed(Feed):
 
 
 class FileFeed(Feed):
-    """A film that imageio reads, played at its own rate or at the source's.
+    """A film that is read with imageio, and played at its own rate or at the rate in the spec.
 
     Args:
         source: The fields of the source in the spec.
@@ -176,7 +187,11 @@ class FileFeed(Feed):
         self._read = 0
 
     def read(self) -> Picture:
-        """Return the next picture of the film when it is due."""
+        """Wait until the next image of the film is due, and return it.
+
+        Raises:
+            SourceEndedError: If the film has ended.
+        """
         pixels = next(self._images, None)
         if pixels is None:
             raise SourceEndedError(f"{self._path} has ended")
@@ -193,7 +208,7 @@ class FileFeed(Feed):
             self._film.close()
 
     def _grey(self, pixels: np.ndarray) -> Grey:
-        """Return grey levels of 8 bits: the upper ones of those that the first picture uses."""
+        """Convert pixels to 8-bit grey levels: the upper bits of those that the first image uses."""
         if pixels.ndim == 3:
             pixels = pixels[..., :3].mean(axis=-1)
         levels = pixels.astype(np.int64) >> self._shift
@@ -201,14 +216,14 @@ class FileFeed(Feed):
 
 
 def _single_images(film: Any) -> Iterator[np.ndarray]:
-    """Yield the images of a film; a TIFF may have all of them in one array."""
+    """Yield the images of a film. A TIFF file may have all images in one array."""
     for image in film.iter():
         is_stack = image.ndim > 2 and image.shape[-1] not in (3, 4)
         yield from image if is_stack else [image]
 
 
 class MjpegFeed(Feed):
-    """A network camera's multipart stream over HTTP.
+    """The multipart stream of a network camera, read over HTTP.
 
     Args:
         source: The fields of the source in the spec.
@@ -261,11 +276,15 @@ class MjpegFeed(Feed):
 
     @property
     def damaged(self) -> int:
-        """Number of parts that could not be read."""
+        """Number of parts that could not be decoded."""
         return self._parts.damaged
 
     def read(self) -> Picture:
-        """Wait for the next picture in the stream."""
+        """Wait for the next image of the stream.
+
+        Raises:
+            SourceEndedError: If the stream has ended or failed.
+        """
         while not self._waiting:
             try:
                 data = self._answer.read1(1 << 16)
@@ -277,7 +296,7 @@ class MjpegFeed(Feed):
         return Picture(self._waiting.pop(0), self._clock.now())
 
     def interrupt(self) -> None:
-        """Shut the connection down, which ends a wait for data."""
+        """Shut down the connection, which ends a wait for data."""
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 

@@ -1,7 +1,8 @@
-"""Estimates the speed, the turning rate and the bias of each tracked cell, with 95 % intervals.
+"""Estimates the speed, turning rate and bias of each tracked cell, with 95 % intervals.
 
-The filter of `cells.helix` runs over each track, from the likeliest of some helices and headings. A
-second pass starts from the smoothed state of the first pass, if that is likelier.
+The filter of `cells.helix` is run over each track. It starts from the most likely of several
+helices and headings. A second pass starts from the smoothed state of the first pass, if that is
+more likely.
 """
 
 import math
@@ -119,7 +120,10 @@ class CellSummary:
     magnetised: bool | None
 
     def items(self) -> dict[str, Any]:
-        """Return the results as records have them: an interval by its value and its ends."""
+        """Convert the results to a mapping for JSON.
+
+        An interval becomes a mapping with the keys "value" and "ci95".
+        """
         items = asdict(self)
         for name in ("speed_um_s", "a_rad_s", "bias_rad"):
             interval = items[name]
@@ -216,7 +220,7 @@ class _Measured:
         return cls(values, deviations, *field_of, mean, covariance, model)
 
     def likelihood(self, mean: Floats) -> Floats:
-        """Return ln of the likelihood (V,) of V variants of the first state (V, n)."""
+        """Compute the log-likelihood of V variants of the first state (V, n), shape (V,)."""
         totals = np.empty(len(mean))
         likelihoods(
             mean.copy(),
@@ -233,15 +237,16 @@ class _Measured:
     def smoothed(
         self, mean: Floats, start: int = 0, end: int | None = None
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Smooth the states of a cell over some images.
+        """Smooth the states of a cell over a range of images.
 
         Args:
             mean: The first state, shape (n,).
             start: Index of the first image.
-            end: Index after the last image. None for all.
+            end: Index after the last image. None for all images.
 
         Returns:
-            The last state (n,), its covariance (n, n), and all states (K, n) and bodies (K, 3).
+            The last state (n,), its covariance (n, n), all states (K, n), and all bodies (K, 3): x,
+            y [um] and axis [rad].
         """
         last = mean.copy()
         values = self.values[start:end]
@@ -286,7 +291,7 @@ class _Fit:
 
     @classmethod
     def fit(cls, table: _Measured) -> Self:
-        """Fit the measurements of a track."""
+        """Fit the states of a cell to the measurements of its track."""
         starts = np.tile(table.mean, (len(RATES) * len(ASIDE), 1))
         starts[:, RATE] *= np.repeat(RATES, len(ASIDE))
         starts[:, HEADING] += np.tile(ASIDE, len(RATES))
@@ -310,7 +315,7 @@ class _Fit:
 
 
 def _interval(value: float, sd: float, error: float) -> SampleInterval:
-    """Return a value's 95 % interval from an absolute and a relative standard deviation."""
+    """Compute a value's 95 % interval from an absolute and a relative standard deviation."""
     value = float(value)
     half = float(NORMAL * math.hypot(sd, error * value))
     return SampleInterval(value, value - half, value + half)
@@ -319,7 +324,15 @@ def _interval(value: float, sd: float, error: float) -> SampleInterval:
 def _summary(
     path: CellPath, fit: _Fit | None, field_known: bool, usual: float, period_s: float
 ) -> CellSummary:
-    """Return the results of a cell; `usual` is the usual misfit of a part of a track."""
+    """Summarise the fit of a cell.
+
+    Args:
+        path: The track.
+        fit: The fit. None if there are too few places or images are too rare.
+        field_known: Whether the field is known.
+        usual: Usual misfit of a part of a track of the table.
+        period_s: Usual time between two images [s].
+    """
     between = float(path.times[-1] - path.times[0])
     swum_um = distance_um(path.places)
     speed = a = bias = magnetised = None

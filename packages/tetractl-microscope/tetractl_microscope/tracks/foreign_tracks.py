@@ -1,4 +1,4 @@
-"""Reads tracks from other programs.
+"""Reads tracks that other programs have written.
 
 It reads the tables of napari, trackpy, TrackMate, MTrackJ, ImageJ's Manual Tracking and Imaris, and
 GEFF graphs.
@@ -43,14 +43,17 @@ PIXELS = ("", "px", "pixel", "pixels")
 
 
 def _is_count(unit: str) -> bool:
+    """Check whether a unit is that of counts: none, or frames."""
     return unit in ("", "frame", "frames")
 
 
 def _is_time(unit: str) -> bool:
+    """Check whether a unit is a unit of time."""
     return factor(unit, SECONDS) is not None
 
 
 def _is_place(unit: str) -> bool:
+    """Check whether a unit is a unit of length, or pixels."""
     return unit in PIXELS or factor(unit, MICROMETRES) is not None
 
 
@@ -125,14 +128,18 @@ def spot_tracks(
 ) -> list[SpotTrack]:
     """Read the tracks in a table or graph of another program.
 
-    Positions are usually in pixels, with y downwards, and times in images. Such tables need a scale
-    and a rate, unless they state them.
+    Positions are usually in pixels, with y pointing down, and times are image numbers. Such tables
+    need a scale and a rate, unless they contain them.
 
     Args:
         path: The table or graph.
-        um_px: Scale [um/px]. None if the table states it.
-        rate_hz: Frame rate [Hz]. None if the table states it.
-        remarks: Remarks for the user are added to it.
+        um_px: Scale [um/px]. None if the table contains it.
+        rate_hz: Frame rate [Hz]. None if the table contains it.
+        remarks: List to which remarks for the user are added.
+
+    Raises:
+        UsageError: If the table is invalid, or if the scale or rate is missing or has no meaning.
+        AbortError: If software for GEFF graphs is not installed.
     """
     spots = _graph(path) if path.is_dir() else _spot_table(path, rate_hz, remarks)
     um = _size(path, "--scale", "its places are in a unit of length", um_px, spots.across)
@@ -159,13 +166,13 @@ def spot_tracks(
 
 
 def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTable:
-    """Return the spots of the tracks in a table.
+    """Read the spots of the tracks in a table.
 
-    Their times are those of a column with a unit of time, or else the numbers of pictures from the
-    first one on, which a rate that is given makes of any table.
+    The times come from a column with a unit of time. Without such a column, or if a rate is given,
+    they are image numbers, counted from the first image.
 
     Raises:
-        UsageError: If a column is missing.
+        UsageError: If a column is missing or a value is invalid.
     """
     rows = read_csv(path)
     first = next(rows, None)
@@ -223,7 +230,10 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
 
 
 def _name_and_unit(header: str) -> tuple[str, str]:
-    """Return the name of a column, with _ for a blank, and its unit, "" if it states none."""
+    """Split the header of a column into its name, with _ for a blank, and its unit.
+
+    The unit is "" if the header contains none.
+    """
     name, unit = name_and_unit(header)
     for pixels in PIXELS[1:]:
         if not unit and name.endswith(f"_{pixels}"):
@@ -234,9 +244,15 @@ def _name_and_unit(header: str) -> tuple[str, str]:
 def _column(
     quantities: Mapping[str, tuple[str, str]], names: Sequence[str], fits: Callable[[str], bool]
 ) -> str:
-    """Return the column with the first of some names that has a fitting unit.
+    """Find the first of several names that a column with a fitting unit has.
 
-    Empty if there is none.
+    Args:
+        quantities: Name and unit of each column, by its header.
+        names: The names to look for, in this order.
+        fits: Checks whether a unit is possible.
+
+    Returns:
+        The header of the column. "" if there is none.
     """
     for wanted in names:
         for header, (name, unit) in quantities.items():
@@ -246,7 +262,16 @@ def _column(
 
 
 def _require_columns(path: Path, headers: Mapping[str, str], listed: Sequence[str]) -> None:
-    """Raise UsageError if a table of the `listed` columns lacks one of tracks."""
+    """Check that a table has all columns of tracks.
+
+    Args:
+        path: The table.
+        headers: Header of each column that was found. "" if it was not found.
+        listed: All headers of the table, for the message.
+
+    Raises:
+        UsageError: If a column is missing.
+    """
     missing = list[str]()
     if not headers["track"]:
         missing.append("particle, track_id or id")
@@ -262,7 +287,11 @@ def _require_columns(path: Path, headers: Mapping[str, str], listed: Sequence[st
 
 
 def _require_whole(path: Path, column: str, frames: Floats) -> None:
-    """Raise UsageError if numbers of pictures are fractions, or below 0."""
+    """Check that image numbers are whole and not negative.
+
+    Raises:
+        UsageError: If they are not.
+    """
     is_fraction = frames % 1 != 0
     if is_fraction.any():
         first = frames[is_fraction][0]
@@ -288,7 +317,7 @@ def _from_first_picture(path: Path, frames: Floats, remarks: list[str]) -> Float
 
 
 def _note_sparse(path: Path, column: str, frames: Floats, remarks: list[str]) -> None:
-    """Say if all numbers of pictures are multiples of one that is large."""
+    """Warn if all image numbers are multiples of a large step, because they may be milliseconds."""
     after_first = (frames - frames.min()).astype(np.int64)
     step = int(np.gcd.reduce(after_first))
     if step >= SPARSE:
@@ -302,7 +331,7 @@ def _note_sparse(path: Path, column: str, frames: Floats, remarks: list[str]) ->
 def _note_other_times(
     path: Path, stated: Floats, times: Floats, rate_hz: float, remarks: list[str]
 ) -> None:
-    """Say if the times (R,) [s] by a rate that is given are not those that a table states."""
+    """Warn if the times (R,) [s] from the given rate differ from those that a table contains."""
     most = float(np.abs((stated - stated[0]) - (times - times[0])).max())
     if most > 0.5 / rate_hz:
         remarks.append(
@@ -311,7 +340,11 @@ def _note_other_times(
 
 
 def _require_one_place(path: Path, number: float, times: Floats) -> None:
-    """Raise UsageError if a track is at two places at one time (K,) [s]."""
+    """Check that a track has only one position at each time, shape (K,) [s].
+
+    Raises:
+        UsageError: If it has two.
+    """
     is_twice = np.diff(times) == 0
     if is_twice.any():
         when = times[:-1][is_twice][0]
@@ -324,10 +357,10 @@ def _require_one_place(path: Path, number: float, times: Floats) -> None:
 def _size(
     path: Path, option: str, states: str, stated: float | None, step: AxisStep
 ) -> float | None:
-    """Return what one unit means. An option wins over the table.
+    """Return the size of one unit of a column [um or s]. An option has priority over the table.
 
     Raises:
-        UsageError: If an option is given, but nothing is counted.
+        UsageError: If the option is given, but the column has a unit.
     """
     if stated is None:
         return step.size
@@ -338,9 +371,13 @@ def _size(
 
 
 def _graph(path: Path) -> SpotTable:
-    """Return the spots of a GEFF graph, by the types of its axes.
+    """Read the spots of a GEFF graph. The types of its axes tell which are time, x and y.
 
-    A track begins where a node has no predecessor, or one with several successors.
+    A track begins at a node that has no predecessor, or whose predecessor has several successors.
+
+    Raises:
+        UsageError: If the graph cannot be read.
+        AbortError: If the library geff is not installed.
     """
     try:
         from geff.core_io import read_to_memory
@@ -381,7 +418,7 @@ def _graph(path: Path) -> SpotTable:
 
 
 def _problem_of(error: Exception) -> str:
-    """Describe what is wrong with a graph: the decisive line of a library's many lines."""
+    """Describe an error of a library in one line."""
     problems: Any = getattr(error, "errors", None)  # pydantic's, each with its place and a text
     if callable(problems):
         first: Any = problems(include_url=False)[0]  # pyright: ignore[reportIndexIssue]

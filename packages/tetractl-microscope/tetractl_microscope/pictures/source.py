@@ -208,7 +208,7 @@ class FileFeed(Feed):
             self._film.close()
 
     def _grey(self, pixels: np.ndarray) -> Grey:
-        """Convert pixels to 8-bit grey levels: the upper bits of those that the first image uses."""
+        """Convert pixels to 8-bit grey levels: the upper bits of those in the first image."""
         if pixels.ndim == 3:
             pixels = pixels[..., :3].mean(axis=-1)
         levels = pixels.astype(np.int64) >> self._shift

@@ -104,8 +104,13 @@ class TrialEnv(gymnasium.Env[Features, Features]):
     ) -> tuple[Features, dict[str, Any]]:
         """Open a trial and return its first observation.
 
-        `seed` is that of the spec's `trials`; without one, it is drawn. `options={"trial": k}`
-        opens trial k, by default 0: with the benchmark's seed, those are the benchmark's trials.
+        Args:
+            seed: Seed of the spec's `trials`. None for a random seed.
+            options: {"trial": k} opens trial k. By default, trial 0. With the benchmark's seed,
+                these are the benchmark's trials.
+
+        Returns:
+            The observation, shape (4 N + 2,), and an empty mapping.
         """
         unknown = sorted(set(options or {}) - {"trial"})
         if unknown:
@@ -121,9 +126,15 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         return self._observed(), {}
 
     def step(self, action: Features) -> tuple[Features, float, bool, bool, dict[str, Any]]:
-        """Send the direction of a vector, clipped to [-1, 1], for one control period.
+        """Send a direction for one control period.
 
-        At the end of an episode, `info` has the `outcome` and the `total_error` e [length unit].
+        Args:
+            action: A vector (2,) that points in the direction. It is clipped to [-1, 1].
+
+        Returns:
+            The observation, the reward, whether the episode is terminated, whether it is truncated,
+            and `info`. At the end of an episode, `info` contains the `outcome` and the
+            `total_error` e [length unit].
         """
         along_x, along_y = np.clip(_vector(action), -1.0, 1.0)
         observation = self.trial.step(math.atan2(along_y, along_x))
@@ -142,7 +153,7 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         return self._observed(), self._take_reward(error), terminated, not terminated, info
 
     def render(self) -> NDArray[np.uint8] | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Return a picture (H, W, 3) of the episode so far, None without a render mode."""
+        """Draw the episode so far, shape (height, width, 3). None without a render mode."""
         if self.render_mode is None:
             return None
         from tetractl.view.figures.trajectory import arena_picture  # matplotlib, only if drawn
@@ -150,9 +161,9 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         return arena_picture(self.trial.setup, np.array(self._ways))
 
     def _take_reward(self, error: float) -> float:
-        """Return the decrease of the sum of distances since the last reward, as a fraction.
+        """Compute the decrease of the sum of distances since the last reward.
 
-        The fraction is of the sum at the starts. The next reward counts from `error`.
+        The result is a fraction of the sum at the starts. The next decrease counts from `error`.
         """
         decrease = self._error - error
         self._error = error

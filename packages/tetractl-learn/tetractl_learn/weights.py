@@ -54,7 +54,7 @@ class Layer(Model):
         return text
 
     def arrays(self) -> tuple[Floats, Floats]:
-        """Return W (outputs, inputs) and b (outputs,)."""
+        """Decode W, shape (outputs, inputs), and b, shape (outputs,)."""
         data = base64.b64decode(self.numbers)
         numbers = np.frombuffer(data, LITTLE_ENDIAN).astype(np.float64)
         split = self.outputs * self.inputs
@@ -62,9 +62,13 @@ class Layer(Model):
 
 
 def read_weights(path: Path) -> tuple[list[dict[str, Any]], str]:
-    """Return the layers of a file, as a spec holds them, and the file's text.
+    """Read the layers of a network from a file.
 
-    Raises InvalidSpecError with the layer that is wrong.
+    Returns:
+        The layers in the form of a spec, and the text of the file.
+
+    Raises:
+        InvalidSpecError: If the file is invalid. The message names the wrong layer.
     """
     text = read_text(path, FILE_MAX_BYTES)
 

@@ -49,7 +49,14 @@ class CellWatch:
         self._identities = IdentityWatch(setup.names, patience_s)
 
     def see(self, sampled_ns: int) -> Iterator[Note]:
-        """Take a frame that the guard has accepted; yield a note if it changes what is known."""
+        """Process a frame that the guard has accepted.
+
+        Args:
+            sampled_ns: When the frame was exposed [ns].
+
+        Yields:
+            A note for each robot whose identity becomes known or unknown.
+        """
         while self._waiting and self._waiting[0].exposed_ns <= sampled_ns:
             identities = self._waiting.popleft()
             if identities.exposed_ns == sampled_ns:

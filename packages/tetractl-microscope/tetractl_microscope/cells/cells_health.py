@@ -1,4 +1,4 @@
-"""Problems and warnings about a microscope's pictures of cells; no I/O."""
+"""Checks a microscope's images of cells: problems and warnings. No I/O."""
 
 import statistics
 from collections.abc import Sequence
@@ -30,15 +30,15 @@ SMALL_PX = 8.0  # least width of a cell in a picture, below which a warning is g
 
 @dataclass(frozen=True, slots=True)
 class SeenDish:
-    """The results of one image.
+    """The results of the search of one image.
 
     Attributes:
-        robots: The robots at that time.
-        poses: Their poses. None if a robot is untracked.
-        strangers: Poses of other cells.
-        light: Properties of the image's light.
-        level: Median of the grey levels.
-        sharpness: Sharpness, as the function computes it. None if it is unknown.
+        robots: The cells that were the robots at that time.
+        poses: Pose of each robot. None if it is untracked.
+        unknown_objects: Poses of other cells.
+        light: Brightness, noise and contrast of the image.
+        level: Median grey level.
+        sharpness: Sharpness of the cells' edges [1/px]. None if unknown.
         sure: Minimum probability of the identity of a robot in view. 0 if none is in view.
     """
 
@@ -139,10 +139,14 @@ def dish_lines(
 
 
 def faint_line(contrast: float | None, limit: float) -> str | None:
-    """Warn if the `contrast` of objects is so low that cells may be missed. None if it is not.
+    """Warn if the contrast of objects is so low that cells may be missed.
 
-    `contrast` is the median over objects, None without objects, and `limit` the least contrast
-    at which one is found [grey levels].
+    Args:
+        contrast: Median contrast of the objects [grey levels]. None without objects.
+        limit: Minimum contrast at which an object is found [grey levels].
+
+    Returns:
+        The warning. None if the contrast is high enough.
     """
     if contrast is None:
         said = f"no object differs from the medium by the {limit:.0f} grey levels that are needed"

@@ -1,4 +1,4 @@
-"""The field over time, for tracks or a dish, as pieces of constant field for the filter."""
+"""The field over time, in a table or in the lab, as intervals of constant field for the filter."""
 
 import math
 import threading
@@ -18,10 +18,15 @@ NO_FIELD_YET = (-math.inf, 0.0, 0.0)
 
 
 class FieldRecord(SentDirections):
-    """The field over time; there is none before `times[0]`, and the last value has no end."""
+    """The field over time. There is none before the first time, and the last value has no end."""
 
     def items(self) -> dict[str, Floats]:
-        """Return x and y of the field from each of its times [s] on, as records have them."""
+        """Convert the field to a mapping for records.
+
+        Returns:
+            "time_s" maps to the times [s], and "x" and "y" to the components of the field from each
+            time on.
+        """
         return {"time_s": self.times, "x": self.acts.real, "y": self.acts.imag}
 
     def pieces(self, start: float, end: float) -> Sequence[Piece]:
@@ -48,7 +53,12 @@ class FieldSignals:
         self._sent = deque[tuple[float, float, float]](maxlen=WAITING_MAX)
 
     def note(self, direction: float | None, sent_ns: int) -> None:
-        """Note a direction sent at a time [ns], None if the field was switched off."""
+        """Record a direction that was sent.
+
+        Args:
+            direction: The direction [rad]. None if the field was switched off.
+            sent_ns: When it was sent [ns].
+        """
         with self._lock:
             if not self._sent or self._newest != direction:
                 strength = 0.0 if direction is None else 1.0
@@ -56,7 +66,7 @@ class FieldSignals:
                 self._newest = direction
 
     def record(self, rotation: float) -> FieldRecord:
-        """Return the field in axes that are turned by `rotation` [rad]."""
+        """Return the recorded field in axes that are rotated by `rotation` [rad]."""
         with self._lock:
             sent = [NO_FIELD_YET, *self._sent]
         times, directions, strengths = np.array(sent).T

@@ -1,9 +1,9 @@
-"""Updates the filter by what the blobs of a picture say of the cells.
+"""Updates the filter with the measurements from the blobs of an image.
 
-A cell with an open question has one row of the filter for each cell that it may be; its reading
-updates all of them, and their likelihoods go to the question. A cell that often is where the filter
-did not expect it has turned by itself: its row is made uncertain. If its own blob is far away from
-where the filter says, the filter follows the blob from now on.
+A cell whose identity is an open question has one row of the filter for each cell that it may be.
+Its measurement updates all of them, and their likelihoods go to the question. A cell that is often
+not where the filter expected it has turned by itself, so its row is made uncertain. If a cell's own
+blob is far from the filter's position, the filter restarts at the blob.
 """
 
 import math
@@ -24,7 +24,7 @@ ASTRAY = 0.67  # distance of a cell's state from its own blob above which it is 
 def update_filter(
     bank: HelixFilter, readings: Sequence[BlobReading], seconds: float, body_um: float
 ) -> None:
-    """Update the filter with what an image shows of some cells.
+    """Update the filter with the measurements of one image.
 
     Args:
         bank: The filter.
@@ -55,10 +55,14 @@ def update_filter(
 def _answer(
     reading: BlobReading, question: WhichIsWhich, log_likelihoods: Floats, seconds: float
 ) -> None:
-    """Add a blob's measurement to a question.
+    """Add a measurement to an open question of identity.
 
-    That is the log-likelihood of each cell that this one may be (K,), and its size if the blob
-    shows the cell alone and completely.
+    Args:
+        reading: The measurement.
+        question: The question.
+        log_likelihoods: Log-likelihood of the measurement for each cell that this one may be, shape
+            (K,).
+        seconds: Time of the image [s].
     """
     newest = reading.newest
     size = None
@@ -71,13 +75,12 @@ def _answer(
 def check_state(
     bank: HelixFilter, reading: BlobReading, squared_distance: float, body_um: float
 ) -> None:
-    """Repair the state of a cell that the filter follows wrongly.
+    """Repair the state of a cell that the filter tracks wrongly.
 
     Args:
         bank: The filter.
         reading: The measurement of the cell.
-        squared_distance: Squared distance of its blob from where it was expected, in standard
-            deviations.
+        squared_distance: Squared Mahalanobis distance of the blob from the prediction.
         body_um: Length of a body [um].
     """
     cell = reading.cell
@@ -92,7 +95,7 @@ def check_state(
 
 
 def _is_astray(bank: HelixFilter, reading: BlobReading, body_um: float) -> bool:
-    """Decide whether the filter's position of a cell is too far away from the cell's blob."""
+    """Check whether the filter's position of a cell is too far from the cell's blob."""
     x, y, _ = reading.values
     state = bank.mean[reading.cell.row, :2].tolist()
     is_certain = reading.deviations[0] < MERGED.position * body_um
@@ -100,7 +103,7 @@ def _is_astray(bank: HelixFilter, reading: BlobReading, body_um: float) -> bool:
 
 
 def _move_to_blob(bank: HelixFilter, reading: BlobReading) -> None:
-    """Move the state of a cell to its blob; it heads along the axis, the way it has moved."""
+    """Move the state of a cell to its blob, with the end of the axis in front that moved ahead."""
     cell = reading.cell
     x, y, axis = reading.values
     last_x, last_y = cell.last.tolist()

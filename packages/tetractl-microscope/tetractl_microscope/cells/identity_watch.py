@@ -1,7 +1,7 @@
-"""Notes when it becomes unknown which cell is which robot.
+"""Detects when it becomes unknown which cell is which robot.
 
-It also decides which robots must therefore count as lost. The spec's rule for lost robots decides
-what follows.
+It also decides which robots therefore count as lost. The spec's rule for lost robots decides what
+follows.
 """
 
 from collections.abc import Iterator, Sequence
@@ -48,6 +48,6 @@ class IdentityWatch:
                 self.unknown[i] = f"for {seconds:g} s it has not been known which cell is {name}"
 
     def forget(self, i: int) -> None:
-        """Forget the identity of robot i, which is another cell from now on."""
+        """Forget the identity of a robot that is now another cell."""
         self._since_ns.pop(i, None)
         self.unknown.pop(i, None)

@@ -1,4 +1,4 @@
-"""The shift of a microscope's picture: a knock moves all that does not swim."""
+"""Finds the shift of a microscope's image after a knock, which moves everything in it."""
 
 import math
 
@@ -37,7 +37,7 @@ def shift_of(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
 
 
 def _both(shift: float, size: int) -> slice:
-    """Return the parts of two images of one size, one of them shifted, that both show."""
+    """Return the pixels along one axis that an image shows both before and after a shift."""
     begin = max(0, math.ceil(shift))
     end = size + min(0, math.floor(shift))
     return slice(begin, end)
@@ -56,7 +56,7 @@ def moved(picture: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
 
 
 def _even(picture: np.ndarray, scale: float) -> NDArray[np.float32]:
-    """Return a picture at a scale without what changes slowly across it, as light does."""
+    """Scale an image, and remove what changes slowly across it, such as uneven light."""
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     even = np.asarray(small, np.float32)
     return even - cv2.blur(even, (PLAIN, PLAIN))

@@ -1,17 +1,18 @@
-"""Assigns the blobs of an image to tracks, in one assignment of minimum cost.
+"""Assigns the blobs of an image to tracks, in one assignment of minimum total cost.
 
-Costs are squared deviations: the negative log-likelihood, doubled. A cell may have
+Costs are squared deviations: twice the negative log-likelihood. A cell may have one of these, or
+none:
 
-- a blob of its own where the filter expects it, of cost q + s: q is the squared Mahalanobis
-  distance of the place, s that of the logarithms of length and width;
-- a blob of its size nearby, if it has stopped or turned by itself, which costs more than the first;
-- a place in a blob that covers it together with other cells;
+- a blob of its own where the filter expects it, with the cost q + s: q is the squared Mahalanobis
+  distance of the position, and s the same for the logarithms of length and width;
+- a blob of its size nearby, if the cell has stopped or turned by itself, at a higher cost;
+- a place in a blob that covers it together with other cells.
 
-a speck has the blob where its last motion leads; and each may have none. The assignment of least
-total cost is found at once for all.
+A speck may have the blob to which its last motion leads, or none. The assignment with the minimum
+total cost is computed for all tracks at once.
 
-C is the number of cells, S that of specks, B that of blobs. The place of a blob is x, y [um],
-axis [rad], length and width [um] (5,).
+C is the number of cells, S the number of specks, and B the number of blobs. The place of a blob is
+x, y [um], axis [rad], length and width [um], shape (5,).
 """
 
 from collections.abc import Sequence
@@ -72,7 +73,12 @@ class CellCosts:
 
 @dataclass(frozen=True, slots=True)
 class SpeckCosts:
-    """The costs of `blobs` (S, B) for specks, and of `none` (S,)."""
+    """The costs of assigning blobs to specks.
+
+    Attributes:
+        blobs: Cost of each blob for each speck, shape (S, B).
+        none: Cost of leaving each speck without a blob, shape (S,).
+    """
 
     blobs: Floats
     none: Floats
@@ -80,7 +86,12 @@ class SpeckCosts:
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """The index of the blob of each cell and of each speck, or None."""
+    """The result of the assignment.
+
+    Attributes:
+        of_cells: Index of the blob of each cell. None if it has none.
+        of_specks: Index of the blob of each speck. None if it has none.
+    """
 
     of_cells: list[int | None]
     of_specks: list[int | None]
@@ -159,9 +170,16 @@ def speck_costs(
 def _shared_costs(
     cells: Sequence[CellTrack], pixels: Floats, blobs: Sequence[Blob], um_px: float
 ) -> Floats:
-    """Return the costs (C, B) of a place in a blob that covers a cell's expected position.
+    """Compute the costs of places in blobs that cover the cells' expected positions.
 
-    `pixels` (C, 2) are the expected columns and rows.
+    Args:
+        cells: The C cells.
+        pixels: Expected column and row of each cell, shape (C, 2) [px].
+        blobs: The B blobs.
+        um_px: Scale of the image [um/px].
+
+    Returns:
+        The costs, shape (C, B).
     """
     cost = np.full((len(cells), len(blobs)), NONE)
     if not blobs or not cells:
@@ -184,11 +202,11 @@ def _shared_costs(
 
 
 def assigned(cells: CellCosts, specks: SpeckCosts) -> Assignment:
-    """Find the assignment with the lowest total cost.
+    """Find the assignment of blobs to cells and specks with the minimum total cost.
 
-    Only cells share a blob. A speck in a cell's blob gets none. The table that is solved has a row
-    for each track, the cells first. Its columns are the blobs, one more for each cell that may
-    share a blob, and one for each track without a blob.
+    Only cells share a blob. A speck in a cell's blob gets none. The cost matrix has a row for each
+    track, the cells first. Its columns are the blobs, one more for each cell that may share a blob,
+    and one for each track without a blob.
     """
     count, blobs = cells.own.shape
     may_share = cells.shared < NONE

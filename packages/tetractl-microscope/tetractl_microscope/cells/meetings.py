@@ -56,7 +56,7 @@ class Meetings:
 
     @property
     def running(self) -> Sequence[Meeting]:
-        """The meetings that go on now, in the order in which they began."""
+        """The present meetings, in the order in which they began."""
         return tuple(self._running)
 
     def bring(self, together: Sequence[CellTrack], with_unknown: bool) -> None:
@@ -73,7 +73,7 @@ class Meetings:
             track.meeting = meeting
 
     def _merged(self, together: Sequence[CellTrack]) -> Meeting:
-        """Make one meeting of all those in which some tracks are, a new one if they are in none."""
+        """Merge all meetings in which the tracks are, or start one if they are in none."""
         meetings = list({id(t.meeting): t.meeting for t in together if t.meeting}.values())
         if not meetings:
             meeting = Meeting([], False)
@@ -87,12 +87,15 @@ class Meetings:
         return meeting
 
     def _join(self, meeting: Meeting, track: CellTrack) -> None:
-        """Add a track to a meeting, and a copy of its cell that is predicted alone from now on."""
+        """Add a track to a meeting, with a copy of its cell's filter row.
+
+        The copy is predicted without measurements.
+        """
         row = self._bank.copied(track.row)
         meeting.members.append(Member(track, row, track.identity, track.certainty, track.size))
 
     def leave(self, meeting: Meeting, track: CellTrack) -> None:
-        """Take a track and its cell out of a meeting, which ends with its last track."""
+        """Remove a track from a meeting. The meeting ends with its last track."""
         (member,) = [member for member in meeting.members if member.track is track]
         meeting.members.remove(member)
         self._release(member)
@@ -100,13 +103,13 @@ class Meetings:
             self._running.remove(meeting)
 
     def end(self, meeting: Meeting) -> None:
-        """End a meeting; its members can still be read, but their rows are free."""
+        """End a meeting. Its members can still be read, but their filter rows are free."""
         self._running.remove(meeting)
         for member in meeting.members:
             self._release(member)
 
     def _release(self, member: Member) -> None:
-        """Free a member's filter row, since its track is in the meeting no more."""
+        """Free the filter row of a member that leaves the meeting."""
         self._bank.drop(member.row)
         member.track.meeting = None
 
@@ -153,5 +156,5 @@ class Meetings:
         return log_densities(self._bank, meeting.rows, places, sd_um, self._log_unknown())
 
     def _log_unknown(self) -> float:
-        """Return the log-density [1/um^2] of something unknown that comes out of a blob."""
+        """Return the log-density of an unknown object that comes out of a blob [1/um^2]."""
         return math.log(UNKNOWN_JOINS / (math.pi * (FROM_BLOB * self._body_um) ** 2))

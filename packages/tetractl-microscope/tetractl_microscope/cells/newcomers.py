@@ -1,8 +1,8 @@
-"""Follows specks, the objects that are not known to be cells, until they swim, and begins cells.
+"""Tracks specks, the objects that are not known to be cells, until they swim and become cells.
 
-A blob that no cell has goes on with the speck to which it was assigned, or begins a new one. A
-speck that swims as the organism does becomes a cell: it gets a row of the filter. If it came out of
-another cell's blob, `Names` doubts which of the two is the cell that was followed.
+A blob without a cell continues the speck to which it was assigned, or starts a new speck. A speck
+that swims as the organism does becomes a cell, and gets a row of the filter. If it came out of
+another cell's blob, `Names` doubts which of the two is the cell that was tracked.
 """
 
 import math
@@ -33,13 +33,21 @@ FROM_EDGE = 2.3  # a new cell nearer than this to the picture's edge has swum in
 
 @dataclass(frozen=True, slots=True)
 class FreeBlob:
-    """A blob without a cell: it belongs to a `speck`, or to an object that was not seen before."""
+    """A blob without a cell.
+
+    Attributes:
+        track_blob: The blob.
+        speck: The speck to which it was assigned. None for an object that was not seen before.
+    """
 
     track_blob: TrackBlob
     speck: Speck | None
 
     def entry(self, seconds: float) -> PathBlob:
-        """Return the blob for a cell's path, at a time [s]. If it is cut off, its size is NaN."""
+        """Convert the blob to an entry of a cell's path at a time [s].
+
+        Its size is NaN if the image's edge cuts it off.
+        """
         x, y, axis, long, wide = self.track_blob.place.tolist()
         if self.track_blob.blob.at_edge:
             return PathBlob(seconds, x, y, axis, math.nan, math.nan)
@@ -67,7 +75,7 @@ class Newcomers:
         self._last_number = 0  # of the newest track
 
     def shift(self, x: float, y: float) -> None:
-        """Move the specks by x, y [um], with the picture's content."""
+        """Move the specks by x and y [um], with the content of the image."""
         for speck in self.specks:
             speck.shift(x, y)
 
@@ -108,7 +116,7 @@ class Newcomers:
         return new_cells
 
     def _drop_hidden(self, now: PictureNow) -> None:
-        """Drop specks that have not been seen for long; one that was seen often may come back."""
+        """Drop specks without a blob for long, and sooner those that were seen only a few times."""
         remaining = list[Speck]()
         for speck in self.specks:
             is_old = len(speck.path) == PATH
@@ -117,12 +125,12 @@ class Newcomers:
         self.specks = remaining
 
     def in_view(self, now: PictureNow) -> list[tuple[float, float]]:
-        """Return x, y [um] of the specks that are in view, when they were seen last."""
+        """Return the last position x, y [um] of each speck that is in view."""
         newest = [speck.path[-1] for speck in self.specks if speck.missed_s < now.brief_s]
         return [(blob.x, blob.y) for blob in newest]
 
     def awaited(self) -> list[CellTrack]:
-        """Return the cells near which a speck was first seen that may prove to be a cell."""
+        """Return the cells near which a speck was first seen that may still become a cell."""
         return [
             speck.near
             for speck in self.specks
@@ -134,7 +142,14 @@ class Newcomers:
     def _begin(
         self, speck: Speck, newest: TrackBlob, cells: Sequence[CellTrack], now: PictureNow
     ) -> CellTrack:
-        """Return the cell that a speck becomes because it swims, next to the existing `cells`."""
+        """Turn a speck that swims into a cell.
+
+        Args:
+            speck: The speck.
+            newest: Its newest blob.
+            cells: The existing cells.
+            now: The newest image.
+        """
         path = np.array(speck.path)
         (speed_x, speed_y), fitted = straight(path[-BORN:])
         x, y = fitted[-1].tolist()

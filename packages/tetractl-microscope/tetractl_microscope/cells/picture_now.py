@@ -1,6 +1,7 @@
-"""The newest picture: its time and size, and places in it as columns and rows and as um.
+"""The newest image: its time and size, and the conversion between pixels and positions.
 
-Column c and row r become x = (c + 1/2) um_px and, as y is upwards, y = (height - 1/2 - r) um_px.
+Column c and row r are at x = (c + 1/2) um_px and, because y points up, at y = (height - 1/2 - r)
+um_px.
 """
 
 from collections.abc import Sequence
@@ -35,15 +36,15 @@ class PictureNow:
 
     @property
     def brief_s(self) -> float:
-        """The time without a blob that says nothing of an object: a picture may be missing."""
+        """Time without a blob that is not conclusive, because an image may be missing [s]."""
         return max(BRIEF_S, MISSING * self.passed_s)
 
     def to_edge(self, x: float, y: float) -> float:
-        """Return the distance [um] of a position [um] from the picture's edge."""
+        """Compute the distance of a position from the image's edge [um]."""
         return min(x, y, self.width * self.um_px - x, self.height * self.um_px - y)
 
     def places_of(self, blobs: Sequence[Blob]) -> Floats:
-        """Return x, y [um], axis [rad], length and width [um] of B blobs (B, 5)."""
+        """Convert B blobs to x, y [um], axis [rad], length and width [um], shape (B, 5)."""
         um_px = self.um_px
         places = [
             (
@@ -58,12 +59,12 @@ class PictureNow:
         return np.array(places).reshape(-1, 5)
 
     def points_of(self, blob: Blob) -> Floats:
-        """Return x, y [um] of a blob's pixels (M, 2)."""
+        """Compute x and y of a blob's M pixels, shape (M, 2) [um]."""
         columns, rows = blob.pixels.T
         return np.column_stack([columns + 0.5, self.height - 0.5 - rows]) * self.um_px
 
     def pixels_of(self, places: Floats) -> Floats:
-        """Return column and row (N, 2) of places (N, >= 2) [um]."""
+        """Convert positions (N, >= 2) [um] to columns and rows, shape (N, 2)."""
         return pixels_of(places, self.um_px, self.height)
 
 

@@ -1,4 +1,4 @@
-"""What a blob says of the cell, or of the cells, that it shows."""
+"""Converts blobs to measurements of the cells that they show."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -84,7 +84,7 @@ def note_own_blob(cell: CellTrack, newest: TrackBlob, seconds: float) -> None:
 
 
 def note_own_reading(reading: BlobReading) -> None:
-    """Record what a cell's own blob shows. Its size is recorded unless the blob is unusual."""
+    """Update the size of a cell from its own blob, unless the blob is unusual."""
     cell = reading.cell
     newest = reading.newest
     if not _is_unusual(cell, newest):
@@ -96,7 +96,7 @@ def note_own_reading(reading: BlobReading) -> None:
 
 
 def _is_unusual(cell: CellTrack, newest: TrackBlob) -> bool:
-    """Decide whether a cell's own blob is too large or too small for it, or cut off."""
+    """Check whether a cell's own blob is too large or too small for the cell, or cut off."""
     _, _, _, long, wide = newest.place.tolist()
     is_smaller = long * wide < cell.size.area_um2 / LARGE**2
     return newest.is_large or is_smaller or newest.blob.at_edge
@@ -105,15 +105,15 @@ def _is_unusual(cell: CellTrack, newest: TrackBlob) -> bool:
 def own_reading(
     cell: CellTrack, newest: TrackBlob, expected: Floats, now: PictureNow, body_um: float
 ) -> BlobReading:
-    """Return the measurement from a cell's own blob.
+    """Compute the measurement of a cell from its own blob.
 
-    A blob that is too large also shows something else, on the side of its centre opposite to where
-    the cell is expected.
+    A blob that is too large also shows another object, which is on the opposite side of the blob's
+    centre from the cell.
 
     Args:
         cell: The cell's track.
         newest: The blob.
-        expected: Expected x, y and axis, shape (3,).
+        expected: Expected x, y [um] and axis [rad], shape (3,).
         now: The newest image.
         body_um: Length of a body [um].
     """
@@ -140,12 +140,12 @@ def shared_readings(
     now: PictureNow,
     body_um: float,
 ) -> list[BlobReading]:
-    """Return the measurements of K cells from the blob that they share.
+    """Compute the measurements of K cells from the blob that they share.
 
     Args:
         cells: The cells' tracks.
         newest: The blob.
-        expected: Expected x, y and axis of each cell, shape (K, 3).
+        expected: Expected x, y [um] and axis [rad] of each cell, shape (K, 3).
         now: The newest image.
         body_um: Length of a body [um].
     """

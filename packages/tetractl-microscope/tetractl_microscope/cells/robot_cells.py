@@ -1,10 +1,10 @@
-"""Which cells of a dish are the robots, as two threads see it.
+"""The cells that are the robots of a trial, shared by two threads.
 
-The trial's thread decides: to settle on cells, or to replace one, it puts another `RobotCells` in
-the place of the present object, and changes none. The thread that searches pictures takes the
-present object once a picture and writes to it what the picture shows: which cells are the robots at
-first, and which of them have divided. What is written to an object that was replaced meanwhile
-concerns robots that there are no more.
+The trial's thread decides which cells are the robots. To choose or replace a cell, it creates a new
+`RobotCells` and never changes the present one. The thread that searches images takes the present
+object once per image, and writes what the image shows to it: which cells are the robots at first,
+and which of them have divided. Whatever is written to an object that was replaced in the meantime
+concerns earlier robots.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,12 @@ from tetractl.core.setup import Setup
 
 @dataclass(slots=True)
 class RobotCell:
-    """The number of a robot's cell, and whether another cell has `divided` from its blob."""
+    """The cell of a robot.
+
+    Attributes:
+        number: Number of the cell.
+        divided: Whether another cell has separated from its blob.
+    """
 
     number: int
     divided: bool = False
@@ -23,9 +28,12 @@ class RobotCell:
 
 @dataclass(eq=False, slots=True)
 class RobotCells:
-    """The cells that are the robots of a `setup`, in its order.
+    """The cells of a setup's robots.
 
-    There are none before all of them were seen in one image.
+    Attributes:
+        setup: The constants of the experiment.
+        cells: The cell of each robot, in the order of the setup. Empty until one image has shown
+            all of them.
     """
 
     setup: Setup
@@ -42,5 +50,5 @@ class RobotCells:
         return tuple(i for i, cell in enumerate(self.cells) if cell.divided)
 
     def bind(self, numbers: Sequence[int]) -> None:
-        """Let the cells with these numbers be the robots."""
+        """Set the numbers of the robots' cells."""
         self.cells = [RobotCell(number) for number in numbers]

@@ -1,4 +1,4 @@
-"""Specks: objects of a dish that are followed until they swim, and are then known to be cells."""
+"""Specks: objects in a dish that are tracked until they swim, and are then known to be cells."""
 
 import math
 from collections.abc import Sequence
@@ -37,7 +37,10 @@ class Speck:
     missed_s: float = 0.0
 
     def ahead(self, seconds: float) -> tuple[float, float]:
-        """Return the position x, y [um] that the last motion predicts for a time [s]."""
+        """Extrapolate the speck's motion to a time [s], and return the position x, y [um].
+
+        After STOPPED_S without a blob, it is the last position.
+        """
         last = self.path[-1]
         if len(self.path) < 2 or self.missed_s > STOPPED_S:
             return last.x, last.y
@@ -46,7 +49,7 @@ class Speck:
         return last.x + (last.x - first.x) * ratio, last.y + (last.y - first.y) * ratio
 
     def shift(self, x: float, y: float) -> None:
-        """Move its path by x, y [um], with the picture's content."""
+        """Move the path by x and y [um], with the content of the image."""
         self.path = [blob.moved(x, y) for blob in self.path]
 
 
@@ -74,16 +77,20 @@ def swims(entries: Sequence[PathBlob], organism: Organism) -> bool:
 
 
 def usual_size(path: Floats) -> BodySize:
-    """Return the median size of a path's blobs (M, 6) that are not cut off."""
+    """Compute the median size of the blobs of a path (M, 6) that are not cut off."""
     is_whole = np.isfinite(path[:, 4])
     long, wide = np.median(path[is_whole, 4:6], axis=0).tolist()
     return BodySize(long, wide)
 
 
 def straight(path: Floats) -> tuple[tuple[float, float], Floats]:
-    """Fit a uniform motion to a path (M, >= 3) of time [s], x and y [um], by least squares.
+    """Fit a uniform motion to a path by least squares.
 
-    Returns the velocity [um/s] and the fitted positions (M, 2) [um].
+    Args:
+        path: Time [s], x and y [um], shape (M, 3) or wider.
+
+    Returns:
+        The velocity x, y [um/s], and the fitted positions, shape (M, 2) [um].
     """
     middle = path[:, :3].mean(axis=0)
     times = path[:, 0] - middle[0]

@@ -239,7 +239,7 @@ def _unrest(at_s: float, finding: str) -> Violation:
 
 
 def _radio_late_s(truth: Truth) -> float:
-    """Return by how much faults of the radio delay what is sent."""
+    """Return the total delay of commands that faults of the radio cause [s]."""
     return truth.delay_s("late_radio", "overtaken_packets", "reboots")
 
 

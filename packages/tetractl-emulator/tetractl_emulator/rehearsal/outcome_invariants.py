@@ -40,7 +40,7 @@ def outcome_violations(truth: Truth) -> list[Violation]:
 
 
 def log_is_readable(truth: Truth) -> Iterator[Violation]:
-    """A log is whole, as of `log_is_whole`, and says what was sent and shown, as of `logged`."""
+    """Check that a log is complete (`log_is_whole`) and agrees with what happened (`logged`)."""
     yield from log_is_whole(truth)
     yield from logged(truth)
 
@@ -102,6 +102,7 @@ def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
 
 
 def _wrong_end(finding: str, at_s: float = 0.0) -> Violation:
+    """Create a violation of the invariant on exit codes."""
     return Violation("exit code", at_s, finding)
 
 
@@ -144,11 +145,13 @@ def _counts(truth: Truth) -> Iterator[Violation]:
 
 
 def _late_in_a_row(truth: Truth) -> int:
-    """Return the most control steps in a row that the log shows to be late by a period.
+    """Find the maximum number of successive late control steps in the log.
 
-    A step begins when its frame has come and the step before has ended: a silent camera makes
-    frames old, and no step late. Robots stand from a step that stops them until the next has ended:
-    neither is late for any robot, and a row ends with them, as with robots that turn on the spot.
+    A step is late if it takes longer than a period. It begins when its frame has arrived and the
+    previous step has ended. A silent camera therefore makes frames old, but no step late. Robots
+    stand still from a step that stops them until the next step has ended. Neither of these steps is
+    late for any robot, and a sequence ends with them. The same holds for robots that turn on the
+    spot.
     """
     assert truth.trial is not None
     period_ns = truth.setup.period_s * 1e9

@@ -1,1 +1,1 @@
-"""Cells under a microscope: cameras that search pictures, coils, surveys and tracks."""
+"""Tracks and steers cells under a microscope: cameras that search images, coils, and surveys."""

@@ -1,8 +1,8 @@
-"""Checks by the cells' turning how picture and field lie to each other: mirrored, or rotated.
+"""Checks from the cells' turning whether image and field are mirrored or rotated to each other.
 
 A cell turns towards the field: its heading h and the field's direction u obey dh/dt = a sin(u - h).
-If the picture is rotated by f, h obeys dh/dt = a sin(u + f - h), and if it is mirrored,
-dh/dt = a sin(-u + f - h) for some angle f. The side is that which explains more of the turning
+If the image is rotated by f, h obeys dh/dt = a sin(u + f - h). If it is mirrored, dh/dt = a sin(-u
++ f - h) for some angle f. The chosen side is the one that explains more of the turning
 (`turning_fit`).
 """
 
@@ -103,8 +103,12 @@ def watch_turning(
 def handedness(paths: Sequence[Floats], field: FieldAt) -> Handedness | None:
     """Determine how cells turned in a field.
 
-    `paths` (K, 3) are their times [s] and positions x, y. The result is None for fewer than
-    LEAST_CELLS cells.
+    Args:
+        paths: For each cell, times [s] and positions x, y, shape (K, 3).
+        field: The field.
+
+    Returns:
+        The result. None for fewer than LEAST_CELLS cells.
     """
     turned_courses = courses(paths)
     if len(turned_courses) < LEAST_CELLS:
@@ -122,7 +126,11 @@ def handedness(paths: Sequence[Floats], field: FieldAt) -> Handedness | None:
 
 
 def handedness_lines(turning: Handedness | None) -> tuple[list[str], str]:
-    """Return problems, and a text on how the cells turned."""
+    """Describe how the cells turned.
+
+    Returns:
+        A list of problems, and a sentence on the turning.
+    """
     if turning is None:
         return [f"fewer than {LEAST_CELLS} cells were seen for 2 s while the field turned"], "-"
     off = f"{turning.turned:+.2f} +- {1.96 * turning.turned_sd:.2f} rad off it"

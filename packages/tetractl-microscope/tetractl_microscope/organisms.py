@@ -1,10 +1,11 @@
-"""Swimmers that can be steered: their sizes, speeds and helices, found by name.
+"""Swimming organisms that can be steered: their sizes, speeds and helices, by name.
 
-A range (low, high) holds for some 95 % of healthy swimmers that are seen from above. What a picture
-shows is less exact: blur widens a body, tilting out of the picture's plane shortens it, and a cell
-that divides is longer. So a tracker takes an object for a swimmer up to the factor OUTLINE beyond a
-range. Another package adds an organism by an entry point of the group "tetractl.organisms" whose
-object is an `Organism`. A `guess` is a value for which no source was found.
+A range (low, high) contains about 95 % of healthy swimmers that are seen from above. Sizes in an
+image are less exact: blur widens a body, a tilt out of the image plane shortens it, and a cell that
+divides is longer. A tracker therefore accepts an object as a swimmer up to the factor OUTLINE
+beyond a range. Another package can add an organism with an entry point of the group
+"tetractl.organisms" whose object is an `Organism`. A `guess` is a value for which no source was
+found.
 """
 
 import math
@@ -68,13 +69,13 @@ class Organism:
 
     @property
     def quickness(self) -> float:
-        """How many times more of its lengths its fastest swim in a second than Tetrahymena's do."""
+        """How many of its lengths the fastest swim per second, relative to Tetrahymena."""
         fastest = self.speed_um_s[1] / self.body_um[0]
         return fastest / (TETRAHYMENA.speed_um_s[1] / TETRAHYMENA.body_um[0])
 
 
 def _within(mean: float, deviation: float) -> Range:
-    """Return the range of some 95 % of normally distributed values."""
+    """Return the range of about 95 % of normally distributed values."""
     return mean - 2 * deviation, mean + 2 * deviation
 
 

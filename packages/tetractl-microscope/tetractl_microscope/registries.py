@@ -1,4 +1,4 @@
-"""Registries of picture sources and organisms; and the folders of examples and templates."""
+"""Registries of image sources and organisms, and the folders of examples and templates."""
 
 from pathlib import Path
 

@@ -74,7 +74,7 @@ class TurnedCourse:
     angle: Floats
 
     def at(self, rows: Bools | slice) -> "TurnedCourse":
-        """Return the course at some of its times."""
+        """Return the course at the selected times."""
         return TurnedCourse(self.times[rows], self.angle[rows])
 
 
@@ -94,11 +94,14 @@ class SentDirections:
 
     @cached_property
     def acts(self) -> NDArray[np.complex128]:
-        """What acts from each time on, as x + iy (C,)."""
+        """The field that acts from each time on, as complex numbers x + iy, shape (C,)."""
         return np.asarray(self.strengths * np.exp(1j * self.angles), dtype=np.complex128)
 
     def at(self, times: Floats) -> NDArray[np.complex128]:
-        """Return the direction that acts at times [s]. It is 0 before the first direction."""
+        """Return the field that acts at times [s], as x + iy.
+
+        It is 0 before the first direction.
+        """
         now = np.searchsorted(self.times, times, side="right") - 1
         return np.where(now < 0, 0.0, self.acts[now])
 
@@ -138,7 +141,7 @@ def courses(paths: Sequence[Floats]) -> list[TurnedCourse]:
 
 
 def _course(times: Floats, angle: Floats) -> TurnedCourse:
-    """Return the course of angles (K - SMOOTH,) that are each of SMOOTH steps between times."""
+    """Create a course from angles (K - SMOOTH,), each measured over SMOOTH steps."""
     return TurnedCourse(times[SMOOTH // 2 : SMOOTH // 2 + len(angle)], angle)
 
 
@@ -185,7 +188,7 @@ def check_directions(
 
 
 def _longest(turned: Sequence[TurnedCourse]) -> list[TurnedCourse]:
-    """Return the longest courses, none if robots are seen for less than ENOUGH_S."""
+    """Select the longest courses. Empty if robots were seen for less than ENOUGH_S in total."""
     by_length = sorted(turned, key=lambda course: len(course.times), reverse=True)
     begin = slice(round(COURSE_S / GRID_S))
     longest = [course.at(begin) for course in by_length[:COURSES_MAX]]
@@ -270,13 +273,29 @@ def _best_delay(
 
 
 def rotated(basis: Floats, rate: Floats) -> tuple[complex, Floats]:
-    """Fit the response to a field that may be rotated, by least squares."""
+    """Fit the turning to a field that may be rotated, by least squares.
+
+    Args:
+        basis: The field along the course and across it, shape (K, 2).
+        rate: Turning rate, shape (K,) [rad/s].
+
+    Returns:
+        The factor of the field, and the turning rate that it explains, shape (K,).
+    """
     fitted = np.linalg.lstsq(basis, rate, rcond=None)[0]
     return complex(*fitted), basis @ fitted
 
 
 def towards(basis: Floats, rate: Floats) -> tuple[complex, Floats]:
-    """Fit the rate a >= 0 at which a robot turns towards the field."""
+    """Fit the rate a >= 0 at which a robot turns towards the field, by least squares.
+
+    Args:
+        basis: The field along the course and across it, shape (K, 2).
+        rate: Turning rate, shape (K,) [rad/s].
+
+    Returns:
+        The rate a, and the turning rate that it explains, shape (K,).
+    """
     pull = basis[:, 0]
     squares = float(pull @ pull)
     a = max(0.0, float(rate @ pull) / squares) if squares > 0 else 0.0
@@ -312,7 +331,7 @@ def turning_fit(
 
 
 def _pieces(path: Floats) -> list[Floats]:
-    """Return the pieces (K, ...) of a path without a longer gap that last SHORTEST_S or more."""
+    """Split a path (K, 3) at long gaps, and return the pieces that last SHORTEST_S or more."""
     if len(path) < 2:
         return []
     cuts = np.flatnonzero(np.diff(path[:, 0]) > LONGEST_GAP_S) + 1
@@ -320,7 +339,7 @@ def _pieces(path: Floats) -> list[Floats]:
 
 
 def _rates(course: TurnedCourse, field: FieldAt) -> Floats:
-    """Return the turning rates (M, 2) that a = 1 gives with f = 0 and with f = pi / 2."""
+    """Compute the turning rates that a = 1 gives with f = 0 and with f = pi / 2, shape (M, 2)."""
     box = np.ones(SMOOTH) / SMOOTH  # a course is a mean, and so is what turns it
     pull = field(course.times) * np.exp(-1j * course.angle)
     mean = np.convolve(pull, box, "same")[SMOOTH:-SMOOTH]

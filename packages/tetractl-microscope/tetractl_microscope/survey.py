@@ -167,7 +167,7 @@ def survey(
 
 
 def _keep_files(data: dict[str, Any], folder: Path, new_folder: Path) -> None:
-    """Let a spec's data name the same files from another folder."""
+    """Change a spec's relative file names so that they are valid from another folder."""
     for *sections, field in FILES:
         section = data
         for name in sections:
@@ -178,6 +178,11 @@ def _keep_files(data: dict[str, Any], folder: Path, new_folder: Path) -> None:
 
 
 def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]:
+    """Parse the option --micrometer: two positions [px], and their distance [um].
+
+    Raises:
+        UsageError: If it is invalid.
+    """
     try:
         a, b, c, d, um = (float(part) for part in text.split(","))
     except ValueError:
@@ -191,7 +196,7 @@ def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]
 
 
 def _choice_line(proposal: "RankedChoice", unit: str) -> str:
-    """Return the line on a choice of cells: its error, and which of them were near the edge."""
+    """Describe a choice of cells: its predicted error, and which cells were near the edge."""
     numbers = ", ".join(map(str, proposal.numbers))
     error = (
         f"{proposal.error:.0f} {unit}" if math.isfinite(proposal.error) else "none, no plan found"

@@ -1,1 +1,1 @@
-"""Planar poses of robots from an ordinary camera's pictures of AprilTags."""
+"""Measures planar poses of robots from an ordinary camera's images of AprilTags."""

@@ -1,1 +1,1 @@
-"""Planar poses of cells from a microscope's pictures."""
+"""Measures planar poses of cells from the images of a microscope."""

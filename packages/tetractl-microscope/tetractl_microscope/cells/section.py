@@ -1,4 +1,4 @@
-"""The `cells` camera's section of a spec: a microscope's pictures, their scale and position."""
+"""The section of a spec for the `cells` camera: a microscope's images, their scale and position."""
 
 import math
 from typing import Annotated, ClassVar, Literal, TypeVar

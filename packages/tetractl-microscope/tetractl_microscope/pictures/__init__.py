@@ -1,1 +1,1 @@
-"""Cameras that find robots in pictures: sources of pictures, and the camera that searches them."""
+"""Cameras that find robots in images: the sources of the images, and the camera's base class."""

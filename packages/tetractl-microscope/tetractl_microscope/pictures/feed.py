@@ -1,4 +1,4 @@
-"""The interface of an opened source of pictures, and the pictures that it delivers."""
+"""The interface of an open source of images, and the images that it delivers."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -7,7 +7,7 @@ import numpy as np
 
 
 class SourceEndedError(Exception):
-    """The source has ended and delivers no more pictures; the message states the reason."""
+    """The source has ended and delivers no more images. The message contains the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,11 +24,14 @@ class Picture:
 
 
 class Feed(Protocol):
-    """An opened source of pictures. One thread reads and closes it; any thread may interrupt.
+    """An open source of images. One thread reads and closes it, and any thread may interrupt it.
 
-    Feeds derive from this class. A `live` source delivers pictures even if they are not read.
-    `rate_hz` is the source's declared rate [Hz], None if unknown. An `emulated` source does not
-    show real robots.
+    Sources derive from this class.
+
+    Attributes:
+        live: Whether the source delivers images even if they are not read.
+        rate_hz: The source's declared rate [Hz]. None if unknown.
+        emulated: Whether the source does not show real robots.
     """
 
     live: bool = True
@@ -37,7 +40,7 @@ class Feed(Protocol):
 
     @property
     def damaged(self) -> int:
-        """Number of parts of the stream so far that could not be read."""
+        """Number of parts of the stream that could not be decoded so far."""
         return 0
 
     def read(self) -> Picture:
@@ -49,7 +52,7 @@ class Feed(Protocol):
         ...
 
     def interrupt(self) -> None:
-        """End a `read` that is waiting in another thread; unneeded if no wait is long."""
+        """End a `read` that waits in another thread. Not needed if `read` never waits for long."""
 
     def close(self) -> None:
         """Release the source."""

@@ -39,9 +39,12 @@ _PLACE = re.compile(r"[/\\]|^\.\.$")
 
 
 def adapter_folder() -> Path:
-    """Return the folder of Micro-Manager's device adapters, whose libraries the core runs.
+    """Find the folder of Micro-Manager's device adapters, whose libraries the core runs.
 
-    No spec can name this folder. AbortError if Micro-Manager is not installed.
+    No spec can name this folder.
+
+    Raises:
+        AbortError: If Micro-Manager is not installed.
     """
     folder = Path(os.environ.get(FOLDER) or INSTALLED.get(sys.platform, INSTALLED["linux"]))
     if not folder.is_dir():
@@ -123,7 +126,11 @@ class MicroManagerFeed(Feed):
             raise AbortError(text, "does Micro-Manager itself show this camera live?") from error
 
     def read(self) -> Picture:
-        """Wait for the next picture."""
+        """Wait for the next image.
+
+        Raises:
+            SourceEndedError: If the camera fails, is closed, or delivers no image for 10 s.
+        """
         silent = self._clock.now() + 10 * SECOND
         while not self._closing.is_set():
             try:
@@ -139,17 +146,18 @@ class MicroManagerFeed(Feed):
         raise SourceEndedError("Micro-Manager's camera was closed")
 
     def interrupt(self) -> None:
-        """End a `read` that is waiting in another thread, within a few milliseconds."""
+        """End a `read` that waits in another thread, within a few milliseconds."""
         self._closing.set()
 
     def close(self) -> None:
-        """End the sequence and release the camera."""
+        """Stop the acquisition and release the camera."""
         try:
             self._core.stopSequenceAcquisition()
         finally:
             self._core.reset()
 
     def _grey(self, pixels: np.ndarray) -> np.ndarray:
+        """Convert pixels to 8-bit grey levels."""
         if pixels.dtype.itemsize < 4:
             return np.minimum(pixels >> self._shift, 255).astype(np.uint8)
         colours = np.ascontiguousarray(pixels).view(np.uint8).reshape(*pixels.shape, 4)

@@ -12,9 +12,10 @@ _BLANK = b"\r\n\r\n"
 
 
 class Multipart:
-    """Splits a stream of bytes into the bodies of its parts; buffers at most one part.
+    """Splits a stream of bytes into the bodies of its parts, and buffers at most one part.
 
-    `damaged` counts the parts that could not be read.
+    Attributes:
+        damaged: Number of parts that could not be decoded.
     """
 
     def __init__(self, boundary: str) -> None:
@@ -26,7 +27,7 @@ class Multipart:
         self._bodies: list[bytes] = []
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes; return the bodies that they complete, oldest first."""
+        """Add received bytes, and return the bodies that they complete, oldest first."""
         self._held += data
         while self._part() if self._inside else self._find():
             pass
@@ -35,7 +36,7 @@ class Multipart:
         return bodies
 
     def _find(self) -> bool:
-        """Drop the bytes up to the next boundary; return whether a boundary was found."""
+        """Drop the bytes up to the next boundary. Returns whether there is one in the buffer."""
         found_at = self._held.find(self._mark)
         if found_at < 0:
             del self._held[: max(0, len(self._held) - len(self._mark) + 1)]
@@ -44,7 +45,7 @@ class Multipart:
         return True
 
     def _part(self) -> bool:
-        """Try to complete the part at the start of the buffer; return whether that succeeded."""
+        """Try to complete the part at the start of the buffer. Returns whether to continue."""
         head = self._held.find(_BLANK, 0, HEAD_MAX)
         cut = self._held.find(self._mark, 0, head if head >= 0 else HEAD_MAX)
         if cut >= 0 or (head < 0 and len(self._held) >= HEAD_MAX):
@@ -68,6 +69,7 @@ class Multipart:
         return True
 
     def _unmeasured(self, start: int, end: int) -> bool:
+        """Try to complete a part without a Content-Length. Returns whether to continue."""
         if end < 0:
             return self._drop() if len(self._held) - start > BODY_MAX else False
         self._bodies.append(bytes(self._held[start:end]).removesuffix(b"\r\n"))
@@ -75,11 +77,13 @@ class Multipart:
         return True
 
     def _drop(self) -> bool:
+        """Drop the present part as damaged. Returns True, to continue with the next boundary."""
         self.damaged += 1
         self._cut(0, inside=False)
         return True
 
     def _cut(self, end: int, inside: bool) -> None:
+        """Remove bytes from the start of the buffer."""
         del self._held[:end]
         self._inside = inside
         self._scanned = 0

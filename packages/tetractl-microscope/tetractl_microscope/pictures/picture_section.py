@@ -1,4 +1,4 @@
-"""The part of a spec shared by all cameras that search pictures: the source of the pictures.
+"""The part of a spec shared by all cameras that search images: the source of the images.
 
 OpenCV is imported only if the camera is built.
 """
@@ -169,7 +169,7 @@ class PictureSection(CameraSection):
     """Longest wait for the source to open, and then for the first picture [s]."""
 
     def bounds(self) -> dict[str, str]:
-        """Return the source of the pictures as {name: text}, for display."""
+        """Describe the source of the images for display."""
         return {"camera": self.source_name}
 
     @property

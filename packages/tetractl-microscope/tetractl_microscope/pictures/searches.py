@@ -1,4 +1,4 @@
-"""The results for the last pictures that a camera searched, and the stream's statistics; no I/O."""
+"""The results of the newest images that a camera searched, and statistics of its stream. No I/O."""
 
 import statistics
 from collections.abc import Iterable, Sequence
@@ -16,7 +16,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class PictureSearch(Generic[S]):
-    """One searched picture: its number, time of arrival, duration of the search, and result."""
+    """The search of one image.
+
+    Attributes:
+        number: Number of the image.
+        received_ns: When the image arrived [ns].
+        search_ns: Duration of the search [ns].
+        result: What the search found.
+    """
 
     number: int
     received_ns: int
@@ -30,12 +37,12 @@ def stated(values: Iterable[T | None]) -> list[T]:
 
 
 def search_ms(searches: Sequence[PictureSearch[Any]]) -> float:
-    """Return the median duration of searching a picture [ms]."""
+    """Compute the median duration of a search [ms]."""
     return statistics.median(search.search_ns for search in searches) / 1e6
 
 
 def searched_hz(searches: Sequence[PictureSearch[Any]]) -> float | None:
-    """Return the rate of images [Hz], searched or not. None if it is unknown."""
+    """Compute the rate of images, searched or not [Hz]. None if it is unknown."""
     received_ns = [search.received_ns for search in searches]
     return rate_hz([search.number for search in searches], received_ns)
 
@@ -54,7 +61,7 @@ def stream_lines(
         searches: The searches of the newest images.
         source: Name of the source.
         end_reason: Why the source has ended. Empty if it has not.
-        now_ns: The present time.
+        now_ns: The present time [ns].
         declared_hz: The source's declared rate [Hz]. None if unknown.
         damaged: Number of damaged images.
 

@@ -1,4 +1,4 @@
-"""The pictures of a run that its log has, as JPEG: one a second, and the background at times."""
+"""Adds whole images to the log of a run, as JPEG: one per second, and the background at times."""
 
 import cv2
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -13,14 +13,14 @@ BACKGROUND_NS = 10 * SECOND  # interval between backgrounds
 
 
 def _jpeg_image(picture: Grey) -> bytes:
-    """Return the message of a whole picture."""
+    """Encode an image as a log message."""
     done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 80])
     coded = data.tobytes() if done else b""
     return CompressedImage(frame_id=LENS, data=coded, format="jpeg").SerializeToString()
 
 
 class PictureLog:
-    """Makes the messages of whole pictures of one run."""
+    """Creates the log messages of whole images during one run."""
 
     def __init__(self) -> None:
         self._whole_ns = -WHOLE_NS
@@ -29,12 +29,15 @@ class PictureLog:
     def messages(
         self, picture: Grey, exposed_ns: int, background: Grey | None
     ) -> tuple[tuple[str, bytes], ...]:
-        """Return topic and bytes of the messages that are due for an image.
+        """Create the messages that are due for an image.
 
         Args:
             picture: The image.
             exposed_ns: When it was exposed [ns].
             background: The background. None if there is none.
+
+        Returns:
+            Topic and bytes of each message. Empty if none is due.
         """
         messages: list[tuple[str, bytes]] = []
         if exposed_ns - self._whole_ns >= WHOLE_NS:

@@ -1,4 +1,4 @@
-"""The tables of the cells, made from the record that `tetractl track --json` prints."""
+"""Creates the tables of cells from the record that `tetractl track --json` prints."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -42,7 +42,7 @@ class Quantity:
 
     @property
     def key(self) -> str:
-        """The name of the quantity in JSON, which ends in the unit."""
+        """The name of the quantity in JSON, which ends in its unit."""
         return Column(self.name, (), self.unit).key.lower()
 
 
@@ -67,7 +67,7 @@ RESPONSES = "a_rad_s", "bias_rad"
 
 
 def cell_tables(record: Record) -> list[Table]:
-    """Return the tables to print: a row per cell, and the mean over the cells of each quantity."""
+    """Create the tables to print: a row for each cell, and the mean of each quantity."""
     cells = record["cells"]
     columns = [Column("cell", [cell["cell"] for cell in cells])]
     for quantity in QUANTITIES:
@@ -80,6 +80,7 @@ def cell_tables(record: Record) -> list[Table]:
 
 
 def _text(entry: Any, decimals: int) -> str:
+    """Format an entry of a cell, with its interval if it has one."""
     if isinstance(entry, bool):
         return "yes" if entry else "no"
     if isinstance(entry, Mapping):
@@ -89,14 +90,24 @@ def _text(entry: Any, decimals: int) -> str:
 
 
 def value_of(entry: Any) -> float | None:
-    """Return an entry of a cell, with or without an interval. None if it is unknown."""
+    """Extract the value of an entry of a cell, with or without an interval.
+
+    None if it is unknown.
+    """
     return entry["value"] if isinstance(entry, Mapping) else entry
 
 
 def known_values(cells: Sequence[Record], key: str) -> tuple[list[Record], list[float]]:
-    """Return the cells for which a quantity is known, and its values.
+    """Find the cells for which a quantity is known.
 
     For a and bias, only cells that respond to the field count.
+
+    Args:
+        cells: The cells.
+        key: The quantity's name in JSON.
+
+    Returns:
+        These cells, and their values.
     """
     responding = [cell for cell in cells if key not in RESPONSES or cell.get("magnetised")]
     with_values = [(cell, value_of(cell.get(key))) for cell in responding]
@@ -105,10 +116,15 @@ def known_values(cells: Sequence[Record], key: str) -> tuple[list[Record], list[
 
 
 def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
-    """Describe values of one or more cells, each weighted by the time for which its cell is seen.
+    """Describe values of cells, weighted by the time for which each cell was seen.
 
-    A cell that is followed under one number after another is several of `cells`: n is the greatest
-    number that are seen at once, and the interval is Student's for that n.
+    A cell that was tracked under several numbers in turn occurs several times in `cells`.
+    Therefore, n is the maximum number of cells that were seen at once, and the interval is that of
+    Student's t for this n.
+
+    Args:
+        cells: One or more cells.
+        values: The value of each cell.
     """
     weights = np.array([cell["duration_s"] for cell in cells])
     since = np.array([cell["since_s"] for cell in cells])
@@ -128,7 +144,7 @@ def cell_mean(cells: Sequence[Record], values: Sequence[float]) -> Distribution:
 
 
 def _means(cells: list[Record]) -> list[Table]:
-    """Return the table of means, none for fewer than two cells."""
+    """Create the table of means over cells. Empty for fewer than two cells."""
     rows = []
     for quantity in QUANTITIES if len(cells) > 1 else ():
         known_cells, values = known_values(cells, quantity.key)
@@ -150,7 +166,7 @@ def _means(cells: list[Record]) -> list[Table]:
 
 
 def cell_data(record: Record) -> Table:
-    """Return the data table of the cells: a row per cell, intervals as columns of their ends."""
+    """Create the data table: a row for each cell, with intervals as columns of their ends."""
     cells = record["cells"]
     columns = [Column("cell", [cell["cell"] for cell in cells])]
     for quantity in QUANTITIES:

@@ -1,4 +1,4 @@
-"""The field's direction over time, from a CSV file."""
+"""Reads the direction of the field over time from a CSV file."""
 
 import math
 from collections.abc import Sequence
@@ -27,9 +27,16 @@ STRONGEST = 100.0  # greatest strength of a field, relative to the reference fie
 
 
 def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]:
-    """Return a warning if the field's directions seem to be mirrored or rotated.
+    """Warn if the directions of the field seem to be mirrored or rotated.
 
-    This is judged by how the cells turn. `paths` (K, 3) are their times [s] and positions x, y.
+    This is inferred from the turning of the cells.
+
+    Args:
+        field: The field.
+        paths: For each cell, times [s] and positions x, y, shape (K, 3).
+
+    Returns:
+        The warnings. Empty if the directions are right or if too few cells were seen.
     """
     mirrored = (
         "the directions run clockwise (--y-down), or the picture is mirrored; do not use a, bias "
@@ -64,7 +71,7 @@ def clock_remarks(
 
 
 def _no_column(path: Path, name: str, headers: Sequence[str]) -> UsageError:
-    """Return the error that a table has no column of a name."""
+    """Create the error for a table without a required column."""
     if not headers:
         return UsageError(f"{path}: has no rows")
     has = printable(", ".join(headers[:8]))
@@ -72,16 +79,23 @@ def _no_column(path: Path, name: str, headers: Sequence[str]) -> UsageError:
 
 
 def no_field(start: float, end: float) -> Sequence[Piece]:
-    """Return one piece from `start` to `end` [s] without a field."""
+    """Return one interval without a field, from `start` to `end` [s]."""
     return ((end - start, 0.0, 0.0),)
 
 
 def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
-    """Return the field of a CSV file with columns time_s, direction_rad and perhaps strength.
+    """Read the field over time from a CSV file.
 
-    Directions are anticlockwise from the picture's right, clockwise if `upside_down`; strengths are
-    fractions of the reference field, 1 by default. UsageError if a column or a valid value is
-    missing.
+    The file has the columns time_s and direction_rad, and optionally strength. Directions are
+    anticlockwise from the image's right. Strengths are fractions of the reference field, 1 by
+    default.
+
+    Args:
+        path: The file.
+        upside_down: Whether directions are clockwise instead.
+
+    Raises:
+        UsageError: If a column is missing or a value is invalid.
     """
     headers = columns_of(path)
     time = find_time(path, headers)

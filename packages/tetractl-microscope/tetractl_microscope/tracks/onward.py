@@ -49,11 +49,11 @@ TO_AND_FRO = "what moves goes to and fro, as beads do: nothing swims"
 
 @dataclass(frozen=True, slots=True)
 class Onward:
-    """How steadily an object moves on.
+    """How similar the successive displacements of an object are.
 
     Attributes:
-        alike: Sum of products of successive displacements.
-        most: The maximum that this sum can have.
+        alike: Sum of the scalar products of successive displacements.
+        most: The maximum that this sum can have: the sum of the products of their lengths.
     """
 
     alike: float
@@ -61,12 +61,17 @@ class Onward:
 
     @property
     def goes_on(self) -> bool:
-        """Whether the object goes on as it went."""
+        """Whether the object mostly keeps its direction."""
         return self.alike >= ONWARD * self.most
 
 
 def onward(places: Floats, apart: int) -> Onward:
-    """Measure how similar displacements over `apart` steps along places (K, 2) are."""
+    """Compare successive displacements along a path.
+
+    Args:
+        places: Positions, shape (K, 2).
+        apart: Number of steps of a displacement.
+    """
     moved = places[apart:] - places[:-apart]
     before = moved[:-apart]
     after = moved[apart:]
@@ -76,7 +81,7 @@ def onward(places: Floats, apart: int) -> Onward:
 
 
 def hardly_any_goes_on(going_on: Sequence[bool]) -> bool:
-    """Decide whether so few objects move on steadily that they may do so by chance."""
+    """Check whether so few objects keep their direction that this may be chance."""
     return sum(going_on) < FEW * len(going_on)
 
 

@@ -1,4 +1,4 @@
-"""Velocities of a track by its places alone, without a model of how a cell swims."""
+"""Computes velocities of a track from its positions only, without a model of how a cell swims."""
 
 from itertools import pairwise
 
@@ -47,6 +47,6 @@ def _ends(times: Floats) -> list[int]:
 
 
 def distance_um(places: Floats) -> float:
-    """Return the distance [um] along places (K, 2) [um]."""
+    """Compute the length of a path through positions (K, 2) [um]."""
     steps = np.diff(places, axis=0)
     return float(np.linalg.norm(steps, axis=1).sum())

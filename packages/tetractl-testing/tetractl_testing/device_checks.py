@@ -145,7 +145,7 @@ def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None 
 
 
 def _next_frames(camera: Camera, clock: Clock, patience_s: float) -> list[CameraFrame]:
-    """Return the next ten frames, at most those that come in a time [s]."""
+    """Return the next ten frames, or fewer if they do not arrive within a time [s]."""
     frames: list[CameraFrame] = []
 
     def enough() -> bool:
@@ -157,7 +157,7 @@ def _next_frames(camera: Camera, clock: Clock, patience_s: float) -> list[Camera
 
 
 def _check_frames(frames: Sequence[CameraFrame], now_ns: int, robots: int) -> None:
-    """Check the order of frames that have come by `now_ns`, and their number of poses."""
+    """Check the order of frames that have arrived by `now_ns`, and their number of poses."""
     numbers = [frame.number for frame in frames]
     times = [frame.sampled_ns for frame in frames]
     rise = numbers == sorted(set(numbers))
@@ -305,7 +305,7 @@ def _at_port(data: Any, port: str) -> Any:
 
 
 def _pseudo_terminal(stack: ExitStack) -> str:
-    """Return the name of a port that takes everything, until the stack closes it."""
+    """Create a port that accepts all bytes, until the stack is closed, and return its name."""
     import tty  # not on Windows
 
     ours, theirs = os.openpty()
@@ -323,7 +323,7 @@ def _swallow(port: int) -> None:
 
 
 class _Nowhere(SerialPort):
-    """A port that takes everything, and behind which there is nothing."""
+    """A port that accepts all bytes and leads to no device."""
 
     def open(self, alone: bool = True) -> None:
         """Do nothing."""

@@ -1,1 +1,1 @@
-"""Learnt policies for tetractl: a trial as an environment of Gymnasium, and a controller."""
+"""Learnt policies for tetractl: a Gymnasium environment of a trial, and a controller."""

@@ -287,7 +287,7 @@ def _none_is_left_driving(truth: Truth) -> Iterator[Violation]:
 
 
 def _no_command_drives(truth: Truth) -> Iterator[Violation]:
-    """No command after the end drives a robot, unless another takes its place in `TRANSIT_S`."""
+    """Check that no command after the end drives robots, unless it is replaced in `TRANSIT_S`."""
     for command, acts_s in zip(truth.commands, truth.acting_s.tolist(), strict=True):
         if time_s(command) > truth.ended_s and acts_s > TRANSIT_S and any(truth.drives(command)):
             yield _unrest(time_s(command), "a command drives")

@@ -375,7 +375,7 @@ class BlobFinder:
         return Light(gain, noise, None, changed, lost, limit=high)
 
     def _blobs(self, newest: SearchArrays) -> list[Blob]:
-        """Return the blobs of the newest picture, largest first."""
+        """Return the blobs of the newest image, the largest first."""
         large = [region for region in self.regions() if _box_px2(region) >= self.least_px2]
         large.sort(key=_box_px2, reverse=True)
         blobs: list[Blob] = []

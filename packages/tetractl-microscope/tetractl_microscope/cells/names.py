@@ -1,22 +1,22 @@
-"""Infers which cell is which after cells have met, or one came out of another one's blob.
+"""Infers which cell is which after cells have met, or after one came out of another cell's blob.
 
-A *track* is an object that is followed from picture to picture. Its *identity* is the number of the
-cell that it most probably shows, its *certainty* the probability of that number.
+A *track* is an object that is tracked from image to image. Its *identity* is the number of the cell
+that it most probably shows, and its *certainty* is the probability of that number.
 
 - A *meeting* begins when tracks share a blob (`Names.meet`), so that they may exchange their cells.
-  `meetings` computes each track's *share*: the probability that it still has its own cell.
-- When tracks are apart again (`Names.part`), those with a share above ASSERTED keep their names.
-  The others are asked about by a *question*: each track is followed by one filter row per cell that
-  it may be, with that cell's turning rate, bias, speed and helix. The likelihoods of later
-  measurements, above all of the response to the field, multiply the probability of each
-  assignment of cells to tracks.
-- A question ends once one assignment is certain, or after a time (`Names.answer`).
-- A *doubt* multiplies the certainty of a track by a share about which nothing can be asked later.
+  `meetings` computes the *share* of each track: the probability that it still has its own cell.
+- When tracks are apart again (`Names.part`), those with a share above ASSERTED keep their
+  identities. For the others, a *question* is opened: each track is predicted by one filter row for
+  each cell that it may be, with the turning rate, bias, speed and helix of that cell. The
+  likelihoods of later measurements, above all of the response to the field, multiply the
+  probability of each assignment of cells to tracks.
+- A question is closed once one assignment is certain, or after a maximum time (`Names.answer`).
+- A *doubt* multiplies the certainty of a track by a share that later measurements cannot improve.
 
 Each row of the filter has one owner, which frees it: a track without an open question, a cell of a
-meeting, or an open question; a track's `row` then is one of its question's.
+meeting, or an open question. In the last case, the track's `row` is one of the question's rows.
 
-K is the number of tracks, M that of cells. Places are (K, 3): x, y [um] and axis [rad].
+K is the number of tracks, M the number of cells. Places are x, y [um] and axis [rad], shape (K, 3).
 """
 
 import math
@@ -45,12 +45,14 @@ EITHER_OF_TWO = 0.5  # share of a track whose cell is one of two, of which nothi
 
 
 class Names:
-    """Knows which tracks are together, and which questions are open.
+    """Keeps the identities of all tracks, the meetings of tracks, and the open questions.
 
-    `bank` is the filter, a cell is `body_um` long.
+    For each image, `meet` is called for each group of tracks that cannot be distinguished, then
+    `part` and `answer` once. After that, new cells are numbered, and lost ones are given up.
 
-    In each picture, `meet` is called for each group of tracks that are not distinguished, then
-    `part` and `answer` once; cells `appear` and are given up after that.
+    Args:
+        bank: The filter.
+        body_um: Length of a cell [um].
     """
 
     def __init__(self, bank: HelixFilter, body_um: float) -> None:

@@ -19,8 +19,8 @@ class Spread(NamedTuple):
     """Standard deviations of a measurement from a blob.
 
     Attributes:
-        position: Of the position [lengths of a cell].
-        axis: Of the axis [rad].
+        position: Standard deviation of the position [lengths of a cell].
+        axis: Standard deviation of the axis [rad].
     """
 
     position: float

@@ -61,7 +61,13 @@ FieldPieces = Callable[[float, float], Sequence[Piece]]
 
 @dataclass(frozen=True, slots=True)
 class CellsInBlob:
-    """A blob, the `newest` of K cells, which were `expected` at (K, 3)."""
+    """A blob, and the cells that it shows.
+
+    Attributes:
+        newest: The blob.
+        cells: The K cells.
+        expected: Expected x, y [um] and axis [rad] of each cell, shape (K, 3).
+    """
 
     newest: TrackBlob
     cells: list[CellTrack]

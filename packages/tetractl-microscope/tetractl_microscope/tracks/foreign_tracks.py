@@ -462,7 +462,7 @@ def _axes(stated: Sequence[Any], names: Iterable[str]) -> list[Any]:
 
 
 def _step(axis: Any, units: Mapping[str, float]) -> AxisStep:
-    """Return the length of one unit along an axis, in one of some units."""
+    """Return the length of one unit along an axis of a graph."""
     scaled = factor(axis.scaled_unit or "", units)
     if scaled is not None and axis.scale:
         return AxisStep(axis.scale * scaled)

@@ -128,7 +128,7 @@ class SimulatedRun:
 
     @property
     def numbers(self) -> list[Floats]:
-        """All numbers of the plans, those that the controller says besides at last."""
+        """All numbers of each plan: signals, path, costs, generator, and further numbers to log."""
         numbers: list[Floats] = []
         for plan in self.plans:
             costs = [plan.cost, plan.target_cost, plan.obstacle_cost, plan.generator]

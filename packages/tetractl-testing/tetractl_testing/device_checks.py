@@ -452,7 +452,7 @@ class _SteeringChecks:
         return not any(self.robots.moves())
 
     def _failed(self) -> bool:
-        """Whether the device says that it failed, which it may find out by sending."""
+        """Send a command if necessary, and return whether the device reports a failure."""
         if self.actuator.failure is None:
             with suppress(AbortError):
                 self._steer(DIRECTION, self.all)
@@ -471,7 +471,12 @@ def _check_aborts(name: str, call: Callable[[], object]) -> None:
 
 
 def _check_health(device: Device, healthy: bool) -> None:
-    """Check what a device says of itself, which it is asked twice, as it may be."""
+    """Call the `check` of a device twice, as a run may do, and examine both reports.
+
+    Args:
+        device: The open device.
+        healthy: Whether the device must report no problems.
+    """
     reports: list[Health] = [device.check(), device.check()]
     facts = [fact for health in reports for fact in health.facts.values()]
     true("check: facts are text", all(isinstance(fact, str) for fact in facts))

@@ -70,7 +70,7 @@ def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:
     calls: dict[str, list[Call]] = {}
 
     def call(bound: Callable[..., Any], *arguments: Any) -> Any:
-        """Call a method, None if it is not overridden, and record the call."""
+        """Call a method and record the call. Returns None if the method is not overridden."""
         method = bound.__name__
         if not overriding([disturbance], getattr(Disturbance, method)):
             return None

@@ -1,7 +1,7 @@
-"""What a check of a plug-in expects, and the comparisons that checks make.
+"""Comparisons with which the checks of plug-ins express what they expect.
 
-What does not hold raises AssertionError, as a test of pytest should; `findings_of` lists all that
-holds and all that does not instead.
+An expectation that does not hold raises AssertionError, as in any test with pytest. Within
+`findings_of`, all expectations are listed instead, whether they hold or not.
 """
 
 import random
@@ -29,7 +29,12 @@ TINY = 1e-300
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What is expected, and what is wrong with it, "" for nothing."""
+    """An expectation of a check, and its result.
+
+    Attributes:
+        what: What is expected.
+        problem: What is wrong. "" if the expectation holds.
+    """
 
     what: str
     problem: str = ""
@@ -40,7 +45,15 @@ _FINDINGS: ContextVar[list[Finding] | None] = ContextVar("findings", default=Non
 
 
 def expect(what: str, problem: str = "") -> None:
-    """Expect something, with which a problem is wrong, "" if it holds."""
+    """Record or raise the result of an expectation.
+
+    Args:
+        what: What is expected.
+        problem: What is wrong. "" if the expectation holds.
+
+    Raises:
+        AssertionError: If there is a problem, outside of `findings_of`.
+    """
     findings = _FINDINGS.get()
     if findings is not None:
         findings.append(Finding(what, problem))
@@ -49,7 +62,10 @@ def expect(what: str, problem: str = "") -> None:
 
 
 def findings_of(check: Callable[[], object]) -> list[Finding]:
-    """Return all that a check expects; an exception in the kind's own code is the last finding."""
+    """Run a check, and return the results of all its expectations.
+
+    An exception in the code under test ends the check. It is the last finding.
+    """
     findings: list[Finding] = []
     token = _FINDINGS.set(findings)
     try:

@@ -60,7 +60,7 @@ class EnsembleSection(PlainSection):
 
 
 class HeldDirection(NamedTuple):
-    """A command that acts from some time on.
+    """A command that acts from a given time.
 
     Attributes:
         since_ns: When it starts to act [ns].

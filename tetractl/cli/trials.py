@@ -88,11 +88,11 @@ class RunOptions:
         jobs: Number of trials that run at the same time.
         resume: Whether to run only the trials that are missing in `out`.
         keep_going: Whether the batch goes on after an aborted trial. None for the plant's default.
-        dry_run: Whether only to check the spec.
-        quiet: Whether to print only the result.
-        yes: Whether robots may move without a question.
-        port: Port at which trials are served to viewers. None for none.
-        json: Whether to print the result as JSON.
+        dry_run: Whether the spec is only checked, and no trial is run.
+        quiet: Whether only the result is printed.
+        yes: Whether robots may move without asking the user first.
+        port: Port at which viewers can watch the trials. If it is None, they cannot.
+        json: Whether the result is printed as JSON.
         unattended: Whether a closed terminal does not stop the robots.
         rate: Speed of simulated trials as a multiple of real time. None for as fast as possible.
     """

@@ -53,7 +53,7 @@ class Moved:
 
 @dataclass(frozen=True, slots=True)
 class Lose:
-    """A robot is lost, and the run goes on without it. If the spec does not allow that, it aborts.
+    """A robot is lost. The run goes on without it, or aborts if the spec does not allow that.
 
     Attributes:
         robot: Index of the robot.

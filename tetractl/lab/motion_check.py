@@ -405,9 +405,17 @@ def exclude_zero(bounds: Floats) -> Bools:
 
 
 def out_of_bounds(motion: Floats, slack: Floats) -> Bools:
-    """Check which parts (..., 3) of motions (..., 3, 3) are out of their bounds.
+    """Check which parts of motions are out of their bounds.
 
-    A part may exceed its bounds by `slack` (3,).
+    The parts are the distance along the heading, the distance across it, and the angle turned.
+
+    Args:
+        motion: The measured parts, their lower and their upper bounds, shape (..., 3, 3), with one
+            row for each of these and one column for each part [mm, mm, rad].
+        slack: By how much each part may exceed its bounds, shape (3,).
+
+    Returns:
+        Whether each part is out of its bounds, shape (..., 3).
     """
     travelled = motion[..., 0, :]
     return (travelled < motion[..., 1, :] - slack) | (travelled > motion[..., 2, :] + slack)

@@ -180,7 +180,10 @@ class MotionDisturbances:
 
 @dataclass(slots=True)
 class MotionStep:
-    """One step, from the present time to `end_ns`, and what happens at its end, in this order."""
+    """One step of the simulated motion, from the present time to `end_ns`.
+
+    Several things may happen at its end. They happen in the order of the fields below.
+    """
 
     end_ns: int
     disturbed: bool

@@ -260,7 +260,7 @@ def _lost(trial: ResultSummary) -> dict[str, Any]:
 def mean_of_each(
     of_trial: Callable[[ResultSummary], dict[str, Any]], label: str, show: Callable[[float], str]
 ) -> Statistic:
-    """Create a statistic: the mean over all trials of each of several columns.
+    """Create a statistic that computes the mean of each of several columns over all trials.
 
     Args:
         of_trial: Returns the columns of a trial.

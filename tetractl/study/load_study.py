@@ -99,8 +99,9 @@ def as_yaml(value: Any) -> str:
 class Study(Model):
     """One study, as read from a YAML file.
 
-    Each point of the sweep is run with each controller. All arms have the same seeds, so that
-    trials with the same number are pairs.
+    Each point of the sweep is run with each controller; such a combination is an *arm*. All arms
+    have the same seeds, so trials with the same number in two arms have the same disturbances, and
+    are compared in pairs.
     """
 
     name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")

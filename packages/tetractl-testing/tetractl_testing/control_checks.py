@@ -172,10 +172,16 @@ def simulate_run(section: ControllerSection, setup: Setup) -> SimulatedRun:
 
 @contextmanager
 def clocks_watched(package: str) -> Iterator[set[str]]:
-    """Yield a set, to which each call of one of CLOCKS by code of a package is added in the block.
+    """Record which clocks the code of a package reads during a `with` block.
 
-    Python's profiler tells of each call: a clock that was put in the place of `time.time` would not
-    be seen by code that has imported that before.
+    Calls are recorded by Python's profiler. Replacing `time.time` would not be enough, because code
+    that has imported the function earlier would still call the original.
+
+    Args:
+        package: Name of the package.
+
+    Yields:
+        The calls of CLOCKS so far, such as "line 12 calls time". The set grows during the block.
     """
     calls = set[str]()
 

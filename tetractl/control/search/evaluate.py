@@ -36,14 +36,16 @@ def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
 def compiled_branches(
     problem: Problem, start: Floats, towards: Floats, turns: Floats, seconds: float
 ) -> Floats:
-    """Predict the poses of B copies of the robots that follow different directions.
+    """Predict the poses of all robots for B sequences of directions at once.
+
+    The directions of sequence b are `towards[b] + turns[0]`, `towards[b] + turns[1]`, and so on.
 
     Args:
         problem: The problem of the control step.
-        start: Poses at the start, shape (B, N, 3).
-        towards: Direction of each copy [rad], shape (B,).
-        turns: Angles added to it, one after another [rad], shape (L,).
-        seconds: How long each angle is held [s].
+        start: Poses at the start of each sequence, shape (B, N, 3).
+        towards: Angle added to all directions of each sequence [rad], shape (B,).
+        turns: The directions before this angle is added [rad], shape (L,).
+        seconds: How long each direction is held [s].
 
     Returns:
         The poses, shape (L + 1, B, N, 3).

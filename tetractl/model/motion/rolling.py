@@ -83,7 +83,7 @@ class SentRates(NamedTuple):
 
     @classmethod
     def none(cls, robots: int) -> Self:
-        """Return the rates of robots that stand, with room for a few."""
+        """Return rates of 0 for robots that stand still, with room for later rates."""
         times_ns = np.full(ENTRIES_AT_FIRST, NEVER)
         times_ns[0] = 0
         return cls(times_ns, np.zeros((ENTRIES_AT_FIRST, robots)), np.zeros(robots))

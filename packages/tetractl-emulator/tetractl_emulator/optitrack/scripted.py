@@ -58,7 +58,7 @@ class TrueBody(Model):
 
 
 class OptitrackSettings(Model):
-    """Properties of the cameras that differ from the spec."""
+    """Properties of the emulated OptiTrack server that a fault script may change."""
 
     version: VersionText = "4.1"
     """The camera server's protocol version, 2.5 or later.

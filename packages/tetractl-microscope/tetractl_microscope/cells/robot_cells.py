@@ -28,7 +28,7 @@ class RobotCell:
 
 @dataclass(eq=False, slots=True)
 class RobotCells:
-    """The cells of a setup's robots.
+    """Which cell in the camera's images each robot of a setup is.
 
     Attributes:
         setup: The constants of the experiment.

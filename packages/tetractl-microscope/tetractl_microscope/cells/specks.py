@@ -49,7 +49,7 @@ class Speck:
         return last.x + (last.x - first.x) * ratio, last.y + (last.y - first.y) * ratio
 
     def shift(self, x: float, y: float) -> None:
-        """Move the path by x and y [um], with the content of the image."""
+        """Shift the recorded path by x and y [um], after the camera has moved by this distance."""
         self.path = [blob.moved(x, y) for blob in self.path]
 
 

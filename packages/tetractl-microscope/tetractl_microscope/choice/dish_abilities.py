@@ -57,10 +57,10 @@ class TracksCells(Protocol):
 
 @runtime_checkable
 class SettlesRobots(Protocol):
-    """An actuator that can continue with the robots that a trial has chosen."""
+    """An actuator that can change to other robots: those that a trial has chosen in the dish."""
 
     def settle(self, setup: Setup) -> None:
-        """Continue with the robots of this setup."""
+        """Use the robots of this setup from now on."""
         ...
 
 

@@ -56,10 +56,13 @@ def adapter_folder() -> Path:
 def require_adapters(config: Path, folder: Path) -> None:
     """Check that a configuration uses only device adapters from one folder.
 
-    The core would let the operating system search for the adapter's library, even next to the spec,
-    and some adapters run the file that a property names. Lines are split as by the core: at commas,
-    without empty fields, up to the first carriage return. Names of a device's states, such as the
-    objective "10x/0.25", name no file.
+    A configuration from elsewhere could run foreign code in two ways. Micro-Manager's core lets the
+    operating system search for the library of an adapter, even in the folder of the spec. And some
+    adapters execute a file whose name is the value of a property.
+
+    Lines are split as Micro-Manager splits them: at commas, without empty fields, up to the first
+    carriage return. Labels of a device's states, such as the objective "10x/0.25", are not taken
+    for names of files.
 
     Raises:
         AbortError: If the configuration names an adapter that the folder lacks, or a file in

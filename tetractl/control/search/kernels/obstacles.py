@@ -26,7 +26,11 @@ ON_EDGE = 1e-9
 
 
 class ObstacleArrays(NamedTuple):
-    """What `Obstacles` are, in arrays that compiled code can read; see there."""
+    """The `Obstacles` of a problem as arrays that compiled code can read.
+
+    There are M shapes. Each is a polygon with at most K corners (a circle has one), grown by a
+    radius. Lengths are in the spec's unit.
+    """
 
     corners: Floats  # (M, K, 2) x, y of the corners of each polygon
     corner_counts: Integers  # (M,)

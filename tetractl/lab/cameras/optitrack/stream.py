@@ -189,7 +189,7 @@ class OpenRequests:
 
 
 class Stream:
-    """The knowledge about an OptiTrack server, and its newest frame.
+    """What an OptiTrack server has reported so far, and its newest frame.
 
     `feed` never raises, whatever the datagram is. Times are ns on the host's clock.
 

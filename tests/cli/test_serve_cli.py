@@ -31,10 +31,10 @@ def log(tmp_path_factory):
 def command(*words, cwd):
     """A command, and the `url` at which it says that it serves."""
     with Started(cwd, *words) as served:
-        served.until(lambda: ADDRESS.search(served.error_lines()))
-        served.url = ADDRESS.findall(served.error_lines())[0]
+        served.until(lambda: ADDRESS.search(served.printed()))
+        served.url = ADDRESS.findall(served.printed())[0]
         yield served
-        assert "Traceback" not in served.error_lines()
+        assert "Traceback" not in served.printed()
 
 
 @pytest.mark.system

@@ -80,7 +80,10 @@ def other(value: Any) -> Any:
     if isinstance(value, float):
         if math.isnan(value):  # every change of it is itself
             return 0.0
-        return value + CHANGE * (abs(value) or 1) if CHANGE else math.nextafter(value, math.inf)
+        if CHANGE:
+            return value + CHANGE * (abs(value) or 1)
+        # the number next to 0 vanishes in every sum
+        return math.nextafter(value, math.inf) if value else math.ulp(1.0)
     return "criterion" if value != "criterion" else "iterations"
 
 

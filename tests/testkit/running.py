@@ -85,7 +85,7 @@ class Started:
             with suppress(subprocess.TimeoutExpired):
                 self.process.wait(0.02)
 
-    def said(self):
+    def printed(self):
         """All it printed so far."""
         return self.out.read_text() + self.err.read_text()
 

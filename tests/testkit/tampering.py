@@ -6,7 +6,7 @@ Every checksum and both digests are made to fit, as by a person who has tetractl
 import random
 import tempfile
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -50,6 +50,13 @@ trials: {count: 3, seed: 7}
 """
 
 Record = Entry | Attachment
+Decides = Callable[[Record, str], bool]
+"""Returns whether a field of a record decides anything, so that a change of it can be noticed."""
+
+
+def any_decides(record: Record, what: str) -> bool:
+    """Return True: every field does."""
+    return True
 
 
 @dataclass(frozen=True)
@@ -68,14 +75,15 @@ def sim_log(folder: Path, sets: Sequence[str] = ()) -> Path:
     return log_path(folder, 1)
 
 
-def tamperings(log: RawLog, count: int) -> Iterator[Tampering]:
-    """Yield up to `count` changes of each field, fact and attachment."""
+def tamperings(log: RawLog, count: int, decides: Decides = any_decides) -> Iterator[Tampering]:
+    """Yield up to `count` changes of each field, fact and attachment, of those that decide."""
     rng = random.Random(1)
     by_kind: dict[tuple[str, str], list[tuple[int, Any]]] = {}
     for index, record in enumerate(log.records):
         for what, how in _deeds(record):
             name = record.topic if isinstance(record, Entry) else record.name
-            by_kind.setdefault((name, what), []).append((index, how))
+            if decides(record, what):
+                by_kind.setdefault((name, what), []).append((index, how))
     for (name, what), deeds in by_kind.items():
         for index, how in rng.sample(deeds, min(count, len(deeds))):
             yield Tampering(name, what, index, _done(log.records[index], what, how))
@@ -127,16 +135,20 @@ def noticed(log: RawLog, tampering: Tampering, path: Path) -> bool:
 
 
 def score(
-    path: Path, count: int, kinds: Collection[tuple[str, str]] = ()
+    path: Path,
+    count: int,
+    kinds: Collection[tuple[str, str]] = (),
+    decides: Decides = any_decides,
 ) -> tuple[Counter[tuple[str, str]], Counter[tuple[str, str]]]:
-    """Return how many changes of each (channel, field) were noticed, and how many there were: of
-    all, or of some `kinds`.
+    """Return how many changes of each (channel, field) were noticed, and how many there were.
+
+    They are those of all fields, or of some `kinds`, without those that decide nothing.
     """
     log = scan(path)
     noticed_of = Counter[tuple[str, str]]()
     tried_of = Counter[tuple[str, str]]()
     with tempfile.TemporaryDirectory() as folder:
-        for number, tampering in enumerate(tamperings(log, count)):
+        for number, tampering in enumerate(tamperings(log, count, decides)):
             kind = (tampering.channel, tampering.what)
             if kinds and kind not in kinds:
                 continue

@@ -144,7 +144,7 @@ class Runner:
         self.reader = threading.Thread(target=lambda: self.words.extend(self.process.stdout))
         self.reader.start()  # a pipe: files may be limited
 
-    def said(self):
+    def printed(self):
         """All it said; once it has ended."""
         self.reader.join()
         return "".join(self.words)
@@ -248,7 +248,7 @@ def play(path, script, folder, *options, sets=()):
         logs = sorted(runners[0].folder.glob("*.mcap*"))
         return Played(
             [runner.process.returncode for runner in runners],
-            [runner.error_lines() for runner in runners],
+            [runner.printed() for runner in runners],
             code,
             record,
             logs,

@@ -65,7 +65,7 @@ def test_the_robots_are_the_cells_nearest_to_their_starts_and_stay_them(tmp_path
     starts = synthetic.body[25, [1, 0], :2]  # the other way round
     _, cells = camera(path, starts)
     with cells:
-        assert cells._wait(lambda: bool(cells._searches.ended), LOADED_S)
+        assert cells._wait(lambda: bool(cells._searches.end_reason), LOADED_S)
         frames = cells.frames()
         health = cells.check()
     checked = 0
@@ -95,7 +95,7 @@ def test_a_knock_moves_no_cell_in_the_dish(tmp_path):
     synthetic, path = dish(tmp_path, knocked)
     _, cells = camera(path, synthetic.body[25, :, :2])
     with cells:
-        assert cells._wait(lambda: bool(cells._searches.ended), LOADED_S)
+        assert cells._wait(lambda: bool(cells._searches.end_reason), LOADED_S)
         frames = cells.frames()
     off = [
         (

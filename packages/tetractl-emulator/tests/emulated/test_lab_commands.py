@@ -49,8 +49,7 @@ def at_rest(record):
 
 def test_a_person_is_asked_what_only_a_person_knows_of_the_radio(lab, tmp_path):
     _, settings = lab("about: an odd radio\nemulation: {actuator: {hardware: 0x7F44}}")
-    unhurried = "controller.period=4"  # no step is practised, which a loaded host could be late for
-    command = [TETRACTL, "lab", "check", str(SPEC), *flags((*settings, unhurried))]
+    command = [TETRACTL, "lab", "check", str(SPEC), *flags(settings)]
     with Terminal(command, tmp_path, columns=200) as terminal:
         terminal.expect(r"802\.15\.4 firmware\? \[y/N\]")
         terminal.press("n\n")

@@ -193,7 +193,7 @@ def _dives(fault: Any, device: Any) -> None:
 def _rests(fault: Any, device: Any) -> Callable[[bool], None]:
     """Return the switch with which a cell stops or resumes swimming, for the fault `rests`."""
     row = _row(fault, device)
-    return lambda resting: device.dish.cells.rest(row, resting)
+    return lambda resting: device.dish.cells.set_resting(row, resting)
 
 
 FIELD = f"{DRIVER}|{SEEN}"  # cells that are not steered swim where they want

@@ -44,6 +44,13 @@ def log(tmp_path_factory):
     return read_trial(log_path(folder, 10))
 
 
+def assert_explained(identified):
+    """Assert that the directions explain more than 95 % of each robot's motion."""
+    for explained in (*identified.turning_explained, *identified.distance_explained):
+        assert explained.fraction is not None
+        assert explained.fraction > 0.95
+
+
 @pytest.mark.long
 @pytest.mark.slow
 def test_the_speed_of_robots_that_paused_is_found(log):
@@ -51,9 +58,7 @@ def test_the_speed_of_robots_that_paused_is_found(log):
     true = json.loads(log.start.plant.facts["true_speed"])
     speeds = [robot.speed.value for robot in identified.robots]
     assert speeds == pytest.approx(true, rel=0.01)
-    for explained in (*identified.turning_explained, *identified.distance_explained):
-        assert explained.fraction is not None
-        assert explained.fraction > 0.95
+    assert_explained(identified)
 
 
 @pytest.mark.long
@@ -114,9 +119,7 @@ def test_directions_of_which_robots_lose_30_percent_are_read(tmp_path):
     rates = [robot.a.value for robot in identified.robots]
     assert speeds == pytest.approx(json.loads(facts["true_speed"]), rel=0.01)
     assert rates == pytest.approx(json.loads(facts["true_a"]), rel=0.05)
-    for explained in (*identified.turning_explained, *identified.distance_explained):
-        assert explained.fraction is not None
-        assert explained.fraction > 0.95
+    assert_explained(identified)
 
 
 @pytest.mark.long

@@ -7,7 +7,8 @@ through a gap. `find_sequences` finds sequences that do, as starts for an optimi
 It grows a `Tree`. A *node* is where all robots are after some signals. A *branch* grows from it
 with one direction, held for HELD_S, and its end may be a node of the next *level*. For each level
 
-    _grid_distances      computes how far each robot still has to go to its target, around obstacles
+    _grid_distances
+                    computes how far each robot still has to go to its target, around obstacles
     _best_branches  keeps the branches with the smallest sum of squares of these distances (beam
                     search; Lowerre, The HARPY speech recognition system, 1976), if bodies keep
                     clear
@@ -203,7 +204,7 @@ def find_sequences(problem: Problem, arena: Bounds, length_max: int, key: int) -
     nodes_max = max(1, NODES_KEPT // count)
     near = DISTANCE_LEFT * float((problem.speed / problem.a).sum())
     grid = Squares(arena)
-    grid_ways = _grid_distances(problem, grid)
+    grid_distances = _grid_distances(problem, grid)
     first_cells = np.arange(count) * len(grid.centres)  # of each robot in these
     tree = Tree(problem, key, held)
     yielded = 0
@@ -211,12 +212,12 @@ def find_sequences(problem: Problem, arena: Bounds, length_max: int, key: int) -
     nearest_level = 0
     for level in range(length_max // held):
         path = tree.grow()
-        ways_left = grid_ways[grid.cells(path[..., :2]) + first_cells]  # (T, B, N)
-        branches = _best_branches(problem, path, ways_left, nodes_max)
+        distances_left = grid_distances[grid.cells(path[..., :2]) + first_cells]  # (T, B, N)
+        branches = _best_branches(problem, path, distances_left, nodes_max)
         if len(branches) == 0:
             break
         tree.keep(branches)
-        way_left = ways_left[-1, branches].sum(axis=1)  # of all robots together, at each node
+        way_left = distances_left[-1, branches].sum(axis=1)  # of all robots together, at each node
         if way_left[0] < least_left:
             least_left = float(way_left[0])
             nearest_level = level
@@ -241,7 +242,9 @@ def _grid_distances(problem: Problem, grid: Squares) -> Floats:
     return grid.ways(free, problem.targets)
 
 
-def _best_branches(problem: Problem, path: Floats, ways_left: Floats, nodes_max: int) -> Integers:
+def _best_branches(
+    problem: Problem, path: Floats, distances_left: Floats, nodes_max: int
+) -> Integers:
     """Select the branches grown last whose ends become nodes, the best first.
 
     Clearances take time, so they are computed only for the best branches.
@@ -249,12 +252,12 @@ def _best_branches(problem: Problem, path: Floats, ways_left: Floats, nodes_max:
     Args:
         problem: The problem of the control step.
         path: The poses along the branches, shape (T, B, N, 3).
-        ways_left: The remaining distance of each robot along each branch.
+        distances_left: The remaining distance of each robot along each branch.
         nodes_max: Maximum number of nodes.
     """
-    squares = np.square(ways_left[-1]).sum(axis=1)
+    squares = np.square(distances_left[-1]).sum(axis=1)
     order = np.argsort(squares, kind="stable")
-    reaches = np.isfinite(ways_left.sum(axis=(0, 2)))  # no robot is cut off from its target
+    reaches = np.isfinite(distances_left.sum(axis=(0, 2)))  # no robot is cut off from its target
     best = order[reaches[order]][: NODES_COMPUTED * nodes_max]
     clear = _keep_clear(problem, path[:, best, :, :2])
     return best[clear][:nodes_max]

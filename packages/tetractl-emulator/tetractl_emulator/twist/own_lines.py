@@ -160,18 +160,7 @@ class OwnLines(PortedSide):
 
     @abstractmethod
     def read(self, message: bytes, row: int) -> Counts:
-        """Decode a message to wheel speeds.
-
-        Args:
-            message: The message.
-            row: Index of the robot in the setup.
-
-        Returns:
-            The speeds of the left and the right wheel [unit_mm mm/s].
-
-        Raises:
-            Exception: One of UNREADABLE, such as ValueError, if the message cannot be decoded.
-        """
+        """Decode a message to wheel speeds; see `ReadsMessages.read`."""
 
     def make_robot(
         self, row: int, name: str, battery_mv: int, acting: ActingFaults

@@ -16,6 +16,7 @@ from enum import Enum, StrEnum
 from pathlib import Path
 
 from tetractl.control.methods.build import warm_up
+from tetractl.core.commands import Command
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
 from tetractl.core.shown import Shown
@@ -27,7 +28,7 @@ from tetractl.log.read.trial_log import TrialLog, frame_gaps, step_gaps
 from tetractl.spec.experiment import packages
 from tetractl.tools.table.terminal_table import LISTED_MAX
 from tetractl.verification import run_again
-from tetractl.verification.comparison import Difference, Unchecked
+from tetractl.verification.comparison import Difference, Unchecked, first_difference
 from tetractl.verification.recompute import TOLERANCE, Recomputed, recompute
 from tetractl.verification.result_check import result_differences
 
@@ -199,6 +200,28 @@ def _differences_of_end(check: EndCheck, raw: RawLog, log: TrialLog) -> Iterator
         yield from result_differences(log, result)
 
 
+def _differences_of_commands(log: TrialLog) -> Iterator[Difference]:
+    """Yield how the first wrong command of a step contradicts its plan or the channel /commands.
+
+    Every command but the last also affects the next decision, which is computed again. Commands may
+    be missing from the channel of a damaged log.
+    """
+    by_time: dict[int, list[Command]] = {}
+    for command in log.commands:
+        by_time.setdefault(command.sent_ns, []).append(command)
+    for step in log.steps:
+        action = step.command.action
+        difference = first_difference(step.plan.action, action, name="command.action")
+        same_time = by_time.get(step.command.sent_ns, [])
+        if difference is None and (same_time or log.damage is None):
+            others = [first_difference(step.command, sent) for sent in same_time]
+            if None not in others:
+                difference = Difference(None, "command", "differs from the commands on /commands")
+        if difference is not None:
+            yield difference.in_step(step.k)
+            return
+
+
 def _differences_of_records(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
     """Yield contradictions between the records of a log.
 
@@ -212,6 +235,7 @@ def _differences_of_records(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
             yield Difference(None, "frames", f"missing: {gap}")
     for gap in step_gaps(log):
         yield Difference(gap.first, "k", f"missing: {gap}")
+    yield from _differences_of_commands(log)
     if raw.altered:
         yield Difference(None, "content_digest", ALTERED)
     if log.damage is not None:

@@ -17,7 +17,7 @@ from tetractl.core.plan import Outcome, Plan
 from tetractl.core.poses import Poses
 from tetractl.core.trial import Verdict
 from tetractl.log import provenance
-from tetractl.log.format.channels import LOG, RESULT, STEP
+from tetractl.log.format.channels import COMMANDS, LOG, RESULT, STEP
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage
@@ -275,6 +275,21 @@ def test_on_another_machine_the_costs_have_to_agree(tmp_path, contents, monkeypa
     verification = verify(path)
     assert verification.method is Method.REEVALUATED
     assert verification.problems[0].step == 1
+
+
+@pytest.mark.parametrize("topic", [STEP, COMMANDS])
+@pytest.mark.parametrize("k", [0, -1])
+def test_on_another_machine_every_command_has_to_be_the_one_of_its_plan(
+    tmp_path, contents, topic, k
+):
+    """The last one, too, on which no later decision depends."""
+    steps = contents.by_topic[STEP]
+    entry = steps[k] if topic == STEP else contents.by_topic[COMMANDS][: len(steps)][k]
+    place = ("command", "direction") if topic == STEP else ("direction",)
+    index = contents.entries.index(entry)
+    changed = scan(with_entry(contents, tmp_path / "changed.mcap", index, place))
+    verification = verify(rewrite(changed, tmp_path / "other.mcap", on_another_machine(changed)))
+    assert k % len(steps) in {problem.step for problem in verification.problems}
 
 
 @pytest.mark.parametrize("outcome", ["aborted", "interrupted"])

@@ -1,10 +1,12 @@
 """Write the fields of a spec into docs/reference/spec.md, below its marker.
 
 Run `python docs/make_reference.py` after a change of the models; a test fails while they differ.
+All packages of this checkout must be installed, because the page has the fields of their kinds too.
 """
 
 import json
 from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any
 
@@ -135,5 +137,21 @@ def _default(field: dict[str, Any]) -> str:
     return "`[]`" if value == [] else f"`{json.dumps(value, ensure_ascii=False).strip(chr(34))}`"
 
 
+def missing_packages() -> list[str]:
+    """Return the packages of this checkout that are not installed."""
+    missing: list[str] = []
+    for folder in sorted((Path(__file__).parents[1] / "packages").iterdir()):
+        try:
+            distribution(folder.name)
+        except PackageNotFoundError:
+            missing.append(folder.name)
+    return missing
+
+
 if __name__ == "__main__":
+    if missing := missing_packages():
+        raise SystemExit(
+            f"{', '.join(missing)} is not installed, and its fields would be missing: "
+            "run 'make test' first, which installs all packages"
+        )
     PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -217,9 +217,12 @@ class Result:
             None if it does not estimate the lag.
 
     To add a number, add a field here and compute it in `from_verdict` from the arguments of its
-    callers (`run/control_loop.py`, and `verification/result_check.py`, which checks it). Then add a
-    field to the message in `log/format/tetractl.proto`, and write and read it in `run_records.py`;
-    older logs leave it empty.
+    callers (`run/control_loop.py`, and `verification/result_check.py`, which checks it). A number
+    that is measured along the robots' true paths, such as a length or a distance, is a field of
+    `Verdict` instead: `model/path_check.py` computes it, in simulations and labs. Then add a field
+    to the message in `log/format/tetractl.proto`, write and read it in `run_records.py`, check it
+    in `log/read/validate.py`, and describe it in docs/reference/log-format.md. Older logs leave it
+    empty, and new logs get other content digests.
     """
 
     outcome: Outcome

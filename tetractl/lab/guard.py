@@ -26,9 +26,10 @@ Its states, and the calls that change them:
                                     ^                   |                |
                                     +----- end_run -----+----------------+      any --abort--> abort
 
-In `ready` no robot moves: before a run, in a pause and after it. In `hold`, one robot or all are
-stopped because of a fault that may pass; robots that can only be stopped together continue to be
-steered while one is hidden. `abort` is final.
+A run of the guard is shorter than a trial: it ends at each pause, and `start_run` begins the next
+one. In `ready` no robot moves: before a run, in a pause and after it. In `hold`, one robot or all
+are stopped because of a fault that may pass; robots that can only be stopped together continue to
+be steered while one is hidden. `abort` is final.
 
 What happens next, if
 

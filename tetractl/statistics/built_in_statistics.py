@@ -14,8 +14,10 @@ it. Most are a line, from a number in each trial's `Result` of `core/trial.py`:
     WORST = number("worst", "error of the worst robot", lambda result: max(result.robot_errors))
 
 `number`, `count` and `fraction` are in `statistic`. This module has `total` for a count of events
-that should never happen, `minimum` for a minimum distance, and `mean_of_each` for columns. Values
-that a `Result` lacks are read from the log, for example in `discs`.
+that should never happen, `minimum` for a minimum distance, and `mean_of_each` for columns. The
+table without `--full` has only what is `unusual`. A value that a `Result` lacks can become a field
+of it. Only what few specs need is read from whole logs, as in `discs`, which takes 100 times as
+long.
 """
 
 from collections import Counter

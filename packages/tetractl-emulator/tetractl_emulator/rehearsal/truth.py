@@ -676,6 +676,6 @@ def distances_to_shape(shape: Shape, x: Floats, y: Floats) -> Floats:
         along = np.clip(((points - begin) / (end - begin)).real, 0.0, 1.0)
         to_edge = np.abs(points - begin - along * (end - begin))
         distance = np.minimum(distance, to_edge)
-        turned += np.angle((end - points) / (begin - points))
+        turned += np.angle((end - points) * np.conj(begin - points))
     is_inside = np.abs(turned) > np.pi
     return np.where(is_inside, -distance, distance) - shape.radius

@@ -4,8 +4,11 @@ import sys
 from types import ModuleType
 
 import pytest
-from tetractl_microscope.organisms import TETRAHYMENA, named
+from scipy.stats import norm
+from tetractl_microscope.organisms import EUGLENA, TETRAHYMENA, named
 from tetractl_microscope.registries import ORGANISMS
+
+from tetractl.model.cell_numbers import BODY_UM, WIDTH_UM
 
 
 @pytest.mark.parametrize("name", ORGANISMS.names())
@@ -30,3 +33,21 @@ def test_a_file_may_add_an_organism_by_its_name(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "mine", mine)
     monkeypatch.setitem(ORGANISMS.builtin, "mine", "mine:MINE")
     assert named("mine") is TETRAHYMENA
+
+
+@pytest.mark.parametrize(
+    ("bounds", "body"), [(TETRAHYMENA.long_um, BODY_UM), (TETRAHYMENA.wide_um, WIDTH_UM)]
+)
+def test_about_19_of_20_bodies_are_within_the_ranges(
+    bounds: tuple[float, float], body: tuple[float, float]
+) -> None:
+    low, high = norm(*body).cdf(bounds)
+    assert high - low == pytest.approx(0.95, abs=0.01)
+    assert low == pytest.approx(1 - high)
+
+
+def test_quickness_counts_lengths_per_second_relative_to_tetrahymena() -> None:
+    assert TETRAHYMENA.quickness == pytest.approx(1.0)
+    lengths_per_s = 150.0 / 47.5
+    tetrahymenas = 760.0 / BODY_UM[0]
+    assert EUGLENA.quickness == pytest.approx(lengths_per_s / tetrahymenas)

@@ -1,11 +1,14 @@
 """Speeds and turning rates that are sent instead of the speeds of wheels."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tetractl.lab.actuators.twist.actuator import TwistActuator
+from tetractl.lab.actuators.twist.lines import SPEED_MAX, TURN_MAX
 
 RADII_MM = np.array([40.0, 55.0])
 speeds = st.lists(st.floats(-300, 300), min_size=4, max_size=4)
@@ -32,3 +35,25 @@ def test_the_wheels_of_a_twist_are_those_that_were_wished_within_its_rounding(va
     wheels = np.array(values).reshape(2, 2)
     made = actuator()
     assert made._wheels(made._twists(wheels)) == pytest.approx(wheels, abs=0.6)
+
+
+def test_a_twist_beyond_what_a_line_can_hold_is_cut_off():
+    sent = actuator()._twists(1e6 * np.array([[1.0, -1.0], [1.0, 1.0]]))
+    assert sent.tolist() == [[SPEED_MAX, 0], [0, TURN_MAX]]
+
+
+@pytest.mark.parametrize("sends", ["twist", "wheels"])
+def test_the_speeds_that_are_logged_are_those_at_which_the_wheels_then_turn(sends):
+    """A wheel with a gain of 1.1 turns at 110 mm/s if it is sent 100 mm/s."""
+    lines = []
+    made = actuator()
+    made.section = SimpleNamespace(sends=sends)
+    made.link = SimpleNamespace(drive=lambda line: lines.append(line) or 7)
+    made._gain = np.array([[1.1, 1.0], [0.9, 1.0]])
+    outputs = np.array([[100, -30], [140, 50]])
+    sent_ns, wheels = made._drive(outputs)
+    assert sent_ns == 7
+    assert wheels == pytest.approx(np.array([[110, -30], [126, 50]]), abs=0.6)
+    (line,) = lines
+    first = (120, 500) if sends == "twist" else (100, 140)
+    assert line[0] == first

@@ -1,0 +1,196 @@
+"""What the observer of a rehearsal derives from recorded events, without any code of the guard."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.path import Path as Outline
+from testkit.emulator.made_days import at
+from testkit.paths import ROOT
+from tetractl_emulator.process import AFTER_NS
+from tetractl_emulator.rehearsal.day import DayOutcome
+from tetractl_emulator.rehearsal.day_plan import DayPlan
+from tetractl_emulator.rehearsal.truth import (
+    NEAR_S,
+    UNKNOWN,
+    TimeSpan,
+    Truth,
+    distances_to_shape,
+    nearest_exposures,
+)
+
+from tetractl.core.clock import SECOND
+from tetractl.core.shape import Shape
+from tetractl.spec.lab_section import LabLimits
+from tetractl.spec.load import load_spec
+
+SETUP = load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml").experiment.setup
+WATCHDOG_S = 0.25
+places = st.floats(-50, 50)
+
+
+def truth_of(events, faults=()):
+    plan = DayPlan(1, {"actuator": {}}, [dict(fault) for fault in faults])
+    outcome = DayOutcome(plan, sorted(events, key=lambda e: e["t_ns"]), 0, "", None, "", 1.0)
+    return Truth(outcome, SETUP, LabLimits(), WATCHDOG_S)
+
+
+def exposure(seconds, **facts):
+    nowhere = {"poses": [[0.0, 0.0, 0.0]] * 3, "unseen_ms": [0.0] * 3, "frame": 1}
+    return at(seconds, "truth", **nowhere | facts)
+
+
+def guard(seconds, state):
+    return at(seconds, "guard", state=state)
+
+
+CORNERS = {
+    "triangle": [[0, 0], [30, 5], [10, 25]],
+    "square": [[-20, -20], [20, -20], [20, 20], [-20, 20]],
+    "concave": [[0, 0], [40, 0], [40, 30], [20, 10], [0, 30]],
+}
+
+
+@pytest.mark.parametrize("corners", CORNERS.values(), ids=CORNERS)
+@given(x=places, y=places, turn=st.floats(0, math.tau))
+def test_the_distance_to_a_polygon_is_that_to_its_nearest_edge_and_negative_inside(
+    corners, x, y, turn
+):
+    """Turned by any angle, and compared with dots on the edges 0.15 mm apart."""
+    turned = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    polygon = np.array(corners, float) @ turned
+    share = np.linspace(0, 1, 401)[:, None]
+    following = np.roll(polygon, -1, axis=0)
+    dots = np.concatenate([a + share * (b - a) for a, b in zip(polygon, following, strict=True)])
+    distance = float(distances_to_shape(Shape(polygon), np.array([x]), np.array([y]))[0])
+    assert abs(distance) == pytest.approx(np.hypot(*(dots - (x, y)).T).min(), abs=0.08)
+    if abs(distance) > 0.1:
+        assert (distance < 0) == Outline(polygon).contains_point((x, y))
+
+
+@given(x=places, y=places, radius=st.floats(0, 20))
+def test_a_radius_makes_a_shape_nearer_by_as_much(x, y, radius):
+    x, y = np.array([x]), np.array([y])
+    disc = distances_to_shape(Shape(np.array([[3.0, -4.0]]), radius), x, y)
+    assert disc == pytest.approx(np.hypot(x - 3, y + 4) - radius)
+    corners = np.array(CORNERS["square"], float)
+    assert distances_to_shape(Shape(corners, radius), x, y) == pytest.approx(
+        distances_to_shape(Shape(corners), x, y) - radius
+    )
+
+
+def test_a_picture_shows_the_nearest_exposure_if_one_is_near():
+    exposures_s = np.array([0.0, 0.1, 0.2, 0.3])
+    stamps_s = np.array([0.1 + 0.9 * NEAR_S, 0.15, 0.2 - 0.9 * NEAR_S, 9.0])
+    assert nearest_exposures(stamps_s, exposures_s, []).tolist() == [1, UNKNOWN, 2, UNKNOWN]
+
+
+def test_a_picture_read_while_the_program_was_suspended_shows_none_that_is_known():
+    exposures_s = np.array([0.0, 0.1, 0.2, 0.3])
+    suspended = [TimeSpan(0.05, 0.15), TimeSpan(0.25, 0.35)]
+    assert nearest_exposures(exposures_s, exposures_s, suspended).tolist() == [
+        0,
+        UNKNOWN,
+        2,
+        UNKNOWN,
+    ]
+
+
+def test_the_process_ends_a_moment_before_the_emulation():
+    truth = truth_of([exposure(1.0), exposure(9.0)])
+    assert truth.alive_s == pytest.approx(9.0 - AFTER_NS / SECOND)
+    assert truth_of([]).alive_s == 0.0
+
+
+def test_a_command_acts_until_the_next_one_or_the_watchdog():
+    commands = [at(t, "command", flags=1, wheels=[]) for t in (1.0, 1.1, 5.0)]
+    truth = truth_of([*commands, exposure(5.1 + AFTER_NS / SECOND)])
+    assert truth.acting_s == pytest.approx([0.1, WATCHDOG_S, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("command", "drives"),
+    [
+        ({"flags": 1, "wheels": [[0, 5], [-5, 0], [0, 0]]}, [True, True, False]),
+        ({"flags": 0, "wheels": [[5, 5]] * 3}, [False] * 3),
+        ({"flags": 2, "wheels": [[5, 5]] * 3}, [False] * 3),
+        ({"flags": 1}, []),
+        ({"flags": 0, "drives": [True, False, True]}, [True, False, True]),
+    ],
+)
+def test_a_command_drives_a_robot_if_it_may_run_and_a_wheel_turns(command, drives):
+    truth = truth_of([at(1.0, "command", **command)])
+    assert truth.drives(truth.commands[0]) == drives
+    assert truth.halts_s == ([] if any(drives) else [1.0])
+
+
+@pytest.mark.parametrize(
+    ("states", "spans", "ended_s"),
+    [
+        ([(1, "wait"), (2, "run"), (3, "hold"), (4, "run"), (5, "ready")], [(2, 5)], 5),
+        ([(2, "run"), (3, "wait"), (4, "run"), (6, "abort")], [(2, 3), (4, 6)], 6),
+        ([(2, "run")], [(2, 9)], math.inf),
+        ([(2, "run"), (2, "abort")], [], 2),
+        ([(1, "wait"), (2, "abort")], [], 2),
+        ([(1, "wait")], [], math.inf),
+    ],
+)
+def test_robots_may_be_driven_while_the_guard_runs_or_holds(states, spans, ended_s):
+    events = [guard(seconds, state) for seconds, state in states]
+    truth = truth_of([*events, exposure(9.0 + AFTER_NS / SECOND)])
+    assert [(span.began_s, span.ended_s) for span in truth.driven_spans] == spans
+    assert truth.ended_s == ended_s
+    assert truth.left_s == ended_s
+
+
+def test_a_kill_ends_driving_if_it_comes_first():
+    kill = {"kind": "killed", "fault": "signal", "signal": "KILL", "at": 3.0}
+    start = at(3.0, "fault", phase="start", name="signal", row=0)
+    truth = truth_of([guard(2.0, "run"), start, guard(5.0, "abort")], [kill])
+    assert truth.killed
+    assert (truth.left_s, truth.ended_s) == (3.0, 5.0)
+
+
+def test_faults_are_visible_from_their_start_to_their_end_and_have_their_own_fields():
+    late = {"kind": "late", "fault": "late_frames", "by": 0.2, "at": 4.0}
+    later = {"kind": "later", "fault": "reordered", "by": 0.3, "at": 2.0}
+    never = {"kind": "never", "fault": "busy", "seconds": 7.0, "at": 9.0}
+    events = [
+        at(2.0, "fault", phase="start", row=0),
+        at(4.0, "fault", phase="start", row=1),
+        at(5.0, "fault", phase="end", row=1),
+    ]
+    truth = truth_of(events, [late, later, never])
+    spans = {fault.kind: (fault.span.began_s, fault.span.ended_s) for fault in truth.faults}
+    assert spans == {"later": (2.0, math.inf), "late": (4.0, 5.0)}
+    assert truth.longest_delay_s == pytest.approx(0.5)
+    assert truth.met("reordered")
+    assert not truth.met("busy")
+
+
+def test_wheels_time_unseen_and_status_of_an_exposure_are_those_of_each_robot():
+    first = exposure(
+        1.0, wheels=[[-3.0, 2.0], [0, 0], [1, 4]], unseen_ms=[5.0, 0.0, 250.0], status=[1, 2, 5]
+    )
+    truth = truth_of([first, exposure(2.0, unseen_ms=[7.0])])  # one of another number of cells
+    assert truth.wheel_speed_mm_s.tolist() == [[3, 0, 4], [0, 0, 0]]
+    assert truth.unseen_s.tolist() == [[0.005, 0, 0.25], [0, 0, 0]]
+    assert truth.has_status(1).tolist() == [[True, False, True], [False] * 3]
+    assert truth.has_status(4).tolist() == [[False, False, True], [False] * 3]
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "outside_mm"),
+    [
+        (SETUP.arena.left + 1, SETUP.arena.bottom + 1, 0.0),
+        (SETUP.arena.left - 10, SETUP.arena.bottom + 1, 10.0),
+        (SETUP.arena.right + 20, SETUP.arena.top + 10, 20.0),
+        (SETUP.arena.right - 1, SETUP.arena.bottom - 30, 30.0),
+        (1300.0, 1200.0, 100.0 + SETUP.body_radius),  # the middle of the obstacle
+    ],
+)
+def test_a_robot_is_outside_by_its_greatest_excess(x, y, outside_mm):
+    outside = truth_of([exposure(1.0, poses=[[x, y, 0.0]] * 3)]).outside_mm
+    assert outside == pytest.approx(np.full((1, 3), outside_mm), abs=1e-6)

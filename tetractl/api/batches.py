@@ -1,4 +1,4 @@
-"""Simulates batches of trials, and studies."""
+"""Functions of the Python interface that simulate batches of trials, and studies."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Verifies logs, and computes and compares the statistics of batches."""
+"""Functions of the Python interface that verify logs, and compare the statistics of batches."""
 
 from collections.abc import Sequence
 from pathlib import Path

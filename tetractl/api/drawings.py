@@ -1,4 +1,4 @@
-"""Draws trials and batches: figures, videos, players, and pages on which anybody can steer."""
+"""Functions of the Python interface that draw trials: figures, videos, players, and games."""
 
 from collections.abc import Sequence
 from pathlib import Path

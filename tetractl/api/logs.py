@@ -1,4 +1,4 @@
-"""Reads trials and batches from their logs, and converts them to arrays and tables."""
+"""Functions of the Python interface that read logs, and convert them to arrays and tables."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -74,7 +74,7 @@ def read_batch(*paths: str | Path) -> "Batch":
 
 
 def as_trial(trial: Trial) -> TrialLog:
-    """Read a trial that is given as its log; return a trial unchanged."""
+    """Read a trial that is given as its log. A trial is returned unchanged."""
     if isinstance(trial, TrialLog):
         return trial
     demand(trial, str | Path, "a trial is a log's file, or what read_log returns")
@@ -82,7 +82,7 @@ def as_trial(trial: Trial) -> TrialLog:
 
 
 def as_batch(batch: "Batch | str | Path | Sequence[str | Path]") -> "Batch":
-    """Return a batch that is given as a folder, as paths of logs, or already read."""
+    """Read a batch that is given as a folder or as paths of logs. A batch is returned unchanged."""
     from tetractl.statistics.open_batch import Batch
 
     if isinstance(batch, Batch):

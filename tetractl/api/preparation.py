@@ -1,4 +1,4 @@
-"""What comes before and around simulations: checks, compiling, and signals such as Ctrl-C."""
+"""Steps before and around simulations: checks, compiling, and signals such as Ctrl-C."""
 
 import logging
 import sys
@@ -47,7 +47,8 @@ def announcer(progress: bool) -> Callable[[str], None]:
 def interruptible(after: str = "") -> "Iterator[Interrupt]":
     """Count signals such as Ctrl-C during the `with` block, and raise KeyboardInterrupt after it.
 
-    Nothing is raised if no signal arrived. `after` is the error's message: what can be done now.
+    Nothing is raised if no signal arrived. `after` is the error's message, which says what can be
+    done next.
     """
     from tetractl.run.interrupt import Interrupt
 

@@ -1,4 +1,7 @@
-"""Simulates one trial, by the spec's controller or step by step by a script."""
+"""Functions of the Python interface that simulate one trial.
+
+The spec's controller steers the robots, or a script does so step by step.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -74,8 +77,8 @@ def open_trial(spec: Spec, trial: int = 0, seed: int | None = None) -> "OpenTria
     """Open a simulated trial that your script steers, one control step at a time.
 
     Call `step` with a direction until `result` is no longer None. `observation` is the newest
-    camera frame, and `save` writes a log like any other. The trial is the same as one of the
-    controller `sequence` with the directions that the script has sent.
+    camera frame, and `save` writes a log like any other. The trial is the same as one in which the
+    controller `sequence` sends the directions of the script.
 
     Args:
         spec: The experiment: a loaded spec, a YAML file, or its contents.
@@ -99,7 +102,7 @@ def open_trial(spec: Spec, trial: int = 0, seed: int | None = None) -> "OpenTria
 
 
 def stepped(spec: Spec) -> LoadedSpec:
-    """Return a spec for trials that a script steps, checked and compiled.
+    """Check and compile a spec for trials that a script steers.
 
     It raises the same errors as `open_trial`.
     """

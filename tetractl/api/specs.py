@@ -1,4 +1,4 @@
-"""Specs: from files, texts and dicts."""
+"""Functions of the Python interface that load specs from files, texts and dicts."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -75,7 +75,7 @@ Spec = LoadedSpec | str | Path | Mapping[str, Any]
 
 
 def as_spec(spec: Spec) -> LoadedSpec:
-    """Load a spec that is given as a file or as contents; return a loaded spec unchanged."""
+    """Load a spec that is given as a file or as contents. A loaded spec is returned unchanged."""
     if isinstance(spec, LoadedSpec):
         return spec
     if isinstance(spec, Mapping):

@@ -1,3 +1,3 @@
-"""Records and protocols that all packages share: poses, commands, plans, trials, clock, errors."""
+"""Records and protocols that all parts share: poses, commands, plans, trials, clock, errors."""
 
 __version__ = "0.1.0"

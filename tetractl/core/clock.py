@@ -12,12 +12,12 @@ NEVER = 2**62
 
 
 def seconds(ns: int) -> float:
-    """Return a time [ns] in seconds."""
+    """Convert a time [ns] to seconds."""
     return ns / SECOND
 
 
 def milliseconds(ns: int) -> float:
-    """Return a time [ns] in milliseconds."""
+    """Convert a time [ns] to milliseconds."""
     return ns / MILLISECOND
 
 
@@ -79,11 +79,11 @@ class MonotonicClock:
 
 
 def next_due_ns(due_ns: int, sent_ns: int, period_ns: int) -> int:
-    """Compute when to repeat something that is sent once a period [ns].
+    """Compute when a transmission that is sent once a period is due next [ns].
 
-    The average rate stays constant. However, the next time is never less than half a period after
-    the last, and never more than two periods after it: that would happen if new values came faster
-    than the period.
+    The average rate stays constant. However, the next time is at least half a period and at most
+    two periods after the last. (More than two would be possible if new values came faster than the
+    period.)
 
     Args:
         due_ns: When it was due last.

@@ -1,9 +1,9 @@
-"""What colours mean, the same in every figure, terminal, page and viewer.
+"""The meaning of colours, which is the same in every figure, terminal, page and viewer.
 
-A hue is a robot, or a cell. Shades of slate are batches (arms, controllers, folders) and what
-belongs to no robot, such as a total error. Grey is what something is compared with: a limit, a
-published value. Sand is an obstacle. ALARM is a fault. How figures draw them is in `view/style.py`,
-how the report does in `report/assets/page.css`.
+A hue stands for a robot or a cell. Shades of slate stand for batches (arms, controllers, folders)
+and for values that belong to no robot, such as a total error. Grey stands for a reference, such as
+a limit or a published value. Sand stands for an obstacle, and ALARM for a fault. `view/style.py`
+defines how figures draw them, and `report/assets/page.css` how the report does.
 """
 
 from collections.abc import Sequence

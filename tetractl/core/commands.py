@@ -1,4 +1,4 @@
-"""What robots are commanded to do, and what was really sent to them."""
+"""The actions that robots can be commanded to do, and records of what was really sent."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -20,7 +20,10 @@ class Steer:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """All robots stand and turn on the spot towards a direction [rad], as in (3) with speed 0."""
+    """All robots stand still and turn on the spot towards a direction [rad].
+
+    They turn by the paper's equation (3) with speed 0.
+    """
 
     facing: float
 
@@ -32,7 +35,7 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class FieldOff:
-    """The magnetic field is off: no robot is turned, and all go straight on."""
+    """The magnetic field is off, so that no robot is turned, and all go straight on."""
 
 
 Action = Steer | Turn | Stop | FieldOff

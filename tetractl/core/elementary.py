@@ -1,13 +1,15 @@
 """Elementary functions of one number, with the same bits on every processor.
 
-The C library's `sin`, `exp` and `log` choose their code by the processor, and so do NumPy's; the
-results differ in the last bits, from which another plan and another trial may follow. The functions
-here use only what IEEE 754 rounds correctly everywhere: + - * /, square roots and powers of two.
+The functions `sin`, `exp` and `log` of the C library and of NumPy use different code on different
+processors. Their results differ in the last bits, and this may lead to another plan and another
+trial. The functions here use only what IEEE 754 rounds correctly everywhere: + - * /, square roots
+and powers of two.
 
 Kernels compile these functions, and plain Python code calls them as they are, with the same bits.
-`elementary_arrays` has the same functions for arrays. All are within 8 units in the last place.
+`elementary_arrays` has the same functions for arrays. The error of each function is at most 8 units
+in the last place.
 
-The series are Taylor's, on ranges to which the argument is reduced:
+The functions are Taylor series, after the argument has been reduced to a small range:
 
     sin, cos     x - k pi/2 in [-pi/4, pi/4], for the nearest whole number k
     exp, expm1   x - k ln 2 in [-ln(2)/2, ln(2)/2]
@@ -42,11 +44,11 @@ EXPONENT_MAX = 800.0
 
 
 def without_quarter_turns(x):
-    """Take quarter turns off an angle x [rad].
+    """Subtract whole quarter turns from an angle x [rad].
 
     Returns:
-        k: The number of quarter turns; a whole number.
-        r: The angle that is left, |r| <= pi/4 [rad]; NaN if x is not finite.
+        k: The number of quarter turns; an integer.
+        r: The remaining angle, |r| <= pi/4 [rad]; NaN if x is not finite.
     """
     if not abs(x) < ANGLE_MAX:
         if not abs(x) < math.inf:
@@ -100,15 +102,15 @@ def without_powers_of_2(x):
     """Write e^x as 2^k e^r, for |x| < EXPONENT_MAX.
 
     Returns:
-        k: A whole number.
-        r: What is left of the exponent, |r| <= ln(2)/2.
+        k: An integer.
+        r: The rest of the exponent, |r| <= ln(2)/2.
     """
     k = math.floor(x * ONE_OVER_LN_2 + 0.5)
     return k, (x - k * LN_2_1) - k * LN_2_2
 
 
 def exp(x):
-    """Compute e^x; infinite where it is too large for a float."""
+    """Compute e^x. It is infinite if the result is too large for a float."""
     if not abs(x) < EXPONENT_MAX:
         return _exp_of_large(x)
     k, r = without_powers_of_2(x)
@@ -118,7 +120,7 @@ def exp(x):
 
 
 def expm1(x):
-    """Compute e^x - 1, exact for small x as well."""
+    """Compute e^x - 1, which is also exact for small x."""
     if not abs(x) < EXPONENT_MAX:
         return _exp_of_large(x) - 1.0
     k, r = without_powers_of_2(x)
@@ -132,7 +134,7 @@ def expm1(x):
 
 
 def _exp_of_large(x):
-    """Compute e^x beyond EXPONENT_MAX, and of NaN."""
+    """Compute e^x for |x| beyond EXPONENT_MAX, and for NaN."""
     if x > 0:
         return math.inf
     return 0.0 if x < 0 else math.nan
@@ -162,7 +164,7 @@ def power_of_2(k):
 
 
 def log(x):
-    """Compute the natural logarithm; -infinite for 0, NaN for negative numbers."""
+    """Compute the natural logarithm. It is -infinite for 0, and NaN for negative numbers."""
     if not 0.0 < x < math.inf:
         if x == 0.0:
             return -math.inf
@@ -176,7 +178,7 @@ def log(x):
 
 
 def log1p(x):
-    """Compute ln(1 + x), exact for small x as well."""
+    """Compute ln(1 + x), which is also exact for small x."""
     whole = 1.0 + x
     if not 0.0 < whole < math.inf:
         return log(whole)

@@ -4,8 +4,8 @@ Each function takes the same steps as the function of the same name for numbers.
 additions, products, divisions and comparisons of NumPy, which IEEE 754 rounds in the same way on
 every processor. Nothing is added up over an array, so the order of elements does not matter.
 
-ORDINARY says which arguments a function takes. It excludes NaN, infinite numbers, and arguments
-whose results are near the limits of floats. `elementwise` computes those one by one.
+ORDINARY defines which arguments each function accepts. It excludes NaN, infinite numbers, and
+arguments whose results are near the limits of floats. `elementwise` computes those one by one.
 """
 
 import math

@@ -111,11 +111,11 @@ class LogError(TetractlError):
 
 
 class ControlError(TetractlError):
-    """The controller cannot go on, for instance because a cost is not finite."""
+    """The controller cannot continue, for instance because a cost is not finite."""
 
 
 class AbortError(TetractlError):
-    """The plant cannot go on, because of a fault in the lab; the robots are stopped."""
+    """The plant cannot continue because of a fault in the lab. The robots are stopped."""
 
 
 class WrongValueError(TetractlError):
@@ -134,12 +134,12 @@ class WrongValueError(TetractlError):
 class WireError(ValueError):
     """Bytes that do not follow a wire format, or values that cannot be sent in it.
 
-    Receivers drop such bytes and count them; the parsers of `tetractl.lab` raise no other error.
+    Receivers drop such bytes and count them. The parsers of `tetractl.lab` raise no other error.
     """
 
 
 def printable(text: str, length: int | None = None) -> str:
-    """Return text for one line of a terminal, cut to `length` characters.
+    """Make a text safe for one line of a terminal, cut to `length` characters.
 
     Control characters (C0, escape and C1), changes of the writing direction, line separators and
     the bytes of a file name that is not UTF-8 are written as escapes.
@@ -153,12 +153,15 @@ def printable(text: str, length: int | None = None) -> str:
 
 
 def unit_of(unit: str) -> str:
-    """Return a spec's length unit as written for readers, such as "µm"."""
+    """Return a spec's length unit as people write it, such as "µm"."""
     return unit.replace("um", "µm")
 
 
 def text_of(error: BaseException) -> str:
-    """Return class and text of an exception for one line, even if its text cannot be made."""
+    """Return the class and the text of an exception in one line.
+
+    This also works if the exception's text cannot be created.
+    """
     try:
         text = " ".join(str(error)[:2000].split())
     except Exception as fault:

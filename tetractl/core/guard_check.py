@@ -1,4 +1,4 @@
-"""The protocol of the guard's checks."""
+"""The protocol of checks by which the guard of a lab watches the robots."""
 
 from collections.abc import Iterable, Sequence
 from typing import ClassVar, Protocol
@@ -25,8 +25,8 @@ class GuardCheck(Protocol):
     unit, times in ns.
 
     Attributes:
-        statistical: Whether its limits rest on how well robots follow their commands. Such a check
-            only reports in a run with `lab.limits.observe`.
+        statistical: Whether its limits depend on how well robots follow their commands. Such a
+            check only reports in a run with `lab.limits.observe`.
 
     Example:
         >>> from tetractl.core.guard_findings import Abort
@@ -49,7 +49,7 @@ class GuardCheck(Protocol):
         """
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take note of a transmission.
+        """Record a transmission to the robots.
 
         Args:
             now_ns: When it was sent.
@@ -58,7 +58,7 @@ class GuardCheck(Protocol):
         """
 
     def exposed(self, times: tuple[int, ...]) -> None:
-        """Take note of the times at which the poses of a frame were measured, N entries."""
+        """Record the times at which the poses of a frame were measured, N entries."""
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterable[Finding]:
         """Check a robot's new pose during a run.

@@ -1,4 +1,4 @@
-"""What a check of the guard can find.
+"""The findings that a check of the guard can report.
 
 A finding refuses a robot's newest pose, declares a robot lost, warns the operator, or aborts the
 run.
@@ -11,14 +11,14 @@ from tetractl.core.poses import Pose
 
 @dataclass(frozen=True, slots=True)
 class Excess:
-    """A measured value that is beyond its limit.
+    """A measured value that is beyond its limit, with the limit.
 
     Attributes:
         check: Name of the check or rule, such as "drift".
         value: The measured value, in `unit`.
         limit: The limit, in `unit`. The value is above it, or below it if it is a minimum.
         unit: Unit of both. Empty for a number without one.
-        robot: Index of the robot. None if it is about none, or about all.
+        robot: Index of the robot. None if the value concerns no robot, or all.
     """
 
     check: str
@@ -30,7 +30,7 @@ class Excess:
 
 @dataclass(frozen=True, slots=True)
 class Refuse:
-    """The newest pose of a robot is refused, because the robot cannot have come there.
+    """A finding: a robot's newest pose is refused, because the robot cannot have come there.
 
     Attributes:
         robot: Index of the robot.
@@ -45,7 +45,7 @@ class Refuse:
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """A robot was seen to move during a pause, when no robot is commanded to move."""
+    """A finding: a robot moved during a pause, when no robot is commanded to move."""
 
     robot: int
     text: str
@@ -53,7 +53,9 @@ class Moved:
 
 @dataclass(frozen=True, slots=True)
 class Lose:
-    """A robot is lost. The run goes on without it, or aborts if the spec does not allow that.
+    """A finding: a robot is lost.
+
+    The run continues without it, or is aborted if the spec does not allow that.
 
     Attributes:
         robot: Index of the robot.
@@ -68,14 +70,14 @@ class Lose:
 
 @dataclass(frozen=True, slots=True)
 class Warn:
-    """The operator is warned once, and the run goes on."""
+    """A finding: the operator is warned once, and the run continues."""
 
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class Abort:
-    """The run has to end.
+    """A finding: the run has to end.
 
     Attributes:
         text: Why.
@@ -95,7 +97,7 @@ Finding = Refuse | Moved | Lose | Warn | Abort
 
 @dataclass(frozen=True, slots=True)
 class RobotPlace:
-    """Where a robot is when the guard decides whether robots may go on.
+    """The place of a robot when the guard decides whether robots may continue.
 
     Attributes:
         pose: Its pose. None if it is untracked. For a lost robot, its last pose.

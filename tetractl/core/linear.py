@@ -1,7 +1,7 @@
 """Products and systems of small matrices, with the same bits on every processor.
 
-BLAS and LAPACK choose their code by the processor. Matrices are stacked as in NumPy: the last two
-axes of an array are rows and columns, and the axes before them broadcast.
+(BLAS and LAPACK use different code on different processors.) Matrices are stacked as in NumPy: the
+last two axes of an array are rows and columns, and the axes before them broadcast.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ def product(a: Floats, b: Floats) -> Floats:
 def solve(a: Floats, b: Floats) -> Floats:
     """Solve a x = b for symmetric, positive definite matrices.
 
-    Such matrices need no pivoting. A singular one gives numbers that are not finite.
+    Such matrices need no pivoting. For a singular matrix, the result is not finite.
 
     Args:
         a: Matrices, shape (..., n, n).

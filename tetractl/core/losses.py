@@ -1,8 +1,8 @@
-"""Which robots are lost in a trial: those not tracked for too long, and those that are dead.
+"""Find the robots that are lost in a trial: untracked for too long, or dead.
 
-A robot that is not tracked may have swum away. One on wheels that stands while others drive is
-dead, as its battery may be empty: who stands is decided here for all plants, from frames alone.
-What follows is a matter of the spec's `LossRule`.
+An untracked robot may have swum away. A robot on wheels that stands still while others drive counts
+as dead, for example because its battery is empty. This module finds such robots on all plants, from
+camera frames only. The spec's `LossRule` decides what happens then.
 
     losses = Losses(rule, speed)
     replaced = losses.add_frame(frame)      for each frame, in order
@@ -85,11 +85,11 @@ class Standing:
 
 
 class Losses:
-    """Which of N robots are lost, as the frames of a trial show one after the other.
+    """Keeps track of which of N robots are lost, from one camera frame to the next.
 
     The controller, the log's reader and `verify` all pass every camera frame to `add_frame`, in
-    order, and so get the same result. Without a rule no robot is ever lost; which are dead is found
-    all the same. Robots have the given speeds (N,).
+    order, and so get the same result. Without a rule, no robot is ever lost, but dead robots are
+    still found. `speed` contains the robots' speeds (N,).
     """
 
     def __init__(self, rule: LossRule | None, speed: Floats) -> None:
@@ -116,11 +116,11 @@ class Losses:
 
     @property
     def present(self) -> Bools:
-        """Which robots (N,) are not lost."""
+        """True for each robot that is not lost, shape (N,)."""
         return ~self.lost
 
     def add_frame(self, frame: Observation) -> list[int]:
-        """Add the next frame; return the indices of the robots that are replaced in it."""
+        """Add the next camera frame, and return which robots are replaced in it (indices)."""
         if frame.sampled_ns >= self._standing.due_ns:
             self._add_dead(self._standing.add_frame(frame))
         if self._rule is None or self._rule.ends:
@@ -140,7 +140,7 @@ class Losses:
             self._change(newly_lost, self.lost | newly_lost)
 
     def _count_waiting(self, rule: LossRule) -> list[int]:
-        """Count the frames that wait; return which robots are back in the last of them."""
+        """Count the frames in which lost robots were seen again; return the robots now back."""
         after_ns = round(rule.after_s * SECOND)
         tracked_ns = self._tracked_ns
         if tracked_ns is None:
@@ -159,7 +159,7 @@ class Losses:
         return np.flatnonzero(is_back).tolist()
 
     def _change(self, newly_lost: Bools, lost: Bools) -> None:
-        """Count the robots that are newly lost (N,), and take which are from now on (N,)."""
+        """Count the robots that are newly lost (N,), and store which are lost from now on (N,)."""
         self.times = self.times + newly_lost
         self.lost = lost
         self.changes += 1

@@ -1,7 +1,7 @@
-"""What a controller has learnt of the robots' motion while they moved.
+"""The controller's estimate of how the robots move, which it learns while they move.
 
-The filters say it at every control step (`tetractl.control.estimation.filter`). Plans are made with
-it, logs keep it, and messages for the operator say what does not fit it.
+The filters update the estimate at every control step (`tetractl.control.estimation.filter`). Plans
+use it, logs contain it, and the operator gets a message if something contradicts it.
 """
 
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ in docs/decisions/plant.md."""
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What a controller estimates about N robots while they move.
+    """A controller's estimate of the motion of N robots.
 
     Fields that end in `_std` are standard deviations. Except for `a` and `speed`, a field is None
     if its quantity is not estimated.

@@ -1,10 +1,11 @@
-"""Where robots may not be, the region O of (13): shapes, and what lies outside an arena's walls.
+"""The region that robots must not enter: obstacles, and everything outside the arena's walls.
 
     obstacles = Obstacles.from_shapes(setup.obstacles, margin=40.0, walls=setup.arena)
     obstacles.distance(x, y)  # of each point to the nearest obstacle, negative inside
 
-`Obstacles` keeps all shapes in a few arrays, which compiled kernels read: see
-`tetractl.control.search.kernels.obstacles`. The geometry of both is in `tetractl.core.shape`.
+It is the region O in the paper's equation (13). `Obstacles` stores all shapes in a few arrays,
+which compiled kernels read: see `tetractl.control.search.kernels.obstacles`. The geometry of both
+is in `tetractl.core.shape`.
 """
 
 from collections.abc import Sequence
@@ -31,7 +32,9 @@ TOP = 3
 
 @dataclass(frozen=True, eq=False)
 class Obstacles:
-    """A union of O obstacles, edges included: M shapes, then the left, bottom, right and top wall.
+    """A union of O obstacles, including their edges.
+
+    The first M are shapes, followed by the left, bottom, right and top wall if there are walls.
 
     A shape is every point within a radius of a polygon, see `Shape`. Lengths in the spec's unit.
     """
@@ -102,7 +105,7 @@ class Obstacles:
 
     @cached_property
     def shapes(self) -> tuple[Shape, ...]:
-        """The shapes, as the readable functions below use them."""
+        """The shapes as objects, which the readable functions below use."""
         outlines = zip(self.corners, self.corner_counts, self.radii, strict=True)
         return tuple(Shape(corners[:count], radius) for corners, count, radius in outlines)
 
@@ -115,7 +118,7 @@ class Obstacles:
         return Bounds(left=left, bottom=bottom, right=right, top=top)
 
     def distances(self, x: Floats, y: Floats) -> Floats:
-        """Return the distance of each point to each obstacle (O, ...), negative inside."""
+        """Compute the distance of each point to each obstacle (O, ...), negative inside."""
         x, y = np.broadcast_arrays(x, y)
         distances = [shape.distance(x, y) for shape in self.shapes]
         arena = self.inside
@@ -124,7 +127,10 @@ class Obstacles:
         return np.stack(distances) if distances else np.empty((0, *x.shape))
 
     def contain(self, x: Floats, y: Floats) -> Bools:
-        """Decide which points are in an obstacle: p(s) of equation (13). x and y broadcast."""
+        """Check which points are in an obstacle, p(s) of the paper's equation (13).
+
+        The arrays x and y broadcast.
+        """
         return self.distance(x, y) <= 0
 
     def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:

@@ -1,4 +1,4 @@
-"""What is planned in one control step.
+"""The records of planning in one control step, from the problem to the decision.
 
 In the order of this file: a `Problem`; the `Limits` of a search; one `Search` of the optimiser for
 each horizon; and the controller's `Decision`. The decision is a `Plan` made from the best search,
@@ -20,7 +20,7 @@ from tetractl.core.poses import Bools, Floats, Poses
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """What the optimiser solves in one control step, for N robots.
+    """The planning problem that the optimiser solves in one control step, for N robots.
 
     Lengths are in the spec's unit. Problems are compared by identity, so that a problem can be the
     key of a cache.
@@ -111,7 +111,7 @@ def never(evaluations: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """When a search has to end early.
+    """The limits at which a search has to end early.
 
     Attributes:
         evaluations: Maximum number of cost evaluations. None for no limit.
@@ -145,7 +145,7 @@ class StopReason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """One search of the optimiser: one horizon in one control step.
+    """The record of one search of the optimiser: one horizon in one control step.
 
     Attributes:
         length: Number of signals. The paper's horizon is h = length - 1.

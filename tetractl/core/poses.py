@@ -1,4 +1,4 @@
-"""Poses of robots, and what a camera shows of them.
+"""Poses of robots, and records of what a camera measures.
 
     Pose           position and heading of one robot
     Poses          the same for N robots, in arrays
@@ -118,7 +118,7 @@ def turn_problem(angle: float) -> tuple[str, str] | None:
 
 @dataclass(frozen=True, slots=True)
 class CameraFrame:
-    """What a camera in the lab shows of N robots at one instant, in the spec's coordinates.
+    """One frame of a camera in the lab: the poses of N robots in the spec's coordinates.
 
     Most cameras measure all poses at the same time, and `exposed_ns` is empty. Robots that measure
     their own poses do so one after another. Then `exposed_ns` holds the time of each pose, and
@@ -163,7 +163,7 @@ class CameraFrame:
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """How well a camera sees robots. 0 means unknown.
+    """How precisely, and how often, a camera measures robots. 0 means unknown.
 
     A camera may measure on a grid, as robots do that read a printed mat. The deviations are then
     those without the grid.
@@ -189,12 +189,15 @@ class Sight:
 
     @property
     def largest_error_mm(self) -> float:
-        """The largest error of a position [mm]: to a corner of the grid's square, and noise."""
+        """The maximum error of a measured position [mm].
+
+        It consists of noise, and of the distance from a grid point to the corner of its square.
+        """
         return self.grid_mm / math.sqrt(2) + 4 * self.noise_mm
 
     @property
     def largest_error_rad(self) -> float:
-        """The largest error of a heading [rad]."""
+        """The maximum error of a measured heading [rad]."""
         return self.grid_rad / 2 + 4 * self.noise_rad
 
     @property
@@ -247,7 +250,7 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class FrameAddition:
-    """What a camera knows about one of its frames besides the poses.
+    """Messages that a camera adds to one of its frames, besides the poses.
 
     Attributes:
         sampled_ns: When the frame was exposed [ns].
@@ -261,7 +264,7 @@ class FrameAddition:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """What a log keeps of a camera frame.
+    """The record of a camera frame in a log.
 
     Attributes:
         observation: The measured poses.

@@ -14,7 +14,7 @@ from tetractl.core.errors import UsageError
 
 
 class PluginError(UsageError):
-    """A kind that another package provides cannot be used."""
+    """An error: a kind that another package provides cannot be used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,8 +134,8 @@ class Registry:
     def _packages(self) -> dict[str, tuple[str, str]]:
         """Name and version of the package of each installed kind.
 
-        They are read once: after a plug-in's error, the loop that stops robots asks for all of them
-        at every step.
+        They are read only once, because after a plug-in's error, the loop that stops robots asks
+        for them at every step.
         """
         return {name: _package(point) for name, point in self._installed.items()}
 

@@ -1,11 +1,11 @@
-"""How far a robot moved in a time, in its own axes.
+"""A record of how far a robot moved in some time, along and across its heading.
 
-A step has three parts, in the robot's own axes: the way along its heading, the way across it
-(positive to the left), and the angle that it turned (positive anticlockwise). A step that was
-fitted to many places has a variance of each part.
+A step has three parts in the robot's own axes: the distance along its heading, the distance across
+it (positive to the left), and the angle that it turned (positive anticlockwise). A step that was
+fitted to many poses also has the variance of each part.
 
     step = RobotStep.fitted(times_s, places)
-    step.way / step.std                     how many standard deviations each part is from no motion
+    step.way / step.std                     each part of the motion in standard deviations
 
 Lengths are in the caller's unit, angles in rad, times in ns.
 """
@@ -27,7 +27,7 @@ EXACT = np.zeros(3)
 
 @dataclass(frozen=True, slots=True)
 class RobotStep:
-    """The motion of a robot from one time to another.
+    """The motion of a robot from one time to another, in its own axes.
 
     Attributes:
         way: Shape (3,): along, across [length unit], turned [rad].
@@ -84,7 +84,7 @@ class RobotStep:
 
     @classmethod
     def fitted(cls, times_s: Floats, places: Floats) -> "RobotStep":
-        """Compute the step of one second by straight lines through many places over time.
+        """Fit straight lines to many poses over time, and return the step of one second.
 
         Args:
             times_s: Times, shape (n,) [s]. At least three.

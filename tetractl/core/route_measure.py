@@ -1,4 +1,4 @@
-"""Measures how accurately robots pass their way-points, and stay at their targets in a hold.
+"""Measure how accurately robots pass their way-points and stay at their targets.
 
 All robots pass their M way-points together. Leg j = 0, ..., M - 1 ends when the robots are nearest
 to their way-points j + 1. Leg M ends at the targets, and leg M + 1 is the hold.

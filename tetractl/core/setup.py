@@ -45,7 +45,7 @@ class Bounds:
         return max(self.width, self.height)
 
     def contains(self, x: float, y: float) -> bool:
-        """Return whether a point lies in the rectangle."""
+        """Check whether a point lies in the rectangle."""
         return self.left <= x <= self.right and self.bottom <= y <= self.top
 
     def inside(self, x: Floats, y: Floats) -> Floats:
@@ -117,7 +117,7 @@ class Setup:
 
     @property
     def on_wheels(self) -> bool:
-        """Whether all robots drive on wheels, and so can stand; others, such as cells, swim on."""
+        """Whether all robots drive on wheels, so that they can stand still. Cells swim on."""
         return self.wheel_radius is not None
 
     @property
@@ -128,7 +128,7 @@ class Setup:
         )
 
     def only(self, robots: Sequence[int]) -> "Setup":
-        """Return the setup of some of the robots, given by their indices."""
+        """Return the setup for some of the robots, given by their indices."""
         rows = list(robots)
         return replace(
             self,

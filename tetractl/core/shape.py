@@ -1,8 +1,9 @@
-"""The shape of an obstacle as data: the corners of a polygon, and the radius that rounds it.
+"""The shape of an obstacle: a polygon whose outline is grown by a radius.
 
-A shape is every point within the radius of a polygon: one corner is a disc, two are a capsule, four
-may be a rectangle. The polygon may be concave, but its edges do not cross. A shape grown by a
-margin has a larger radius: its edge is where the centre of a touching round robot is.
+A shape consists of all points within the radius of a polygon. A polygon with one corner gives a
+disc, with two corners a capsule, and with four corners for example a rectangle. The polygon may be
+concave, but its edges do not cross. A shape grown by a margin has a larger radius. If the margin is
+the radius of a round robot, the edge is where the robot's centre is when it touches the obstacle.
 
 The functions of segments below are the geometry of all obstacles. Their arguments are arrays that
 broadcast, or single numbers: kernels (`tetractl.control.search.kernels.obstacles`) compile the same
@@ -43,7 +44,7 @@ class Shape:
         return *(low - self.radius).tolist(), *(high + self.radius).tolist()
 
     def contain(self, x: Floats, y: Floats) -> Bools:
-        """Decide which points are in the shape: p(s) of the paper's equation (13)."""
+        """Check which points are in the shape, p(s) of the paper's equation (13)."""
         return self.distance(x, y) <= 0
 
     def distance(self, x: Floats, y: Floats) -> Floats:
@@ -79,7 +80,7 @@ class Shape:
         return near
 
     def _touched(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
-        """Decide which segments (M,) begin inside, or come nearer to an edge than the radius."""
+        """Check which segments (M,) begin inside, or come nearer to an edge than the radius."""
         touched = np.zeros(x0.shape, dtype=np.bool_)
         inside = np.zeros(x0.shape, dtype=np.bool_)
         for ax, ay, bx, by in self._edges():
@@ -98,7 +99,10 @@ class Shape:
         return self.corners[furthest] + self.radius * away
 
     def _edges(self) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
-        """Yield x and y of starts and ends of up to EDGES_AT_A_TIME edges, (edges, 1) each."""
+        """Yield the edges of the polygon in groups of up to EDGES_AT_A_TIME.
+
+        Each group contains x and y of the starts and x and y of the ends, shape (edges, 1) each.
+        """
         starts = np.concatenate([self.corners[-1:], self.corners[:-1]])
         edges = np.hstack([starts, self.corners])
         for first in range(0, len(edges), EDGES_AT_A_TIME):

@@ -6,7 +6,7 @@ from pkgutil import resolve_name
 class Shown:
     """A result that a notebook shows as tables and pictures, made by `tetractl.view.notebook`.
 
-    A text names that module, so that `core` imports no package above it.
+    The module is named by a string, so that `core` imports no package above it.
     """
 
     __slots__ = ()

@@ -78,7 +78,7 @@ class Note:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """How the trial of N robots ended, measured on the finest samples of their paths.
+    """The verdict on a trial of N robots, measured on the finest samples of their paths.
 
     Distances are in the spec's length unit, between the centres of robots. The methods can take a
     body `radius` into account.
@@ -115,7 +115,7 @@ class Verdict:
 
     @classmethod
     def unknown(cls, robots: int) -> Self:
-        """Return a verdict for N robots whose final positions are unknown."""
+        """Create a verdict for N robots whose final positions are unknown."""
         nowhere = Poses.from_array(np.full((robots, 3), np.nan))
         return cls(nowhere, (False,) * robots, (math.inf,) * robots, can_restart=False)
 
@@ -192,7 +192,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """How a trial of N robots ended, in numbers.
+    """The result of a trial of N robots: its outcome, and its numbers.
 
     Attributes:
         outcome: How the trial ended.

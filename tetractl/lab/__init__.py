@@ -1,1 +1,1 @@
-"""The lab: cameras, actuators, guard and inner loop."""
+"""The connection to a real lab: cameras, actuators, the safety guard, and the inner loop."""

@@ -1,26 +1,27 @@
-"""Find the cause when a pose contradicts the commands.
+"""Find out why a robot did not move as commanded, after the run was aborted.
 
-The cause may be one robot, the camera, the radio, or two robots with swapped numbers. This is
-called once, with the last frames, after the robots were stopped.
+The robot itself may be the cause, but so may the camera, the radio, or two robots with swapped
+numbers. The search uses the last frames, and runs once, after the robots were stopped.
 
-What robots have done in the last RECENT_NS differs from their commands by z_j (3,), in standard
-deviations. The explanations are
+For each robot j, z_j (3,) is the difference between its motion in the last RECENT_NS and its
+commands, in standard deviations. Three explanations are compared. The smaller the sum, the better:
 
     one robot i:  the others follow their commands,    sum of |z_j|^2 over j != i
     the camera:   its image shifts, turns and grows,   minimum of sum |z_j - G_j g|^2 + |g|^2
     the radio:    all follow their commands later,     sum of |z_j|^2 with delayed commands
 
-One of the last two must be better than the first by CLEAR. The value for the radio must also be
-below CLEAR for each robot, because a robot that is carried moves as it never was commanded, and
-below the first with usual delays, because the others are also late. G_j g is the motion of pose j
-if the image moves at g, over LIKELY_RATES. For the camera, motion is compared as in `drift_check`.
-For the radio, commands are integrated with each delay up to LATEST_NS, and the first explanation
-may have any delay up to `limits.delay`.
+G_j g is the motion of pose j if the image moves at g, in units of LIKELY_RATES. The camera or the
+radio is named only if its sum is smaller than the sum for one robot by CLEAR. The radio has to meet
+two more conditions. Its value must be below CLEAR for each robot, because a robot that is carried
+moves in a way that was never commanded. And it must be better than usual delays, because the other
+robots are also late. For the camera, motion is compared as in `drift_check`. For the radio,
+commands are integrated with each delay up to LATEST_NS, and the explanation by one robot may use
+any delay up to `limits.delay`.
 
-Robots i and j have exchanged numbers or bodies if each moves as the other is commanded: then
-|z_i|^2 + |z_j|^2 with exchanged commands is below CLEAR, and larger by CLEAR with their own
-commands. Each motion may have any delay up to `limits.delay`. Whether only i moves as j is
-commanded is not tested, because a push of a few millimetres explains that as well. Lengths are in
+Robots i and j have swapped numbers or bodies if each moves as the other is commanded. This is
+assumed if |z_i|^2 + |z_j|^2 is below CLEAR with swapped commands, and larger by CLEAR with their
+own. Each motion may have any delay up to `limits.delay`. The program does not test whether only i
+moves as j is commanded, because a push of a few millimetres explains that as well. Lengths are in
 mm.
 """
 
@@ -58,9 +59,9 @@ SWAPPED = "{} and {} move as the other is commanded: are their numbers or bodies
 
 
 class AbortCause:
-    """The search for the cause of an abort.
+    """The search for the reason why a robot did not move as commanded.
 
-    All poses that the camera shows count, accepted or not.
+    All poses that the camera reports count, even those that the guard refused.
 
     Args:
         rules: The rules of the guard, for N robots.
@@ -78,8 +79,9 @@ class AbortCause:
         """Name the cause if it is the camera, the radio, or two swapped robot numbers.
 
         The text is empty if the suspected robot itself is the cause. A robot that does not move
-        always is: its link, power or wheels have failed. Swapped numbers are considered only if it
-        moved as no command does, because swapped wheels have their own reason.
+        always is the cause, because its link, power or wheels have failed. Swapped numbers are
+        considered only if the robot moved in a way that no command explains. Swapped wheels look
+        different, and have a message of their own.
 
         Args:
             suspect: Index of the suspected robot.
@@ -96,7 +98,10 @@ class AbortCause:
         return self._common_cause(suspect, robots)
 
     def _common_cause(self, suspect: int, robots: Sequence[int]) -> str:
-        """Return a text if the camera or the radio explains the motion better than the suspect."""
+        """Name the camera or the radio if it explains the motion better than one robot does.
+
+        The text is empty otherwise.
+        """
         others = np.array(robots) != suspect
         camera, one_robot = self._camera(robots, others)
         radio, one_robot_late, delay_ns = self._radio(robots, others)
@@ -106,7 +111,10 @@ class AbortCause:
         return CAMERA if camera + CLEAR < one_robot else ""
 
     def _swapped(self, suspect: int, robots: Sequence[int]) -> str:
-        """Return a text if the suspect and another of the robots have exchanged numbers."""
+        """Name the robot with which the suspected robot has swapped its number.
+
+        The text is empty if there is none.
+        """
         as_own = dict(zip(robots, self._misfits(robots, robots), strict=True))
         for robot in robots:
             if robot == suspect:
@@ -118,14 +126,15 @@ class AbortCause:
         return ""
 
     def _misfits(self, robots: Sequence[int], commanded: Sequence[int]) -> Floats:
-        """Return |z|^2 (K,) of robots with the commands of the robots `commanded` (K,).
+        """Compute how badly the motions of robots fit the commands of the robots `commanded`.
 
-        Each is taken at the usual delay that fits best.
+        Returns:
+            |z|^2 of each robot, shape (K,), at the usual delay that fits best.
         """
         return self._squares_by_delay(robots, commanded, self._usual_delays).min(axis=0)
 
     def _camera(self, robots: Sequence[int], others: Bools) -> tuple[float, float]:
-        """Return the sums of squares of the camera and of one robot."""
+        """Return the sum of squares if the camera is the cause, and the sum if one robot is."""
         left_over = [self._drift.left_over(i, ends_of_blocks(self._frames, i)) for i in robots]
         z = np.array([residual for residual, _ in left_over])
         moves = np.vstack([picture for _, picture in left_over]) * LIKELY_RATES
@@ -135,7 +144,10 @@ class AbortCause:
         return camera, (z[others] ** 2).sum()
 
     def _radio(self, robots: Sequence[int], others: Bools) -> tuple[float, float, int]:
-        """Return the sums of squares of the radio and of one robot, and the radio's delay [ns]."""
+        """Return the sums of squares if the radio or one robot is the cause, and a delay.
+
+        The delay is the one of the radio [ns].
+        """
         nominal = self._usual_delays
         delays = max(LATEST_NS // STEP_NS, nominal + 1)
         squares = self._squares_by_delay(robots, robots, delays)
@@ -147,9 +159,10 @@ class AbortCause:
     def _squares_by_delay(
         self, robots: Sequence[int], commanded: Sequence[int], delays: int
     ) -> Floats:
-        """Return |z|^2 (delays, K) of robots with the commands of the robots `commanded` (K,).
+        """Compute |z|^2 of robots for the commands of the robots `commanded`, at several delays.
 
-        The commands act later by 0, 1, ... steps of STEP_NS.
+        Returns:
+            The values, shape (delays, K). Commands act later by 0, 1, ... steps of STEP_NS.
         """
         then = self._array(self._frames[0].poses, robots)
         now = self._array(self._frames[-1].poses, robots)

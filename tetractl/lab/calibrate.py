@@ -1,23 +1,23 @@
-"""Measure a robot's wheels and heading offset with small motions.
+"""Calibrate a robot with small motions: measure its wheels and its heading offset.
 
 The result contains the gains and dead zones of the wheels, r (the distance from a wheel to the
-centre), the heading offset, and whether the wheels are swapped. The actuator can be any for robots
-on two wheels (`WheeledActuator`) whose section describes its outputs (`CalibratedSection`). An
-output is what is sent to a motor, in the actuator's own unit.
+centre), the heading offset, and whether the wheels are swapped. Any robot on two wheels can be
+calibrated if its actuator is a `WheeledActuator` and the actuator's section describes its outputs
+(`CalibratedSection`). An output is the number that is sent to a motor, in the actuator's own unit.
 
 One wheel alone turns the robot about the other wheel, whatever the heading offset is:
 
     |turning rate| = k (|output| - dead zone),   k = gain / (2 r).
 
-Both wheels together, with outputs whose turning rates w1 and w2 cancel, drive the robot straight at
-the speed v = r (|w1| + |w2|), which gives r. The direction of travel gives the heading offset, and
-shows which way is forward. The rigid body's x axis, turned by the spec's heading offset, must point
-less than a right angle away from the robot's front. Beyond 60 degrees, the calibration fails.
+If both wheels turn, with outputs whose turning rates w1 and w2 cancel, the robot drives straight at
+the speed v = r (|w1| + |w2|). This gives r. The direction of travel gives the heading offset, and
+shows which way is forward. The x axis of the rigid body, turned by the spec's heading offset, must
+point less than a right angle away from the robot's front. Beyond 60 degrees, the calibration fails.
 
-The order of motions is: each motor channel alone, forwards and backwards, with growing outputs
-(`_channel`); then both straight, away and back (`measure`). If frames are missing after a motion,
-it is repeated. If the robot strays too far from its first position, it is stopped, and AbortError
-is raised.
+The motions are made in this order: each motor channel alone, forwards and backwards, with growing
+outputs (`_channel`); then both channels straight ahead, away and back (`measure`). If frames are
+missing after a motion, the motion is repeated. If the robot moves too far from its first position,
+it is stopped, and AbortError is raised.
 """
 
 import math
@@ -83,7 +83,7 @@ UNKNOWN_WHEEL_ERROR = 10.0
 
 @dataclass(frozen=True, slots=True)
 class DrivenPath:
-    """A steady motion: turning rate [rad/s], speeds along and to the left of the heading [mm/s]."""
+    """A steady motion: turning rate [rad/s], and speeds along and left of the heading [mm/s]."""
 
     turning: float
     along: float
@@ -92,7 +92,7 @@ class DrivenPath:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One motor channel.
+    """The calibration of one motor channel.
 
     An output above the dead zone turns the robot at the rate sign * k * (output - dead_zone)
     [rad/s], anticlockwise if positive.
@@ -103,7 +103,7 @@ class Channel:
     dead_zone: int
 
     def output(self, turning: float) -> int:
-        """Return the absolute output at which the robot turns at an absolute rate [rad/s]."""
+        """Return the absolute output at which the robot turns at a given absolute rate [rad/s]."""
         return round(turning / self.k) + self.dead_zone
 
 
@@ -144,9 +144,9 @@ def calibrate_robots(
 
 
 class _Bench:
-    """The calibration of one robot; the guard checks camera frames as in a run.
+    """The calibration of one robot. The guard checks camera frames as it does in a run.
 
-    `open` comes first, then `measure`; `close` comes last, whatever failed.
+    Call `open` first, then `measure`, and finally `close`, whatever has failed.
     """
 
     def __init__(self, section: CalibratedSection, rig: Rig, offset: float, limit: int) -> None:
@@ -255,9 +255,9 @@ class _Bench:
         return radius_mm
 
     def _offset(self, forwards: DrivenPath, backwards: DrivenPath) -> float:
-        """Return the direction of travel in the body's frame [rad].
+        """Compute the direction of travel in the body's frame [rad].
 
-        Whatever drifts in both motions cancels.
+        A drift that is the same in the motion forwards and in the motion backwards cancels.
         """
         offset = math.atan2(forwards.across - backwards.across, forwards.along - backwards.along)
         if abs(offset) > OFFSET_MAX_RAD:
@@ -270,9 +270,9 @@ class _Bench:
         return offset
 
     def _channel(self, number: int) -> Channel:
-        """Drive motor channel 0 or 1 with growing outputs, and fit its k and dead zone.
+        """Drive motor channel 0 or 1 in both directions, and fit its factor k and its dead zone.
 
-        Both directions are driven.
+        The outputs grow from motion to motion.
         """
         outputs = list[int]()
         rates = list[float]()  # means of both directions
@@ -303,9 +303,9 @@ class _Bench:
         return Channel(1 if rates[0] > 0 else -1, k, dead_zone)
 
     def _rate(self, number: int, output: int) -> float:
-        """Return the turning rate of one channel with an output [rad/s].
+        """Measure the turning rate that an output of one channel causes [rad/s].
 
-        It is the mean of both directions, so that any turning of the robot by itself cancels.
+        The result is the mean of both directions of turning, so that a drift of the robot cancels.
         """
         counts = np.zeros(2, dtype=np.int64)
         counts[number] = output
@@ -314,9 +314,10 @@ class _Bench:
         return (forwards - backwards) / 2
 
     def _run(self, counts: CountArray, seconds: float) -> DrivenPath:
-        """Hold outputs for a time [s]; return the motion after the wheels have settled.
+        """Send outputs for a time [s], and measure the motion once the wheels have settled.
 
-        If frames were missing, the motion is repeated, since the guard may have stopped the robot.
+        If frames were missing, the motion is repeated, because the guard may have stopped the
+        robot.
         """
         for _ in range(ATTEMPTS):
             first = self.rig.loop.frames.count
@@ -340,12 +341,12 @@ class _Bench:
         )
 
     def _hold(self, counts: CountArray) -> int:
-        """Set the outputs (2,) to send; return the time of their first transmission [ns]."""
+        """Set the outputs (2,) to send, and return the time at which they are first sent [ns]."""
         self.actuator.held = counts[:, None]
         return self.rig.loop.hold(Steer(0.0)).sent_ns
 
     def _stand(self) -> None:
-        """Stop the wheels, and wait until the robot stands."""
+        """Stop the wheels, and wait until the robot stands still."""
         self._hold(np.zeros(2, dtype=np.int64))
         self.rig.clock.sleep_until(self.rig.clock.now() + round(STAND_S * SECOND))
 
@@ -372,9 +373,9 @@ class _Bench:
 
 
 def _excess_delay_s(frames: Sequence[AcceptedFrame]) -> float:
-    """Compute how much longer than GAP_S it takes until a frame arrives [s].
+    """Compute by how much the wait for a camera frame can exceed GAP_S [s].
 
-    The frame is one that follows another after GAP_PERIODS.
+    The frame is one that follows another one after GAP_PERIODS.
     """
     if len(frames) < 3:
         return 0.0
@@ -384,11 +385,11 @@ def _excess_delay_s(frames: Sequence[AcceptedFrame]) -> float:
 
 
 def _steady(poses: Sequence[TimedPose], since_ns: int, mm: float) -> DrivenPath:
-    """Fit a steady motion to poses from `since_ns` on.
+    """Fit a steady motion to the poses since the time `since_ns`.
 
-    The turning rate is the slope of the headings. The speeds are the sums of the displacements
-    along and across the heading in the middle of each, divided by the time. `mm` is the spec's
-    length unit in millimetres.
+    The turning rate is the slope of the headings. To compute the speeds, each displacement is split
+    into its parts along and across the heading in the middle of the displacement. The sums of these
+    parts are divided by the time. `mm` is the spec's length unit in millimetres.
     """
     steady = [timed for timed in poses if timed.exposed_ns >= since_ns]
     t = np.array([timed.exposed_ns for timed in steady]) / SECOND

@@ -1,8 +1,8 @@
-"""What a lab knows of its camera's frames before it looks at their poses: order, rate, repeats.
+"""Check the stream of camera frames before anybody looks at their poses: order, rate, repeats.
 
-    CameraStream        the newest frame, and how many came too late
-      RepeatDetector    whether a frame repeats the one before
-      RateWindow        how many frames come per second
+    CameraStream        the newest frame, and how many frames came too late
+      RepeatDetector    whether a frame repeats the previous one
+      RateWindow        how many frames arrive per second
       DamagedCount      how many frames could not be read within the last second
 
 Times are on the run's clock [ns].
@@ -25,9 +25,14 @@ carries one of them.
 
 
 def rate_hz(numbers: Sequence[int], received_ns: Sequence[int]) -> float | None:
-    """Compute the rate of frames or images [Hz], including those that were lost in between.
+    """Compute the rate of frames or images [Hz]; those that were lost in between count too.
 
-    They have these numbers and were received at these times. None if there are fewer than two.
+    Args:
+        numbers: The numbers that the camera gave to the frames.
+        received_ns: When each frame was received [ns].
+
+    Returns:
+        The rate. None if there are fewer than two frames.
     """
     if len(numbers) < 2 or received_ns[-1] <= received_ns[0]:
         return None
@@ -35,11 +40,11 @@ def rate_hz(numbers: Sequence[int], received_ns: Sequence[int]) -> float | None:
 
 
 class RepeatDetector:
-    """Detects that a camera sends its last frame again and again, each time as if it were new.
+    """Detects a camera that sends its last frame again and again, each time as if it were new.
 
-    If the poses of robots that stand have noise, each frame differs from the one before. A frame
-    that equals it to the last bit was then not measured. Poses without noise, or on a grid, may
-    repeat.
+    If measurements are noisy, even the poses of stationary robots differ from frame to frame. Then
+    a frame that equals the previous one to the last bit is not a new measurement. If poses have no
+    noise, or are rounded to a grid, they may repeat.
     """
 
     def __init__(self) -> None:
@@ -49,11 +54,11 @@ class RepeatDetector:
         self._differing_in_a_row = 0  # frames before robots were first driven
 
     def add(self, frame: CameraFrame, before: CameraFrame, driven: bool) -> None:
-        """Compare a frame with the one before.
+        """Compare a frame with the previous one.
 
         Args:
             frame: The frame.
-            before: The frame before.
+            before: The previous frame.
             driven: Whether robots have ever been driven.
         """
         if not driven and not self._is_noisy:
@@ -67,27 +72,30 @@ class RepeatDetector:
 
 
 def _each_body_differs(frame: CameraFrame, before: CameraFrame) -> bool:
-    """Decide whether every body in one of two frames has moved in the other one."""
+    """Check whether every body in one of two frames has a different pose in the other one."""
     pairs = zip(frame.poses, before.poses, strict=True)
     seen = [(now, then) for now, then in pairs if now is not None or then is not None]
     return bool(seen) and all(now != then for now, then in seen)
 
 
 class RateWindow:
-    """The times of the frames of the last second."""
+    """The times of the frames of the last second, from which their rate is computed."""
 
     def __init__(self) -> None:
         self._exposed_ns: deque[int] = deque()
 
     def add(self, exposed_ns: int) -> None:
-        """Add the time of a frame that is newer than all before."""
+        """Add the time of a frame that is newer than all previous ones."""
         self._exposed_ns.append(exposed_ns)
         while self._exposed_ns[0] < exposed_ns - SECOND:
             self._exposed_ns.popleft()
 
     @property
     def hz(self) -> float | None:
-        """The rate of the frames [Hz]. None if they span less than half a second."""
+        """The rate of the frames [Hz].
+
+        None if the frames span less than half a second.
+        """
         times_ns = self._exposed_ns
         if not times_ns or times_ns[-1] - times_ns[0] < SECOND // 2:
             return None
@@ -95,20 +103,20 @@ class RateWindow:
 
 
 class DamagedCount:
-    """How many pictures or datagrams could not be read within the last second."""
+    """The number of camera images or datagrams that could not be read within the last second."""
 
     def __init__(self) -> None:
         self._totals: deque[tuple[int, int]] = deque()  # each with its time, oldest first
 
     def add(self, now_ns: int, total: int) -> None:
-        """Add the total of a camera, which never falls."""
+        """Add the total number of unreadable images so far, which never falls."""
         self._totals.append((now_ns, total))
         while self._totals[0][0] < now_ns - SECOND:
             self._totals.popleft()
 
     @property
     def recent(self) -> int:
-        """By how much the total rose within the last second."""
+        """The number of images or datagrams that became unreadable within the last second."""
         return self._totals[-1][1] - self._totals[0][1] if self._totals else 0
 
 
@@ -116,12 +124,11 @@ class CameraStream:
     """The newest frame of a camera, and the frames that came too late.
 
     Attributes:
-        newest: The newest frame; None before the first.
-        outdated: How many frames came since the newest, but were exposed before it or together
-            with it.
-        behind_ns: By how much the last of these was behind.
-        dropped: How many frames came too late since the last start of a run.
-        damaged: Counts what could not be read.
+        newest: The newest frame. None before the first one.
+        outdated: Number of frames that arrived after the newest one, but were not exposed after it.
+        behind_ns: How much older the last of these was [ns].
+        dropped: Number of frames that came too late since the last start of a run.
+        damaged: Counts images or datagrams that could not be read.
     """
 
     def __init__(self) -> None:
@@ -135,23 +142,23 @@ class CameraStream:
 
     @property
     def newest_ns(self) -> int:
-        """When the newest frame was exposed, 0 before the first."""
+        """The exposure time of the newest frame [ns], 0 before the first frame."""
         return 0 if self.newest is None else self.newest.sampled_ns
 
     @property
     def repeats(self) -> bool:
-        """Whether the newest frame repeats the one before, although poses are noisy."""
+        """Whether the newest frame repeats the previous one, although measurements are noisy."""
         return self._repeated.repeats
 
     def advance(self, frame: CameraFrame, driven: bool) -> bool:
-        """Take a frame, and count it as dropped if it is not newer than all before.
+        """Add a frame. If it is not newer than all previous ones, count it as dropped.
 
         Args:
             frame: The frame.
-            driven: Whether robots ever were driven.
+            driven: Whether robots were ever driven.
 
         Returns:
-            Whether the frame is newer than all before.
+            Whether the frame is newer than all previous ones.
         """
         exposed_ns = frame.sampled_ns
         before = self.newest
@@ -169,7 +176,10 @@ class CameraStream:
 
     @property
     def slow_text(self) -> str:
-        """A hint about slow frames, for errors that blame a robot. Empty if frames are not slow."""
+        """A hint about slow frames, for errors that blame a robot.
+
+        It is empty if frames are not slow.
+        """
         rate = self._rate.hz
         if rate is None or rate >= SLOW_HZ:
             return ""
@@ -178,11 +188,11 @@ class CameraStream:
 
     @property
     def outdated_text(self) -> str:
-        """A text on how old the last outdated frame was."""
+        """A text that says how old the last outdated frame was."""
         return f"exposed {self.behind_ns / SECOND:.2f} s before the newest frame"
 
     def frameless_text(self, silent_ns: int) -> str:
-        """Return a text that no new frame has come for so long, with those that came too late."""
+        """Return a message that no new frame has arrived for a time, and how many came too late."""
         text = f"no new camera frame for {silent_ns / SECOND:.2f} s"
         if not self.outdated:
             return text

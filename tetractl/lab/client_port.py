@@ -1,4 +1,7 @@
-"""The base of ports to what is no port: the client of a maker's library, or another process."""
+"""Base class for devices that are used like a serial port, but reached in another way.
+
+Such a device is reached through a manufacturer's library, or through another process.
+"""
 
 from abc import ABC, abstractmethod
 from contextlib import suppress
@@ -8,16 +11,17 @@ from tetractl.lab.serial_port import SerialPort
 
 
 class ClientPort(SerialPort, ABC):
-    """A client that receives messages without asking for them, used like a port called `name`.
+    """A port that receives messages from a manufacturer's library or from another process.
 
-    A thread calls `connect`, then `wait` until the port is closed, then `disconnect`. If one of
-    them raises an exception, or calls `lost`, the port ends, and with it the trial. Messages go to
-    `take`, from this thread or from threads of the library.
+    The spec calls it `name`. A thread calls `connect`, then `wait` again and again until the port
+    is closed, then `disconnect`. If one of these methods raises an exception, or calls `lost`, the
+    port has failed, and the trial ends. A subclass passes each message to `take`, either from this
+    thread or from threads of the library.
     """
 
     @abstractmethod
     def connect(self) -> None:
-        """Connect; any exception says why that failed."""
+        """Connect to the device. If this fails, raise an exception that says why."""
 
     def wait(self) -> None:
         """Wait for the next message and `take` it, if possible for at most about 0.1 s.
@@ -27,23 +31,26 @@ class ClientPort(SerialPort, ABC):
         self._closing.wait(0.1)
 
     def disconnect(self) -> None:
-        """Release the client; called once, even if `connect` has failed. Exceptions are ignored."""
+        """Release the client.
+
+        It is called once, even if `connect` has failed. Exceptions are ignored.
+        """
 
     @property
     def name(self) -> str:
-        """What the spec calls the port."""
+        """The name of the port in the spec."""
         return self._name
 
     def take(self, message: bytes, waited_ns: int = 0) -> None:
-        """Pass on a message that came `waited_ns` ago."""
+        """Pass on a message that arrived `waited_ns` ago [ns]."""
         self._on_received(message, self._clock.now() - waited_ns)
 
     def lost(self, why: object) -> None:
-        """Say that nothing more will come."""
+        """Report that the connection has failed, and that no more messages will come."""
         self._end(f"{self._device}: {why}")
 
     def open(self, alone: bool = True) -> None:
-        """Start the thread."""
+        """Start the thread that connects and receives messages."""
         self._thread.start()
 
     def write(self, data: bytes) -> int:

@@ -1,7 +1,8 @@
-"""COBS framing with a closing 00, CRC-16/CCITT-FALSE, and the flags of commands.
+"""Encode and decode the binary messages between PC and robots: COBS frames with a checksum.
 
-Consistent overhead byte stuffing removes every 00 from a frame. A 00 is therefore always the end of
-a frame, and a reader that lost bytes resynchronises at the next 00.
+Consistent overhead byte stuffing (COBS) removes every byte 00 from a message. A 00 therefore always
+marks the end of a frame, and a reader that has lost bytes resynchronises at the next 00. The
+checksum is CRC-16/CCITT-FALSE. This module also defines the flags of commands.
 """
 
 import binascii
@@ -14,7 +15,7 @@ FRAME_MAX = 80  # payload bytes, including the closing CRC
 
 
 class Flag(IntFlag):
-    """Flags of a command; both firmwares know the same."""
+    """Flags of a command to a robot, which the firmware of all robots also knows."""
 
     RUN = 1  # without it every robot stops, and both currents go to 0
     EMERGENCY_STOP = 2  # a latched stop, until the device is switched off
@@ -22,7 +23,7 @@ class Flag(IntFlag):
 
 
 def checked_flags(flags: int) -> Flag:
-    """Return a command's flags.
+    """Convert the flag byte of a command to flags.
 
     Raises:
         WireError: If there are unknown flags.
@@ -33,21 +34,24 @@ def checked_flags(flags: int) -> Flag:
 
 
 def crc16(data: bytes) -> int:
-    """Return CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF; 0x29B1 for b"123456789"."""
+    """Compute the checksum CRC-16/CCITT-FALSE.
+
+    The polynomial is 0x1021, and the start value 0xFFFF. The checksum of b"123456789" is 0x29B1.
+    """
     return binascii.crc_hqx(data, 0xFFFF)
 
 
 def encode(payload: bytes) -> bytes:
-    """Encode a payload of at most `FRAME_MAX` bytes, and append the closing byte 00.
+    """Encode a payload of at most `FRAME_MAX` bytes with COBS, and append the closing byte 00.
 
-    Such a short payload never needs the full blocks of 254 bytes that COBS also has.
+    Such a short payload never needs the full blocks of 254 bytes that COBS also defines.
     """
     parts = payload.split(b"\0")
     return b"".join(bytes([len(part) + 1]) + part for part in parts) + b"\0"
 
 
 def decode(frame: bytes) -> bytes:
-    """Undo the stuffing of a frame, given without the closing byte 00."""
+    """Decode a COBS frame, which is given without the closing byte 00."""
     if not frame or 0 in frame:
         raise WireError("not a COBS frame")
     parts: list[bytes] = []
@@ -62,14 +66,17 @@ def decode(frame: bytes) -> bytes:
 
 
 def frame_with_crc(payload: bytes) -> bytes:
-    """Return the frame of a payload: append its CRC (little-endian), stuff, and close with 00."""
+    """Append the checksum (little-endian) to a payload, and encode both as a COBS frame."""
     if len(payload) + 2 > FRAME_MAX:
         raise WireError(f"{len(payload)} bytes do not fit into a frame")
     return encode(payload + crc16(payload).to_bytes(2, "little"))
 
 
 def checked_payload(frame: bytes) -> bytes:
-    """Return the payload of a frame, given without the closing byte 00.
+    """Decode a COBS frame, check its checksum, and return the payload.
+
+    Args:
+        frame: The frame, without the closing byte 00.
 
     Raises:
         WireError: If the CRC or the size is wrong.
@@ -83,7 +90,7 @@ def checked_payload(frame: bytes) -> bytes:
 
 
 def pack_fields(layout: struct.Struct, *fields: int) -> bytes:
-    """Pack fields into a payload, and return its frame: with a checksum, encoded, and terminated.
+    """Pack numbers into a binary message for a robot: payload, checksum, COBS encoding.
 
     Args:
         layout: The layout of the payload.
@@ -99,7 +106,7 @@ def pack_fields(layout: struct.Struct, *fields: int) -> bytes:
 
 
 def unpack_fields(layout: struct.Struct, kind: int, frame: bytes) -> tuple[int, ...]:
-    """Return the fields after the type byte of a frame.
+    """Decode a binary message of a known type, and return the fields after its type byte.
 
     Args:
         layout: Layout of the payload.
@@ -116,14 +123,17 @@ def unpack_fields(layout: struct.Struct, kind: int, frame: bytes) -> tuple[int, 
 
 
 class Splitter:
-    """Splits a byte stream at every 00. It keeps one frame at most, and drops longer ones."""
+    """Splits a byte stream into frames, which end with 00.
+
+    It stores at most one unfinished frame, and drops frames that are too long.
+    """
 
     def __init__(self) -> None:
         self._buffer = bytearray()
         self._skipping = False
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take a chunk of bytes; return the frames that it completes, without their 00."""
+        """Add received bytes, and return the frames that they complete, without the closing 00."""
         frames: list[bytes] = []
         *closed, rest = bytes(data).split(b"\0")
         for piece in closed:

@@ -1,6 +1,6 @@
-"""What cameras may be able to do beyond `Camera`, as protocols.
+"""Optional abilities of cameras beyond the protocol `Camera`.
 
-A camera has an ability if it has the protocol's members; nothing needs to be declared.
+A camera has an ability if it has the members of the protocol. Nothing needs to be declared.
 """
 
 from collections.abc import Iterable
@@ -15,19 +15,19 @@ from tetractl.spec.lab_section import LabLimits
 
 @runtime_checkable
 class HearsDirections(Protocol):
-    """A camera that receives each transmission, and so can distinguish robots by their response."""
+    """A camera that is notified of each transmission, to identify robots by their response."""
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
-        """Take note of a common direction u [rad]. None if the field was switched off.
+        """Record that a common direction u [rad] was sent, or None if the field was switched off.
 
-        It is called in the inner loop's thread, with the time of sending.
+        The thread of the inner loop calls this, with the time of sending.
         """
         ...
 
 
 @runtime_checkable
 class AddsToFrames(Protocol):
-    """A camera that knows more of its frames: messages to log."""
+    """A camera that measures more than poses, and adds its findings to the log."""
 
     def additions(self) -> list[FrameAddition]:
         """Return the findings in each image since the last call, oldest first."""
@@ -35,29 +35,35 @@ class AddsToFrames(Protocol):
 
 
 class RobotWatch(Protocol):
-    """What a camera knows of the robots of a trial beyond their poses."""
+    """What a camera knows about the robots of one trial, beyond their poses.
+
+    It can decide that a robot is lost, and find a body that replaces it.
+    """
 
     def see(self, sampled_ns: int) -> Iterable[Note]:
-        """Take note of the time of an accepted frame, and return notes about it for the log."""
+        """Process the time of an accepted frame, and return notes about it for the log."""
         ...
 
     def lost(self) -> Iterable[Lose]:
-        """Return each robot that counts as lost, although it may be in view, and why."""
+        """Return each robot that counts as lost, with the reason.
+
+        The robot may still be in view.
+        """
         ...
 
     def replace(self, robot: int) -> str:
-        """Track another body instead of a lost robot from now on.
+        """Start to track another body in place of a lost robot.
 
         Returns:
-            What the body is. Empty if none is similar to the robot.
+            A description of the body. Empty if no body is similar to the robot.
         """
         ...
 
 
 @runtime_checkable
 class WatchesRobots(Protocol):
-    """A camera that knows more of its robots than their poses: who is lost, and who replaces it."""
+    """A camera that can decide which robots are lost, and which bodies replace them."""
 
     def watch(self, setup: Setup, limits: LabLimits) -> RobotWatch:
-        """Return the watch of a trial with this setup's robots."""
+        """Create the watch for a trial with the robots of this setup."""
         ...

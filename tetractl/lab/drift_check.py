@@ -1,26 +1,28 @@
-"""Compares what a camera shows over the whole trial with what the robots' wheels can have done.
+"""Detect poses that drift away from their robots slowly, over the whole trial.
 
-The window of `motion_check` must allow for every command that may be acting, so it cannot see a
-pose that leaves its robot slowly. Here, the motion of each block of BLOCK_NS, along, across and
-around the heading, is fitted by least squares over the whole trial. A robot with wheel distance r,
-a commanded speed v and a turning rate w moves by
+The check compares the motion that a camera shows with the motion that the wheels can have made. The
+short window of `motion_check` must allow for every command that may be acting, so it cannot see a
+slow drift. Here, a model of each robot is fitted by least squares over the whole trial, to the
+motion along, across and around the heading in each block of BLOCK_NS. A robot with the wheel
+distance r that is commanded a speed v and a turning rate w moves by
 
-    along:   (1 + s) v + d w r + l w,   across: b v + f w,   around:  (1 + s + k) w + d v / r,
+    along:   (1 + s) v + d w r + l w,   across: b v + f w,   around:  (1 + s + k) w + d v / r.
 
-where s is the mean error of its wheels, d half their difference, k the error of 1 / r, b the error
-of its heading, and (f, l) the point where its pose is measured. Each is unknown but constant, with
-a normal prior. A command acts after a delay between the TAPS: weights of the earlier and later
-commands are also fitted. The motions that no command explains are
+Here, s is the mean error of its wheels, d half the difference between their errors, k the error of
+1 / r, b the error of its heading, and (f, l) the point at which its pose is measured. Each of these
+is unknown but constant, and has a normal prior. A command acts after a delay between the TAPS, so
+weights of the earlier and later commands are fitted too. The check then looks for a motion that no
+command explains, beginning at some moment of the trial:
 
     one robot:   a constant velocity along, across and around its heading,
-    the camera:  one shift, turn and growth of the whole image, for all robots,
+    the camera:  one shift, turn and growth of the whole image, for all robots.
 
-beginning at some moment of the trial. For each moment of a grid, the statistic is the gain in the
-sum of squares by the best such motion (a generalised likelihood ratio over the time of a change; a
-cumulative sum is the case of known parameters). The grid begins with the trial, so a motion that
-was there from the start is found if no error of a wheel explains it. A lost packet matters more if
-the commands differ more: by that much, the block is more uncertain, and so are, by a fifth of it,
-those up to a quarter of a second later. Lengths are in mm.
+For each moment of a grid, the statistic is the decrease of the sum of squares by the best such
+motion. (This is a generalised likelihood ratio over the time of a change. A cumulative sum is the
+special case of known parameters.) The grid begins with the trial. Therefore a drift that was there
+from the start is also found, if no error of a wheel explains it. A lost packet matters more if
+successive commands differ more. The uncertainty of a block grows by this difference, and the
+uncertainty of blocks up to a quarter of a second later grows by a fifth of it. Lengths are in mm.
 """
 
 from collections.abc import Sequence
@@ -67,7 +69,7 @@ CLIP = 1.7
 
 
 class At:
-    """The columns of the regressors, in the order of the module's equations."""
+    """The columns of the regressors, in the order of the parameters in the module's equations."""
 
     residual = 0
     """Motion that nominal wheels do not explain."""
@@ -133,7 +135,7 @@ WRONG = (
 
 @dataclass(frozen=True, slots=True)
 class MeasuredPose:
-    """The last accepted pose of a robot at the beginning or end of a block.
+    """The last accepted pose of a robot, at the beginning or the end of a block of time.
 
     Attributes:
         pose: The pose.
@@ -148,7 +150,7 @@ class MeasuredPose:
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """The motion since each of G moments of the grid that the constants do not explain.
+    """The part of the robots' motion that the fitted constants do not explain, since G moments.
 
     Attributes:
         squares: Sums of products of the possible motions with themselves, shape (G, N, 7, 7).
@@ -162,10 +164,10 @@ class Changes:
 
 
 class DriftCheck(GuardCheck):
-    """A check that aborts a run if its robots move as their wheels cannot over the whole trial.
+    """A check that aborts a run if robots drift in a way that their wheels cannot cause.
 
-    `motion` adds up the motion of the N robots of `rules`. `worst` is the statistic at the worst
-    moment of the grid, `blocks` the number of fitted blocks.
+    It uses the whole trial. `motion` adds up the motion of the N robots of `rules`. `worst` is the
+    statistic at the worst moment of the grid, and `blocks` the number of fitted blocks.
     """
 
     statistical = True
@@ -201,13 +203,13 @@ class DriftCheck(GuardCheck):
     # ---- what is taken ----
 
     def start(self) -> None:
-        """Leave out the motion from the last pose to the next, but keep the fit."""
+        """Ignore the motion between the last pose and the next one, but keep the fit."""
         self._began_ns = 0  # when the block began
         self._starts: list[MeasuredPose | None] = [None] * len(self._names)
         self._carried[:] = 0.0
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take note of a transmission; see `GuardCheck.sent`."""
+        """Record a transmission; see `GuardCheck.sent`."""
         speeds = np.array(speed) * self._mm
         self._fastest = np.maximum(self._fastest, speeds)
         self.commands.sent(now_ns, np.array([speeds, turning]))
@@ -217,8 +219,8 @@ class DriftCheck(GuardCheck):
     ) -> tuple[Abort, ...]:
         """Check the motion up to a frame; see `GuardCheck.frame`.
 
-        Repeated poses are left out. Nothing is checked while wheels may be wrong by more than
-        STEADY, as before a calibration: such wheels would explain any drift.
+        Repeated poses are left out. Before a calibration, wheels may be wrong by more than STEADY.
+        Such wheels would explain any drift, so nothing is checked then.
         """
         poses_before = self._poses
         times_before = self._times
@@ -247,7 +249,7 @@ class DriftCheck(GuardCheck):
     # ---- what is known ----
 
     def carried(self, i: int, pose: Pose, then_ns: int, late_ns: int) -> Pose:
-        """Predict a pose of robot i with the commands that were sent.
+        """Predict the later pose of robot i from the commands that were sent.
 
         Args:
             i: Index of the robot.
@@ -262,10 +264,11 @@ class DriftCheck(GuardCheck):
         return replace(pose, x=pose.x + dx, y=pose.y + dy, heading=pose.heading + turned)
 
     def turns(self) -> str:
-        """Describe robots that turn off course while they drive. Empty if none does.
+        """Describe the robots that turn off course while they drive.
 
         A robot counts if it turns by more than SURE_ERRORS standard deviations. Either its wheels
-        differ, or its poses have been wrong from the start; one trial cannot tell which.
+        differ, or its poses have been wrong from the start. One trial cannot show which. The text
+        is empty if no robot counts.
         """
         texts = [
             f"{name} {rate:+.2f} ± {error:.2f} rad/s"
@@ -327,7 +330,7 @@ class DriftCheck(GuardCheck):
     # ---- the fit ----
 
     def _commanded(self, block: RobotStep) -> Floats:
-        """Return speed and turning rate commanded over a block, for each delay of BEFORE_NS.
+        """Return the speed and turning rate commanded over a block, for each delay of BEFORE_NS.
 
         The shape is (5, 2).
         """
@@ -335,9 +338,10 @@ class DriftCheck(GuardCheck):
         return np.array(means)[:, :, block.robot]
 
     def _regressors(self, blocks: Sequence[RobotStep], motions: Floats) -> tuple[Floats, Floats]:
-        """Return residuals and regressors of blocks, and the variances of their motions.
+        """Compute residuals and regressors of blocks with the `motions` (K, 3), and variances.
 
-        The blocks have the `motions` (K, 3). The results have the shapes (K, 3, 20) and (K, 3).
+        Returns:
+            Residuals and regressors, shape (K, 3, 20), and variances of the motions, shape (K, 3).
         """
         commanded = np.array([self._commanded(block) for block in blocks])  # (K, 5, 2)
         sent = commanded[:, : len(TAPS_NS)]
@@ -372,9 +376,10 @@ class DriftCheck(GuardCheck):
         return x, walk
 
     def _picture_moves(self, poses: Sequence[Pose | None], dt_s: Floats) -> Floats:
-        """Return how poses move if the image shifts, turns and grows, shape (K, 2, 4).
+        """Compute how poses seem to move if the camera's image shifts, turns and grows.
 
-        The motion is given along and across the headings.
+        Returns:
+            The motion along and across the headings, shape (K, 2, 4).
         """
         px, py, heading = np.array([(pose.x, pose.y, pose.heading) for pose in poses if pose]).T
         px = px * self._mm
@@ -388,7 +393,10 @@ class DriftCheck(GuardCheck):
         return product(axes, moves.transpose(2, 0, 1)) * dt_s[:, None, None]
 
     def _add(self, blocks: Sequence[RobotStep]) -> None:
-        """Add blocks of different robots to the sums. Each is clipped to what is expected of it."""
+        """Add blocks of different robots to the sums.
+
+        Each block is clipped to the range that is expected for it.
+        """
         if not blocks:
             return
         robots = [block.robot for block in blocks]
@@ -406,7 +414,10 @@ class DriftCheck(GuardCheck):
         self._sums[robots] += product(x.swapaxes(1, 2), x)
 
     def _fit_and_judge(self) -> Abort | None:
-        """Fit the constants again, add a moment to the grid if it is time, and return any fault."""
+        """Repeat the fit, and return a fault if there is one.
+
+        If it is time, a moment is added to the grid first.
+        """
         sums = self._sums
         self._spread = inverse(sums[:, At.constants, At.constants] + np.diag(1 / np.square(PRIOR)))
         self._fit = np.einsum("npq,nq->np", self._spread, sums[:, At.constants, At.residual])
@@ -422,10 +433,10 @@ class DriftCheck(GuardCheck):
     # ---- changes ----
 
     def _find_worst_change(self) -> Abort | None:
-        """Find the motion since a moment of the grid that gains most.
+        """Find the unexplained motion, and its beginning, that reduce the residuals most.
 
-        It may be the motion of one robot or of the whole image. `worst` is set to its gain. The
-        result is None while no moment is old enough.
+        It may be the motion of one robot or of the whole image. `worst` is set to the reduction.
+        The result is None while no moment is old enough.
         """
         youngest = self.blocks - LEAST_BLOCKS
         old = [sums_then for blocks, sums_then in self._grid.items() if blocks <= youngest]
@@ -459,9 +470,10 @@ class DriftCheck(GuardCheck):
         return Abort(text, (i,), suspect=i, excess=replace(excess, robot=i))
 
     def _changes(self, old: Floats, squares: Floats, count: float) -> Changes:
-        """Return the unexplained motion since moments with the sums `old` (G, N, ...).
+        """Compute the motion since some moments that the fitted constants do not explain.
 
-        `squares` (N,) of `count` residuals in total remain.
+        `old` contains the sums at these moments, shape (G, N, ...). `squares` (N,) is the sum of
+        the remaining squared residuals, and `count` their number.
         """
         since = self._sums - old
         mixed = since[..., At.constants, At.motion]
@@ -472,9 +484,10 @@ class DriftCheck(GuardCheck):
         return Changes(unexplained, pulls, noise)
 
     def _shift_of_all(self, changes: Changes) -> tuple[Floats, Floats]:
-        """Find the motion of the image since each moment that best explains all robots' motion.
+        """Find, for each moment, the image motion that best explains the motion of all robots.
 
-        The results are the motion (G, 4) and its gain (G,), which is 0 with one robot.
+        The results are the motion (G, 4) and the reduction of the residuals (G,). The reduction is
+        0 if there is only one robot.
         """
         picture = slice(3, 7)
         total = (changes.pulls[..., picture] / changes.noise).sum(axis=1)
@@ -486,7 +499,10 @@ class DriftCheck(GuardCheck):
         return shift, (total * shift).sum(axis=1)
 
     def _gains_of_shift(self, changes: Changes, g: int, shift: Floats) -> Floats:
-        """Return the gain of each robot (N,) from a motion of the image (4,) since moment g."""
+        """Compute how much a motion of the image since moment g reduces each robot's residuals.
+
+        The motion has shape (4,), the result (N,).
+        """
         picture = slice(3, 7)
         pulls = changes.pulls[g][:, picture]
         squares = changes.squares[g][:, picture, picture]
@@ -496,7 +512,7 @@ class DriftCheck(GuardCheck):
     # ---- wheels ----
 
     def _wrong_wheels(self) -> Abort | None:
-        """Return which robot's wheels or heading are wrong by more than allowed."""
+        """Return an abort if a robot's wheels or heading are wrong by more than is allowed."""
         errors = product(self._fit, ERRORS.T)  # (N, 3)
         variances = np.einsum("ep,npq,eq->ne", ERRORS, self._spread, ERRORS)
         sure = np.abs(errors) - SURE_ERRORS * np.sqrt(variances)
@@ -516,7 +532,7 @@ class DriftCheck(GuardCheck):
 def ended_blocks(
     starts: Sequence[MeasuredPose | None], ends: Sequence[MeasuredPose | None]
 ) -> list[RobotStep]:
-    """Return the steps of the robots that have poses at both ends of a block.
+    """Return the motions of the robots that have poses at both ends of a block of time.
 
     Args:
         starts: Poses at the beginning of the block, shape (N,).

@@ -1,4 +1,4 @@
-"""The accepted frames of a lab between the guard's thread, which appends them, and its readers."""
+"""A buffer of accepted camera frames, shared between the inner loop's thread and its readers."""
 
 import threading
 from collections import deque
@@ -9,9 +9,9 @@ from tetractl.tools.worker import WAITING_MAX
 
 
 class FrameBuffer:
-    """The last accepted frames, oldest first.
+    """The most recent accepted camera frames, oldest first.
 
-    The inner loop appends, and any thread reads: one lock guards both.
+    The inner loop appends frames, and any thread can read them. A lock protects the buffer.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Frames whose poses the guard has accepted, and the poses of one robot in them.
+"""Camera frames after the guard has decided which of their poses to accept.
 
 Times are on the run's clock [ns].
 """
@@ -11,7 +11,7 @@ from tetractl.core.poses import CameraFrame, Pose
 
 @dataclass(frozen=True, slots=True)
 class AcceptedFrame:
-    """A camera frame, and the poses of the N robots that the guard has accepted.
+    """A camera frame with the poses of the N robots that the guard has accepted.
 
     It was exposed after all earlier frames.
 
@@ -29,11 +29,14 @@ class AcceptedFrame:
     exposed_ns: tuple[int, ...] = ()
 
     def exposed(self, i: int) -> int:
-        """Return the time of the pose of robot i [ns]."""
+        """Return the time of robot i's pose [ns]."""
         return self.exposed_ns[i] if self.exposed_ns else self.frame.sampled_ns
 
     def pose(self, i: int) -> Pose | None:
-        """Return the pose of robot i accepted from this frame, None if there is none."""
+        """Return the pose of robot i that was accepted from this frame.
+
+        None if there is none.
+        """
         return self.poses[i] if self.fresh[i] else None
 
 
@@ -46,7 +49,7 @@ class TimedPose:
 
 
 def timed_poses(frames: Iterable[AcceptedFrame], i: int) -> list[TimedPose]:
-    """Return the poses of robot i accepted from some frames."""
+    """Return the poses of robot i that were accepted from some frames, with their times."""
     timed: list[TimedPose] = []
     for frame in frames:
         pose = frame.pose(i)
@@ -56,6 +59,6 @@ def timed_poses(frames: Iterable[AcceptedFrame], i: int) -> list[TimedPose]:
 
 
 def as_shown(frame: CameraFrame) -> AcceptedFrame:
-    """Return a frame as if the guard had accepted every pose in it."""
+    """Wrap a camera frame as if the guard had accepted every pose in it."""
     fresh = tuple(pose is not None for pose in frame.poses)
     return AcceptedFrame(frame, frame.poses, fresh, frame.exposed_ns)

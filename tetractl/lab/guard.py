@@ -1,84 +1,87 @@
-"""The guard: decides, at every tick, which robots may move. It does no I/O and reads no clock.
+"""The guard decides, many times a second, which robots may move, and stops them after a fault.
 
-What its words mean. Of each pose in a frame one is true:
+It does no input or output and reads no clock: the inner loop gives it camera frames and times.
 
-    accepted    it is its robot's
-    refused     it cannot be: it is too far from the last one, or moves as no command does (then the
-                robot *disobeys*), or its body is lifted or set down (`robot_track`)
-    unchanged   the camera shows the measurement of a frame before
-    missing     there is none
+**Terms.** For each pose in a frame, exactly one of these is true:
 
-and of each robot, at the newest frame:
+    accepted    the guard takes it as the pose of its robot
+    refused     it cannot be the robot's pose: it is too far from the last one, it contradicts the
+                commands (the robot *disobeys*), or its body was lifted or set down (`robot_track`)
+    unchanged   the camera repeats the measurement of an earlier frame
+    missing     the frame contains no pose of the robot
+
+and for each robot, at the newest frame:
 
     tracked     its last accepted pose is at most UNTRACKED_STOP_S old: it may move
-    hidden      it is older: the robot must stop until one is accepted again
-    lost        the run goes on without it, until another body replaces it; a run that may lose
-                none, or that loses its last robot, is aborted instead
+    hidden      its last accepted pose is older: it must stop until a new one is accepted
+    lost        the run continues without it, until another body replaces it. If the rules do not
+                allow that, or if it was the last robot, the run is aborted instead
 
-A *ghost* is a robot whose poses are refused for good, as what the camera shows is another body.
-Robots drive *ahead*, or turn on the spot and wait for a plan. The *rules* are the limits of the
-spec; the *checks* depend on what robots a device has. The kernel (`lab.kernel`) has the rules that
-hold in every run, whatever the checks find.
+A *ghost* is a robot whose poses are refused for good, because the camera shows another body in its
+place. Robots drive *ahead*, or turn on the spot and wait for a plan. The *rules* are the limits in
+the spec. The *checks* depend on the kind of robots. The kernel (`lab.kernel`) contains the rules
+that apply to every run, whatever the checks find.
 
-Its states, and the calls that change them:
+**States of the guard**, and the calls that change them:
 
     preflight --pass_preflight--> ready --start_run--> run <--decide--> hold
                                     ^                   |                |
                                     +----- end_run -----+----------------+      any --abort--> abort
 
 A run of the guard is shorter than a trial: it ends at each pause, and `start_run` begins the next
-one. In `ready` no robot moves: before a run, in a pause and after it. In `hold`, one robot or all
-are stopped because of a fault that may pass; robots that can only be stopped together continue to
-be steered while one is hidden. `abort` is final.
+one. In `ready`, no robot moves: before a run, in a pause and after the run. In `hold`, one robot or
+all are stopped because of a fault that may pass. Robots that can only be stopped together are still
+steered while one of them is hidden. `abort` is final.
 
-What happens next, if
+**What happens next, if**
 
-    a pose jumps              if it is further from a pose of the last second than twice the speed
-                              explains plus `jump_mm` (or has turned more, plus JUMP_HEADING), it is
-                              refused (`robot_track`); after UNTRACKED_STOP_S (lab_section) the
-                              robot is hidden, and stops; after `untracked_abort` it is lost (3), or
-                              the run is aborted (10). If it stays, and so comes within reach, it
-                              disobeys commands
-    poses disobey commands    on wheels they are refused likewise (`motion_check`), and the run is
-                              aborted once the robot is hidden; those of a cell are accepted, with a
+    a pose jumps              it is refused (`robot_track`) if its distance from a pose of the last
+                              second is more than twice what the speed explains plus `jump_mm`; the
+                              same holds for the heading, plus JUMP_HEADING. After UNTRACKED_STOP_S
+                              (lab_section) the robot is hidden, and stops. After `untracked_abort`
+                              it is lost (3), or the run is aborted (10). If the pose stays, so that
+                              it comes within reach, the robot disobeys
+    a robot disobeys          its poses are refused if it has wheels (`motion_check`), and the run
+                              is aborted once it is hidden. Poses of a cell are accepted, with a
                               warning
-    no pose of a robot comes  as if it jumped
-    no frame comes            all robots stop after `stale`; the run is aborted after `stream_lost`
+    a robot has no pose       the same as if its pose jumped
+    no frame comes            all robots stop after `stale`. The run is aborted after `stream_lost`
                               (9)
-    a control step is late    nothing; after `late_steps` in a row the run is aborted
-    no plan comes             robots go on by the last direction; the run is aborted after the
+    a control step is late    nothing. After `late_steps` late steps in a row, the run is aborted
+    no plan comes             robots continue in the last direction. The run is aborted after the
                               silence that the rules allow (8)
-    a robot dies              on wheels it disobeys, as it does not move, once no command of the
-                              last `delay` explains it: the run is aborted as it is hidden (10), or
-                              after `untracked_abort` if its pose is the same to the bit. A run that
-                              may lose robots (`on_lost` of the spec) goes on without it after
-                              `untracked_abort` (3). A cell is warned of; its pose that is the same
-                              to the bit counts as for wheels
+    a robot stops working     on wheels, it disobeys because it does not move, once no command of
+                              the last `delay` explains that. The run is aborted when it is hidden
+                              (10), or after `untracked_abort` if its pose repeats to the bit. A run
+                              that may lose robots (`on_lost` of the spec) continues without it
+                              after `untracked_abort` (3). If it is a cell, the guard only warns; a
+                              pose that repeats to the bit counts as on wheels
     a device fails            the run is aborted (2, 6)
-    the operator stops all    the run is aborted, for good (5); Ctrl-C only ends the run, by
+    the operator stops all    the run is aborted for good (5). Ctrl-C only ends the run, by
                               `end_run`, after the control step
 
-Why a run is aborted. The first reason stays; in one step of the inner loop they come in this order:
+**Why a run is aborted.** The first reason counts. In one step of the inner loop, reasons are tested
+in this order:
 
-     1  this program stood still                               check_awake
-     2  the camera says that a frame's poses are wrong         check_frame, for each frame
-     3  a robot is lost, since it was not tracked              check_frame, if a run may lose robots
-     4  a check finds it in the poses: they drift              check_frame, in the order of checks
+     1  this program was suspended                             check_awake
+     2  the camera reports that a frame's poses are wrong      check_frame, for each frame
+     3  a robot is lost, because it was not tracked            check_frame, if a run may lose robots
+     4  a check finds a fault in the poses: they drift         check_frame, in the order of checks
      5  the operator stops all robots                          abort
      6  the actuator cannot send any more                      decide
-     7  much of what the camera sends is damaged               decide (_check_camera_and_controller)
-     8  the controller gives no direction                      likewise
-     9  no new frame comes                                     likewise
+     7  much of the camera's data is damaged                   decide (_check_camera_and_controller)
+     8  the controller gives no direction                      the same
+     9  no new frame comes                                     the same
     10  a robot disobeys, is not tracked or seen too rarely    decide (_check_tracking)
-    11  a check finds it in the places: robots come too near   decide, in the order of checks
+    11  a check finds robots too close to something            decide, in the order of checks
 
-and between two steps, control steps that are late (note_step), a loss that others report
-(lose_robot) and, by `abort`, what only others can know: a robot that moves in a pause, a device or
-an inner loop that fails.
+Between two steps, a run can also be aborted for late control steps (`note_step`), for a robot that
+another part reports as lost (`lose_robot`), and by `abort` for faults that only other parts can
+notice: a robot moves in a pause, or a device or the inner loop fails.
 
-The inner loop makes the calls of a run, one at a time. `note_step` and `abort` may come from the
-controller's thread meanwhile, `lose_robot` and `replace_robot` between two steps of the loop.
-Lengths are in the spec's length unit, times ns on the run's clock.
+The inner loop makes the calls of a run, one at a time. Meanwhile, the controller's thread may call
+`note_step` and `abort`. It may call `lose_robot` and `replace_robot` between two steps of the loop.
+Lengths are in the spec's length unit. Times are in ns on the run's clock.
 """
 
 import threading
@@ -120,7 +123,7 @@ RARELY = 3.0
 
 
 class GuardState(StrEnum):
-    """The guard's states."""
+    """The states of the guard, from the preflight to the abort of a run."""
 
     PREFLIGHT = "preflight"
     READY = "ready"
@@ -131,9 +134,10 @@ class GuardState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Ruling:
-    """The decision of a tick: which robots may move, `moving` (N,), and the accepted `poses` (N,).
+    """The guard's decision in one step of the inner loop.
 
-    A pose is None if the robot is not tracked.
+    It contains which robots may move, `moving` (N,), and the accepted `poses` (N,). A pose is None
+    if the robot is not tracked.
     """
 
     state: GuardState
@@ -143,11 +147,13 @@ class Ruling:
 
 
 class Guard:
-    """Decides by `rules` which of N robots may move, from all camera frames, at frequent ticks.
+    """Decides, from all camera frames, which of N robots may move.
 
-    `checks_of` makes the list of checks of the robots: of wheeled ones by default. Several threads
-    may change the `state`; after an abort `reason` says why. In an `emergency` robots are to latch
-    the stops: the operator has stopped them for good, or plain stops did not hold them.
+    The limits come from `rules`. `checks_of` creates the list of checks for the robots; by default,
+    these are the checks for robots on wheels. Several threads may change the `state`. After an
+    abort, `reason` contains the reason. In an `emergency`, robots have to latch their stops, so
+    that they stay stopped until they are switched off and on: the operator has pressed the
+    emergency stop, or plain stops have not held the robots.
     """
 
     drift: DriftCheck
@@ -179,7 +185,7 @@ class Guard:
 
     @property
     def refused(self) -> tuple[str, ...]:
-        """The reason why each robot's newest pose was refused (N,); "" if it was not refused."""
+        """The reason why each robot's newest pose was refused (N,), or ""."""
         return tuple(robot.decision.refused for robot in self._robots)
 
     @property
@@ -188,11 +194,11 @@ class Guard:
         return all(robot.tracked for robot in self._robots)
 
     def hides(self, i: int) -> bool:
-        """Return whether a robot has to stop, since no pose of it was accepted for so long."""
+        """Check whether a robot has to stop because none of its poses was accepted for too long."""
         return self._robots[i].hidden
 
     def refusal_excess(self, i: int) -> Excess | None:
-        """Return the value that led to the refusal of a robot's newest pose.
+        """Return the value, and its limit, that led to the refusal of a robot's newest pose.
 
         The result is None if the pose was not refused, or if the reason has no number.
         """
@@ -200,19 +206,22 @@ class Guard:
 
     @property
     def lost(self) -> dict[int, int]:
-        """The lost robots and when each was last seen [ns], the longest ago first."""
+        """The lost robots, and when each was last seen [ns].
+
+        The robot lost longest ago comes first.
+        """
         lost = {i: robot.lost_ns for i, robot in enumerate(self._robots)}
         by_time = [(ns, i) for i, ns in lost.items() if ns is not None]
         return {i: ns for ns, i in sorted(by_time)}
 
     @property
     def moved(self) -> dict[int, str]:
-        """The robots that were seen to move in a pause, and how."""
+        """The robots that the camera has seen moving in a pause, and how they moved."""
         return {i: robot.strayed for i, robot in enumerate(self._robots) if robot.strayed}
 
     @property
     def dropped(self) -> int:
-        """The number of frames since the last start that were dropped, as they were not newer."""
+        """The number of frames dropped since the last start, because newer ones came before."""
         return self._stream.dropped
 
     @property
@@ -221,7 +230,10 @@ class Guard:
         return state is GuardState.RUN or state is GuardState.HOLD
 
     def why_no_frame(self, silent_ns: int) -> str:
-        """Return why no new frame has come for `silent_ns`: after an abort, its reason."""
+        """Explain why no new frame has come for `silent_ns`.
+
+        After an abort, return the reason of the abort.
+        """
         return self.reason or self._stream.frameless_text(silent_ns)
 
     # ---- states ----
@@ -232,7 +244,7 @@ class Guard:
             self._enter(GuardState.READY)
 
     def start_run(self, now_ns: int) -> None:
-        """Enter `run`, so that robots may move; only from `ready`."""
+        """Enter the state `run`, in which robots may move. This is only possible from `ready`."""
         if self.state is not GuardState.READY:
             return
         self._enter(GuardState.RUN)
@@ -246,7 +258,7 @@ class Guard:
             robot.start_run()
 
     def _enter(self, state: GuardState) -> None:
-        """Enter a state, but not after an abort, also if another thread aborts at this moment."""
+        """Enter a state, unless the run is aborted, even by another thread at this moment."""
         with self._state_lock:
             if self.state is not GuardState.ABORT:
                 self.state = state
@@ -263,12 +275,13 @@ class Guard:
         suspect: int | None = None,
         excess: Excess | None = None,
     ) -> None:
-        """Abort for good. Later calls do not change the reason.
+        """Abort the run for good. Later calls do not change the reason.
 
-        Robots that are hidden because their poses are refused are refused for good from now on.
+        Robots that are hidden because their poses are refused become ghosts: their poses are
+        refused for good.
 
         Args:
-            reason: Why.
+            reason: The reason.
             emergency: Whether robots must latch the stops.
             suspect: Index of the robot that seems to have failed. None if it is not a single robot.
             excess: The value that is beyond its limit. None if the reason has no number.
@@ -288,8 +301,8 @@ class Guard:
     def name_cause(self, frames: FrameBuffer) -> None:
         """Correct the reason of an abort, once, if the suspected robot is not the cause.
 
-        This is judged by the last frames. It is slow, and therefore called after the robots were
-        stopped.
+        The search for the cause uses the last frames. It is slow, so it is done after the robots
+        were stopped.
         """
         suspect = self._suspect
         if suspect is None:
@@ -301,7 +314,9 @@ class Guard:
         self.reason = self._with_cause(reason, recent[-1].received_ns)
 
     def lose_robot(self, i: int, reason: str, excess: Excess | None = None) -> None:
-        """Continue without a robot; abort if the rules forbid that or no other robot is left.
+        """Continue the run without a robot.
+
+        Abort it if that is forbidden or no other robot is left.
 
         Args:
             i: Index of the robot.
@@ -329,12 +344,12 @@ class Guard:
     # ---- what controller and actuator did ----
 
     def note_direction(self, now_ns: int, ahead: bool = True) -> None:
-        """Note that the controller gave a direction; if not `ahead`, robots turn on the spot."""
+        """Record that the controller gave a direction. If not `ahead`, robots turn on the spot."""
         self._pace.directed_ns = now_ns
         self._pace.ahead = ahead
 
     def note_step(self, missed: bool) -> None:
-        """Note whether a control step missed its deadline; abort after `late_steps` in a row."""
+        """Record whether a control step missed its deadline. Abort after `late_steps` in a row."""
         pace = self._pace
         pace.late_steps = pace.late_steps + 1 if missed and pace.ahead else 0
         pace.late_ns = pace.ticked_ns if missed else pace.late_ns
@@ -345,7 +360,7 @@ class Guard:
     def note_transmission(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
     ) -> None:
-        """Take note of a transmission.
+        """Record a transmission to the robots.
 
         Args:
             now_ns: When it was sent.
@@ -358,9 +373,9 @@ class Guard:
     # ---- each step of the inner loop: check_awake, check_frame for each new frame, decide ----
 
     def check_awake(self, now_ns: int) -> None:
-        """Abort if nothing was decided for `stream_lost`.
+        """Abort the run if this program has decided nothing for `stream_lost`.
 
-        It must be called before frames are checked that waited in the meantime.
+        Call this before the frames are checked that have waited in the meantime.
         """
         excess = asleep(self.rules, self._pace, now_ns)
         if self._in_run and excess is not None:
@@ -368,15 +383,15 @@ class Guard:
         self._pace.ticked_ns = now_ns
 
     def check_frame(self, frame: CameraFrame) -> AcceptedFrame | None:
-        """Check one camera frame; return it with the poses that are accepted.
+        """Check one camera frame, and return it with the poses that are accepted.
 
-        Returns None for a frame that was exposed before, or together with, a frame already checked;
-        such a frame is dropped and counted.
+        The result is None if the frame was not exposed after all frames checked before. Such a
+        frame is dropped and counted.
 
-        Robots are compared with what was accepted before this frame: first all poses are decided
-        on, then all decisions take effect, and last the checks compare the robots with each other.
-        Whether a run is on is asked once, before: the poses were exposed while it was, even if one
-        of them ends it.
+        The decisions on all poses of the frame use only what was accepted before this frame. Then
+        all decisions take effect, and finally the checks compare the robots with each other.
+        Whether a run is on is determined once, at the beginning, because the poses were exposed
+        during the run, even if one of them ends it.
         """
         if frame.fault:
             self.abort(frame.fault)
@@ -407,10 +422,10 @@ class Guard:
         return accepted
 
     def decide(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
-        """Decide which robots may move now. In a run, first look for what ends it.
+        """Decide which robots may move now. During a run, first look for reasons to end it.
 
-        The controller's thread may end or abort a run at any time. Robots move only if the state
-        still belongs to a run after everything has been decided.
+        The controller's thread may end or abort a run at any time. Robots may move only if the run
+        still exists after everything has been decided.
 
         Args:
             now_ns: The present time.
@@ -447,22 +462,22 @@ class Guard:
     def _decide_pose(self, i: int, pose: Pose | None, in_run: bool) -> PoseDecision | None:
         """Decide whether to accept the pose of robot i in the newest frame.
 
-        None if that was decided in an earlier frame. Only the checks remember anything about the
-        pose. The first row that fits decides:
+        The result is None if this was decided in an earlier frame. Only the checks remember
+        anything about the pose. The first row that fits decides:
 
-            there is none, or the run goes on without the robot     missing
+            there is none, or the run continues without the robot   missing
             it is the measurement of an earlier frame               None
             the robot is a ghost, or cannot have come there         refused
             the frame repeats the last one of a noisy camera        refused
             it is the robot's first one, or no run has begun yet    accepted
-            no run is on, but one was: it may show a motion         accepted, and checks note it
+            a run has begun, but is paused: it may show a motion    accepted, and checks note it
             it equals the last one to the bit, so no motion         as checks find
             it shows a motion, which commands explain or not        as checks find
 
-        Robots that move although no run is on may not have received the stop, which is then sent
-        again. A robot with a repeated pose may be standing still. However, if its commands must
-        have moved it by now, the camera shows a frozen image. Then equal poses are refused until a
-        different one arrives, whatever is commanded in the meantime.
+        A robot that moves in a pause may not have received the stop, so the stop is sent again. A
+        robot with a repeated pose may be standing still. However, if its commands must have moved
+        it by now, the camera shows a frozen image. Then equal poses are refused until a different
+        one arrives, whatever is commanded in the meantime.
         """
         robot = self._robots[i]
         last = robot.last
@@ -492,7 +507,7 @@ class Guard:
         return PoseDecision(pose, findings=findings)
 
     def _record_poses(self, decisions: Sequence[PoseDecision | None]) -> None:
-        """Let the decisions on all robots' poses take effect, and then what checks have found."""
+        """Apply the decisions on all robots' poses, and then the findings of the checks."""
         for robot, decision in zip(self._robots, decisions, strict=True):
             if decision is None:
                 continue
@@ -506,7 +521,7 @@ class Guard:
                 self._record(decision.findings)
 
     def _accepted(self, frame: CameraFrame) -> AcceptedFrame:
-        """Return a frame with the accepted poses, which are recorded."""
+        """Combine a frame with the poses that were accepted."""
         poses: list[Pose | None] = []
         fresh: list[bool] = []
         times: list[int] = []
@@ -521,7 +536,10 @@ class Guard:
     # ---- a tick ----
 
     def _check_run(self, now_ns: int, damaged: int, poses: Sequence[Pose | None]) -> None:
-        """Look for what ends the run, in the order of the table above, up to the first abort."""
+        """Look for a reason to end the run, in the order of the module's table.
+
+        Stop at the first one.
+        """
         self._check_camera_and_controller(now_ns, damaged)
         if self._in_run:
             self._check_tracking()
@@ -536,8 +554,9 @@ class Guard:
     def _check_camera_and_controller(self, now_ns: int, damaged: int) -> None:
         """Abort if the camera or the controller has failed.
 
-        That is the case if much of what the camera sends cannot be read, if robots drive by an old
-        direction, or if no frame has arrived for `stream_lost`. No robot is to blame then.
+        The camera has failed if much of its data cannot be read, or if no frame has arrived for
+        `stream_lost`. The controller has failed if robots drive by an old direction. No robot is to
+        blame for these faults.
         """
         rules = self.rules
         no_direction = undirected(rules, self._pace, now_ns)
@@ -554,11 +573,11 @@ class Guard:
             self.abort(self._with_cause(text, now_ns), excess=no_frame)
 
     def _check_tracking(self) -> None:
-        """Abort or lose each robot that disobeys or is not tracked.
+        """Handle robots that disobey their commands or are not tracked: lose them, or abort.
 
-        A robot that disobeys for as long as it takes to stop it aborts the run. A robot that is
-        untracked for `untracked_abort`, or is seen too rarely, is lost. A run that may lose robots
-        also loses one that does not move.
+        If a robot disobeys for as long as it takes to stop it, the run is aborted. If a robot is
+        untracked for `untracked_abort`, or is seen too rarely, it is lost. A run that may lose
+        robots also loses a robot that does not move.
         """
         rarely_ns = RARELY * self.rules.limits.untracked_abort * SECOND
         for i, robot in enumerate(self._robots):
@@ -580,9 +599,10 @@ class Guard:
                 return
 
     def _pose_now(self, i: int, robot: RobotTrack) -> Pose | None:
-        """Return the accepted pose of robot i at the newest frame. None if it is hidden or lost.
+        """Return robot i's accepted pose at the time of the newest frame.
 
-        An older pose is predicted to that time with the commands that were sent.
+        An older pose is predicted to that time with the commands that were sent. The result is None
+        if the robot is hidden or lost.
         """
         pose = robot.last
         if pose is None or not robot.tracked:
@@ -594,7 +614,7 @@ class Guard:
         return self.drift.carried(i, pose, robot.last_ns, robot.untracked_ns)
 
     def _places(self, poses: Sequence[Pose | None]) -> list[RobotPlace]:
-        """Return where the robots are, whose `poses` (N,) are those at the newest frame."""
+        """Describe where the robots are, given their `poses` (N,) at the newest frame."""
         places: list[RobotPlace] = []
         for robot, pose, speed in zip(self._robots, poses, self.rules.speeds, strict=True):
             stands = robot.lost or not self._pace.ahead
@@ -603,7 +623,7 @@ class Guard:
         return places
 
     def _moving(self, now_ns: int) -> tuple[bool, ...]:
-        """Return which robots may move in a run (N,)."""
+        """Decide which robots may move during a run (N,)."""
         may = may_move(self.rules, self._pace, self._stream.newest_ns, now_ns)
         if self.together:
             return (may,) * len(self._robots)
@@ -612,7 +632,7 @@ class Guard:
     # ---- findings ----
 
     def _record(self, findings: Iterable[Finding]) -> None:
-        """Let findings take effect, up to the first abort."""
+        """Apply findings of the checks, up to the first abort."""
         for finding in findings:
             if self.state is GuardState.ABORT:
                 return
@@ -632,16 +652,16 @@ class Guard:
                         self._robots[i].ghost = finding.text
 
     def _warn_once(self, text: str) -> None:
-        """Give a warning, unless it was given before."""
+        """Add a warning, unless the same one was given before."""
         if text not in self._warned:
             self._warned.add(text)
             self._warnings.append(text)
 
     def _with_cause(self, reason: str, now_ns: int) -> str:
-        """Add another explanation to a reason that blames a robot or the camera.
+        """Extend a reason that blames a robot or the camera by another possible explanation.
 
-        It may be late control steps just before, or slow frames. The text then does not ask whether
-        the robot was pushed.
+        The explanation may be late control steps just before, or slow frames. The text then does
+        not ask whether the robot was pushed.
         """
         late_ns = self._pace.late_ns
         if late_ns is not None and now_ns - late_ns <= COMPARED_NS:

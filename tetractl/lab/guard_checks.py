@@ -1,13 +1,13 @@
-"""The list of the guard's checks, and what each of them may find.
+"""The list of checks that the guard makes, and the findings that each of them may report.
 
-A device for other robots brings its own list.
+A device for other kinds of robots brings its own list.
 
-    MotionCheck   may a pose be its robot's, by the commands of the last `delay`?  Refuse, Moved
-    DriftCheck    may the motion over the whole trial be that of its wheels?      Abort
-    Places        does a robot leave the arena, enter an obstacle, touch another? Abort
+    MotionCheck   do the commands of the last `delay` explain a pose?              Refuse, Moved
+    DriftCheck    can wheels have caused the motion over the whole trial?          Abort
+    Places        does a robot leave the arena, enter an obstacle, touch another?  Abort
 
-`Places` belongs to the guard's kernel (`lab.kernel`), the other two are statistical. The guard
-itself checks with its `RobotTrack` whether a body is lifted, or jumps.
+`Places` belongs to the guard's kernel (`lab.kernel`). The other two are statistical. In addition,
+the guard's `RobotTrack` checks whether a body is lifted, or jumps.
 """
 
 from collections.abc import Callable
@@ -22,13 +22,13 @@ from tetractl.lab.motion_check import MotionCheck
 
 @dataclass(frozen=True, slots=True)
 class GuardChecks:
-    """The checks for a kind of robots.
+    """The checks that the guard makes for one kind of robots.
 
     Attributes:
         checks: The checks, in the order in which they are made.
-        drift: Knows how the robots have moved over the trial. It predicts poses, and the guard uses
-            it to find the cause of an abort.
-        together: Whether robots share one signal, so that none can be held still while the others
+        drift: Follows how the robots move over the trial. It predicts poses, and the guard uses it
+            to find the cause of an abort.
+        together: Whether robots share one signal, so that no robot can be stopped while the others
             move.
     """
 
@@ -42,7 +42,7 @@ ChecksOf = Callable[[GuardRules], GuardChecks]
 
 
 def robot_checks(rules: GuardRules) -> GuardChecks:
-    """Return the checks of robots that stand still when they are stopped."""
+    """Create the checks for robots that stand still when they are stopped."""
     motion = MotionCheck(rules, rules.largest_error, rules.limits.wheel_error)
     drift = DriftCheck(rules, motion)
     return GuardChecks((motion, drift, Places(rules)), drift)

@@ -1,14 +1,13 @@
-"""Reports what a guard would have done, without acting.
+"""Report what the guard would have done, without stopping any robot.
 
-A `GuardObserver` gets the same frames, directions and transmissions as a guard. It lets a guard of
-its own decide, writes down each pose that this guard refuses, each robot that it stops and each run
-that it ends, and goes on with a new guard after each end. In this way, checks can be tuned on
-recordings and during a run.
+A `GuardObserver` gets the same frames, directions and transmissions as the guard of a run, and
+passes them to a guard of its own. It records each pose that this guard refuses, each robot that it
+stops, and each run that it ends. After each end, it continues with a new guard. In this way, checks
+can be tuned on recordings and during a run.
 
 An `ObservingGuard` is the guard of a run with `lab.limits.observe`. Its kernel (`lab.kernel`) acts
-as always, and its statistical checks only report. These are the checks of motion and drift: their
-limits rest on how well wheels follow commands, which differs from lab to lab. Times are ns on the
-run's clock.
+as always. Its statistical checks, which test motion and drift, only report: their limits depend on
+how well wheels follow commands, which differs from lab to lab. Times are in ns on the run's clock.
 """
 
 from collections import deque
@@ -32,7 +31,7 @@ REMEMBERED_NS = 2 * SECOND
 
 
 class Act(StrEnum):
-    """What a guard does, from the mildest."""
+    """The actions of a guard, starting with the mildest."""
 
     REFUSES = "refuses a pose"
     STOPS = "stops the robot"
@@ -41,15 +40,15 @@ class Act(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Intervention:
-    """One thing that the guard would have done.
+    """One action that the guard would have taken.
 
     Attributes:
         t_ns: When [ns].
-        act: What it would have done.
-        check: Name of the check or the kernel's rule.
-        robot: Name of the robot. Empty if it concerns none, or all.
+        act: The action.
+        check: Name of the check, or of the kernel's rule.
+        robot: Name of the robot. Empty if the action concerns no robot, or all.
         text: The guard's reason.
-        excess: The value and its limit. None if the check does not state them.
+        excess: The value and its limit. None if the check does not report them.
     """
 
     t_ns: int
@@ -62,7 +61,7 @@ class Intervention:
 
 @dataclass(frozen=True, slots=True)
 class _Sent:
-    """A transmission: its time, and the robots' speeds and turning rates."""
+    """A transmission: its time, and the commanded speeds and turning rates of the robots."""
 
     sent_ns: int
     speed: Sequence[float]
@@ -70,10 +69,11 @@ class _Sent:
 
 
 class GuardObserver:
-    """Watches a run as a guard of its own would, and keeps its interventions.
+    """Watches a run with a guard of its own, and records what this guard would have done.
 
-    Call it as the inner loop calls a guard. After its guard has ended the run, a new one begins as
-    soon as it has seen all robots. A refused pose, or a stopped robot, counts once until it passes.
+    Call its methods as the inner loop calls the methods of a guard. After its guard has ended the
+    run, a new guard begins as soon as it has seen all robots. A pose that stays refused, or a robot
+    that stays stopped, counts once.
 
     Attributes:
         interventions: All interventions so far, the oldest first.
@@ -103,32 +103,32 @@ class GuardObserver:
         self._moving = (True,) * robots
 
     def start_run(self, now_ns: int) -> None:
-        """Begin to watch, unless a run is watched already."""
+        """Begin to watch a run, unless one is watched already."""
         if not self._in_run:
             self._in_run = True
             self._watched_until_ns = now_ns
             self._guard.start_run(now_ns)
 
     def end_run(self) -> None:
-        """Stop watching: the robots were stopped."""
+        """Stop watching, because the robots were stopped."""
         self._in_run = False
         self._guard.end_run()
 
     def note_direction(self, now_ns: int, ahead: bool = True) -> None:
-        """Note that the controller gave a direction, see `Guard.note_direction`."""
+        """Record that the controller gave a direction; see `Guard.note_direction`."""
         self._directed_ns = now_ns
         self._ahead = ahead
         self._guard.note_direction(now_ns, ahead)
 
     def note_step(self, now_ns: int, missed: bool) -> None:
-        """Note whether a control step missed its deadline."""
+        """Record whether a control step missed its deadline."""
         self._guard.note_step(missed)
         self._record_end(now_ns)
 
     def note_transmission(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
     ) -> None:
-        """Note a transmission.
+        """Record a transmission to the robots.
 
         Args:
             now_ns: Time of the transmission [ns].
@@ -145,7 +145,7 @@ class GuardObserver:
         self._guard.replace_robot(i)
 
     def check_frame(self, now_ns: int, frame: CameraFrame) -> None:
-        """Take a camera frame."""
+        """Pass a camera frame to the guard, and record the poses that it refuses."""
         self._guard.check_frame(frame)
         is_new = self._guard.state is GuardState.READY
         if self._in_run and is_new and self._guard.tracks_all:
@@ -157,7 +157,7 @@ class GuardObserver:
             self._record_end(now_ns)
 
     def decide(self, now_ns: int) -> None:
-        """Let the guard decide."""
+        """Let the guard decide, and record which robots it would stop."""
         if not self._in_run or self._guard.state is GuardState.READY:
             return
         self.watched_ns += now_ns - self._watched_until_ns
@@ -211,7 +211,10 @@ class GuardObserver:
 
 
 def check_of(text: str, excess: Excess | None) -> str:
-    """Return the name of the check that gave a reason. Without an excess, its text tells it."""
+    """Return the name of the check that gave a reason.
+
+    Without an excess, the name follows from the text of the reason.
+    """
     if excess is not None:
         return excess.check
     if text == FROZEN:
@@ -223,21 +226,21 @@ def check_of(text: str, excess: Excess | None) -> str:
 
 
 class Unheeded(GuardCheck):
-    """Runs a statistical check, and drops what it finds in a run, but for warnings.
+    """Runs a statistical check, but ignores most of its findings, so that it only observes.
 
-    What it finds in a pause counts, as robots have to stand then, and so does a pose that repeats
-    to the last bit, as it is not a new measurement.
+    Three kinds of findings still count: warnings; motion in a pause, because robots have to stand
+    still then; and a pose that repeats to the last bit, because it is not a new measurement.
     """
 
     def __init__(self, check: GuardCheck) -> None:
         self._check = check
 
     def start(self) -> None:
-        """Forget what was seen before."""
+        """Forget all earlier observations."""
         self._check.start()
 
     def replace(self, robot: int) -> None:
-        """Forget a lost robot."""
+        """Forget a robot that was lost, because another body replaces it."""
         self._check.replace(robot)
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
@@ -245,11 +248,11 @@ class Unheeded(GuardCheck):
         self._check.sent(now_ns, speed, turning)
 
     def exposed(self, times: tuple[int, ...]) -> None:
-        """Take the times of a frame."""
+        """Record the times of a frame's poses."""
         self._check.exposed(times)
 
     def repeat(self, robot: int) -> Iterable[Finding]:
-        """Check a robot whose pose repeats."""
+        """Check a robot whose pose repeats to the last bit."""
         return self._check.repeat(robot)
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
@@ -257,7 +260,10 @@ class Unheeded(GuardCheck):
         return self._check.pause(robot, before, pose, now_ns)
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
-        """Pass on warnings; see `GuardCheck.pose`. Any other finding restarts the check here."""
+        """Pass on warnings about a pose; see `GuardCheck.pose`.
+
+        Any other finding restarts the check at this pose.
+        """
         for finding in self._check.pose(robot, before, pose):
             if isinstance(finding, Warn):
                 yield finding
@@ -267,26 +273,26 @@ class Unheeded(GuardCheck):
     def frame(
         self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
     ) -> Iterator[Finding]:
-        """Pass on warnings; see `GuardCheck.frame`."""
+        """Pass on warnings about a frame; see `GuardCheck.frame`."""
         for finding in self._check.frame(now_ns, times, poses):
             if isinstance(finding, Warn):
                 yield finding
 
     def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
-        """Pass on warnings; see `GuardCheck.tick`."""
+        """Pass on warnings about the robots' places; see `GuardCheck.tick`."""
         for finding in self._check.tick(robots):
             if isinstance(finding, Warn):
                 yield finding
 
 
 def unheeded(checks: GuardChecks) -> GuardChecks:
-    """Return checks of which the statistical ones only watch."""
+    """Wrap the statistical checks of a list, so that they only observe."""
     acting = [Unheeded(check) if check.statistical else check for check in checks.checks]
     return replace(checks, checks=tuple(acting))
 
 
 class ObservingGuard(Guard):
-    """A guard whose statistical checks warn of what they would have done, and stop no robot."""
+    """A guard whose statistical checks only warn of what they would have done."""
 
     def __init__(self, rules: GuardRules, checks_of: ChecksOf = robot_checks) -> None:
         super().__init__(rules, lambda rules: unheeded(checks_of(rules)))
@@ -295,24 +301,24 @@ class ObservingGuard(Guard):
         self._reported = 0  # number of interventions that were looked at
 
     def start_run(self, now_ns: int) -> None:
-        """Enter `run`."""
+        """Enter the state `run`, in which robots may move; see `Guard.start_run`."""
         super().start_run(now_ns)
         self._observer.start_run(now_ns)
 
     def end_run(self) -> None:
-        """Return to `ready`."""
+        """Return to the state `ready`; see `Guard.end_run`."""
         super().end_run()
         self._observer.end_run()
 
     def note_direction(self, now_ns: int, ahead: bool = True) -> None:
-        """Note that the controller gave a direction."""
+        """Record that the controller gave a direction; see `Guard.note_direction`."""
         super().note_direction(now_ns, ahead)
         self._observer.note_direction(now_ns, ahead)
 
     def note_transmission(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
     ) -> None:
-        """Note a transmission; see `Guard.note_transmission`."""
+        """Record a transmission; see `Guard.note_transmission`."""
         super().note_transmission(now_ns, speed, turning)
         self._observer.note_transmission(now_ns, speed, turning)
 
@@ -322,7 +328,7 @@ class ObservingGuard(Guard):
         self._observer.replace_robot(i)
 
     def check_frame(self, frame: CameraFrame) -> AcceptedFrame | None:
-        """Check one camera frame."""
+        """Check one camera frame; see `Guard.check_frame`."""
         accepted = super().check_frame(frame)
         self._observer.check_frame(frame.received_ns, frame)
         return accepted
@@ -342,12 +348,12 @@ class ObservingGuard(Guard):
 
 
 def build_guard(rules: GuardRules, checks_of: ChecksOf = robot_checks) -> Guard:
-    """Return the guard of a run; with `lab.limits.observe`, one that observes."""
+    """Create the guard of a run. With `lab.limits.observe`, its statistical checks only observe."""
     return (ObservingGuard if rules.limits.observe else Guard)(rules, checks_of)
 
 
 def describe(intervention: Intervention) -> str:
-    """Describe what a check would have done, with its value and limit."""
+    """Describe in a sentence what a check would have done, with its value and its limit."""
     excess = intervention.excess
     text = f"the {intervention.check} check would have ended the run: {intervention.text}"
     if excess is None:

@@ -1,4 +1,4 @@
-"""What the guard and its checks are given: the limits of a lab, and what robots can do."""
+"""The rules of the guard: the limits of a lab, and the abilities of its robots."""
 
 from dataclasses import dataclass
 from typing import Self
@@ -17,11 +17,12 @@ SILENCE_MIN_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class GuardRules:
-    """The spec's `limits`, and the properties of robots and arena that the guard needs.
+    """The spec's `limits`, and the properties of robots, arena and camera that the guard needs.
 
-    `speeds` (N,) are the robots' speeds [length unit/s], `turning` (N,) the greatest turning rates
-    [rad/s]; `mm` is the number of millimetres per length unit. A run that `goes_on` continues
-    without a lost robot, and ends when the last robot is lost. `sight` is what the camera can see.
+    `speeds` (N,) are the robots' speeds [length unit/s], `turning` (N,) their maximum turning rates
+    [rad/s], and `mm` is the number of millimetres per length unit. If `goes_on`, a run continues
+    without a lost robot, and ends when the last robot is lost. `sight` describes what the camera
+    can measure.
     """
 
     names: tuple[str, ...]
@@ -38,7 +39,7 @@ class GuardRules:
 
     @classmethod
     def of(cls, setup: Setup, limits: LabLimits) -> Self:
-        """Return the rules for a setup, with lengths in the spec's length unit."""
+        """Create the rules for a setup, with lengths in the spec's length unit."""
         per_mm = MM / setup.metres
         silence_s = setup.period_s * (limits.late_steps + 1)
         return cls(

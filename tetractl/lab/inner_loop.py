@@ -1,29 +1,31 @@
-"""The inner loop passes camera frames to the guard, and the guard's decisions to the actuator.
+"""The inner loop between the devices: it passes frames to the guard, and its decisions to robots.
 
-The loop makes a step at every camera frame, in its own thread, so that planning cannot delay a
-stop. In each step, it takes the new frames, lets the guard decide, and transmits one of these:
+The loop runs in its own thread, so that planning cannot delay a stop. It makes a step at every
+camera frame. In each step, it takes the new frames, lets the guard decide, and transmits one of
+these:
 
     a stop                    while some of STOPS remain: after an abort, and after `stop`
     the held action           in a run: at once if it is new or a robot must stop, otherwise at the
                               actuator's rate
-    the direction of `idle`   before a run, to robots in a field that turns meanwhile
+    the direction of `idle`   before a run, to robots in a field that keeps turning
     nothing                   otherwise
 
 What happens if something goes wrong:
 
     a frame is late or missing    the guard decides (`tetractl.lab.guard`)
-    camera, guard or actuator     the guard aborts; the first stop is sent in the same step, the
-    raise, or return nonsense     others in the following steps, and the loop continues
-    the actuator fails            the guard aborts; the stops are sent nevertheless, because robots
+    the camera, actuator or       the guard aborts. The first stop is sent in the same step, the
+    guard raises an error, or     others in the following steps, and the loop continues
+    returns an invalid value
+    the actuator fails            the guard aborts. The stops are sent nevertheless, because robots
                                   on other ports may receive them
-    emergency                     the guard aborts for good; stops are sent even after an abort, in
-                                  a step that fails, or past a thread that hangs
-    the loop's thread hangs       `hold` and `between_steps` abort after HOLD_S; `stop` sends past
-                                  it after STOP_S
+    emergency stop                the guard aborts for good. Stops are sent even after an abort, in
+                                  a step that fails, or while a thread hangs
+    the loop's thread hangs       `hold` and `between_steps` abort after HOLD_S. After STOP_S,
+                                  `stop` sends stops without waiting for the thread
 
 Threads: the loop's own thread makes the steps. The controller's thread calls `hold`,
 `between_steps`, `stop`, `sent`, `warnings` and `restart`. A lock lets only one of them act at a
-time. Times are ns on the run's clock.
+time. Times are in ns on the run's clock.
 """
 
 import threading
@@ -63,7 +65,7 @@ between its bytes.
 
 @dataclass(slots=True)
 class HeldAction:
-    """The action that is sent repeatedly.
+    """The action that the inner loop sends repeatedly.
 
     Attributes:
         action: The action.
@@ -140,10 +142,12 @@ class InnerLoop:
         self._thread.start()
 
     def hold(self, action: Steer | Turn) -> Transmission:
-        """Send an action from now on; return the first transmission that carries it.
+        """Send an action repeatedly, starting now; return the first transmission that carries it.
 
-        The transmission is a stop if the guard presently lets no robot move. AbortError with the
-        guard's reason if no robot may move any more.
+        The transmission is a stop if the guard presently lets no robot move.
+
+        Raises:
+            AbortError: If no robot may move any more, with the guard's reason.
         """
         with self.between_steps() as guard:
             guard.start_run(self._clock.now())
@@ -160,7 +164,7 @@ class InnerLoop:
     def between_steps(self) -> Iterator[Guard]:
         """Pause the loop during the `with` block, in which its guard's robots may be changed.
 
-        A step that has already read the robots goes on with what it has read.
+        A step that has already read the list of robots continues with the old list.
 
         Raises:
             AbortError: If the loop stays within a step for too long.
@@ -233,7 +237,10 @@ class InnerLoop:
         return drained(self._warnings)
 
     def close(self) -> None:
-        """End the loop's thread; may be called twice, never raises."""
+        """End the loop's thread.
+
+        This method can be called twice, and never raises.
+        """
         self._closing.set()
         self._wake.set()
         if self._thread.is_alive():
@@ -247,7 +254,10 @@ class InnerLoop:
             self._step_safely()
 
     def step_if_due(self) -> None:
-        """Make the step that is due, at a frame and every `IDLE_S`, in the place of the thread."""
+        """Make a step if one is due, at a frame or every `IDLE_S`.
+
+        Call this if the loop has no thread.
+        """
         now = self._clock.now()
         if self._wake.is_set() or now >= self._step_ns:
             self._wake.clear()
@@ -255,7 +265,7 @@ class InnerLoop:
             self.step()
 
     def _step_until_closed(self) -> None:
-        """Make the steps, in the loop's thread."""
+        """Make steps until the loop is closed. This runs in the loop's thread."""
         while not self._closing.is_set():
             self._wake.wait(IDLE_S)
             self._wake.clear()
@@ -291,7 +301,7 @@ class InnerLoop:
             return None
 
     def _check_and_transmit(self) -> Transmission | None:
-        """Let the guard decide, and transmit what is due by the table in the module's docstring.
+        """Let the guard decide, and transmit what the table in the module's docstring requires.
 
         Returns:
             The transmission of the held action. None if it was not sent.
@@ -317,7 +327,7 @@ class InnerLoop:
         return None
 
     def _take_frames(self) -> None:
-        """Let the guard check the frames that have come, and keep those that it accepts."""
+        """Let the guard check the frames that have arrived, and keep the frames that it accepts."""
         for frame in self._camera.frames():
             fault = frame_fault(frame, len(self.guard.rules.names))
             if fault:
@@ -327,7 +337,7 @@ class InnerLoop:
                 self.frames.append(accepted)
 
     def _obey_operator(self, now: int) -> None:
-        """Begin the stops of an emergency once, also after an abort: devices latch them."""
+        """Start the stops of an emergency once, even after an abort, so that devices latch them."""
         if self._emergency.is_set() and not self._operator_obeyed:
             self._operator_obeyed = True
             self.guard.abort("emergency stop by the operator", emergency=True)
@@ -336,18 +346,18 @@ class InnerLoop:
     # ---- transmissions ----
 
     def _begin_stops(self, now: int) -> None:
-        """Let STOPS stops be sent, the first at once."""
+        """Schedule STOPS stops, the first one at once."""
         self._stops_left = STOPS
         self._transmit_ns = now
 
     def _begin_stops_of_abort(self, now: int) -> None:
-        """Let the stops of an abort be sent, once."""
+        """Schedule the stops of an abort, once."""
         if not self._abort_stops_begun:
             self._abort_stops_begun = True
             self._begin_stops(now)
 
     def _repeat_stop(self, now: int) -> None:
-        """Send the next of the stops if it is due."""
+        """Send the next of the scheduled stops if it is due."""
         if now < self._transmit_ns:
             return
         self._transmit_ns = now + STOP_GAP_NS
@@ -404,7 +414,7 @@ class InnerLoop:
             self._hearer.steered(sent.direction, sent.sent_ns)
 
     def _note(self, sent: Transmission) -> None:
-        """Keep a transmission, and let camera and guard know of it."""
+        """Record a transmission, and notify the camera and the guard of it."""
         fault = transmission_fault(sent, len(self.guard.rules.names), self._clock.now())
         if fault:
             raise WrongValueError("an actuator", fault)
@@ -420,7 +430,10 @@ class InnerLoop:
 
 
 def frame_fault(frame: CameraFrame, robots: int) -> str:
-    """Describe what is wrong with a camera's frame of N robots. Empty if nothing is."""
+    """Describe what is wrong with a camera's frame of N robots.
+
+    The text is empty if nothing is wrong.
+    """
     numbers = [frame.number, frame.sampled_ns, frame.received_ns, *frame.exposed_ns]
     poses = [pose for pose in frame.poses if pose is not None]
     is_loggable = (
@@ -439,10 +452,10 @@ def frame_fault(frame: CameraFrame, robots: int) -> str:
 
 
 def transmission_fault(sent: object, robots: int, now_ns: int) -> str:
-    """Describe what is wrong with a transmission that an actuator reports. Empty if nothing is.
+    """Describe what is wrong with a transmission that an actuator reports.
 
     Args:
-        sent: What the actuator returned.
+        sent: The value that the actuator returned. It should be a `Transmission`.
         robots: Number of robots.
         now_ns: The present time.
     """
@@ -462,10 +475,10 @@ def transmission_fault(sent: object, robots: int, now_ns: int) -> str:
 
 
 def _is_whole(number: object) -> bool:
-    """Return whether a value is a whole number of a size that logs hold."""
+    """Check whether a value is an integer that fits into a log."""
     return isinstance(number, int) and abs(number) < NEVER
 
 
 def _all_small(values: Iterable[float]) -> bool:
-    """Return whether all values are numbers of a size that logs hold."""
+    """Check whether all values are numbers that fit into a log."""
     return all(abs(value) <= POSE_MAX for value in values)

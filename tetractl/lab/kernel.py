@@ -13,11 +13,12 @@
     obstacle    depth now or after `reaction`              0, or the least one  the run ends
     separation  distance of two robots after `reaction`    `separation_mm`      the run ends
 
-Each rule compares a measured value with a limit of the spec. None fits or estimates anything, and
-no option switches one off. `lab.guard` asks them in each step of the inner loop; what ends a run
-stops all robots for good. The other checks, such as `lab.motion_check` and `lab.drift_check`, only
-add reasons to stop. Obstacles are grown by the radius of a body, so that they are compared with
-centres. Lengths are in the spec's length unit, times ns on the run's clock.
+Each rule compares a measured value with a limit in the spec. No rule fits or estimates anything,
+and no option switches one off. In each step of the inner loop, `lab.guard` applies all rules. A
+rule that ends a run stops all robots for good. The other checks, such as `lab.motion_check` and
+`lab.drift_check`, only add reasons to stop. Obstacles are grown by the radius of a body, so they
+can be compared with the centres of robots. Lengths are in the spec's length unit. Times are in ns
+on the run's clock.
 """
 
 import math
@@ -46,7 +47,7 @@ JUMP_HEADING = 0.7
 
 @dataclass(slots=True)
 class Pace:
-    """When program and controller did something last."""
+    """The times of the last step of this program and of the last direction from the controller."""
 
     ticked_ns: int | None = None
     directed_ns: int = 0
@@ -57,7 +58,7 @@ class Pace:
 
 
 def overdue(rule: str, age_ns: float, limit_ns: float, robot: int | None = None) -> Excess | None:
-    """Return by how much an age has reached its limit, None if it has not.
+    """Compare an age with its limit, and return the excess. None if the limit is not reached.
 
     Args:
         rule: Name of the rule.
@@ -71,24 +72,30 @@ def overdue(rule: str, age_ns: float, limit_ns: float, robot: int | None = None)
 
 
 def asleep(rules: GuardRules, pace: Pace, now_ns: int) -> Excess | None:
-    """Check that this program goes on deciding.
+    """Check whether this program was suspended, so that it has decided nothing for too long.
 
     Args:
         rules: The limits.
-        pace: When program and controller did something last.
+        pace: The times of the last step and of the last direction.
         now_ns: The present time [ns].
+
+    Returns:
+        The time without a step and its limit. None if it is within the limit.
     """
     age_ns = 0 if pace.ticked_ns is None else now_ns - pace.ticked_ns
     return overdue("program", age_ns, rules.limits.stream_lost * SECOND)
 
 
 def undirected(rules: GuardRules, pace: Pace, now_ns: int) -> Excess | None:
-    """Check that robots which drive ahead get directions.
+    """Check whether robots that drive ahead have had no new direction for too long.
 
     Args:
         rules: The limits.
-        pace: When program and controller did something last.
+        pace: The times of the last step and of the last direction.
         now_ns: The present time [ns].
+
+    Returns:
+        The age of the last direction and its limit. None if it is within the limit.
     """
     if not pace.ahead:
         return None
@@ -96,35 +103,41 @@ def undirected(rules: GuardRules, pace: Pace, now_ns: int) -> Excess | None:
 
 
 def frameless(rules: GuardRules, frame_ns: int, now_ns: int) -> Excess | None:
-    """Check that frames come.
+    """Check whether the newest camera frame is too old, so that the run has to end.
 
     Args:
         rules: The limits.
         frame_ns: When the newest frame was exposed [ns].
         now_ns: The present time [ns].
+
+    Returns:
+        The age of the frame and its limit. None if it is within the limit.
     """
     return overdue("frame", now_ns - frame_ns, rules.limits.stream_lost * SECOND)
 
 
 def untracked(rules: GuardRules, robot: int, age_ns: int) -> Excess | None:
-    """Check that poses of a robot come.
+    """Check whether a robot's last accepted pose is too old, so that the run has to end.
 
     Args:
         rules: The limits.
         robot: Index of the robot.
         age_ns: Age of its last accepted pose [ns].
+
+    Returns:
+        The age and its limit. None if it is within the limit.
     """
     return overdue("tracking", age_ns, rules.limits.untracked_abort * SECOND, robot)
 
 
 def may_move(rules: GuardRules, pace: Pace, frame_ns: int, now_ns: int) -> bool:
-    """Return whether any robot may move in a run: frames and directions are fresh enough.
+    """Check whether frames and directions are recent enough for any robot to move in a run.
 
-    A plan for robots that turn on the spot may take long: they wait for it, as in a pause.
+    A plan for robots that turn on the spot may take long. They wait for it, as in a pause.
 
     Args:
         rules: The limits.
-        pace: When program and controller did something last.
+        pace: The times of the last step and of the last direction.
         frame_ns: When the newest frame was exposed [ns].
         now_ns: The present time [ns].
     """
@@ -137,7 +150,7 @@ def may_move(rules: GuardRules, pace: Pace, frame_ns: int, now_ns: int) -> bool:
 
 
 def too_fast(rules: GuardRules, robot: int, earlier: Pose, pose: Pose, dt_ns: int) -> Excess | None:
-    """Check that a robot can have come from an earlier pose to a pose within a time.
+    """Check whether a robot cannot have come from an earlier pose to a pose within a time.
 
     Args:
         rules: The limits.
@@ -147,7 +160,7 @@ def too_fast(rules: GuardRules, robot: int, earlier: Pose, pose: Pose, dt_ns: in
         dt_ns: Time between the two [ns].
 
     Returns:
-        The distance or the angle that is too large, None if both are possible.
+        The distance or the angle that is too large. None if both are possible.
     """
     dt_s = dt_ns / SECOND
     reach = FASTER * rules.speeds[robot] * dt_s + rules.limits.jump_mm / rules.mm
@@ -167,7 +180,7 @@ def too_fast(rules: GuardRules, robot: int, earlier: Pose, pose: Pose, dt_ns: in
 class Places(GuardCheck):
     """Aborts a run before a robot leaves the arena, enters an obstacle or touches another robot.
 
-    A robot that was lost stands at its last pose.
+    A lost robot is assumed to stand at its last pose.
     """
 
     def __init__(self, rules: GuardRules) -> None:
@@ -178,16 +191,16 @@ class Places(GuardCheck):
         self._least: dict[int, float] = {}  # each robot's least depth in obstacles so far
 
     def start(self) -> None:
-        """Forget where the robots were."""
+        """Forget where the robots were before."""
         self._least.clear()
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take note of a transmission; see `GuardCheck.sent`."""
+        """Record a transmission; see `GuardCheck.sent`."""
         self._speeds = speed
         self._turning = turning
 
     def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
-        """Check where the robots are."""
+        """Check that robots are in the arena, outside obstacles, and away from each other."""
         arena = self._rules.arena
         now: dict[str, Pose] = {}
         then: dict[str, Pose] = {}
@@ -209,8 +222,9 @@ class Places(GuardCheck):
     def entered(self, i: int, pose: Pose) -> Excess | None:
         """Check whether robot i is in an obstacle, or will be after its reaction time.
 
-        The prediction uses the rates of the last transmission. A robot that has touched an obstacle
-        since the run started may leave it, but not go deeper than it was at the least.
+        The prediction uses the rates of the last transmission. A robot that was in an obstacle when
+        the run started may leave it. Then the limit is the smallest depth that the robot has
+        reached since.
 
         Returns:
             The depth, now or after the reaction, and its limit. None if it is within the limit.
@@ -228,14 +242,17 @@ class Places(GuardCheck):
         return Excess("obstacle", depth * self._rules.mm, limit * self._rules.mm, "mm", i)
 
     def _depth_then(self, i: int, pose: Pose) -> float:
-        """Return how deep robot i will be in an obstacle after its reaction."""
+        """Predict how deep robot i will be in an obstacle after its reaction time."""
         reaction_s = self._rules.limits.reaction
         turned = self._turning[i] * reaction_s
         dx, dy = rolled(pose.heading, turned, self._speeds[i] * reaction_s)
         return self._depth(pose.x + dx, pose.y + dy)
 
     def _depth(self, x: float, y: float) -> float:
-        """Return how deep a centre is in an obstacle, negative outside; -inf if none is near."""
+        """Compute how deep the centre of a robot is in an obstacle.
+
+        The depth is negative outside, and -inf if no obstacle is near.
+        """
         deepest = -math.inf
         near = self._largest_error
         for shape in self._rules.obstacles:
@@ -247,7 +264,7 @@ class Places(GuardCheck):
 
 
 def outside(arena: Bounds, pose: Pose) -> float:
-    """Return a pose's distance from the arena, 0 inside."""
+    """Compute the distance of a pose from the arena. It is 0 inside."""
     return math.hypot(
         max(arena.left - pose.x, 0.0, pose.x - arena.right),
         max(arena.bottom - pose.y, 0.0, pose.y - arena.top),
@@ -255,7 +272,7 @@ def outside(arena: Bounds, pose: Pose) -> float:
 
 
 def beyond_edge(rules: GuardRules, robot: int, then: Pose) -> Excess:
-    """Return by how much a robot will be outside the arena.
+    """Compute by how much a robot will be outside the arena after its reaction time.
 
     Args:
         rules: The limits.
@@ -265,10 +282,10 @@ def beyond_edge(rules: GuardRules, robot: int, then: Pose) -> Excess:
     return Excess("arena", outside(rules.arena, then) * rules.mm, 0.0, "mm", robot)
 
 
-def driven(pose: Pose, way: float) -> Pose:
-    """Return a pose moved along its heading by `way`."""
-    dx = way * math.cos(pose.heading)
-    dy = way * math.sin(pose.heading)
+def driven(pose: Pose, distance: float) -> Pose:
+    """Move a pose along its heading by a distance."""
+    dx = distance * math.cos(pose.heading)
+    dy = distance * math.sin(pose.heading)
     return Pose(pose.x + dx, pose.y + dy, pose.heading)
 
 
@@ -279,7 +296,7 @@ def too_close(
 
     Args:
         now: Present poses, by robot.
-        then: Poses when the robots could be stopped, by robot.
+        then: Predicted poses at the earliest time when the robots could be stopped, by robot.
         rules: The limits.
 
     Yields:

@@ -1,4 +1,4 @@
-"""Checks whether robots move as commanded: compares a camera's poses with the transmissions.
+"""Check whether robots move as commanded, by comparing camera poses with transmissions.
 
 A motion has three parts: the displacement along the robot's heading, the displacement across it
 (positive to the left), and the angle turned around. A command is a speed v and a turning rate w. A
@@ -19,7 +19,7 @@ one frame to the next, it may be any command that was the newest one at some tim
 `limits.delay` before the first frame and the second frame. The robot may also be standing still,
 with the rates 0, if this time begins before the first transmission, or if a gap between two
 transmissions, or since the last, that reaches into it is longer than WATCHDOG_NS. The *bounds* from
-one frame to the next are the minimum and the maximum of all these rates.
+one frame to the next are the minimum and the maximum of all these possible rates.
 
 Comparison. The bounds are integrated over time, and the motion is added up from pose to pose; each
 robot's integrals end at the time of its own pose. When a pose arrives, each part of the motion must
@@ -105,7 +105,9 @@ ANOTHER = f"moves {{}} {AS_NO_COMMAND}{PUSHED}"
 
 
 class CommandHistory:
-    """Rates in arrays of a `shape`. Each is commanded from its transmission until the next one.
+    """A history of commanded rates, each valid from its transmission until the next one.
+
+    The rates of one transmission are an array of a `shape`.
 
     Before the first transmission, the rates are 0.
     """
@@ -116,7 +118,7 @@ class CommandHistory:
         self._sent = np.zeros((ROOM, *shape))  # of which the first rows are used
 
     def sent(self, now_ns: int, rates: Sequence[float] | Floats) -> None:
-        """Take the rates of a transmission."""
+        """Add the rates of a transmission."""
         count = len(self._times)
         if count == len(self._sent):
             self._sent = np.concatenate([self._sent, np.zeros_like(self._sent)])
@@ -128,7 +130,7 @@ class CommandHistory:
             del self._times[: old - 1]
 
     def acting(self, since_ns: int, until_ns: int) -> tuple[list[int], Floats]:
-        """Return the transmissions that may have acted between two times.
+        """Return the transmissions that may have been in effect between two times.
 
         Returns:
             Times (K,), and rates (K, ...) as a view.
@@ -138,7 +140,7 @@ class CommandHistory:
         return self._times[first:last], self._sent[first:last]
 
     def mean(self, until_ns: int, dt_ns: int) -> Floats:
-        """Return the mean of the rates commanded during the `dt_ns` before a time."""
+        """Compute the mean of the rates that were commanded during the `dt_ns` before a time."""
         first = until_ns - dt_ns
         k = bisect_left(self._times, until_ns) - 1
         if k >= 0 and self._times[k] <= first:  # the most frequent case
@@ -155,13 +157,13 @@ class CommandHistory:
 
 
 class MotionSinceRest:
-    """The motion of N robots since they started from standstill.
+    """The motion of N robots since they last stood still, and what commands allow.
 
-    It holds the motion from consistent poses (N, 3), and the integrals of the bounds (2, N, 3),
-    until now and until each robot's pose last changed. `moments` are each robot's moments, oldest
-    first: a time, and the motion and integrals (3, 3) until then. Moments older than COMPARED_NS
-    are dropped when a consistent pose is added. This happens after the comparison, so the first
-    pose after a gap is also compared with older moments.
+    It contains the motion measured by consistent poses (N, 3). It also contains the integrals of
+    the bounds (2, N, 3), which commands allow, until now and until each robot's pose last changed.
+    `moments` are each robot's moments, oldest first: a time, and the motion and integrals (3, 3)
+    until then. Moments older than COMPARED_NS are dropped when a consistent pose is added. This
+    happens after the comparison, so the first pose after a gap is also compared with older moments.
     """
 
     def __init__(self, robots: int) -> None:
@@ -172,10 +174,10 @@ class MotionSinceRest:
 
 
 class MotionCheck(GuardCheck):
-    """A check that refuses a pose if the robot moves as no command of the last `limits.delay` does.
+    """A check that refuses a pose if no command of the last `limits.delay` explains the motion.
 
-    During a pause, it reports which of the N robots has moved in this way for UNTRACKED_STOP_S: a
-    stop may be lost, and is sent again.
+    During a pause, the check reports each robot that has moved in this way for UNTRACKED_STOP_S.
+    The stop may have been lost, so it is sent again.
 
     Args:
         rules: The rules of the guard.
@@ -224,10 +226,10 @@ class MotionCheck(GuardCheck):
         return self._since_rest.travelled
 
     def start(self) -> None:
-        """Forget the motion and its integrals: robots start from rest.
+        """Forget the motion and its bounds, because robots start from standstill.
 
-        A pose may repeat since before: what rule 2 counts is kept. The integrals since it changed,
-        which a camera with a grid needs, begin at 0 again.
+        A pose may have repeated since before the start. Rule 2 therefore keeps its count. The
+        integrals since the pose changed, which a camera with a grid needs, begin at 0 again.
         """
         self._since_rest = MotionSinceRest(len(self._times))
         self._straying.clear()
@@ -241,7 +243,7 @@ class MotionCheck(GuardCheck):
         self._since_rest.moments[robot].clear()
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take note of a transmission; see `GuardCheck.sent`."""
+        """Record a transmission; see `GuardCheck.sent`."""
         v = np.array(speed)
         w = np.array(turning)
         error = self._share * np.maximum(np.abs(v), np.abs(w) * self._radius)
@@ -253,13 +255,13 @@ class MotionCheck(GuardCheck):
     # ---- a frame ----
 
     def exposed(self, times: tuple[int, ...]) -> None:
-        """Take note of the times (N,) of a frame's poses, before these are compared.
+        """Record the times (N,) of a frame's poses, before the poses are compared.
 
-        A robot that measures its own pose may have an earlier time than before: the time of its
-        last accepted pose, if a later one was refused and none arrives now. Integrating backward
-        then takes back what was added while the commands did not change. More than `limits.delay`
-        back, it does not: no command is found, and what follows is counted twice, as it always is
-        by rule 2.
+        The time of a robot that measures its own pose may go back: if a later pose was refused and
+        none arrives now, the time is the one of its last accepted pose. Integrating backward then
+        removes what was added, provided that the commands have not changed in between. If the time
+        goes back by more than `limits.delay`, this fails, because no command is found. What follows
+        is then counted twice, as rule 2 always does.
         """
         intervals = list(zip(self._times, times, strict=True))
         distinct = set(intervals)
@@ -272,7 +274,7 @@ class MotionCheck(GuardCheck):
         self._times = times
 
     def _integrate(self, robots: slice | list[int], since_ns: int, until_ns: int) -> None:
-        """Integrate what commands allow some of the robots between the times of two poses."""
+        """Integrate the bounds of some robots' motion between the times of two poses."""
         bounds = self._bounds_between(since_ns, until_ns)[:, robots]
         self._bounds[:, robots] = bounds
         self._since_rest.integrals[:, robots] += bounds * ((until_ns - since_ns) / SECOND)
@@ -281,7 +283,7 @@ class MotionCheck(GuardCheck):
     def _bounds_between(self, since_ns: int, until_ns: int) -> Floats:
         """Return the bounds (2, N, 3) between two times, for all commands that robots may obey.
 
-        Gaps are gaps between transmissions. Whether a robot received these is not known.
+        Only gaps between transmissions count, because nobody knows which of them a robot received.
         """
         earliest_ns = since_ns - self._delay_ns
         times, rates = self._commanded.acting(earliest_ns, until_ns)
@@ -292,9 +294,10 @@ class MotionCheck(GuardCheck):
         return np.array([rates[:, 0].min(axis=0), rates[:, 1].max(axis=0)])
 
     def _driven_between(self, since_ns: int, until_ns: int) -> Floats:
-        """Return how long commands that exclude zero were in force between two times (N,) [s].
+        """Compute how long commands that must move a robot were in force between two times.
 
-        Each counts from its transmission to the next, for at most WATCHDOG_NS.
+        Their bounds exclude zero. Each command counts from its transmission to the next, for at
+        most WATCHDOG_NS. The result has shape (N,) [s].
         """
         times, rates = self._commanded.acting(since_ns, until_ns)
         driven_s = np.zeros(len(self._times))
@@ -333,7 +336,10 @@ class MotionCheck(GuardCheck):
             yield fault
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
-        """Note a robot that keeps moving although it should stand still; see `GuardCheck.pause`."""
+        """Report a robot that keeps moving although it should stand still.
+
+        See `GuardCheck.pause`.
+        """
         stood = self._straying.get(robot, TimedPose(now_ns, before))
         fault = self.take_pose(robot, stood.pose, pose)
         if fault is None:
@@ -396,9 +402,10 @@ class MotionCheck(GuardCheck):
 
 
 def exclude_zero(bounds: Floats) -> Bools:
-    """Check whether bounds (2, ..., 3) exclude zero, shape (...).
+    """Check whether bounds (2, ..., 3) require that the robot moves, shape (...).
 
-    They do if the rates of a part are all positive or all negative. The rates across never are.
+    They do if all rates along the heading, or all turning rates, have the same sign. The rates
+    across the heading never do.
     """
     least, most = bounds
     return ((least > 0.0) | (most < 0.0)).any(axis=-1)
@@ -432,7 +439,7 @@ def fault_of(motion: Floats, slack: Floats, has_wheels: bool) -> str:
                                      and stands, and along is smaller than its slack
         it moves backward            along is out of bounds, and against the command
         it turns the wrong way       around is out of bounds, and against the command
-        it moves as no command does  of along, across and around, the first that is out of bounds
+        it moves as no command does  otherwise; the first part out of bounds is reported
 
     Args:
         motion: The motion and its bounds, shape (3, 3).
@@ -459,7 +466,7 @@ def fault_of(motion: Floats, slack: Floats, has_wheels: bool) -> str:
 
 
 def excess_of(motion: Floats, slack: Floats, mm: float, robot: int) -> Excess:
-    """Return the part of a motion that is furthest out of its bounds, and the nearer bound.
+    """Return the part of a motion that is furthest out of its bounds, and that bound.
 
     Args:
         motion: The motion and its bounds, shape (3, 3).
@@ -477,5 +484,5 @@ def excess_of(motion: Floats, slack: Floats, mm: float, robot: int) -> Excess:
 
 
 def of_kind(fault: str, has_wheels: bool) -> str:
-    """Return the text of a fault for a robot with or without wheels."""
+    """Adapt the message about a fault to robots with or without wheels."""
     return fault if has_wheels else OF_CELLS[fault]

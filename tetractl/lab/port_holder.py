@@ -1,4 +1,4 @@
-"""Finds the process that has a port open, stops its robots for it, and ends it."""
+"""Find the process that keeps a serial port open, stop its robots, and end the process."""
 
 import os
 import signal
@@ -46,7 +46,7 @@ def command_line(pid: int) -> list[str]:
 
 
 def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None]) -> None:
-    """Stop the robots of a run that has a port open, and end that run, if necessary with SIGKILL.
+    """Stop robots whose port another run keeps open, and end that run, if necessary by SIGKILL.
 
     Args:
         port: The port.
@@ -87,9 +87,10 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
 
 
 class _StopsBeside:
-    """Sends stops while another process has the port, and reports what was done after the first.
+    """Sends stops while another process has the port open.
 
-    `failure` is the reason why the newest stop could not be sent to all robots.
+    It also reports its actions, but only after the first stop. `failure` is the reason why the
+    newest stop could not be sent to all robots.
     """
 
     def __init__(self, stops: Callable[[], str], say: Callable[[str], None], line: str) -> None:
@@ -100,11 +101,11 @@ class _StopsBeside:
         self._all_heard = False
 
     def note(self, line: str) -> None:
-        """Say a line after the next stops."""
+        """Add a line that is reported after the next stops."""
         self._unsaid.append(line)
 
     def send(self) -> None:
-        """Send stops, and say what was noted."""
+        """Send stops, and then report the lines that were added."""
         try:
             summary = self._stops()
         except AbortError as error:
@@ -120,7 +121,7 @@ class _StopsBeside:
 
 
 def _end(pid: int | None, number: signal.Signals) -> str:
-    """Send a signal to a process; return why that is not allowed, "" if it is."""
+    """Send a signal to a process, and return why that is not allowed, or ""."""
     assert pid is not None  # else it is unknown, and not ended
     with suppress(ProcessLookupError):
         try:
@@ -132,7 +133,10 @@ def _end(pid: int | None, number: signal.Signals) -> str:
 
 
 def _why_unendable(pid: int | None, words: Sequence[str]) -> str:
-    """Explain why this program does not end a process with this command line. Empty if it does."""
+    """Explain why this program must not end a process with this command line.
+
+    Empty if it may.
+    """
     if pid is None:
         return "is unknown"
     if any(Path(word).name == "tetractl" for word in words[:3]):

@@ -1,16 +1,17 @@
-"""The preflight: finds what prevents robots from starting, without moving a robot.
+"""The preflight checks, without moving a robot, whether a run on real robots can start.
 
-`inspect` takes the next FRAMES_CHECKED frames, and checks:
+`inspect` takes the next FRAMES_CHECKED camera frames, and checks:
 
-    frames    do they arrive? is the median of their ages on arrival, counted from the exposure, at
-              most `latency` [s]? (A warning, if fewer arrive than RATE_SHARE of the camera's rate.)
-    robots    is each tracked, and at most `start_mm` [mm] and `start_heading` [rad] from its start?
-              does it answer, and what does it report?
-    arena     if robots can stand still: do they, and is nothing else in the arena?
-    devices   what do camera and actuator themselves report?
+    frames    Do frames arrive? Is the median of their ages on arrival, counted from the exposure,
+              at most `latency` [s]? (Only a warning: do fewer arrive than RATE_SHARE of the
+              camera's rate?)
+    robots    Is each robot tracked, and at most `start_mm` [mm] and `start_heading` [rad] from its
+              start? Does it answer, and what does it report?
+    arena     If robots can stand still: do they, and is nothing else in the arena?
+    devices   What do the camera and the actuator report about themselves?
 
-`look_over` does this once, and checks one device alone if the other cannot be opened. While robots
-are placed, `wait_until_ready` checks the newest frame every 0.2 s, and inspects once when all
+`look_over` does this once. If one device cannot be opened, it still checks the other. While people
+place the robots, `wait_until_ready` checks the newest frame every 0.2 s, and inspects once when all
 robots are on their starts.
 """
 
@@ -70,17 +71,17 @@ class RobotFinding:
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
-    """The result of a preflight.
+    """The findings of a preflight, which checks whether a run can start.
 
     Attributes:
         robots: The state of each robot.
         latency_ms: Median and maximum age of frames on arrival [ms]. None if the camera does not
             report it.
         camera_rate_hz: Rate of frames [Hz]. None if unknown.
-        problems: What prevents a run from starting, one line each.
-        warnings: What the operator should know, one line each.
+        problems: Reasons that prevent a run from starting, one line each.
+        warnings: Things that the operator should know, one line each.
         facts: Facts about the devices.
-        questions: What the operator has to agree to, one line each.
+        questions: Questions that the operator has to confirm, one line each.
     """
 
     robots: tuple[RobotFinding, ...]
@@ -103,7 +104,7 @@ class Preflight:
 
     @property
     def can_start(self) -> bool:
-        """Whether a run could start."""
+        """Whether a run could start now."""
         return not (self.all_problems or self.misplaced)
 
     @property
@@ -116,14 +117,15 @@ class Preflight:
 def look_over(
     rig: Rig, go_on: Callable[[Preflight], Preflight] = lambda findings: findings
 ) -> Preflight:
-    """Open a lab, inspect it, and close it.
+    """Open a lab, check whether a run could start, and close the lab.
 
     If a device cannot be opened, that is reported together with the problems of the other device,
     so that the operator learns everything at once.
 
     Args:
         rig: The lab, which has not been opened before.
-        go_on: Called with the findings while both devices are open. It returns them with its own.
+        go_on: Called with the findings while both devices are open. It can add findings of its own,
+            and returns all of them.
     """
     try:
         failures = rig.open_devices()
@@ -136,7 +138,7 @@ def look_over(
 
 
 def _inspect_opened(rig: Rig, failures: Mapping[str, AbortError]) -> Preflight:
-    """Inspect the devices of a lab that are open. The others have `failures`."""
+    """Inspect the devices of a lab that could be opened; report the `failures` of the others."""
     problems = [
         f"{failure.message} ({failure.hint})" if failure.hint else failure.message
         for failure in failures.values()
@@ -220,8 +222,8 @@ def turned_by_quarters(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
     """Report tags or bodies that are mounted with a wrong orientation.
 
     If all robots are on their starts, and all headings are off by the same number of quarter turns,
-    the tags or bodies are turned, not the robots. Robots that may start at any heading, such as
-    cells that a trial finds, are not checked.
+    it is the tags or bodies that are mounted the wrong way, not the robots. Robots that may start
+    at any heading, such as cells that a trial finds, are not checked.
     """
     if rig.limits.start_heading >= QUARTER:
         return []
@@ -246,7 +248,7 @@ def turned_by_quarters(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
 
 
 def dropped(outdated: int) -> str:
-    """Return a warning about the number of frames dropped because they were outdated."""
+    """Return a warning about frames that were dropped because they arrived out of order."""
     return f"camera frames dropped because later frames had come: {outdated}"
 
 
@@ -309,9 +311,13 @@ def _latency_ms(frames: Sequence[CameraFrame]) -> tuple[float, float] | None:
 def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
     """Wait until no problem is left, every robot is on its start, and the operator agrees.
 
-    Robots that can stand still must stand. While robots are carried, they may be untracked or away
-    from their starts: without an operator, for at most `limits.placing`. AbortError lists the
-    problems and each robot's distance from its start; KeyboardInterrupt if the operator gives up.
+    Robots that can stand still must do so. While people carry robots, these may be untracked or
+    away from their starts. Without an operator, this lasts at most `limits.placing`.
+
+    Raises:
+        AbortError: If the time is over. The error lists the problems and each robot's distance from
+            its start.
+        KeyboardInterrupt: If the operator gives up.
     """
     prompt = supervision.prompt
     clock = rig.clock

@@ -1,4 +1,4 @@
-"""A connected lab: a camera and an actuator with the guard and the inner loop between them."""
+"""A connected lab: a camera and an actuator, with the guard and the inner loop between them."""
 
 import math
 import threading
@@ -19,7 +19,7 @@ from tetractl.spec.lab_section import LabLimits, LabSection
 
 
 class Rig:
-    """A connected lab: the parts between the devices and a plant, as a context manager.
+    """A connected lab: camera, actuator, guard and inner loop, used as a context manager.
 
     It can be opened once. Opening it opens the actuator and the camera, and starts the inner loop.
 
@@ -122,16 +122,16 @@ class Rig:
         return failures
 
     def after_close(self, act: Callable[[], object]) -> None:
-        """Call `act` once the devices are released."""
+        """Register `act`, to be called once the devices are released."""
         self._releases.callback(act)
 
     def emulated(self, camera: Health, actuator: Health) -> tuple[str, ...]:
-        """Name the emulated devices ("camera", "actuator"), as the plant or they themselves say."""
+        """Name the emulated devices ("camera", "actuator"), as the plant or the devices report."""
         said = {"camera": camera.emulated, "actuator": actuator.emulated}
         return tuple(name for name in said if said[name] or name in self._emulated)
 
     def settle(self, setup: Setup) -> None:
-        """Continue with the robots of a new setup, to which the devices have already changed.
+        """Continue with the robots of a new setup, for which the devices are already prepared.
 
         Their present poses become their starts.
         """
@@ -141,7 +141,7 @@ class Rig:
         wait_for(self.clock, lambda: self.loop.frames.count > 0, 0.5)
 
     def start_anywhere(self) -> None:
-        """Let the robots start where they stand, however far from the setup's starts."""
+        """Accept the robots' present poses as their starts, however far from the setup's."""
         anywhere = {"start_mm": math.inf, "start_heading": math.inf}
         self.limits = self.limits.model_copy(update=anywhere)
 
@@ -151,12 +151,15 @@ class Rig:
         return [i for i in range(len(self.setup.names)) if i not in self.loop.guard.lost]
 
     def not_tracked(self, i: int) -> str:
-        """Return a line that says that robot i is not tracked and, if known, why."""
+        """Return a message that robot i is not tracked and, if known, why."""
         why = self.loop.guard.refused[i]
         return f"{self.setup.names[i]} is not tracked" + (f": {why}" if why else "")
 
     def close(self) -> None:
-        """End the inner loop and release the devices; may be called twice, never raises."""
+        """End the inner loop and release the devices.
+
+        This method can be called twice, and never raises.
+        """
         self.loop.close()
         self._releases.close()
 

@@ -1,11 +1,11 @@
-"""What the guard remembers of one robot, decides on its pose, and why that cannot be the robot's.
+"""The guard's memory of one robot, from which it decides whether a new pose can be that robot's.
 
-A pose is wrong if the body is not upright on the floor. Once a run has begun, it is also wrong if
-the body is not as high as when the run began, within LIFTED_MM: somebody has lifted the robot, or
-set it down. And it is wrong if the robot cannot have come there from a pose that is remembered: the
-last one and some of the last second (`lab.kernel.too_fast`).
+A pose is refused if the body is not upright on the floor. Once a run has begun, it is also refused
+if the height of the body has changed by more than LIFTED_MM since the beginning, because somebody
+has lifted the robot or set it down. And it is refused if the robot cannot have come there from a
+remembered pose: the last one, and some of the last second (`lab.kernel.too_fast`).
 
-Lengths are in the spec's length unit, times ns on the run's clock.
+Lengths are in the spec's length unit. Times are in ns on the run's clock.
 """
 
 import statistics
@@ -49,7 +49,7 @@ class PoseDecision:
         accepted: The pose if it is accepted. None otherwise.
         refused: Why it is refused. Empty if it is accepted, or if there is no pose.
         disobeys: Whether it is refused because the robot disobeys.
-        findings: What checks found in addition.
+        findings: Further findings of the guard's checks.
         excess: The value that led to the refusal. None if the reason has no number.
     """
 
@@ -66,7 +66,7 @@ MISSING = PoseDecision()
 
 @dataclass(slots=True)
 class RobotTrack:
-    """What the guard remembers of one robot.
+    """The guard's memory of one robot: its last poses, and since when it is untracked.
 
     A body that replaces a lost robot gets its own track.
     """
@@ -117,7 +117,7 @@ class RobotTrack:
 
     @property
     def untracked_text(self) -> str:
-        """A text that the robot is not tracked, since when and, if known, why."""
+        """A message that the robot is not tracked, since when and, if known, why."""
         why = f": {self.decision.refused}" if self.decision.refused else ""
         return f"{self.name} is not tracked{why} ({self.untracked_ns / SECOND:.2f} s)"
 
@@ -134,7 +134,8 @@ class RobotTrack:
     def start_run(self) -> None:
         """Forget how the robot moved before a run, because it may have been carried.
 
-        New poses are compared only with the last pose, and with the present height of the body.
+        After this, new poses are compared only with the last pose, and with the present height of
+        the body.
         """
         heights = [
             earlier.pose.height
@@ -151,7 +152,7 @@ class RobotTrack:
     # ---- its poses ----
 
     def read(self, newest_ns: int, read_ns: int, own_times: bool) -> None:
-        """Take the times of the newest frame and of the robot's pose in it.
+        """Record the times of the newest frame and of the robot's pose in it.
 
         If poses have their own times, a frame may repeat a pose that was measured for an earlier
         frame. It is new only if it is later than the last accepted pose and the last pose read.
@@ -166,7 +167,7 @@ class RobotTrack:
         self.read_ns = read_ns
 
     def count_absence(self, stale_ns: float) -> None:
-        """Count how long the robot was not seen, up to the newest frame of a run.
+        """Add up how long the robot was not seen, until the newest frame of a run.
 
         It counts as seen until its last pose is `stale_ns` old.
         """
@@ -177,7 +178,7 @@ class RobotTrack:
         self._counted_ns = self.newest_ns
 
     def accept(self, pose: Pose, exposed_ns: int) -> None:
-        """Take a pose that was exposed after the last one."""
+        """Accept a pose that was exposed after the last accepted one."""
         self.last = pose
         self.last_ns = exposed_ns
         remembered = self._remembered
@@ -231,7 +232,7 @@ class RobotTrack:
         return ""
 
     def _jump(self, pose: Pose, exposed_ns: int) -> Excess | None:
-        """Check that the robot can have come to `pose` from each pose that is remembered."""
+        """Check that the robot can have come to `pose` from each remembered pose."""
         if self.last is None:
             return None
         for earlier in (*self._remembered, TimedPose(self.last_ns, self.last)):

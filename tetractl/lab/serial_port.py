@@ -29,17 +29,17 @@ SWITCH_OFF = "switch the robots off by hand if they move"
 
 
 def is_network(name: str) -> bool:
-    """Decide whether the name of a port is an address, such as udp://HOST:PORT.
+    """Check whether the name of a port is a network address, such as udp://HOST:PORT.
 
-    Over a network, each message comes whole or not at all, and nobody sees a device go away.
+    Over a network, each message arrives whole or not at all, and a device can disappear unnoticed.
     """
     return "://" in name
 
 
 class PortHeldError(AbortError):
-    """Another process has locked the file `port`.
+    """An error that says that another process has locked a port.
 
-    If the port `name` is not a file, this is its lock.
+    `port` is the locked file. If the port `name` is not a file, this is its lock file.
     """
 
     def __init__(self, port: str, name: str = "") -> None:
@@ -88,7 +88,9 @@ class SerialPort:
     def open(self, alone: bool = True) -> None:
         """Open the port, exclusively if `alone`, and start to read.
 
-        AbortError if the port cannot be opened, PortHeldError if another process has locked it.
+        Raises:
+            PortHeldError: If another process has locked the port.
+            AbortError: If the port cannot be opened.
         """
         try:
             self._port = serial.Serial(
@@ -103,21 +105,22 @@ class SerialPort:
         self._thread.start()
 
     def is_ready(self) -> bool:
-        """Return whether the device is there, or the port does not wait for it any longer.
+        """Check whether the device is there, or whether the port has stopped waiting for it.
 
-        A serial port waits for no device.
+        A serial port does not wait for a device.
         """
         return True
 
     def settle(self) -> None:
-        """Wait until the open port is ready. The wait of several open ports is a common one."""
+        """Wait until the open port is ready. If several ports are open, their waits overlap."""
         while not self.is_ready():
             self._clock.sleep_until(self._clock.now() + 2 * MILLISECOND)
 
     def write(self, data: bytes) -> int:
-        """Send bytes; return the time when the system accepted them [ns].
+        """Send bytes, and return the time when the system accepted them [ns].
 
-        AbortError if the port is stuck, gone or not open.
+        Raises:
+            AbortError: If the port is stuck, gone or not open.
         """
         with self._sending:
             if self.failure or self._port is None:
@@ -136,13 +139,16 @@ class SerialPort:
     def set_baud(self, baud: int) -> None:
         """Change the speed of the open port [bits per second].
 
-        Ports that are not serial have none.
+        Ports that are not serial ignore this.
         """
         if self._port is not None:
             self._port.baudrate = baud
 
     def close(self) -> None:
-        """End the reader's thread and close the port; may be called twice, never raises."""
+        """End the reader's thread and close the port.
+
+        This method can be called twice, and never raises.
+        """
         self._closing.set()
         if self._thread.is_alive() and self._thread is not threading.current_thread():
             self._thread.join(2.0)
@@ -156,7 +162,10 @@ class SerialPort:
         return AbortError(self.failure, self._hint)
 
     def _end(self, why: str) -> None:
-        """Fail, and say that nothing more will come, unless the port is being closed."""
+        """Mark the port as failed, and report that no more data will come.
+
+        If the port is just being closed, this does nothing.
+        """
         if not self._closing.is_set():
             self.failure = self.failure or why
             self._on_received(b"", self._clock.now())
@@ -227,7 +236,7 @@ def missing_port(name: str, device: str) -> AbortError:
 
 
 class PortGroup:
-    """Several ports as one. After one of them has failed, nothing can be sent any more."""
+    """Several ports used as one: after one of them has failed, all of them stop sending."""
 
     def __init__(self, ports: Iterable[SerialPort]) -> None:
         self.ports = tuple(ports)
@@ -265,7 +274,10 @@ class PortGroup:
         return sent_ns
 
     def close(self) -> None:
-        """Release all ports; may be called twice, never raises."""
+        """Release all ports.
+
+        This method can be called twice, and never raises.
+        """
         for port in self.ports:
             port.close()
 
@@ -275,9 +287,9 @@ def stop_all_at(
 ) -> str:
     """Open the ports of robots, send stops, and close the ports.
 
-    The first stop is sent at once: robots at ports that are ready get more stops than STOPS while
-    others are waited for. If a port cannot be opened, or no device listens there, the other robots
-    still get their stops.
+    The first stop is sent at once. While some ports are not ready, the robots at the other ports
+    get more stops than STOPS. If a port cannot be opened, or no device listens there, the other
+    robots still get their stops.
 
     Args:
         ports: The ports.

@@ -1,4 +1,4 @@
-"""How `tetractl lab stop` stops the robots of an actuator that names no other way."""
+"""The default way in which `tetractl lab stop` stops the robots of an actuator."""
 
 from collections.abc import Callable
 from functools import partial
@@ -21,7 +21,7 @@ def stop_all(section: ActuatorSection, setup: Setup, clock: Clock, alone: bool) 
 def send_stops(
     stop: Callable[[], object], clock: Clock, are_ready: Callable[[], bool] = lambda: True
 ) -> AbortError | None:
-    """Send stops, STOP_GAP_NS apart, even after one that fails: STOPS once all robots are ready.
+    """Send STOPS stops to all robots, STOP_GAP_NS apart, even if one of the stops fails.
 
     A stop may fail for one robot while the others still need the following stops.
 

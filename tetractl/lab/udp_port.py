@@ -31,7 +31,10 @@ REFUSALS_MAX = 3
 
 
 def address_of(name: str) -> tuple[str, int] | None:
-    """Return host and port of `udp://host:port`. None if the name has another form."""
+    """Return host and port number of `udp://host:port`.
+
+    None if the name has another form.
+    """
     host, _, digits = name.removeprefix(SCHEME).rpartition(":")
     port = _port_number(digits)
     if not name.startswith(SCHEME) or not host or port is None:
@@ -44,7 +47,10 @@ def address_of(name: str) -> tuple[str, int] | None:
 
 
 def heard_at(name: str) -> int | None:
-    """Return the port of `udp://:port`. None if the name has another form."""
+    """Return the port number of `udp://:port`, on which this computer listens.
+
+    None if the name has another form.
+    """
     to_all = f"{SCHEME}:"
     return _port_number(name.removeprefix(to_all)) if name.startswith(to_all) else None
 
@@ -64,7 +70,7 @@ def lock_file(name: str) -> Path:
 
 
 def _open_lock(path: Path) -> int:
-    """Open a lock file in a folder where others can write, and return its descriptor.
+    """Open a lock file in a folder that others can also write to, and return its descriptor.
 
     A link, which would lead to a file of somebody else's choice, is refused, and so is anything
     that is not a file. The file is opened for reading, which is enough for a lock: it may belong to
@@ -87,7 +93,7 @@ def _open_lock(path: Path) -> int:
 
 
 def hold(name: str) -> int:
-    """Lock a name by which a program reaches devices, so that no other program does.
+    """Lock the name of devices on the network, so that no other program can use them.
 
     Args:
         name: An address, such as udp://HOST:PORT.
@@ -120,9 +126,10 @@ def hold(name: str) -> int:
 class UdpPort(SerialPort):
     """The devices at `udp://host:port`, as a port.
 
-    A refusal belongs to an earlier datagram, so it does not fail the port: the device may be
-    starting, or out of the network's reach. The refusal is kept until data arrives, because only
-    some of many datagrams are refused. An empty datagram, which anybody may send, is ignored.
+    The system may report that nobody received a datagram. Such a refusal belongs to an earlier
+    datagram, so the port does not fail: the device may be starting, or be out of the network's
+    reach. The refusal is remembered until data arrives, because only some of many datagrams are
+    refused. An empty datagram, which anybody may send, is ignored.
 
     Args:
         name: The address, `udp://host:port`.

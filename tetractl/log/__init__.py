@@ -1,4 +1,4 @@
-"""The MCAP log of a trial.
+"""The log of a trial, an MCAP file: its format, writing, reading and provenance.
 
-This package contains its format, writing, reading (`read.reader.read_trial`) and provenance.
+`read.reader.read_trial` reads a log.
 """

@@ -1,12 +1,12 @@
-"""The provenance of a log: machine, time, versions, and state of the source tree.
+"""Collect where a log comes from: machine, time, versions, and state of the source tree.
 
-host_facts        what a log states at its start, of these sets, which share no key:
+host_facts        the facts at the start of a log. They consist of these sets, whose keys differ:
   process         started, pid
-  CODE            one hash, by which a study knows the trials of its own code
+  CODE            a hash by which a study recognises the trials of its own code
   host            the machine
-  versions        python, tetractl, libraries, and a hash of what decides a step
-  git_state       in a checkout
-  plugins         packages that provide kinds
+  versions        python, tetractl, libraries, and a hash of the code that decides a step
+  git_state       commit and changes, if tetractl runs from a checkout
+  plugins         packages that provide kinds, such as a controller
 """
 
 import hashlib
@@ -72,7 +72,7 @@ HERE = Path(__file__).parents[1]
 
 
 def now() -> str:
-    """Return date and time, UTC, as ISO 8601."""
+    """Return the present date and time (UTC) in ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
@@ -91,7 +91,10 @@ def host() -> Mapping[str, str]:
 
 
 def machine() -> str:
-    """Return the kind of machine code, such as `x86_64`: on one kind a trial has the same bits."""
+    """Return the type of processor, such as `x86_64`.
+
+    On processors of the same type, a simulated trial has the same bits.
+    """
     name = platform.machine()
     return "x86_64" if name == "AMD64" else name  # as Windows calls it
 
@@ -110,10 +113,11 @@ def versions() -> Mapping[str, str]:
 
 @cache
 def trial_code(packages: tuple[tuple[str, str], ...] = ()) -> str:
-    """Return 12 hex digits that identify all code that affects a simulated trial and its log.
+    """Compute 12 hex digits that identify all code that affects a simulated trial and its log.
 
-    They cover the source files of TRIAL_CODE, the versions of numerical libraries, and `packages`,
-    name and version of each package that provides a kind used by the spec, with its source files.
+    This code consists of the source files of TRIAL_CODE, the numerical libraries (by their
+    versions), and `packages`: name and version of each package that provides a kind used by the
+    spec, with its source files.
     """
     sources = _sources(TRIAL_CODE).union(*(package_files(name) for name, _ in packages))
     computing = [(name, metadata.version(name)) for name in COMPUTING]
@@ -125,9 +129,9 @@ def _sources(parts: Iterable[str]) -> set[Path]:
 
 
 def host_facts(packages: Mapping[str, str]) -> dict[str, str]:
-    """Return the facts of the host at the start of a log: time, machine, versions.
+    """Collect the facts about this computer for the start of a log: time, machine, versions.
 
-    `packages` are name and version of each package that provides a kind used by the spec.
+    `packages` contains name and version of each package that provides a kind used by the spec.
     """
     by_name = tuple(sorted(packages.items()))
     return {
@@ -142,12 +146,12 @@ def host_facts(packages: Mapping[str, str]) -> dict[str, str]:
 
 
 def plugins(packages: Mapping[str, str]) -> dict[str, str]:
-    """Return the versions of packages that provide kinds, under their keys in a log."""
+    """Return the versions of the packages that provide kinds, under the keys used in a log."""
     return {PLUGIN + name: version for name, version in packages.items()}
 
 
 def is_version(key: str) -> bool:
-    """Decide whether a key of the host's facts is a version of code."""
+    """Check whether a key of a log's host facts names a version of code."""
     return key in VERSION_KEYS or key.startswith(PLUGIN)
 
 
@@ -180,7 +184,7 @@ def _installed() -> dict[str, str]:
 
 
 def _local_changes() -> dict[str, object]:
-    """Return the hash of the checkout's local changes, and the files with changes."""
+    """Return a hash of the local changes in tetractl's git checkout, and the changed files."""
     diff = _git("diff", "HEAD") or ""
     changed = _git("diff", "HEAD", "--name-only") or ""
     untracked = _git("ls-files", "--others", "--exclude-standard", ":/") or ""
@@ -193,7 +197,7 @@ def _local_changes() -> dict[str, object]:
 
 @cache
 def git_state() -> Mapping[str, str]:
-    """Return commit and dirtiness of tetractl's checkout.
+    """Return the commit of tetractl's git checkout, and whether it has local changes.
 
     The result is empty if tetractl does not run from a checkout, or git is not installed.
     """
@@ -209,7 +213,7 @@ def git_state() -> Mapping[str, str]:
 
 
 def _git(*arguments: str) -> str | None:
-    """Return the output of git in tetractl's own folder, None if it fails."""
+    """Run git in tetractl's own folder, and return its output. None if it fails."""
     try:
         done = run_tool(["git", "-C", str(HERE), *arguments], patience_s=5.0)
     except OSError:
@@ -218,7 +222,10 @@ def _git(*arguments: str) -> str | None:
 
 
 def _cpu() -> str:
-    """Return the processor's name, from the kernel if possible, since `platform` is less exact."""
+    """Return the processor's name.
+
+    The kernel's name is preferred, because `platform` is less exact.
+    """
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

@@ -1,1 +1,1 @@
-"""Models of robots' motion, obstacles and swimming cells."""
+"""Models of robots' motion, of obstacles, and of swimming cells."""

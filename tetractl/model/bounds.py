@@ -1,9 +1,10 @@
 """Lower bounds of the total error that hold for every sequence of common directions.
 
-N robots move by the paper's equations (1)-(3) for at most t seconds: theta_i' = a_i sin(u -
-theta_i), one u for all. Let g_i be the vector from a robot's start to its target, e_i its distance
-to the target at the end, and w_i the integral of its unit heading vector, so that the robot moves
-by v_i w_i. Each function derives its part:
+The bounds show, before any trial, that some targets cannot be reached. N robots move by the paper's
+equations (1)-(3) for at most t seconds: theta_i' = a_i sin(u - theta_i), with one u for all. Let
+g_i be the vector from a robot's start to its target, e_i its distance to the target at the end, and
+w_i the integral of its unit heading vector, so that the robot moves by v_i w_i. Each function
+derives its part:
 
     reach          e_i >= |g_i| - v_i t                    one robot, that drives straight
     drift          |w_1 - w_2| <= G(t)                     two robots turn by the same u
@@ -86,7 +87,7 @@ def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
 
 
 def least_total_error(setup: Setup, seconds: float) -> float:
-    """Return a lower bound of the total error of any sequence of directions [length unit]."""
+    """Compute a lower bound of the total error of any sequence of directions [length unit]."""
     alone = reach(setup, seconds)
     pairs, pair_errors = _pair_bounds(setup, seconds)
     gain = pair_errors - alone[pairs[:, 0]] - alone[pairs[:, 1]]
@@ -99,9 +100,10 @@ def least_total_error(setup: Setup, seconds: float) -> float:
 
 @np.errstate(over="ignore", invalid="ignore")  # of robots that hardly move, p overflows
 def _pair_bounds(setup: Setup, seconds: float) -> tuple[NDArray[np.int64], Floats]:
-    """Return the pairs (P, 2) of robots that move, and the lower bound of e_1 + e_2 for each (P,).
+    """Compute a lower bound of e_1 + e_2 for each pair of moving robots.
 
-    A bound is not finite if its numbers overflow. With p_i = g_i / v_i,
+    The result consists of the pairs (P, 2) and the bounds (P,). A bound is not finite if its
+    numbers overflow. With p_i = g_i / v_i,
 
         e_1 + e_2 = v_1 |w_1 - p_1| + v_2 |w_2 - p_2| >= min(v_1, v_2) (|p_1 - p_2| - G(t)).
 
@@ -121,7 +123,7 @@ def _pair_bounds(setup: Setup, seconds: float) -> tuple[NDArray[np.int64], Float
 
 
 def _least_sum(alone: Floats, pairs: NDArray[np.int64], pair_errors: Floats) -> float:
-    """Compute the minimum of e_1 + ... + e_N.
+    """Compute the minimum of e_1 + ... + e_N by a linear programme.
 
     The constraints are e_i >= alone_i, and that e_i + e_j is at least the error of each pair.
     """

@@ -1,6 +1,6 @@
-"""Numbers of real cells, which the simulation draws from and the controller assumes.
+"""Measured properties of real cells, which the simulation samples and the controller assumes.
 
-packages/tetractl-microscope/docs/cells-explained.md states the source of each number; `guess` means
+packages/tetractl-microscope/docs/cells-explained.md gives the source of each number. `guess` means
 that no source was found.
 """
 

@@ -1,4 +1,4 @@
-"""Tests whether obstacles separate a start from a target, for a point robot.
+"""Test whether obstacles separate a robot's start from its target, for a robot without extent.
 
 The arena is covered with square cells. A cell is free unless its centre is deeper inside an
 obstacle than half a side. Cells that share a corner are also neighbours. If two points are not
@@ -39,7 +39,7 @@ def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
 
 @np.errstate(all="ignore")
 def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
-    """Compute how near each robot can come to its target, (N,) [length unit].
+    """Compute how near each robot can come to its target, given obstacles, (N,) [length unit].
 
     The distance is 0 if there may be a path from start to target. It is also 0 if the start is
     nearer to an obstacle than the margin, because such a start is not in free space.
@@ -77,7 +77,10 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
 
 
 def _centres(begin: float, extent: float, side: float, walls: bool) -> Floats:
-    """Return the cells' centres along an axis; if not `walls`, two cells are added at each end."""
+    """Return the centres of the cells along an axis.
+
+    If not `walls`, two cells are added at each end.
+    """
     beyond = 0 if walls else 2
     count = max(math.ceil(extent / side - 1e-9), 1)  # a side far shorter than the other has one
     cells = np.arange(-beyond, count + beyond, dtype=np.float64)
@@ -85,7 +88,7 @@ def _centres(begin: float, extent: float, side: float, walls: bool) -> Floats:
 
 
 def connected(cells: Bools, free: Bools) -> Bools:
-    """Return the free cells that are connected with any of `cells`.
+    """Find the free cells that are connected with any of `cells`.
 
     The cells grow by their free neighbours, and by the free runs of rows and columns that they are
     in, until nothing is added. (SciPy's `ndimage.label` takes 0.15 s to import.)

@@ -1,7 +1,7 @@
-"""Checks of the robots' paths.
+"""Check the paths of robots for contacts and small distances.
 
-They find which centres entered an obstacle, and the minimum distances to obstacles, to the arena's
-edge and between robots.
+The check finds which centres entered an obstacle, and the minimum distances to obstacles, to the
+arena's edge and between robots.
 """
 
 from dataclasses import astuple
@@ -49,7 +49,7 @@ class PathCheck:
 
     @classmethod
     def for_setup(cls, setup: Setup) -> Self:
-        """Return an empty check for an experiment's robots."""
+        """Create a check for an experiment's robots, without any samples yet."""
         return cls(Obstacles.from_shapes(setup.obstacles), setup.arena, len(setup.names))
 
     def add(self, x: Floats, y: Floats, tracked: Bools | None = None) -> None:
@@ -76,7 +76,7 @@ class PathCheck:
             self._approach(x, y)
 
     def _approach(self, x: Floats, y: Floats) -> None:
-        """Add samples (N, M) to what is known of obstacles."""
+        """Update the distances to obstacles with more samples (N, M)."""
         every_sample = np.ones(x.shape, dtype=np.bool_)
         near = self._near(x, y) if x.shape[1] > FEW else every_sample
         i, m = near.nonzero()

@@ -1,8 +1,8 @@
 """The model of swimming cells that the simulation and the emulated microscope use.
 
-A cell swims along a helix. The axis of the helix follows the paper's equations (1)-(3): (3) turns
-the axis, not the momentary velocity (Crenshaw). Lengths are in micrometres, whatever the spec's
-unit is. `cell_numbers` holds what was measured of real cells.
+A cell swims along a helix. The axis of the helix follows the paper's equations (1)-(3). Equation
+(3) turns the axis, not the momentary velocity (Crenshaw). Lengths are in micrometres, whatever the
+spec's unit is. `cell_numbers` contains measured properties of real cells.
 """
 
 import math
@@ -93,7 +93,7 @@ class Swimmers:
     def drawn(
         cls, random: np.random.Generator, count: int, unmagnetised: int = 0, celsius: float = WARM_C
     ) -> Self:
-        """Generate random cells at the origin.
+        """Sample random cells at the origin.
 
         Args:
             random: The random generator.
@@ -149,7 +149,7 @@ class Swimmers:
         drift: tuple[float, float] = (0.0, 0.0),
         walls: Bounds | None = None,
     ) -> CellArrays:
-        """Return copies of the cells, for `swimming.step` and `swim`.
+        """Copy the cells to arrays for the functions `swimming.step` and `swim`.
 
         Args:
             field: B / B_ref times the unit vector of u. The turning rate is proportional to its
@@ -236,7 +236,7 @@ class Swimmers:
 
 
 def walls_of(setup: Setup, rim_um: float = 0.0) -> Bounds:
-    """Return the arena's edges [um], moved inwards by `rim_um`."""
+    """Return the edges of the arena [um], moved inwards by `rim_um`."""
     um = setup.metres * 1e6
     arena = setup.arena
     return Bounds(
@@ -272,7 +272,7 @@ def to_the_left(heading: Floats, distance: Floats) -> tuple[Floats, Floats]:
 
 
 def bodies(cells: Swimmers) -> Bodies:
-    """Return the bodies at their positions on the helices.
+    """Compute the bodies of cells from their positions on the helices.
 
     At the speed v on a helix of frequency f and radius r, the tilt is at most atan(2 pi f r / v).
     """

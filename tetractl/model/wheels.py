@@ -1,8 +1,8 @@
-"""Two-wheeled robots that move like cells, as in the paper's equations (21)-(25).
+"""Two-wheeled robots that move like cells, by the paper's equations (21)-(25).
 
-`Drivetrains` are wheels and their counts, `WheelHost` computes what a host sends, and
-`WheeledRobots` is the robots' true motion. The emulated robots and the lab's actuator use them. The
-simulation runs their loops, `model.motion.rolling`, compiled.
+`Drivetrains` converts between wheel speeds and motor counts, `WheelHost` computes the speeds that a
+host sends, and `WheeledRobots` is the true motion. The emulated robots and the lab's actuator use
+them. The simulation runs their loops, `model.motion.rolling`, compiled.
 
 A wheel runs at gain * (|count| - dead zone), and stands still within the dead zone. One count turns
 an m3pi at about 0.19 rad/s, too much to neglect. Therefore the rounding error is carried over to
@@ -114,7 +114,7 @@ class Drivetrains:
         return self._by_wheel(by_wheel), owed
 
     def _by_wheel(self, counts: CountArray) -> CountArray:
-        """Return counts by wheel for counts by motor channel, or the other way round."""
+        """Reorder counts from motor channels to wheels, or from wheels to motor channels."""
         return np.where(self.swap, counts[::-1], counts) if self.swap.any() else counts
 
 
@@ -178,14 +178,14 @@ NOTHING = np.zeros((0, 0))
 
 
 class WheeledRobots:
-    """The true motion of N robots whose wheels follow target speeds with a first-order lag.
+    """The true motion of N robots on wheels that follow target speeds with a first-order lag.
 
     `body` (ROWS, N) is their state; see `rolling.roll`. `pose` (3, N), `wheels` (2, N) and
     `targets` (2, N) are parts of it: x, y and heading, the present and the target speeds of the
     wheels.
 
     Args:
-        poses: The poses at first.
+        poses: The poses at the start.
         radius: True distance from a wheel to the centre [length unit].
         lag_s: Time constant of the wheels [s], for all robots or for each (N,). 0 for no lag.
         still: A stopped robot stands still once its wheels are slower than this [length unit/s].

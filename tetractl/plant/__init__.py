@@ -1,1 +1,1 @@
-"""The plants that receive a trial's commands: simulations and the lab."""
+"""The plants of a trial, which carry out its commands: simulations, and the real lab."""

@@ -1,8 +1,8 @@
-"""Simulated cells, as what moves the robots of a trial: they swim on a helix under a field.
+"""Move simulated cells, which swim on a helix while a common field turns them.
 
-A cell is `model.swimmers`: its axis follows (1)-(3), and its body circles about the axis. What a
-camera measures, and what is asked for here, is the body: a pose is its centre and the direction of
-its axis. Poses are in the spec's length unit, the cells' arrays in micrometres.
+`model.swimmers` models a cell: its axis follows the paper's equations (1)-(3), and its body circles
+about the axis. A camera measures the body, so the poses here describe the body: its centre, and the
+direction of the axis. Poses are in the spec's length unit, and the arrays of cells in micrometres.
 """
 
 import math
@@ -62,7 +62,10 @@ class CellDrive:
         self.poses = starts
 
     def _drawn(self, section: CultureSection, setup: Setup, walk: float) -> CellArrays:
-        """Draw what is not given of the cells, in an order that is part of the result."""
+        """Sample the properties of the cells that are not given.
+
+        The order of sampling is part of the result.
+        """
         count = len(setup.names)
         cells = Swimmers.drawn(self._random, count)
         cells.bias = self._random.normal(0, section.dipole, count)
@@ -83,7 +86,7 @@ class CellDrive:
 
     @poses.setter
     def poses(self, poses: Poses) -> None:
-        """Put each cell's axis where its body, at its present phase, has this pose."""
+        """Set the poses of the bodies, by placing each cell's axis accordingly."""
         cells = self.cells
         to_the_left_um = cells.helix_um * elementwise.cos(cells.phase)
         x_um, y_um = to_the_left(poses.heading, to_the_left_um)
@@ -94,13 +97,13 @@ class CellDrive:
 
     @property
     def moving(self) -> Floats:
-        """1 for cells that swim after their last command, 0 for others, (N,)."""
+        """1 for each cell that swims after its last command, 0 for the others, shape (N,)."""
         return self.cells.going.copy()
 
     commanded = moving
 
     def vary(self, a: Floats, speed: Floats) -> None:
-        """Change the true turning rates a and speeds from now on, (N,) each."""
+        """Change the true turning rates a and speeds, shape (N,) each, starting now."""
         self.cells.a[:] = a
         self.cells.speed[:] = speed * self._unit_um
 

@@ -1,4 +1,4 @@
-"""What the host of simulated robots sends: actions, the same action again, and stops."""
+"""Send the commands of the host to simulated robots: new actions, repeated actions, and stops."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -56,7 +56,10 @@ class CommandSender:
 
     @property
     def repeats_ns(self) -> int:
-        """When the host transmits the held action again [ns], NEVER if it does not."""
+        """The time at which the host repeats the held action [ns].
+
+        NEVER if it does not repeat it.
+        """
         return NEVER if self._host is None else self._host.repeats_ns
 
     def send(
@@ -112,10 +115,10 @@ class CommandSender:
         return Command(Stop(), now_ns, received, still, still)
 
     def _due_ns(self, sent_ns: int, answered: Observation) -> int:
-        """Return when a command acts if `dead_time` is the only delay [ns].
+        """Compute when a command takes effect if `dead_time` is the only delay [ns].
 
-        That is `dead_time` after the exposure of the frame that it answers, but not before it is
-        sent.
+        The time is `dead_time` after the exposure of the frame that the command answers, but not
+        earlier than the sending.
         """
         dead_time_ns = round(self._settings.dead_time * SECOND)
         return max(sent_ns, answered.sampled_ns + dead_time_ns)
@@ -123,7 +126,7 @@ class CommandSender:
     def _wheel_speeds(
         self, now_ns: int, answered: Observation, is_new: bool
     ) -> tuple[Floats | None, Floats | None, Floats | None]:
-        """Return the wheel speeds for the held action [length unit/s].
+        """Compute the wheel speeds for the held action [length unit/s].
 
         Returns:
             The speeds of the left wheels and of the right wheels, (N,) each, as the host knows and

@@ -1,4 +1,4 @@
-"""Simulates robots that receive the direction itself and turn to it by the paper's equation (3)."""
+"""Simulate robots that receive the direction itself and turn to it by the paper's equation (3)."""
 
 import numpy as np
 
@@ -14,7 +14,10 @@ LEAST_A = 1e-12
 
 
 def aim(action: Steer | Turn | FieldOff, heading: Floats) -> Floats:
-    """Return the direction [rad] towards which each robot turns: without a field, its heading."""
+    """Return the direction [rad] to which each robot turns.
+
+    Without a field, this is its heading.
+    """
     match action:
         case Steer(u) | Turn(u):
             return np.full(heading.shape, u)
@@ -23,7 +26,7 @@ def aim(action: Steer | Turn | FieldOff, heading: Floats) -> Floats:
 
 
 class DirectDrive:
-    """A `Drive` of N robots that follow the direction without wheels.
+    """The motion of N robots that follow the direction itself, without wheels; a `Drive`.
 
     Between two commands the motion is known in closed form, so the path is sampled, not integrated.
 
@@ -57,16 +60,16 @@ class DirectDrive:
 
     @property
     def commanded(self) -> Floats:
-        """1 for robots that move after their last command, 0 for others, (N,)."""
+        """1 for each robot that moves after its last command, 0 for the others, shape (N,)."""
         return self.held.moving
 
     @property
     def moving(self) -> Floats:
-        """1 for robots that move, 0 for robots that stand, (N,)."""
+        """1 for each robot that moves, 0 for each robot that stands still, shape (N,)."""
         return np.where(self._able, self.held.moving, 0.0)
 
     def vary(self, a: Floats, speed: Floats) -> None:
-        """Change the true turning rates a and speeds from now on, (N,) each."""
+        """Change the true turning rates a and speeds, shape (N,) each, starting now."""
         self._able = (a > 0) | (speed > 0)
         self._a = np.maximum(a, LEAST_A)
         self._speed = speed

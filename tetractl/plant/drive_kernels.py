@@ -1,10 +1,12 @@
-"""What moves simulated robots, compiled: plain loops of `tetractl.model.motion`, with their bits.
+"""Compiled functions that move simulated robots.
 
-    answer   what a host sends robots on wheels, and how fast their wheels then turn in truth
+They are loops over the functions of `tetractl.model.motion`, and give the same bits:
+
+    answer   computes what a host sends to robots on wheels, and how fast the wheels really turn
     roll     moves robots on wheels, `rolling.roll`
     swim     moves cells, `swimming.swim`
 
-Import this module late: reading a spec needs no compiler.
+Import this module only where it is needed, because reading a spec needs no compiler.
 """
 
 import math
@@ -26,7 +28,7 @@ _count = exact(rolling.count)
 
 
 class Trains(NamedTuple):
-    """The left and right wheels of N robots with their motors, (2, N) each."""
+    """The left and right wheels of N robots with their motors, shape (2, N) each."""
 
     owed: Floats
     """The rounding error that is carried to the next transmission [counts]; `answer` changes it."""
@@ -52,9 +54,9 @@ def answer(
     sent: SentRates,
     trains: Trains,
 ) -> tuple[Floats, Floats]:
-    """Compute the wheel speeds to send; see `rolling.wish` for the arguments up to `sent`.
+    """Compute the wheel speeds that a host sends to robots, and the true speeds of the wheels.
 
-    The speeds that are sent are also recorded in `sent`.
+    `rolling.wish` explains the arguments up to `sent`. The speeds are also recorded in `sent`.
 
     Args:
         heading: Measured headings [rad], shape (N,).

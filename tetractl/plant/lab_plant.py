@@ -1,6 +1,6 @@
 """The plant of the lab: real robots with a camera and an actuator.
 
-`LabFrames` makes observations and samples of the frames that the guard has accepted.
+`LabFrames` converts the frames that the guard has accepted to observations and samples.
 """
 
 import math
@@ -59,7 +59,8 @@ class RigSection(LabSection):
             clock: The clock of the run.
             seed: Seed of an emulated lab.
             supervision: How people supervise the run. None if nobody does.
-            chosen: Whether the robots are still to be found. Only an emulated lab uses it.
+            chosen: Whether the robots of the trial still have to be found. Only an emulated lab
+                uses this.
         """
         return build_rig(self, setup, clock, supervision.emergency if supervision else None)
 
@@ -70,7 +71,7 @@ class RigSection(LabSection):
         """
 
     def plant(self, rig: Rig, supervision: LabSupervision) -> "LabPlant":
-        """Return the plant for a connected lab."""
+        """Create the plant for a connected lab."""
         return LabPlant(rig, supervision, self.type)
 
     def build(
@@ -96,8 +97,8 @@ One of them is the last of robots that cannot stand still.
 class LabFrames:
     """Reads the frames of a connected lab.
 
-    `newest` is the last frame that was read, None before the first. The robots' paths are checked
-    frame by frame. The paths of lost robots are left out.
+    `newest` is the last frame that was read. It is None before the first frame. The robots' paths
+    are checked frame by frame. The paths of lost robots are left out.
     """
 
     def __init__(self, rig: Rig) -> None:
@@ -111,7 +112,7 @@ class LabFrames:
         self._recent: deque[Observation] = deque(maxlen=RECENT)
 
     def begin(self) -> None:
-        """Begin with the newest frame, which `observe` may return; leave out those before it."""
+        """Begin with the newest frame, which `observe` may return. Earlier frames are ignored."""
         self._read_count = self._rig.loop.frames.count - 1
 
     def read(self) -> list[Sample]:
@@ -141,7 +142,7 @@ class LabFrames:
         return samples
 
     def nearest(self, t_ns: int) -> Observation:
-        """Return the recent frame that was exposed nearest to a time."""
+        """Return the recent frame whose exposure is nearest to a time."""
         return min(self._recent, key=lambda frame: abs(frame.sampled_ns - t_ns))
 
     def _observation(self, accepted: AcceptedFrame) -> Observation:
@@ -171,7 +172,7 @@ class LabFrames:
 
 
 class LabPlant:
-    """The robots of a lab, as a `Plant`.
+    """The real robots of a lab, used as the `Plant` of a trial.
 
     After a fault, every call raises AbortError with the reason.
 
@@ -197,7 +198,7 @@ class LabPlant:
 
     @property
     def setup(self) -> Setup:
-        """The numbers of the experiment."""
+        """The constants of the experiment, such as robots, targets and arena."""
         return self.rig.setup
 
     # ---- the protocol `Plant`, in the order of its calls ----
@@ -222,7 +223,7 @@ class LabPlant:
         return PlantInfo(self._kind, False, round(rate_hz, 3), facts)
 
     def observe(self) -> Observation:
-        """Return the newest camera frame; a robot that is not tracked in it keeps its last pose."""
+        """Return the newest camera frame. An untracked robot keeps its last pose."""
         self._raise_abort()
         self._observed_ns = self.clock.now()
         self._take_frames()
@@ -231,7 +232,10 @@ class LabPlant:
         return newest
 
     def send(self, action: Action) -> Command:
-        """Hold an action from now on; return its first transmission. A stop is sent ten times."""
+        """Send an action repeatedly, starting now, and return its first transmission.
+
+        A stop is sent ten times.
+        """
         if isinstance(action, FieldOff):
             raise AbortError("this lab cannot switch its field off while robots drive")
         if isinstance(action, Stop):
@@ -253,7 +257,8 @@ class LabPlant:
     def samples(self) -> list[Sample]:
         """Return every camera frame since the last call, oldest first.
 
-        The first call after `settle` ends with the frame that has the verdict's final poses.
+        The first call after `settle` returns frames up to the one that contains the final poses of
+        the verdict.
         """
         if not self._settled:
             self._take_frames()
@@ -283,10 +288,10 @@ class LabPlant:
         return self._stop
 
     def settle(self) -> Verdict:
-        """Wait until every robot is tracked and, if robots can stand, at rest; check the path.
+        """Wait until every robot is tracked and, if possible, stands still; then check the path.
 
-        After a fault since the last step, such as a stop that could not be sent, the robots count
-        as not at rest.
+        If there was a fault since the last step, such as a stop that could not be sent, the robots
+        do not count as standing still.
         """
         guard = self.rig.loop.guard
         rest = self._come_to_rest()
@@ -379,7 +384,7 @@ class LabPlant:
     # ---- commands ----
 
     def _halt(self) -> Command:
-        """Stop every robot until another action is sent; return the first of the stops."""
+        """Stop every robot until another action is sent, and return the first of the stops."""
         self._stopped_ns = self.clock.now()
         first = self.rig.loop.stop()
         self._observed_ns = None
@@ -390,15 +395,15 @@ class LabPlant:
         return replace(first, delivered=(self.rig.actuator.failure is None,) * robots)
 
     def _come_to_rest(self) -> Standstill:
-        """Stop the robots until all have been seen to stand; return how they came to rest."""
+        """Stop the robots until the camera shows all of them standing still."""
         if self.rig.loop.frames.newest is None:
             return Standstill()
         return wait_for_rest(self.rig, self._supervision.cancelled)
 
     def _refused(self, error: AbortError) -> AbortError:
-        """Return the reason why a run does not start.
+        """Extend the reason why a run does not start, after stopping robots that move.
 
-        Robots that move are stopped first, and named.
+        The result names these robots.
         """
         if not (self.rig.actuator.halts and drifting_robots(self.rig)):
             return error

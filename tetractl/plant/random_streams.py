@@ -14,7 +14,9 @@ import numpy as np
 
 
 class RandomStream(IntEnum):
-    """The number of each stream, with what is drawn from it, in order; N is the number of robots.
+    """The number of each random stream.
+
+    Each comment lists what is sampled from the stream, in order. N is the number of robots.
 
     Numbers from 104 to 999 are free.
     """
@@ -42,6 +44,6 @@ class RandomStream(IntEnum):
 
 
 def generator(seed: np.random.SeedSequence, number: int) -> np.random.Generator:
-    """Return the generator of a stream of the trial with this seed, at its beginning."""
+    """Create the random generator of a stream, for the trial with this seed."""
     key = (*seed.spawn_key, number)
     return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))

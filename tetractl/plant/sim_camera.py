@@ -1,4 +1,4 @@
-"""The camera of a simulation: what its frames show, and when they reach the host."""
+"""The camera of a simulation: what its frames show, and when they arrive at the host."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -15,8 +15,8 @@ from tetractl.spec.disturbance import Disturbance, overriding
 class SimCamera:
     """A simulated camera of N robots. Disturbances change, delay and lose its frames.
 
-    A frame goes through `expose`, when it is taken, `receive`, when it reaches the host, and
-    `samples`, when the host reads it.
+    A frame passes through `expose` when it is taken, through `receive` when it reaches the host,
+    and through `samples` when the host reads it.
 
     Args:
         robots: Number of robots.
@@ -73,7 +73,10 @@ class SimCamera:
 
     @property
     def arriving_ns(self) -> int | None:
-        """When the next frame reaches the host [ns]. None if no frame is on its way."""
+        """The time at which the next frame reaches the host [ns].
+
+        None if no frame is on its way.
+        """
         return self._coming[0].observation.received_ns if self._coming else None
 
     def receive(self, until_ns: int) -> None:
@@ -90,7 +93,7 @@ class SimCamera:
         return samples
 
     def _arrival_ns(self, exposed_ns: int) -> int:
-        """Return when the next frame reaches the host [ns], NEVER if it is lost.
+        """Compute when the next frame reaches the host [ns]. NEVER if the frame is lost.
 
         Frames arrive in order. The frame at time 0 arrives at once: the camera has seen the
         standing robots long before the trial.
@@ -109,7 +112,7 @@ class SimCamera:
         return self._last_arrival_ns
 
     def _measured(self, poses: Poses, exposed_ns: int) -> tuple[Poses, Bools]:
-        """Return poses as disturbed in a frame, and which robots are tracked in it.
+        """Apply disturbances to the poses in a frame, and decide which robots are tracked in it.
 
         A robot that is not tracked keeps the pose of the last frame that was not lost.
         """

@@ -1,4 +1,4 @@
-"""What a spec can say of a simulated plant: the fields of `plant: {type: sim}` and their checks.
+"""The fields `plant: {type: sim}` of a spec, which describe a simulation, and their checks.
 
 `simulation.py` has the plant itself, which a command that only reads specs does not import.
 """
@@ -45,7 +45,7 @@ class MeasurementNoise(Model):
 
 
 class WheelDriveSection(Model):
-    """Wheels that carry out the direction; the defaults describe ideal wheels."""
+    """The wheels of simulated robots. The defaults describe ideal wheels."""
 
     rate: Positive | None = None
     """Transmissions per second while a direction is held [Hz].
@@ -178,7 +178,7 @@ class SimSection(PlantSection):
         return self
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield location and text of each contradiction in the wheels or sampling rates."""
+        """Yield the field and message of each contradiction in the wheels or sampling rates."""
         poses = setup.period_s * max(self.truth_rate, self.camera_rate) * len(setup.names)
         if poses > POSES_MAX:
             message = f"gives {poses:.3g} poses in a control period of {setup.period_s:g} s"
@@ -201,7 +201,10 @@ class SimSection(PlantSection):
 
     @property
     def disturbed(self) -> bool:
-        """Whether the plant differs in any way from the paper's equations, measured exactly."""
+        """Whether the plant differs in any way from the paper's equations.
+
+        Errors of measurement count as a difference.
+        """
         sizes = (
             self.measurement_noise.position,
             self.measurement_noise.heading,

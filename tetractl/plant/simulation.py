@@ -1,10 +1,10 @@
-"""The simulated plant: robots in continuous virtual time, a camera, a radio, and disturbances.
+"""The simulated plant: robots, a camera, a radio and disturbances in continuous virtual time.
 
-Nothing happens between calls. Each call first advances the true motion to the clock's time. Time
-passes only while somebody sleeps on the clock: the caller from one control step to the next, and
-this plant while a command is planned and while the robots come to a standstill.
+Nothing happens between calls. Each call first advances the true motion to the clock's time. Virtual
+time passes only while somebody sleeps on the clock. The caller sleeps from one control step to the
+next. The plant sleeps while a command is planned and while the robots come to a standstill.
 
-    SimPlant             what a host sees of the plant: frames, commands, verdict
+    SimPlant             what the host of the robots sees: frames, commands, verdict
       SimCamera          exposes frames of the true poses, which reach the host later
       CommandSender        sends commands to the robots, and repeats the held one
         SimHost          computes the wheel speeds of robots on wheels
@@ -15,8 +15,8 @@ this plant while a command is planned and while the robots come to a standstill.
         MotionDisturbances
         PathCheck        checks the true path against obstacles, walls and other robots
 
-`SimSection` has the fields of the spec, `RandomStream` the random streams. A trial depends only on
-its spec and seed.
+`SimSection` contains the fields of the spec, and `RandomStream` lists the random streams. A trial
+depends only on its spec and seed.
 """
 
 import json
@@ -52,9 +52,9 @@ def draw_robots(
     disturbances: Sequence[Disturbance],
     random: np.random.Generator,
 ) -> tuple[Floats, Floats, Poses]:
-    """Sample the true properties of the robots.
+    """Sample the true properties of the simulated robots.
 
-    The spec's values are changed first by their errors and then by the disturbances.
+    The spec's values are changed by random errors, and then by the disturbances.
 
     Args:
         settings: The section of the simulation.
@@ -84,7 +84,7 @@ def build_drive(
     starts: Poses,
     seed: np.random.SeedSequence,
 ) -> Drive:
-    """Create what moves the robots: wheels or cells if the spec has them, else the spec's motion.
+    """Create the `Drive` that moves the robots: wheels, cells, or the spec's motion itself.
 
     A trial imports only the drive that it uses.
 
@@ -109,7 +109,7 @@ def build_drive(
 
 
 class SimPlant:
-    """Simulated robots, as a `Plant`.
+    """Simulated robots, used as the `Plant` of a trial.
 
     Calls come in this order: `open` exposes the first frame; then `observe` and `send` for each
     control step, and `samples` and `events` at any time; `stop` once, and `settle` after it. The
@@ -119,7 +119,7 @@ class SimPlant:
         settings: The fields of the simulation in the spec.
         setup: The constants of the experiment.
         clock: The clock, which this plant advances.
-        seed: Determines everything random.
+        seed: Seed of all random numbers.
     """
 
     def __init__(
@@ -225,19 +225,19 @@ class SimPlant:
         return self.camera.samples()
 
     def events(self) -> list[Command | Note]:
-        """Return the commands sent under a held direction since the last call, oldest first."""
+        """Return the commands that repeated a held direction since the last call, oldest first."""
         news = self._motion.repeated
         self._motion.repeated = []
         return news
 
     def stop(self) -> Command:
-        """Send a stop; further calls do nothing."""
+        """Send a stop to all robots. Further calls do nothing."""
         if self._stop is None:
             self._stop = self.send(Stop())
         return self._stop
 
     def settle(self) -> Verdict:
-        """Wait until the robots stand and a frame shows them standing, and check the true path."""
+        """Wait until a frame shows all robots standing still, and check the true path."""
         stopped_ns = max(self._motion.transit.settled_ns, self.clock.now())
         stand_ns = stopped_ns + round(self.drive.rest_s * SECOND)
         two_frames_ns = round(2 * SECOND / self.settings.camera_rate)
@@ -259,7 +259,7 @@ class SimPlant:
         return newest
 
     def _await_frame(self, since_ns: int) -> None:
-        """Wait until the host has a frame exposed at `since_ns` or later."""
+        """Wait until the host has received a frame exposed at `since_ns` or later."""
         give_up_ns = self.clock.now() + NO_FRAME_S * SECOND
         camera = self.camera
         while camera.newest is None or camera.newest.sampled_ns < since_ns:

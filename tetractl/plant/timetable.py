@@ -1,4 +1,4 @@
-"""When a simulation exposes camera frames and samples the true path."""
+"""The times at which a simulation exposes camera frames and samples the true path."""
 
 from bisect import bisect_right
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ Rates are at least 1 Hz.
 
 @dataclass(frozen=True, slots=True)
 class DueTimes:
-    """The M times of one part of the path, in order and each once."""
+    """The M times in one part of a simulation at which something is due, in order, each once."""
 
     times_ns: Times
     frames: Bools
@@ -28,7 +28,7 @@ class DueTimes:
     """At which of them the true path is sampled, (M,)."""
 
     def part(self, begin: int, end: int) -> "DueTimes":
-        """Return a copy of the rows from `begin` to before `end`."""
+        """Return a copy of the rows from `begin` up to, but not including, `end`."""
         rows = slice(begin, end)
         return DueTimes(
             self.times_ns[rows].copy(), self.frames[rows].copy(), self.samples[rows].copy()
@@ -36,7 +36,7 @@ class DueTimes:
 
 
 class Timetable:
-    """The times of frames and samples, each k / rate [ns] with k = 0, 1, 2, ...
+    """The times of frames and samples of a simulation: k / rate [ns] with k = 0, 1, 2, ...
 
     The times are taken in order, and each only once.
     """
@@ -51,10 +51,10 @@ class Timetable:
         self._lay_out(TIMES_BLOCK_NS)
 
     def take(self, until_ns: int, with_end: bool) -> DueTimes:
-        """Take the times up to `until_ns`, that one included.
+        """Take the times up to and including `until_ns`.
 
-        If `with_end`, `until_ns` is the last of them in any case, be it a frame's, a sample's or
-        neither.
+        If `with_end`, `until_ns` is always the last of them, even if neither a frame nor a sample
+        is due then.
         """
         if until_ns + SPARE_NS >= self._end_ns:
             self._lay_out(until_ns + TIMES_BLOCK_NS)
@@ -73,7 +73,7 @@ class Timetable:
         return due
 
     def _lay_out(self, end_ns: int) -> None:
-        """Lay out the block from the next time to `end_ns` and the spare time after it."""
+        """Compute the times from the next one to `end_ns`, and some spare time after it."""
         frames_ns = _multiples(self._camera_hz, self.next_ns, end_ns + SPARE_NS)
         samples_ns = _multiples(self._truth_hz, self.next_ns, end_ns + SPARE_NS)
         # np.unique does the same 70 times slower: it hashes what is nearly sorted
@@ -94,7 +94,7 @@ class Timetable:
 
 
 def _multiples(rate_hz: float, since_ns: int, until_ns: int) -> Times:
-    """Return k / rate for whole k, rounded to ns, in [since_ns, until_ns]."""
+    """Return the times k / rate with integer k, rounded to ns, in [since_ns, until_ns]."""
     first = int(since_ns * rate_hz / SECOND) - 1
     last = int(until_ns * rate_hz / SECOND) + 2
     times_ns = np.rint(np.arange(first, last + 1) * SECOND / rate_hz).astype(np.int64)

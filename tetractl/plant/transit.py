@@ -1,4 +1,4 @@
-"""Commands on their way to simulated robots, and the watchdogs of robots that receive none."""
+"""Commands on their way to simulated robots, and watchdogs that stop robots without commands."""
 
 import math
 from bisect import insort
@@ -26,7 +26,7 @@ class Transit:
 
     @property
     def settled_ns(self) -> int:
-        """The time when the last command sent so far acts on the last robot [ns]."""
+        """The time at which the last command sent so far acts on the last robot [ns]."""
         return max(self._last_ns, default=0)
 
     @property
@@ -35,7 +35,7 @@ class Transit:
         return self._in_flight[0].due_ns if self._in_flight else NEVER
 
     def send(self, command: DelayedCommand, now_ns: int) -> DelayedCommand:
-        """Send a command `now_ns`, and return it as the robots will receive it."""
+        """Send a command at `now_ns`, and return it as the robots will receive it."""
         for disturbance in self._disturbances:
             command = disturbance.sent(command)
         if command.late_ns is None and command.due_ns >= max(self.settled_ns, now_ns):
@@ -65,10 +65,10 @@ class Transit:
 
 
 class Watchdogs:
-    """Watchdogs that stop each of N robots that has received nothing for `timeout_s`.
+    """Timers that stop each of N robots that has received no command for `timeout_s`.
 
-    `timeout_s` is inf if robots have no watchdogs. After a stop, the robot's own or a received one,
-    its watchdog is inactive until the robot's next command.
+    `timeout_s` is inf if robots have no watchdogs. After a stop, the robot's watchdog is inactive
+    until its next command.
     """
 
     def __init__(self, robots: int, timeout_s: float) -> None:
@@ -78,7 +78,7 @@ class Watchdogs:
         """The time when the next watchdog expires [ns]."""
 
     def hear(self, command: DelayedCommand) -> None:
-        """Begin to wait for the next command of each robot on which this one acts now."""
+        """Restart the timers of the robots on which this command acts now."""
         if self._timeout_s == math.inf:
             return
         if isinstance(command.action, Stop):
@@ -91,7 +91,7 @@ class Watchdogs:
         self.next_ns = min(self._expire_ns)
 
     def stop(self, now_ns: int) -> DelayedCommand:
-        """Return the stop of all robots whose watchdog expires at this time."""
+        """Return the stop of all robots whose timer expires at this time."""
         expired = np.array(self._expire_ns) == now_ns
         still = np.zeros((2, expired.size))
         return DelayedCommand(now_ns, now_ns, Stop(), expired, wheels=still)

@@ -1,10 +1,10 @@
-"""The true motion of simulated robots: from event to event, at the times at which they happen.
+"""The true motion of simulated robots, advanced from event to event.
 
-Between two events every robot holds what it holds, so its motion is known. The events are: a
-command acts on robots, a watchdog expires, the host transmits again, and a camera frame if anything
-is drawn or varied at each frame. `TrueMotion.advance` goes from event to event, and each step is
-the same list of stages, see `TrueMotion.stages`. How robots move is a matter of their `Drive`:
-`DirectDrive`, `WheelDrive` or `CellDrive`.
+Between two events, every robot follows the same command, so its motion is known. The events are: a
+command acts on robots, a watchdog expires, the host transmits again, or a camera frame is exposed,
+if anything is sampled or varied at each frame. `TrueMotion.advance` goes from event to event, and
+each step consists of the same stages, see `TrueMotion.stages`. The robots' `Drive` knows how they
+move: `DirectDrive`, `WheelDrive` or `CellDrive`.
 
 Units: times [ns], lengths in the spec's unit, headings [rad]; N robots.
 """
@@ -37,10 +37,11 @@ NO_POSES = np.empty((0, 3, 0))
 
 
 class Drive(Protocol):
-    """What moves N simulated robots: where they are, which command each holds, and how it acts.
+    """The part of a simulation that moves N robots: their poses, and the command that each follows.
 
-    `advance` moves them under what they hold; time passes for them nowhere else. In between,
-    `apply` changes what some of them hold, `vary` what they are able to, and `poses` may be set.
+    `advance` moves the robots under their commands, and is the only method in which time passes for
+    them. In between, `apply` gives a new command to some robots, `vary` changes their abilities,
+    and `poses` can be set.
     """
 
     @property
@@ -59,7 +60,7 @@ class Drive(Protocol):
 
     @property
     def rest_s(self) -> float:
-        """Time after a stop until the robots stand [s]."""
+        """Time from a stop until the robots stand still [s]."""
         ...
 
     @property
@@ -72,7 +73,7 @@ class Drive(Protocol):
 
     @property
     def gains(self) -> Floats:
-        """Factors by which the robots' bodies change a and speed, one row each, (2, N).
+        """Factors by which the robots' bodies change a and speed, one row for each, shape (2, N).
 
         For example, motors have another gain, or wheels are further apart than the spec says.
         """
@@ -80,14 +81,14 @@ class Drive(Protocol):
 
     @property
     def commanded(self) -> Floats:
-        """1 for robots that move after their last command, 0 for others, (N,)."""
+        """1 for each robot that moves after its last command, 0 for the others, shape (N,)."""
         ...
 
     @property
     def moving(self) -> Floats:
-        """1 for robots that move, 0 for robots that stand still, (N,).
+        """1 for each robot that moves, 0 for each robot that stands still, shape (N,).
 
-        A robot that is commanded to move stands still if it cannot move.
+        A robot that is commanded to move may stand still, because it is stuck.
         """
         ...
 
@@ -105,13 +106,13 @@ class Drive(Protocol):
         ...
 
     def apply(self, command: DelayedCommand) -> None:
-        """Give a command to the robots that it reaches; the others hold what they held."""
+        """Give a command to the robots that it reaches. The others continue with theirs."""
         ...
 
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true turning rates a [rad/s] and speeds [length unit/s], shape (N,) each.
 
-        The change applies from now on. A robot with a = 0 and speed 0 stands still.
+        The change applies starting now. A robot with a = 0 and speed 0 stands still.
         """
         ...
 
@@ -141,9 +142,10 @@ class MotionDisturbances:
         """Whether there is any such disturbance."""
 
     def act(self, drive: Drive, now_ns: int) -> None:
-        """Move the robots by what happened since the last call, and vary a and speed from now on.
+        """Apply the disturbances: move the robots, and vary a and speed starting now.
 
-        If this has already been done for `now_ns`, nothing happens.
+        The robots move by what has happened since the last call. If this has already been done for
+        `now_ns`, nothing happens.
         """
         if now_ns == self._acted_ns:
             return
@@ -206,7 +208,7 @@ class MotionStep:
 class TrueMotion:
     """Moves N robots in continuous time, exposes the camera's frames, and checks the true path.
 
-    `repeated` holds the commands that the host transmitted again.
+    `repeated` contains the commands that the host has transmitted again.
 
     Args:
         drive: How the robots move.
@@ -274,7 +276,7 @@ class TrueMotion:
         self._advanced_ns = until_ns
 
     def _next_step(self, until_ns: int) -> MotionStep:
-        """Return the step to the next event, or to `until_ns`.
+        """Plan the step to the next event, or to `until_ns`.
 
         If several events are due at the same time, a command comes first, then a watchdog, then the
         host.
@@ -301,8 +303,8 @@ class TrueMotion:
     def _move(self, step: MotionStep) -> None:
         """Move the robots to the end of the step, unless no pose is needed there.
 
-        A drive that sums up its path goes only to the last time due, unless there is an event: so
-        the path does not depend on how often the plant is read.
+        A drive that integrates its path moves only to the last time that is due, unless there is an
+        event. Therefore the path does not depend on how often somebody reads the plant.
         """
         is_event = step.disturbed or step.repeats or step.command is not None
         stays = step.end_ns == self._now_ns and not (is_event and self._frames_are_events)
@@ -315,14 +317,14 @@ class TrueMotion:
         self._now_ns = int(due.times_ns[-1])
 
     def _disturb(self, step: MotionStep) -> None:
-        """Let the disturbances act; a frame at the end of the step shows where they put robots."""
+        """Let the disturbances act. A frame at the end of the step already shows their effect."""
         if step.disturbed:
             self.disturbances.act(self.drive, step.end_ns)
             poses = self.drive.poses
             step.poses[-1] = poses.x, poses.y, poses.heading
 
     def _record(self, step: MotionStep) -> None:
-        """Add the part to the path.
+        """Add a part of the motion to the path.
 
         Raises:
             WrongValueError: If no log can hold it.
@@ -357,7 +359,7 @@ class TrueMotion:
         self.camera.receive(step.end_ns)
 
     def _swerve(self, step: MotionStep) -> None:
-        """Turn each robot that moves by one step of its random walk, after the frame."""
+        """Turn each moving robot by one random step of its heading, after the frame."""
         if not step.at_frame or self._walk_rad == 0:
             return
         drive = self.drive

@@ -1,4 +1,4 @@
-"""Simulated robots on two wheels, with random errors.
+"""Move simulated robots on two wheels, with random errors of wheels and motors.
 
 `SimHost` computes the wheel speeds that are sent. `WheelDrive` moves the robots that receive them,
 by the paper's (21)-(23); see `model.wheels`. Wheels have a lag, and their gains and radii differ
@@ -22,10 +22,10 @@ REST = 1e-10
 
 
 class WheelDrive(WheeledRobots):
-    """A `Drive` of N robots on wheels.
+    """The motion of N simulated robots on two wheels; a `Drive`.
 
     Turning rates and speeds are scaled by the ratio of the true value to the setup's value. The
-    headings' random walk goes on from sample to sample of the true path, not from frame to frame.
+    random walk of the headings has one step for each sample of the true path, not for each frame.
 
     Args:
         section: The fields of the simulation in the spec.
@@ -33,7 +33,7 @@ class WheelDrive(WheeledRobots):
         a: True turning rates [rad/s], shape (N,).
         speed: True speeds [length unit/s], shape (N,).
         starts: Poses at the start.
-        seed: Determines everything random.
+        seed: Seed of all random numbers.
     """
 
     sampled = True
@@ -69,16 +69,16 @@ class WheelDrive(WheeledRobots):
 
     @property
     def commanded(self) -> Floats:
-        """1 for robots that move after their last command, 0 for others, (N,)."""
+        """1 for each robot that moves after its last command, 0 for the others, shape (N,)."""
         return np.where(self.targets.any(axis=0), 1.0, 0.0)
 
     @property
     def moving(self) -> Floats:
-        """1 for robots that move, 0 for robots that stand, (N,)."""
+        """1 for each robot that moves, 0 for each robot that stands still, shape (N,)."""
         return self.body[MOVING].copy()
 
     def vary(self, a: Floats, speed: Floats) -> None:
-        """Change the true turning rates a and speeds from now on, (N,) each."""
+        """Change the true turning rates a and speeds, shape (N,) each, starting now."""
         spec = self._setup
         speed_factors = np.divide(speed, spec.speed, out=np.ones(speed.size), where=spec.speed > 0)
         self.scale(a / spec.a, speed_factors)
@@ -99,7 +99,7 @@ class WheelDrive(WheeledRobots):
         self._note_moving()
 
     def _note_moving(self) -> None:
-        """Note in the robots' `body`, where `roll` reads it, which robots move.
+        """Store which robots move in the robots' `body`, where `roll` reads it.
 
         A robot moves while it is commanded to and is able to drive or turn.
         """

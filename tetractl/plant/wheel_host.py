@@ -1,4 +1,4 @@
-"""The host of simulated robots on wheels: what it sends, and how fast wheels then turn in truth."""
+"""The host of simulated robots on wheels: the wheel speeds it sends, and the true speeds."""
 
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,7 @@ class SimHost:
     Args:
         section: The fields `plant.drive` of the spec.
         setup: The constants of the experiment.
-        random: Samples first the true gains, then the true dead zones.
+        random: The random generator. It samples first the true gains, then the true dead zones.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class SimHost:
         """The time of the next transmission of the same action [ns]."""
 
     def halt(self, now_ns: int) -> None:
-        """Transmit nothing more from now on, because a stop is sent."""
+        """Stop transmitting, because a stop is sent."""
         self.repeats_ns = NEVER
         radius = self._known.radius
         self._sent = self._sent.with_room()

@@ -1,1 +1,1 @@
-"""Can the robots of a spec be steered apart by one common signal?"""
+"""Analyse whether one common signal can steer the robots of a spec to different places."""

@@ -1,4 +1,4 @@
-"""What a spec says about steering its robots together, before a trial is run: a table and JSON."""
+"""Collect what a spec shows about steering its robots together, as a table and as JSON."""
 
 from typing import Any
 
@@ -26,7 +26,7 @@ def most_similar(setup: Setup) -> tuple[int, int] | None:
 
 
 def facts_table(experiment: Experiment) -> Table | None:
-    """Make the table of what is known before a trial.
+    """Create the table of what is known about a spec before a trial.
 
     Returns:
         The table. None if robots are still to be found, as in a dish.

@@ -1,14 +1,18 @@
-"""Can robots that all get one signal be steered apart? Says how far it can move their ends apart.
+"""Analyse how far one common signal can move the robots of a spec apart.
 
-SEQUENCES sequences of LENGTH directions, drawn uniformly, move all N robots from their starts. Each
-direction is held for the time in which a robot turns by some 60 degrees, 1/a by the geometric mean
-of the rates a. Their ends, as displacements over the speed, are 2N numbers; the square roots of the
-eigenvalues of their covariance, over the greatest, say how far each combination of ends can be
-moved. A sequence that moves a combination by over CHANCE times its usual spread counts as that
-much: nearly equal robots are parted so by a direction that happens to be opposite to their heading,
-too rarely to be counted on. The rank is the number of spreads of at least TOLERANCE. Two robots
-move alike if a combination of them alone is below it. Nothing of this depends on the controller or
-on the targets.
+The analysis moves all N robots from their starts by SEQUENCES random sequences of LENGTH
+directions, sampled uniformly. Each direction is held for the time in which a robot turns by about
+60 degrees: 1 / a, with the geometric mean of the rates a. The *ends* of a sequence are the robots'
+final displacements divided by their speeds, 2N numbers. The eigenvalues of the covariance of the
+ends show how far each combination of ends can be moved: the *spread* of a combination is the square
+root of its eigenvalue, relative to the largest one. A combination with a spread near 0 cannot be
+controlled.
+
+If a sequence moves a combination by more than CHANCE times its usual spread, it is counted as that
+much. The reason: a direction that happens to be opposite to the heading of two nearly equal robots
+separates them, but this is too rare to rely on. The rank is the number of spreads of at least
+TOLERANCE. Two robots move identically if a combination of these two alone is below TOLERANCE. The
+result depends neither on the controller nor on the targets.
 """
 
 from collections.abc import Iterator
@@ -51,12 +55,12 @@ STEPS = (0.01, 0.02, 0.05, 0.1, 0.2)
 
 @dataclass(frozen=True, slots=True)
 class PartedRobot:
-    """A robot that would move differently from its group with another turning rate.
+    """A robot that would move differently from its group if it had another turning rate.
 
     Attributes:
         robot: The robot.
         a: Its turning rate [rad/s].
-        a_advised: The turning rate at which it would [rad/s].
+        a_advised: The turning rate at which it would move differently [rad/s].
     """
 
     robot: str
@@ -66,11 +70,11 @@ class PartedRobot:
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """What the common signal can reach.
+    """How far the common signal can move the robots of a spec apart.
 
     Attributes:
-        spread: Relative spread of each combination of the robots' ends, shape (2N,), descending.
-            A combination with a spread near 0 cannot be controlled.
+        spread: Relative spread of each combination of the robots' ends, shape (2N,), descending. A
+            combination with a spread near 0 cannot be controlled.
         identical: Groups of robots that move identically, by their names.
         still: Names of the robots that do not move.
         separable: Robots of these groups that another turning rate would separate from the others.
@@ -83,12 +87,12 @@ class Reach:
 
     @property
     def rank(self) -> int:
-        """Number of combinations of ends that the signal can move."""
+        """The number of combinations of the robots' ends that the signal can move."""
         return int((self.spread >= TOLERANCE).sum())
 
     @property
     def barely(self) -> int:
-        """Number of combinations near the tolerance."""
+        """The number of combinations that the signal can only just move."""
         return int(((self.spread > TOLERANCE / NEAR) & (self.spread < TOLERANCE * NEAR)).sum())
 
     @property
@@ -121,10 +125,11 @@ class Reach:
 
 
 def reach(experiment: Experiment) -> Reach | None:
-    """Compute what a spec's signal can reach, with the motion of its controller.
+    """Compute how far a spec's common signal can move its robots apart.
 
-    None for more than ROBOTS_MAX robots, and for robots that a trial still has to find. Motions
-    that advance headings by (6) approximate the exact motion, which is used instead.
+    None for more than ROBOTS_MAX robots, and for robots that a trial still has to find. The motion
+    is the controller's. If it advances headings by the paper's equation (6), which approximates the
+    exact motion, the exact motion is used instead.
     """
     setup = experiment.setup
     control = experiment.controller
@@ -135,7 +140,7 @@ def reach(experiment: Experiment) -> Reach | None:
 
 
 def reach_of(setup: Setup, motion: str) -> Reach:
-    """Compute what the signal can reach, for the robots of a setup under a motion."""
+    """Compute how far the common signal can move the robots of a setup apart."""
     moves = setup.speed > 0
     ends = _ends(setup, motion)
     spread = _spreads(ends)
@@ -154,7 +159,10 @@ def reach_of(setup: Setup, motion: str) -> Reach:
 
 
 def _ends(setup: Setup, motion: str) -> Floats:
-    """Return the ends (SEQUENCES, 2N) of random sequences, about their means [s]."""
+    """Compute the robots' ends under random sequences, relative to their means [s].
+
+    The shape is (SEQUENCES, 2N).
+    """
     step = MOTIONS.load(motion).step
     speed = np.where(setup.speed > 0, 1.0, 0.0)
     mean_log_a = np.log(setup.a).mean()
@@ -173,7 +181,7 @@ def _ends(setup: Setup, motion: str) -> Floats:
 
 
 def _spreads(ends: Floats) -> Floats:
-    """Return the spreads (M,) of the combinations of ends (SEQUENCES, M) [s], descending."""
+    """Compute the spread of each combination of ends (SEQUENCES, M), shape (M,) [s], descending."""
     counted = ends
     values = np.zeros(ends.shape[1])
     for _ in range(ROUNDS):
@@ -185,7 +193,7 @@ def _spreads(ends: Floats) -> Floats:
 
 
 def _identical_groups(ends: Floats, moves: Bools, spread_min: float) -> Iterator[list[int]]:
-    """Yield groups of moving robots of which every one moves like another one of the group."""
+    """Yield groups of moving robots in which each robot moves like another one of the group."""
     ungrouped = set(np.flatnonzero(moves).tolist())
     while ungrouped:
         group = [min(ungrouped)]
@@ -200,7 +208,7 @@ def _identical_groups(ends: Floats, moves: Bools, spread_min: float) -> Iterator
 
 
 def _spread_between(ends: Floats, first: int, second: int) -> float:
-    """Return the smallest spread of a combination of two robots' ends [s]."""
+    """Compute the smallest spread of any combination of two robots' ends [s]."""
     columns = [2 * first, 2 * first + 1, 2 * second, 2 * second + 1]
     return float(_spreads(ends[:, columns])[-1])
 

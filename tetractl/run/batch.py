@@ -1,4 +1,4 @@
-"""Runs the trials of a batch or a study, with any store, executor and observer."""
+"""Run the trials of a batch or a study, one by one, in several processes or on a cluster."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ class Ending:
     Attributes:
         task: The trial.
         result: Its result. None if the trial has no outcome.
-        failure: Why it was aborted or has no result, in one line. None if it did not fail.
+        failure: Why the trial was aborted or has no result, in one line. None if it did not fail.
         left_s: Estimated time for the remaining trials [s]. None until a trial has been timed.
         every_arm: Whether a trial of each arm has been timed. The trials of some arms take far
             longer than those of others.
@@ -40,7 +40,7 @@ class Ending:
 class RunObserver(Protocol):
     """An object that is notified when trials start and end; trials may end in any order.
 
-    What a subclass does not define does nothing.
+    A method that a subclass does not define does nothing.
     """
 
     def trial_started(self, task: Task) -> None:
@@ -52,7 +52,9 @@ class RunObserver(Protocol):
 
 @dataclass(slots=True)
 class Report:
-    """The results of a batch, which may have trials of several specs (the arms of a study).
+    """The results of a finished batch of trials.
+
+    The trials may belong to several specs, which are called the *arms* of a study.
 
     Attributes:
         results: The result of each trial that has one, by the name of its arm and its index.
@@ -76,7 +78,7 @@ class Report:
 
 
 class OnFailure(Enum):
-    """What a run does after a trial fails, that is, after it is aborted or has no outcome."""
+    """What a batch does after a trial has failed: it was aborted, or has no outcome."""
 
     GO_ON = "run all other trials"
     GO_ON_IF_CLEAR = "run them after an abort, unless somebody has to touch a robot or a device"
@@ -107,7 +109,10 @@ class OnFailure(Enum):
 
 
 class TrialTimes:
-    """Wall times of the finished trials, and the number of remaining trials, by arm."""
+    """The wall times of the finished trials of a batch, and the number of remaining trials.
+
+    Both are kept for each arm of a study, because the trials of some arms take longer.
+    """
 
     def __init__(self, tasks: Sequence[Task]) -> None:
         self._left = Counter(task.arm for task in tasks)

@@ -1,4 +1,4 @@
-"""A controller with decisions that are checked once, before they are sent and logged."""
+"""A wrapper of a controller that checks each decision once, before it is sent and logged."""
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
@@ -37,7 +37,7 @@ def build_controller(experiment: Experiment, key: int) -> "CheckedController":
 
 
 class CheckedController:
-    """The controller that a section builds, with a check of its decisions.
+    """A wrapper of the controller that a section builds, which checks its decisions.
 
     A controller from another package gets its own setup, and its plans are copied. If it later
     writes into arrays, neither the commands nor the log change.
@@ -46,7 +46,7 @@ class CheckedController:
         section: The section of the controller.
         setup: The constants of the experiment.
         key: Seed of the controller's random numbers.
-        host: Gives the timer, and wraps the optimiser.
+        host: Provides the controller's timer, and wraps its optimiser.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class _FieldError(ValueError):
 
 
 def _made(kind: type[Any], source: object) -> Any:
-    """Return a record of class `kind` with the values of the fields of `source`, converted."""
+    """Convert an object to a record of class `kind`, field by field."""
     values: dict[str, Any] = {}
     for name, hint in _hints(kind).items():
         try:

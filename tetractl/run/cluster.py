@@ -1,4 +1,4 @@
-"""Runs tasks on an existing Dask cluster."""
+"""Run trials on an existing Dask cluster."""
 
 import logging
 import queue
@@ -152,7 +152,7 @@ class Cluster:
     def _found(
         self, submitted: Sequence[tuple[Task, Path]], future: Any
     ) -> list[Finished | Exception] | None:
-        """Save the logs of a Dask task, and return each trial's result or error.
+        """Store the logs that a Dask task returned, and return each trial's result or error.
 
         The result is None if the task has several trials and every worker that ran it was lost.
         """
@@ -196,7 +196,7 @@ def chunk_size(mean_s: float | None, waiting: int, window: int) -> int:
 
 
 def _work(tasks: Sequence[Task]) -> list[tuple[Finished | Exception, bytes | None]]:
-    """Run trials on a worker; return the result or error of each, and its log."""
+    """Run trials on a worker, and return the result or error of each one with its log."""
     return [_run(task) for task in tasks]
 
 

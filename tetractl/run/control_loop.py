@@ -1,63 +1,65 @@
-"""One trial: the control loop of Algorithm 2, from opening the plant to the result.
+"""Run one trial: the control loop of the paper's Algorithm 2, from opening the plant to the result.
 
-What calls what:
+The *plant* is a simulation or a lab with real robots. The *controller* decides, in each control
+step k, which direction is sent to the robots. *Observers*, such as the writer of the log, are
+notified of everything that happens. These methods call each other:
 
-    Trial.run                 opens the plant, runs the loop, ends
-      _loop                   asks the controller, carries its plan out, waits for the next step
+    Trial.run                 opens the plant, runs the loop, ends the trial
+      _loop                   asks the controller, carries out its plan, waits for the next step
         _carry_out            one control step k: sends, and notifies the observers
       _end
-        _halt                 stops the robots, waits until they rest, takes the last frames
+        _halt                 stops the robots, waits until they stand still, takes the last frames
         how_it_ended          outcome and reason, in the order below
         _notify_of_the_end    the observers' last calls
 
-What happens next, if
+**What happens next, if**
 
-    a pose jumps           the plant's guard refuses it; the controller's newest frame has the pose
-                           before, marked as old (`tetractl.lab.guard`)
-    a plan fails           the controller decides what robots do instead: rest, turn, or end the
-                           trial by an outcome (`tetractl.control.methods.mpc`); if it raises, the
-                           robots stop, and the trial is aborted by row 1 below
-    a plan takes long      it is sent late (in virtual time planning takes none); after more than a
-                           period it counts as missed if robots drove; meanwhile these drive on
-                           by the last direction, until a lab's guard aborts after the silence that
-                           its rules allow
-    a step is late         steps that follow are due later if it was late by a period; a lab's guard
-                           aborts after `late_steps` in a row whose direction is sent more
-                           than a period after their frame was read
-    Ctrl-C                 the step is finished: what is being planned is sent, or ends the trial if
-                           it is an outcome; then, or after the wait for the next step, the robots
-                           stop, and the trial is interrupted (row 4); a second one breaks planning
-                           and sleeping off
-    a robot does not move  it is reported; the trial goes on, or the controller ends it
+    a pose jumps           the plant's guard refuses it. The controller's newest frame contains the
+                           previous pose, marked as old (`tetractl.lab.guard`)
+    a plan fails           the controller decides what robots do instead: pause, turn, or end the
+                           trial (`tetractl.control.methods.mpc`). If it raises an error, the robots
+                           stop, and the trial is aborted (row 1 below)
+    a plan takes long      it is sent late. (In virtual time, planning takes no time.) If it takes
+                           more than a period while robots drive, the step counts as missed.
+                           Meanwhile, robots drive on in the last direction, until a lab's guard
+                           aborts after the silence that its rules allow
+    a step is late         if it is late by a period, the following steps are also due later. A
+                           lab's guard aborts after `late_steps` steps in a row whose direction is
+                           sent more than a period after their frame was read
+    Ctrl-C                 the present step is finished: its plan is sent, or ends the trial. Then,
+                           or after the wait for the next step, the robots stop, and the trial is
+                           interrupted (row 4). A second Ctrl-C breaks off planning and waiting
+    a robot does not move  it is reported. The trial continues, or the controller ends it
     a frame is missing,    the plant raises an AbortError: rows 1 and 2
     a device fails
 
-Threads. Plant and observers are called by the thread that runs the trial; observers that may be
-slow are relays to threads of their own. It calls the controller, too, but for the first plan in
-real time, which has a thread of its own, so that frames are logged meanwhile.
+**Threads.** The thread that runs the trial calls the plant and the observers. Observers that may be
+slow have threads of their own. The same thread also calls the controller, with one exception: in
+real time, the first plan has a thread of its own, so that frames are logged meanwhile.
 
-Interruptions are counted by `Interrupt`, in the handlers of signals:
+**Interruptions.** Handlers of signals count them in `Interrupt`:
 
-    count     meaning                      in the loop                       planning, sleeping
-    0                                      goes on                           go on
-    1         `requested`: end the trial   the step is finished first        go on
+    count     meaning                      in the loop                       planning, waiting
+    0                                      continues                         continue
+    1         `requested`: end the trial   the step is finished first        continue
     2 or more end it at once               as for 1                          KeyboardInterrupt
 
-Nothing else is broken off: what sends, stops or writes is not `breakable`. A plan that is broken
-off is no step.
+Nothing else is broken off: code that sends, stops or writes is not `breakable`. A plan that is
+broken off does not count as a step.
 
-How a trial ends. The robots are stopped first, whatever happened. Then the first of these counts:
+**How a trial ends.** The robots are stopped first, whatever happened. Then the first of these
+counts:
 
-    1  an error in the loop              aborted      what it says, or which plug-in has raised it
-    2  an error while robots stop        aborted      likewise
-    3  robots that are not at rest       aborted      which
+    1  an error in the loop              aborted      its message, or which plug-in has raised it
+    2  an error while robots stop        aborted      the same
+    3  robots that do not stand still    aborted      which robots
     4  an interruption, unless the step  interrupted  whether the step was finished
        that was finished decided to end
     5  the controller's decision         its outcome  which robots do not move, if any
 
-An error that is no TetractlError and none of a plug-in is a bug: it is raised again once all
-observers were called. An observer that fails in its last call makes the result `aborted`, if it was
-not, for the caller; the log of each other observer is whole.
+An error that is neither a TetractlError nor caused by a plug-in is a bug. It is raised again once
+all observers were called. If an observer fails in its last call, the caller gets the result
+`aborted`. The logs of the other observers are complete.
 """
 
 import itertools
@@ -93,10 +95,11 @@ TimedDecision = tuple[Decision, int]
 
 
 class StepPacing:
-    """When control steps are due: step k is k periods after the first, but for what delays it.
+    """The times at which control steps are due: k periods after the first step, plus delays.
 
-    A pause delays all later steps by PAUSE_S, a plan that is sent late on purpose by its delay. A
-    step that is late by a period or more delays them by that much: they have the full period again.
+    A pause delays all later steps by PAUSE_S. A plan that is sent late on purpose delays them by
+    the same time. A step that is late by a period or more delays them by its lateness, so that they
+    have the full period again.
     """
 
     def __init__(self, clock: Clock, period_s: float) -> None:
@@ -106,7 +109,7 @@ class StepPacing:
         self._first_ns = 0
 
     def start(self) -> None:
-        """Let step 0 be due now."""
+        """Declare step 0 due now."""
         self._first_ns = self._clock.now()
 
     def delay(self, by_ns: int) -> None:
@@ -114,7 +117,10 @@ class StepPacing:
         self._first_ns += by_ns
 
     def finish(self, k: int, pauses: bool) -> int:
-        """Take the end of step k, after which robots may pause; return when the next is due."""
+        """Record the end of step k, and return when the next one is due.
+
+        If the robots pause after step k, the next step is due later.
+        """
         late_ns = self._clock.now() - self._due_ns(k)
         if late_ns >= self.period_ns:
             self.delay(late_ns)
@@ -127,7 +133,7 @@ class StepPacing:
 
 
 class FrameIntake:
-    """Takes camera frames from the plant and passes them on.
+    """Takes camera frames from the plant, and passes them to the observers and the controller.
 
     Each frame goes to the observers once. It also goes to the controller once, unless it is the
     newest frame of a step.
@@ -139,13 +145,13 @@ class FrameIntake:
         self._unplanned: list[Observation] = []  # newer than the frame of the last step
 
     def take(self) -> None:
-        """Take the frames that have come."""
+        """Take the frames that have arrived."""
         samples = self._plant.samples()
         self.unreported += samples
         self._unplanned += [sample.observation for sample in samples]
 
     def hand_over(self) -> list[Sample]:
-        """Return the frames for the observers, which count as reported from now on."""
+        """Return the frames for the observers, which then count as reported."""
         samples = self.unreported
         self.unreported = []
         return samples
@@ -163,7 +169,7 @@ class FrameIntake:
 
 @dataclass(slots=True)
 class StepCounts:
-    """What is counted over the control steps."""
+    """Counters over the control steps of a trial."""
 
     solve_ns: list[int] = field(default_factory=list)  # wall time of each plan
     drove: list[bool] = field(default_factory=list)  # whether robots drove meanwhile
@@ -173,7 +179,7 @@ class StepCounts:
 
 
 class RobotMotion(Enum):
-    """What the robots do by the last decision."""
+    """What the last decision makes the robots do: drive, turn on the spot, or pause."""
 
     NOT_BEGUN = "not begun"
     DRIVE = "drive"
@@ -182,14 +188,14 @@ class RobotMotion(Enum):
 
     @classmethod
     def from_plan(cls, plan: Plan) -> "RobotMotion":
-        """Return the motion of the robots under a plan."""
+        """Return the motion that a plan causes."""
         if not plan.pauses:
             return cls.DRIVE
         return cls.TURN if isinstance(plan.action, Turn) else cls.STAND
 
 
 def motion_text(before: RobotMotion, now: RobotMotion) -> str:
-    """Return the message when robots begin to turn on the spot or to pause, or "" for no message.
+    """Return a message if robots begin to turn on the spot or to pause, otherwise "".
 
     A pause right after a turn is not reported.
     """
@@ -202,7 +208,7 @@ def motion_text(before: RobotMotion, now: RobotMotion) -> str:
 
 @dataclass(frozen=True, slots=True)
 class LoopEnd:
-    """How the control loop ended: by an outcome and its reason, or by an `error`."""
+    """How the control loop ended: with an outcome and its reason, or with an `error`."""
 
     outcome: Outcome
     reason: str = ""
@@ -218,7 +224,7 @@ class Halt:
         verdict: Where the robots came to a standstill.
         samples: The last camera frames.
         events: The last commands and notes of the plant.
-        error: What failed. None if nothing did.
+        error: The first error while the robots were stopped. None if there was none.
     """
 
     stop: Command
@@ -262,9 +268,10 @@ class Trial:
         plant: The plant.
         controller: The controller.
         clock: The clock of the trial.
-        observers: Notified of everything that happens.
+        observers: Objects that are notified of everything that happens.
         interrupt: Requests to end.
-        stated: Values of the spec that estimates can contradict. None to report no contradiction.
+        stated: Values of the spec that the controller's estimates can contradict. None to report no
+            contradiction.
     """
 
     def __init__(
@@ -351,8 +358,8 @@ class Trial:
         """Carry out step k: send what the plan says, notify the observers, and return the command.
 
         Nothing is reported before the command is sent, because observers take time. Then the
-        observers are notified of what led to the step, and finally of what the step's estimate says
-        about the model.
+        observers are notified of the frames and messages before the step, and finally of
+        contradictions between the step's estimate and the model.
         """
         begun_leg = self._measure.step(plan.leg, observation)
         if plan.pauses:
@@ -436,7 +443,7 @@ class Trial:
                 observer.on_note(Note(t_ns, level, text))
 
     def _report_frames(self) -> None:
-        """Report the frames that have come, and what the plant itself has sent and noted."""
+        """Report the frames that have arrived, and the plant's own commands and notes."""
         self._frames.take()
         events = self._plant.events()
         samples = self._frames.hand_over()
@@ -446,7 +453,7 @@ class Trial:
             pass_on(observer, events)
 
     def _report_dead(self, t_ns: int) -> None:
-        """Report which robots do not move while others drive, once more do so than before."""
+        """Report the robots that do not move while others drive, if there are more than before."""
         dead = int(self._measure.losses.dead.sum())
         if dead == self._dead:
             return
@@ -458,7 +465,7 @@ class Trial:
     # ---- the end ----
 
     def _end(self, loop: LoopEnd, opened_ns: int) -> Result:
-        """Stop the robots, find how the trial has ended, and notify the observers of it."""
+        """Stop the robots, determine how the trial has ended, and notify the observers."""
         halt = self._halt()
         error = loop.error or halt.error
         fault = naming_plugins(error, self._start.packages) if error is not None else None
@@ -499,7 +506,7 @@ class Trial:
         return Halt(stop, verdict, self._frames.hand_over(), events, error)
 
     def _result(self, outcome: Outcome, reason: str, halt: Halt, opened_ns: int) -> Result:
-        """Return the result.
+        """Create the result of the trial.
 
         A trial lasts from its first direction, or from its opening if none was sent.
         """
@@ -541,16 +548,16 @@ class Trial:
 
 
 def abandon(plant: Plant) -> None:
-    """Stop the robots of a plant that may not be open, and close it, whatever fails.
+    """Stop the robots of a plant, and close it, whatever fails. The plant may not be open.
 
-    The trial has no result.
+    This is for a trial that will have no result.
     """
     with closing(plant), suppress(Exception, SystemExit):  # not every plant stops before it is open
         plant.stop()
 
 
 def pass_on(observer: Observer, events: Sequence[Command | Note]) -> None:
-    """Pass the plant's own commands and notes on to an observer."""
+    """Pass the plant's own commands and notes to an observer."""
     for event in events:
         if isinstance(event, Command):
             observer.on_command(event)

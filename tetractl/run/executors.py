@@ -1,4 +1,4 @@
-"""Executors that run tasks on this machine: in this process, or in worker processes.
+"""Executors that run trials on this machine: in this process, or in worker processes.
 
 There are two kinds of `Executor`. `Here` runs tasks one after another in this process, `Processes`
 runs several at the same time. Their method `run` yields every task that was started, with its
@@ -55,11 +55,11 @@ StartTask = Callable[[Task], Path]
 
 
 class Executor(Protocol):
-    """Runs tasks: `Here`, `Processes` or `cluster.Cluster`."""
+    """An object that runs trials somewhere: `Here`, `Processes` or `cluster.Cluster`."""
 
     @property
     def workers(self) -> int:
-        """The number of trials that run at a time."""
+        """The number of trials that run at the same time."""
         ...
 
     def run(self, tasks: Sequence[Task], start_task: StartTask) -> Generator[TaskEnd]:
@@ -72,7 +72,7 @@ class Executor(Protocol):
 
 
 def on_this_machine(jobs: int, tasks: int, interrupt: Interrupt) -> Executor:
-    """Return the executor for a number of tasks.
+    """Choose the executor for a number of trials on this machine.
 
     Args:
         jobs: How many trials to run at the same time, each in its own process if there are several.
@@ -228,13 +228,13 @@ def _print_line(line: str) -> None:
 def called(
     call: Callable[[T], R], items: Sequence[T], jobs: int, tell: Callable[[str], object]
 ) -> Iterator[R]:
-    """Call a function for each item, in copies of this process, and yield the results as they end.
+    """Call a function for each item in worker processes, and yield the results as they finish.
 
     Args:
         call: The function.
         items: Its arguments.
         jobs: How many calls to run at the same time.
-        tell: Called with what the copies print.
+        tell: Called with each line that the workers print.
     """
     jobs = min(jobs, len(items))
     if jobs < 2:
@@ -251,7 +251,7 @@ def _work(task: Task, folder: Path) -> Finished:
 
 @contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """Block signals in processes that are started in the `with` block.
+    """Block signals in worker processes that are started in the `with` block.
 
     They stay blocked until these processes call `_start_worker`.
     """

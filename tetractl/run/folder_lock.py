@@ -1,4 +1,4 @@
-"""Locks a folder, so that two runs never write to the same one."""
+"""Lock a folder, so that two runs never write to the same one."""
 
 import getpass
 import os
@@ -82,7 +82,7 @@ def _is(path: Path, file: int) -> bool:
 
 
 def _owner() -> str:
-    """Return "host pid user since", the four words of the lock's file."""
+    """Return the text of the lock's file, four words: host, process id, user, and time."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError, ImportError):  # the user id has no name, or users have no ids

@@ -1,8 +1,8 @@
-"""A trial that a person steers. Its controller asks for a direction instead of searching one.
+"""Run a trial that a person steers with the arrow keys. The controller asks for each direction.
 
-The trial is the same as one of the controller `sequence` with the directions given, and so is its
-log. However, a log begins with its spec, and its directions are only known after the trial. Each
-logged plan also contains the directions that came later. Therefore the trial is logged twice:
+The trial is the same as one in which the controller `sequence` sends these directions, and so is
+its log. However, a log begins with its spec, and its directions are only known after the trial.
+Each logged plan also contains the directions that came later. Therefore the trial is logged twice:
 
     LogWriter        while the robots drive, as in any trial, with plans that hold the present
                      direction: what remains after a crash, as NAME.part
@@ -50,7 +50,7 @@ Pause = Callable[[Callable[[float], Plan]], None]
 
 
 def go_on(plan_of: Callable[[float], Plan]) -> None:
-    """Do not pause."""
+    """Do nothing: the default for a controller without pauses."""
 
 
 class HandController(PlainController):
@@ -105,7 +105,10 @@ class HandController(PlainController):
 
 
 class HandLog(Relay):
-    """Keeps the records of a trial, in memory, until the trial has ended and `save` writes them."""
+    """A log that keeps the records of a trial in memory, until the trial has ended.
+
+    `save` then writes them.
+    """
 
     def __init__(self, controller: HandController) -> None:
         self._controller = controller
@@ -113,15 +116,15 @@ class HandLog(Relay):
         self._start: Start
 
     def on_start(self, start: Start) -> None:
-        """Keep the start."""
+        """Store the start of the trial."""
         self._start = start
 
     def put(self, call: Callable[[Observer], object]) -> None:
-        """Keep a call of the log that there will be."""
+        """Store a call of an observer, which is made when the log is written."""
         self._calls.append(call)
 
     def on_step(self, step: Step) -> None:
-        """Keep a step. Its plan will be the one of `sequence`."""
+        """Store a step. In the log, its plan will be the one of `sequence`."""
 
         def write(log: Observer) -> None:
             plan = self._controller.plan_of_sequence(step.k)
@@ -152,7 +155,9 @@ def run_by_hand(
     interrupt: Interrupt | None = None,
     supervision: LabSupervision | None = None,
 ) -> Result:
-    """Run a trial that a person steers, and write its log. Without a direction, there is no log.
+    """Run a trial that a person steers, and write its log.
+
+    If no direction was sent, there is no log.
 
     Args:
         spec: The spec of the trial, from `directed_spec`.
@@ -190,10 +195,10 @@ def run_by_hand(
 class WallPace(Observer):
     """Slows trials in virtual time down, so that people can follow them.
 
-    A delay is not caught up.
+    A delay shifts all later steps; the trial does not hurry to make up for it.
 
     Args:
-        wall: The clock on the wall.
+        wall: The clock of the real world.
         speed: Seconds of the trial per second of the clock.
     """
 
@@ -221,11 +226,14 @@ class WallPace(Observer):
 
 
 class AtEnd(Observer):
-    """Calls `tell` with the result as soon as a trial has ended, before its log is whole."""
+    """An observer that calls `tell` with the result as soon as a trial has ended.
+
+    At this time, the log may not be complete yet.
+    """
 
     def __init__(self, tell: Callable[[Result], None]) -> None:
         self._tell = tell
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Tell the result."""
+        """Pass the result to `tell`."""
         self._tell(result)

@@ -1,8 +1,9 @@
-"""Handles signals: the first stops the robots after the control step, the second at once.
+"""Handle Ctrl-C and other signals: the first ends a trial after its step, the second at once.
 
-This holds for every signal that can be caught and ends a process by default: Ctrl-C, SIGTERM,
-SIGHUP of a closed terminal, SIGQUIT, SIGUSR1, SIGALRM and others. It does not hold for signals of
-a program fault, such as SIGSEGV, nor for SIGPIPE and SIGXFSZ, which Python turns into errors.
+The robots are stopped in both cases. This applies to every signal that can be caught and ends a
+process by default: Ctrl-C, SIGTERM, SIGHUP of a closed terminal, SIGQUIT, SIGUSR1, SIGALRM and
+others. It does not apply to signals of a program fault, such as SIGSEGV, nor to SIGPIPE and
+SIGXFSZ, which Python turns into errors.
 """
 
 import os
@@ -30,9 +31,9 @@ Handler = Callable[[int, FrameType | None], Any] | int | None
 class Interrupt:
     """Counts requests to stop; raises KeyboardInterrupt only in code marked `breakable`.
 
-    Code is broken by request number `breaks_at` or a later one, once:
+    Request number `breaks_at`, or a later one, breaks off code once:
 
-        not breakable  `let_break` makes it breakable
+        not breakable  `let_break` makes the code breakable
         breakable      such a request raises KeyboardInterrupt: the code is not breakable any more,
                        unless a finaliser discards the error
     """
@@ -65,8 +66,9 @@ class Interrupt:
     def watch(self, robots: bool = False) -> Iterator[None]:
         """Count signals inside the block as requests to stop the run; main thread only.
 
-        If `robots` move, the process must not be suspended, since it could not stop them then: so
-        Ctrl-Z is a request too, and using the terminal from the background suspends nothing.
+        If `robots` move, the process must not be suspended, because it could not stop them then.
+        Therefore Ctrl-Z is also a request, and using the terminal from the background suspends
+        nothing.
         """
         handlers: dict[int, Handler] = dict.fromkeys(STOP_SIGNALS, self._on_signal)
         if robots and hasattr(signal, "SIGTSTP"):  # Windows suspends nothing
@@ -86,8 +88,9 @@ class Interrupt:
     def breakable(self) -> Iterator[None]:
         """Let the second request raise KeyboardInterrupt inside the block.
 
-        Another exception that the block then raises is taken for it: numba may turn a
-        KeyboardInterrupt during an import or compilation into one.
+        If the block then raises another exception, this counts as the KeyboardInterrupt, because
+        numba may convert a KeyboardInterrupt during an import or a compilation to another
+        exception.
         """
         self._breakable = True
         try:
@@ -101,7 +104,7 @@ class Interrupt:
             self._breakable = False
 
     def _break(self) -> None:
-        """Raise KeyboardInterrupt, once, if the running code is breakable and to be broken."""
+        """Raise KeyboardInterrupt once, if the code is breakable and enough requests have come."""
         if self._breakable and self.count >= self._breaks_at:
             self._breakable = False
             raise KeyboardInterrupt
@@ -132,17 +135,18 @@ def interrupted_once(robots: bool = False) -> Iterator[None]:
 
 
 def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> None:
-    """End the process at the next signal, at once: call `say`, exit with `code`.
+    """End the process immediately at the next signal, with the exit code `code`.
 
-    Used by code that has nothing to stop or to close, where a KeyboardInterrupt during an import
-    could be printed as a traceback and then ignored. Main thread only.
+    `say` is called before. This is for code that has nothing to stop or to close, where a
+    KeyboardInterrupt during an import could be printed as a traceback and then ignored. Main thread
+    only.
     """
     _install(dict.fromkeys(STOP_SIGNALS, _Leave(code, say)))
     LISTENER.start()
 
 
 class _Leave:
-    """Ends the process, once: a handler of signals."""
+    """A signal handler that ends the process, once."""
 
     def __init__(self, code: int, say: Callable[[], object]) -> None:
         self._code = code
@@ -216,7 +220,10 @@ LISTENER = _Listener()
 
 
 def ignore_signals() -> None:
-    """Ignore all signals: used before the interpreter ends, which removes all other handlers."""
+    """Ignore all signals from now on.
+
+    This is called before the interpreter ends, which removes all other handlers.
+    """
     _install(dict.fromkeys(STOP_SIGNALS, signal.SIG_IGN))
 
 

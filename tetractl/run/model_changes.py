@@ -1,4 +1,4 @@
-"""Notices about the controller's model while a trial runs.
+"""Report during a trial how the robots differ from the controller's model of them.
 
 A controller estimates how the robots move (`tetractl.core.motion_estimate`). `ModelMonitor` reads
 each estimate and reports, once a trial each: robots that stand although they are driven, motion
@@ -208,10 +208,10 @@ class Mismatch:
 
 
 class ModelMonitor:
-    """Reports what is new about a controller's model, from one estimate after the other.
+    """Watches a controller's estimates, and reports how the robots differ from the model.
 
     Each notice is given once a trial. Only a mismatch of the turning is reported again, if the
-    model had fitted for FITS_AGAIN_AFTER_S in between.
+    model has fitted for FITS_AGAIN_AFTER_S in between.
 
     Args:
         stated: The parts of the spec that the estimates can contradict. None if contradictions are
@@ -292,7 +292,7 @@ class ModelMonitor:
     def _note_mismatch(
         self, notices: list[Notice], unexplained: set[str], estimate: Estimate, now_ns: int
     ) -> None:
-        """Note that the model does not fit now; add notices of what is new about that."""
+        """Record that the model does not fit now, and add notices of what is new about that."""
         if self._mismatch is None:
             self._mismatch = Mismatch(estimate, now_ns, set())
         self._mismatch.last_seen_ns = now_ns
@@ -309,7 +309,10 @@ class ModelMonitor:
     def _note_fit(
         self, notices: list[Notice], estimate: Estimate, setup: Setup, now_ns: int
     ) -> None:
-        """Note that the model fits now; once a mismatch is over, add a notice of what changed."""
+        """Record that the model fits now.
+
+        Once a mismatch is over, add a notice of what has changed.
+        """
         mismatch = self._mismatch
         if mismatch is None or now_ns - mismatch.last_seen_ns < FITS_AGAIN_AFTER_S * SECOND:
             return

@@ -1,4 +1,4 @@
-"""Calls an observer that may be slow in a thread of its own, so that it never delays a trial."""
+"""Call an observer that may be slow in a thread of its own, so that it never delays a trial."""
 
 from collections.abc import Callable
 
@@ -17,8 +17,8 @@ LAST_CALLS_S = 30.0
 class ObserverRelay(Relay):
     """Passes calls to an observer that may be slow, in a thread of its own.
 
-    After an exception of the observer, or with a full queue, the next call raises an exception and
-    later calls are dropped.
+    If the observer has raised an exception, or if the queue is full, the next call raises an
+    exception, and later calls are dropped.
     """
 
     def __init__(self, observer: Observer) -> None:
@@ -32,7 +32,7 @@ class ObserverRelay(Relay):
         )
 
     def put(self, call: Callable[[Observer], object]) -> None:
-        """Queue a call of the observer."""
+        """Queue a call of the observer, which its own thread makes."""
         self._worker.put(call, self._observer)
 
     def on_start(self, start: Start) -> None:
@@ -45,5 +45,5 @@ class ObserverRelay(Relay):
         self._worker.drain()
 
     def close(self) -> None:
-        """Make the queued calls, and end the thread."""
+        """Make all queued calls, and end the thread."""
         self._worker.close()

@@ -1,9 +1,9 @@
-"""A trial that a script steps. It asks the script for directions instead of a controller.
+"""A simulated trial that a script steers step by step, instead of a controller.
 
-The trial is the same as one of the controller `sequence` with the directions sent so far: it has
-the same plant, the same random draws and the same end. What a script does is therefore logged,
-verified and compared like any other trial. `save` runs the same directions with `sequence`, and
-checks that the result is the same.
+The trial is the same as one in which the controller `sequence` sends these directions: it has the
+same plant, the same random numbers and the same end. It can therefore be logged, verified and
+compared like any other trial. `save` runs the same directions with `sequence`, and checks that the
+result is the same.
 
 Threads: the trial runs in its own thread. That thread and the script's thread take turns. The trial
 waits in `plan` while the script decides, and the script waits in `step` while the trial runs. They
@@ -101,7 +101,7 @@ class DroppedError(BaseException):
 
 
 class AskingController:
-    """The controller of a stepped trial.
+    """The controller of a trial that a script steers, which asks the script for each direction.
 
     In `plan`, the trial's thread waits for the script's decision. The trial ends where `sequence`
     would end it: on arrival, at the time limit, or after an error.
@@ -288,7 +288,10 @@ class OpenTrial:
             raise UsageError(f"the trial has ended: {outcome}", "open another trial")
 
     def _plan(self, direction: float) -> Plan:
-        """Return a plan of one direction, without the prediction that the log from `save` has."""
+        """Create a plan with a single direction.
+
+        It lacks the prediction that the log from `save` contains.
+        """
         unknown = np.empty((0, len(self.setup.names), 3))
         return Plan(
             signals=np.array([direction]),

@@ -1,8 +1,9 @@
-"""Practises control steps on this computer: can it plan in time, and read the camera meanwhile?
+"""Test before a run whether this computer can plan in time and read the camera meanwhile.
 
-A computer that is too slow or too busy sends commands late, and its robots drive on by old ones. So
-before a run `lab check` lets the controller steer simulated robots in real time, while the lab's
-camera sends frames. No robot moves: nothing is sent to the lab's devices.
+A computer that is too slow or too busy sends commands late, and its robots drive on in old
+directions. So before a run, `lab check` lets the controller steer simulated robots in real time for
+some seconds, while the lab's camera sends frames. No robot moves: nothing is sent to the lab's
+devices.
 
     delay     the time from when a step is due until its plan is known. The robots drive meanwhile,
               so a delay of more than a control period is late.
@@ -39,7 +40,7 @@ FACT = "control steps"
 
 @dataclass(frozen=True, slots=True)
 class Practice:
-    """How control steps went that were practised.
+    """How well this computer kept up with the control steps of a short practice.
 
     Attributes:
         period_ns: The control period.
@@ -52,10 +53,10 @@ class Practice:
     silence_ns: int
 
     def added_to(self, findings: Preflight, limits: LabLimits) -> Preflight:
-        """Return the findings of a preflight with those of the practised control steps added.
+        """Add the results of this practice to the findings of a preflight.
 
-        Late steps become a problem or a warning, and so does a pause of the camera. The delays are
-        added to the facts.
+        The result contains all findings. Late steps become a problem or a warning, and so does a
+        pause of the camera. The delays are added to the facts.
 
         Args:
             findings: The findings so far.
@@ -89,7 +90,7 @@ class Practice:
 
 
 class PacedSteps(Observer):
-    """An observer that makes the control steps of simulated trials due in real time.
+    """An observer that slows the control steps of simulated trials down to real time.
 
     It measures how late each step is.
 

@@ -1,6 +1,6 @@
-"""Imported by the process from which workers are forked: loads once what every trial needs.
+"""Load the modules that every trial needs, once, in the process from which workers are forked.
 
-Compiled kernels are loaded from the cache by each worker, since this process knows no spec.
+Each worker loads the compiled kernels itself from the cache, because this process knows no spec.
 """
 
 import gc

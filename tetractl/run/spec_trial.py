@@ -1,11 +1,12 @@
-"""Runs one trial of a spec: builds its clock, plant and controller, and leaves its log.
+"""Run one trial of a spec: build its clock, plant and controller, and write its log.
 
     run_logged      writes the log while the trial runs
       ready_trial   builds the trial, with any observers
       Trial.run     is the control loop (`tetractl.run.control_loop`)
 
-In real time, a background thread calls the observers, so that a slow screen never delays the loop;
-the writers of logs are called in the loop's thread. In simulation, all are.
+In real time, background threads call the observers, so that a slow screen never delays the loop.
+Writers of logs are called in the loop's thread. In a simulation, the loop's thread calls all of
+them.
 """
 
 import time
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:
-    """Return the key of the controller's random numbers and the seed of the plant's disturbances.
+    """Derive the seeds of a trial, for the controller and for the plant's disturbances.
 
     They come from children of SeedSequence(root) with the spawn keys (trial, 0) and (trial, 1), so
     they do not depend on the number or order of the trials.
@@ -65,8 +66,8 @@ def run_logged(
         spec: The spec.
         folder: The folder of the log.
         trial: The number of the trial.
-        observers: They get every event too, each in a thread of its own if the trial runs in real
-            time.
+        observers: Objects that are also notified of every event, each in a thread of its own if the
+            trial runs in real time.
         interrupt: Ends the trial on request; by default, nothing else does.
         supervision: Supervises the lab; by default this process does.
     """
@@ -88,13 +89,14 @@ def ready_trial(
     supervision: LabSupervision | None = None,
     controller: Controller | None = None,
 ) -> Iterator[Trial]:
-    """Prepare a trial of a spec, and give it when it is ready to run.
+    """Prepare a trial of a spec, and yield it when it is ready to run.
 
     Args:
         writers: Writers of logs, called in the thread of the control loop.
         spec: The spec.
         trial: The number of the trial.
-        observers: They get every event in threads of their own, if the trial runs in real time.
+        observers: Objects that are notified of every event, in threads of their own if the trial
+            runs in real time.
         interrupt: Ends the trial on request.
         supervision: Supervises the lab; by default this process does.
         controller: The controller; by default, the one that the spec selects.
@@ -129,7 +131,7 @@ def ready_trial(
 
 
 def _own_supervision(writers: Sequence[Observer], interrupt: Interrupt) -> LabSupervision:
-    """Return the supervision of a lab by the process that runs the trial."""
+    """Return the default supervision of a lab: by the process that runs the trial."""
 
     def fail_log(error: OSError) -> None:
         for writer in writers:

@@ -1,4 +1,4 @@
-"""The folder of a run: its lock, the logs of its trials, and which trials are finished.
+"""The folder of a run: its lock, the logs of its trials, and the list of finished trials.
 
 A batch is a folder with the logs of one experiment's trials. A study is a folder of batches, its
 arms. Both are a `Store`. First it is `opened`, which locks the folder and reads which trials are
@@ -31,8 +31,8 @@ class BatchFolder:
 
     `results` are the results of its finished trials, by index. A trial is finished if its log is
     complete, and if it was neither interrupted nor aborted. An aborted trial also counts as
-    finished if this very code would abort it again. All other trials are run, both by `run
-    --resume` and by a study.
+    finished if the same code has run it, because it would be aborted again. `run --resume` and
+    studies run all other trials.
     """
 
     def __init__(self, folder: Path, experiment: Experiment) -> None:
@@ -54,16 +54,17 @@ class BatchFolder:
         return [trial for trial, result in self.results.items() if result.code != self.code]
 
     def read(self) -> None:
-        """Read which trials are finished; logs that are damaged or incomplete do not count.
+        """Find out which trials are finished. Logs that are damaged or incomplete do not count.
 
-        Raises UsageError if trials are of another spec or seed (only their number may differ).
+        Raises:
+            UsageError: If a trial has another spec or seed. Only the number of trials may differ.
         """
         self.results = {}
         for trial in range(self.experiment.trials.count):
             self.read_trial(trial)
 
     def read_trial(self, trial: int) -> None:
-        """Read whether a trial is finished, with the errors of `read`."""
+        """Find out whether a trial is finished. It raises the same errors as `read`."""
         path = log_path(self.folder, trial)
         if not path.exists():
             return
@@ -95,7 +96,7 @@ class BatchFolder:
 
 
 class Store:
-    """The folder of a run, with the folders of its batches by the name of the arm.
+    """The folder of a run, with one folder for each arm of a study.
 
     For a single batch, the arm is named "", and its folder is the folder itself.
     """
@@ -122,7 +123,7 @@ class Store:
 
     @contextmanager
     def opened(self, resume: bool = True) -> Iterator[None]:
-        """Create and lock the folder, and read which trials are finished.
+        """Create and lock the folder, and find out which trials are finished.
 
         Raises the errors of `read` and `locked`.
         """
@@ -132,7 +133,7 @@ class Store:
             yield
 
     def read(self, resume: bool = True) -> None:
-        """Read which trials are finished, with the errors of `BatchFolder.read`.
+        """Find out which trials are finished. It raises the same errors as `BatchFolder.read`.
 
         Raises UsageError for a folder with trials unless they are to `resume`.
         """

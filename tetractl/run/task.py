@@ -1,7 +1,7 @@
-"""A task: one trial that any process can run.
+"""A task: one trial in a form that any process can run.
 
-A study or a batch makes tasks, and its executor runs them, here, in a process or in a cluster. A
-task is pickled to get there, with its spec.
+A study or a batch creates tasks. Its executor runs them in this process, in other processes or on a
+cluster. A task is pickled with its spec to be sent there.
 """
 
 import gc
@@ -53,7 +53,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """The result of a trial, and its wall time."""
+    """The result of a finished trial, and its wall time."""
 
     result: Result
     wall_s: float
@@ -61,7 +61,7 @@ class Finished:
 
 
 class OtherCodeError(UsageError):
-    """A worker's code differs from the code on the study's machine, so trials could differ."""
+    """An error: a worker has other code than the study's machine, so its trials could differ."""
 
 
 def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
@@ -105,7 +105,7 @@ def run_task(
 
 @lru_cache(maxsize=SPECS_KEPT)
 def _prepared(spec: bytes, code: str) -> LoadedSpec:
-    """Load a task's spec and compile what its trials need, once in a process; return the spec."""
+    """Load a task's spec, and compile the code that its trials need, once in each process."""
     loaded: LoadedSpec = pickle.loads(spec)
     if code and code_of(loaded.experiment) != code:
         raise OtherCodeError(

@@ -12,12 +12,12 @@ MODEL_MOTION = "exact"
 def undisturbed_spec(spec: LoadedSpec) -> LoadedSpec:
     """Return a spec whose simulated robots do exactly what its model says.
 
-    The plant becomes a simulation without disturbances, noise, wheels or delays, and the
-    controller is configured for that: its dead time and the lag of wheels are 0. Robots, targets,
-    obstacles, arena, controller and seed stay.
+    The plant becomes a simulation without disturbances, noise, wheels or delays, and the controller
+    is configured for that: its dead time and the lag of wheels are 0. Robots, targets, obstacles,
+    arena, controller and seed stay.
 
     Raises:
-        UsageError: If the robots of each trial are found by a camera, as in a survey of a dish.
+        UsageError: If a camera finds the robots of each trial, as in a survey of a dish.
     """
     experiment = spec.experiment
     if experiment.chosen is not None:

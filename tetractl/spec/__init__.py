@@ -1,1 +1,1 @@
-"""The sections of an experiment's spec, and how a spec is read from YAML and checked."""
+"""The sections of an experiment's spec, and the code that reads and checks a spec in YAML."""

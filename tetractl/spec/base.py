@@ -45,14 +45,14 @@ def validated(model: type[Section], document: Document) -> Section:
 
 
 def with_tuples(value: Any) -> Any:
-    """Return a file's data with tuples for lists, as strict validation of a `Model` requires."""
+    """Convert the lists in a file's data to tuples, as strict validation of a `Model` requires."""
     if isinstance(value, dict):
         return {key: with_tuples(item) for key, item in value.items()}
     return tuple(map(with_tuples, value)) if isinstance(value, list) else value
 
 
 def defaults(**values: Any) -> Callable[[type[Section]], type[Section]]:
-    """Decorate a section that inherits fields: they get other defaults, given by name."""
+    """Decorate a section that inherits fields, to give these fields other defaults by name."""
 
     def decorate(section: type[Section]) -> type[Section]:
         for name, value in values.items():
@@ -82,5 +82,5 @@ Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][
 
 
 def inconsistent(field: str, message: str) -> PydanticCustomError:
-    """Return the error that a model's validator raises to report a problem of the field `field`."""
+    """Create the error by which a model's validator reports a problem of the field `field`."""
     return PydanticCustomError("inconsistent", "{message}", {"field": field, "message": message})

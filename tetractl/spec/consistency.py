@@ -1,9 +1,10 @@
-"""Find contradictions between the parts of a spec, each of which is valid alone (`errors_of`).
+"""Find contradictions between the parts of a spec, even if each part alone is valid.
 
-If a command chooses a lab again, only the rules of sections are checked again (`section_errors`). A
-spec in a log was written by tetractl, and its starts may have been measured. It may therefore have
-places that a person's spec may not have. Warnings, which do not make a spec invalid, are findings
-of the same kind; their rules are in `tetractl.run.plausibility`.
+`errors_of` applies all rules. If a command changes the lab, only the rules of sections are checked
+again (`section_errors`). A spec in a log was written by tetractl, and a trial may have measured its
+starts. Its starts are therefore allowed where a person's spec would be refused. Warnings, which do
+not make a spec invalid, are findings of the same kind; their rules are in
+`tetractl.run.plausibility`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,10 +31,10 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class SpecFinding:
-    """One thing that is wrong with a spec, at the location `where`: an error or a warning.
+    """An error or a warning about a spec, at the location `where`.
 
-    `text` goes on after the name and the value of the field at that location: "is outside the
-    arena". `hint` says what to do; most errors say that in their text.
+    `text` continues a sentence that begins with the name and the value of the field, for example
+    "is outside the arena". `hint` says what to do. Most errors say that in their text.
     """
 
     where: Loc
@@ -48,7 +49,7 @@ Findings = Iterator[SpecFinding]
 
 
 def errors_of(experiment: Experiment, written: bool) -> Findings:
-    """Yield the errors of a spec; `written` is whether tetractl has written it into a log."""
+    """Yield the errors of a spec. `written` means that tetractl has written it into a log."""
     yield from same_names(experiment)
     if not written:
         yield from misplaced(experiment)
@@ -66,7 +67,7 @@ def errors_of(experiment: Experiment, written: bool) -> Findings:
 
 
 def same_names(experiment: Experiment) -> Findings:
-    """Names differ."""
+    """Find robots that have the same name as an earlier robot."""
     first: dict[str, int] = {}
     for i, robot in enumerate(experiment.robots):
         earlier = first.setdefault(robot.name, i)
@@ -117,7 +118,7 @@ def _extent(arena: Arena) -> str:
 
 
 def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
-    """Decide whether an obstacle meets the arena's edge or has a corner inside the arena."""
+    """Check whether an obstacle meets the arena's edge or has a corner inside the arena."""
     bounds = arena.bounds
     x = np.array([bounds.left, bounds.right, bounds.right, bounds.left])
     y = np.array([bounds.bottom, bounds.bottom, bounds.top, bounds.top])

@@ -69,9 +69,9 @@ class OptimizerSection(Model):
 
 @dataclass(frozen=True, slots=True)
 class Host:
-    """What a controller uses of the program that runs it.
+    """The services that a controller uses from the program that runs it.
 
-    With another host, a log can be verified by repeating every search.
+    With another host, the same controller can be run again to verify a log.
 
     Attributes:
         wrap: The controller passes each of its optimisers through this function.
@@ -88,7 +88,9 @@ ALONE = Host()
 
 @dataclass(frozen=True, slots=True)
 class NamedFile:
-    """A file that a controller's section names, and whose contents replace its name in the spec.
+    """A file that a controller's section refers to, such as the weights of a learnt controller.
+
+    The contents of the file replace its name in the spec.
 
     Attributes:
         field: The field that names the file, such as `weights`.
@@ -134,7 +136,7 @@ class ControllerSection(Model):
 
     @property
     def iterations_max(self) -> int:
-        """Largest number of iterations of one search, 0 if the controller does not search."""
+        """Maximum number of iterations of one search. 0 if the controller does not search."""
         return 0
 
     @property
@@ -152,14 +154,14 @@ class ControllerSection(Model):
         return self
 
     def arrived(self, gaps: Floats) -> bool:
-        """Decide whether all robots, at distances `gaps` (N,) from their targets, have arrived.
+        """Check whether all robots, at distances `gaps` (N,) from their targets, have arrived.
 
-        This is the one place where that is decided, for every controller and for scripts.
+        All controllers and scripts use this method.
         """
         return self.arrival_tolerance > 0 and bool((gaps <= self.arrival_tolerance).all())
 
     def bounds(self) -> dict[str, str]:
-        """Return further limits of a trial for display, {name: text}."""
+        """Describe further limits of a trial for display, as {name: text}."""
         return {}
 
     def numbers_held(self, setup: Setup) -> int:
@@ -167,7 +169,7 @@ class ControllerSection(Model):
         return 0
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield location (in this section) and text of each contradiction with the experiment."""
+        """Yield each contradiction with the experiment: a field of this section, and a message."""
         yield from ()
 
     @abstractmethod

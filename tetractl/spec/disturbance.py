@@ -130,7 +130,7 @@ class Disturbance:
 def overriding(
     disturbances: Sequence[Disturbance], method: Callable[..., Any]
 ) -> list[Disturbance]:
-    """Return the disturbances that have their own form of a method of `Disturbance`, in order."""
+    """Return the disturbances that override a method of `Disturbance`, in order."""
     name = method.__name__
     return [
         disturbance
@@ -140,7 +140,7 @@ def overriding(
 
 
 class DisturbanceSection(Model):
-    """A disturbance and its parameters."""
+    """Base class of the spec's sections of disturbances."""
 
     type: Any  # the section's name, a Literal in each subclass
 
@@ -156,4 +156,4 @@ class DisturbanceSection(Model):
 
     @abstractmethod
     def build(self, setup: Setup, rng: np.random.Generator) -> Disturbance:
-        """Return the disturbance of one trial; `rng` is used by this disturbance alone."""
+        """Create the disturbance for one trial, with its own random generator `rng`."""

@@ -10,7 +10,7 @@ FOLDER = "experiments"
 
 
 def shipped_folder() -> Path:
-    """Return the folder of the examples: in the source tree, or shipped inside the package."""
+    """Return the folder of the example specs, in the source tree or in the installed package."""
     package, source_tree = Path(__file__).resolve().parents[1:3]
     for folder in (package / FOLDER, source_tree / FOLDER):
         if (folder / "three_m3pi.yaml").is_file():

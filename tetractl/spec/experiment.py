@@ -51,7 +51,7 @@ class Units(Model):
 
 
 class ShapeSection(Model):
-    """The section of an obstacle; the shapes are in `tetractl.model.shapes`."""
+    """Base class of the sections of obstacles, whose shapes are in `tetractl.model.shapes`."""
 
     type: Any  # the section's name, a Literal in each subclass
 
@@ -120,7 +120,7 @@ TurningRate = Annotated[
 
 
 def rate(a: float | PerStrength, strength: float | None) -> float:
-    """Return a turning rate [rad/s] at a strength in the unit of its alpha."""
+    """Compute a turning rate [rad/s] at a field strength, given in the unit of its alpha."""
     return a.alpha * (strength or 0.0) if isinstance(a, PerStrength) else a
 
 
@@ -338,7 +338,7 @@ class Experiment(Model):
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:
-        """Refuse fields that contradict each other."""
+        """Refuse a spec whose fields contradict each other."""
         counts = {len(robot.via) for robot in self.robots}
         if len(counts) > 1:
             listed = " and ".join(map(str, sorted(counts)))
@@ -357,7 +357,7 @@ class Experiment(Model):
 
     @property
     def open(self) -> bool:
-        """Whether the robots are still to be found by the trial."""
+        """Whether each trial still has to find its robots."""
         return self.chosen is not None and not self.chosen.are_found
 
     @property
@@ -378,7 +378,7 @@ class Experiment(Model):
         return self.chosen.sought() if self.chosen else self.robots
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Return a copy; its `setup` is made again, as it depends on the plant."""
+        """Return a copy. Its `setup` is created again, because it depends on the plant."""
         copied = super().model_copy(update=update, deep=deep)
         vars(copied).pop("setup", None)
         return copied
@@ -422,7 +422,7 @@ class Experiment(Model):
 
     @property
     def _loss(self) -> LossRule | None:
-        """What happens if a robot is lost. None if the plant alone decides it."""
+        """The rule for lost robots. None if the plant alone decides about them."""
         on_wheels = self.wheels is not None
         if self.on_lost == "stop" and not on_wheels:
             return None

@@ -1,4 +1,4 @@
-"""Turn pydantic's errors in a spec into plain messages with their place in the YAML file.
+"""Convert pydantic's errors in a spec to plain messages with their place in the YAML file.
 
 The errors are unknown keys, for which the most similar known key is suggested, wrong types and
 wrong values.
@@ -110,7 +110,7 @@ def explain(
 
 
 def _is_reported_already(mistake: Mistake, document: Document) -> bool:
-    """Decide whether an error follows from another one that is reported already."""
+    """Check whether an error only follows from another one that is already reported."""
     if mistake.kind == "default_factory_not_called":
         return True  # by the field from which this default is computed
     if mistake.kind == "too_short" and len(mistake.value or ()) >= mistake.context["min_length"]:
@@ -120,9 +120,10 @@ def _is_reported_already(mistake: Mistake, document: Document) -> bool:
 
 
 def data_loc(details: ErrorDetails, data: Any) -> Loc:
-    """Return the location of an error in the data: pydantic's loc without the tags of unions.
+    """Return the location of an error in the file's data.
 
-    A validator can name a field of its model in the error's context, see `base.inconsistent`.
+    The tags of unions in pydantic's location are left out. A validator can name a field of its
+    model in the error's context, see `base.inconsistent`.
     """
     steps: list[str | int] = []
     last = len(details["loc"]) - 1
@@ -139,7 +140,7 @@ def data_loc(details: ErrorDetails, data: Any) -> Loc:
 
 
 def _problem(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
-    """Return the problem that a mistake is."""
+    """Convert a mistake to a problem with a message."""
     loc = mistake.loc
     match mistake.kind:
         case "extra_forbidden":
@@ -170,7 +171,7 @@ def _wrong_type(mistake: Mistake, document: Document, schema: Schema) -> SpecPro
 
 
 def _missing(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
-    """Return the problem of a missing key, or of a list with too few entries."""
+    """Create the problem of a missing key, or of a list with too few entries."""
     place = document.place(mistake.loc)
     if isinstance(mistake.loc[-1], int):
         entries = mistake.loc[:-1]
@@ -202,7 +203,7 @@ def _wrong_value(mistake: Mistake, document: Document) -> SpecProblem:
 
 
 def _words(mistake: Mistake) -> str:
-    """Return a message, made from the schema for a wrong choice or pattern, else by `words`."""
+    """Compose the message for a mistake, from the schema if possible, otherwise by `words`."""
     about = mistake.about
     if mistake.kind == "literal_error":
         options = [str(option) for option in about.get("enum") or [about.get("const")]]
@@ -220,7 +221,7 @@ def _words(mistake: Mistake) -> str:
 
 
 def list_of(about: Schema) -> str:
-    """Describe the list that a schema asks for: "a list of 2 numbers" and what it is."""
+    """Describe the list that a schema requires, such as "a list of 2 numbers", and its meaning."""
     entries = about.get("prefixItems") or [about.get("items") or {}]
     count = f"{len(entries)} " if "prefixItems" in about else ""
     kind = LISTED.get(str(entries[0].get("type")), "entries")
@@ -229,7 +230,7 @@ def list_of(about: Schema) -> str:
 
 
 def words(details: ErrorDetails, value: Any) -> str:
-    """Return a plain message for pydantic's error."""
+    """Convert pydantic's error to a plain message."""
     kind = details["type"]
     context = details.get("ctx", {})
     if kind in MESSAGES:

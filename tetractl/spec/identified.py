@@ -12,7 +12,7 @@ from tetractl.spec.yaml.problems import Loc
 
 
 class IdentifiedValue(Model):
-    """An estimate and its 95 % interval; an end of the interval is None if unknown."""
+    """An estimate with its 95 % interval. An end of the interval is None if it is unknown."""
 
     value: Finite
     """The most likely value."""
@@ -61,7 +61,10 @@ class Identified(Model):
 
 
 def read_identified(path: Path) -> tuple[Identified, str]:
-    """Return a file's values and its text; problems are reported like problems of a spec."""
+    """Read the values in a file of `tetractl identify`, and return them with the file's text.
+
+    Problems are reported like problems of a spec.
+    """
     document = read_document(path)
     identified = validated(Identified, document)
     for name, robot in identified.robots.items():

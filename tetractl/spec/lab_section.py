@@ -77,7 +77,7 @@ class DeviceSection(Model):
     """Whether the device has the method `settle`, which trials that choose their robots need."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield each contradiction in the section, or with the experiment, as location and text.
+        """Yield the field and message of each contradiction in the section, or with the experiment.
 
         Locations are relative to this section. If the section has `robots`, `mismatches` checks
         them.
@@ -85,7 +85,7 @@ class DeviceSection(Model):
         yield from ()
 
     def bounds(self) -> dict[str, str]:
-        """Return the device's address and limits for display, {name: text}."""
+        """Describe the device's address and limits for display, as {name: text}."""
         return {}
 
 
@@ -107,7 +107,7 @@ class CameraSection(DeviceSection):
 
     @property
     def sight(self) -> Sight:
-        """What the camera can see: grid, noise and frame rate. By default, nothing is known."""
+        """How precisely the camera measures: grid, noise and frame rate. By default, unknown."""
         return UNSTATED
 
     def heading_offset(self, name: str) -> float | None:
@@ -136,7 +136,7 @@ class ActuatorSection(DeviceSection):
         """Raise AbortError if the device's port does not exist. No device is opened."""
 
     def build(self, setup: Setup, clock: Clock) -> Actuator:
-        """Return the actuator of the setup's robots, in their order; nothing is opened."""
+        """Create the actuator for the setup's robots, in their order, without opening it."""
         return resolve_name(self.device)(self, setup, clock)
 
     def stop_all(self, setup: Setup, clock: Clock, alone: bool = True) -> str:
@@ -293,7 +293,7 @@ class LabSection(PlantSection):
     """
 
     def with_files(self, folder: Path | None) -> Self:
-        """Return the section with the contents of the files that it names.
+        """Return the section with the contents of the files that it refers to.
 
         Args:
             folder: The folder that file names are relative to. None if the spec comes from no file.
@@ -307,7 +307,7 @@ class LabSection(PlantSection):
 
     @property
     def sight(self) -> Sight:
-        """What the camera says that it can see."""
+        """How precisely the lab's camera measures."""
         return self.camera.sight
 
     def require_devices(self) -> None:
@@ -325,7 +325,7 @@ class LabSection(PlantSection):
             yield ("lag",), "is for robots on wheels, and the spec has no `wheels`"
 
     def bounds(self) -> dict[str, str]:
-        """Return the devices' addresses and the run's limits for display, {name: text}."""
+        """Describe the devices' addresses and the run's limits for display, as {name: text}."""
         limits = self.limits
         return {
             **self.camera.bounds(),
@@ -378,7 +378,7 @@ def mismatches(
 
 
 def too_fast(setup: Setup, speed_max_mm_s: float) -> Iterator[tuple[Loc, str]]:
-    """Yield, as a section's `contradictions`, that a robot is faster than its wheels are driven."""
+    """Yield a contradiction for each robot that is faster than its wheels are driven."""
     speeds = setup.speed * setup.metres * 1000
     if speeds.max() > speed_max_mm_s:
         name = setup.names[int(speeds.argmax())]
@@ -386,7 +386,7 @@ def too_fast(setup: Setup, speed_max_mm_s: float) -> Iterator[tuple[Loc, str]]:
 
 
 def unknown_radii(setup: Setup, radii_mm: Iterable[float | None]) -> Iterator[tuple[Loc, str]]:
-    """Find robots for which nothing states how far the wheels are from the centre.
+    """Find robots for which the spec does not say how far the wheels are from the centre.
 
     Args:
         setup: The constants of the experiment, which may state one radius for all robots.

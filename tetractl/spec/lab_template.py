@@ -1,4 +1,4 @@
-"""The spec that `tetractl init --lab` writes, made from a part for robots and one for cameras.
+"""Compose the spec that `tetractl init --lab` writes, from a part for robots and one for cameras.
 
 A part is a file `robots/KIND.yaml` or `cameras/KIND.yaml`, in this package or in a folder of the
 registry TEMPLATES. The robots' part is a spec. Its line `@CAMERA@` is replaced by the camera's

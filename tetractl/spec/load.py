@@ -1,6 +1,6 @@
-"""Reads a spec: converts its text to an experiment; reports all problems at once.
+"""Read a spec: convert its text to an experiment, and report all problems at once.
 
-`load_document` is the way of a value from a file to the experiment:
+`load_document` converts the values of a file to the experiment in these steps:
 
     read_document          the file's data, with the place of each value (`yaml.document`)
     with_settings          values of `--set` and other options take their places (`yaml.settings`);
@@ -124,7 +124,7 @@ def parse_contents(
 
 @contextmanager
 def without_lines() -> Iterator[None]:
-    """Raise the problems of contents again, without the lines that no file has."""
+    """Raise problems of contents without line numbers, because there is no file."""
     try:
         yield
     except InvalidSpecError as error:
@@ -146,7 +146,7 @@ def as_text(contents: Mapping[str, Any], name: str) -> str:
 
 
 def is_study(document: Document) -> bool:
-    """Decide whether the keys of a file belong to a study instead of a spec."""
+    """Check whether the keys of a file belong to a study instead of a spec."""
     return "base" in document.data and "robots" not in document.data
 
 
@@ -157,7 +157,7 @@ def _refuse_study(document: Document) -> None:
 
 
 def _named_file(document: Document, loc: Loc) -> str | None:
-    """Return the name of the file that a field of a spec names, None if it names none."""
+    """Return the name of the file that a field of a spec refers to. None if there is none."""
     name: Any = document.data
     for key in loc:
         name = name.get(key) if isinstance(name, dict) else None
@@ -165,7 +165,7 @@ def _named_file(document: Document, loc: Loc) -> str | None:
 
 
 def _controller_file(document: Document) -> tuple[NamedFile, str] | None:
-    """Return the file that the spec's controller can name, and the name that the spec gives it.
+    """Return the file to which the spec's controller refers, and its name in the spec.
 
     The result is None if the spec names no such file, or has the file's contents itself.
     """
@@ -182,7 +182,7 @@ def _with_identified(
 ) -> tuple[Document, Attached]:
     """Take the values of the `tetractl identify` file that a spec names, if it names one.
 
-    They take the places of the spec's own values, but settings take the places of both.
+    These values replace the spec's own values, and settings replace both.
 
     Args:
         settled: The document with its settings, which may name the file.
@@ -230,7 +230,7 @@ def _folder(document: Document) -> Path:
 
 
 def _refuse_named_files(document: Document) -> None:
-    """Add a problem for each file that is named, as there is no folder to find it in."""
+    """Add a problem for each file that the spec refers to, because there is no folder for it."""
     refusal = "can be named only in a spec file"
     if _named_file(document, IDENTIFIED) is not None:
         document.refuse(IDENTIFIED, refusal)

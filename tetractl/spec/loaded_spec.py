@@ -58,7 +58,7 @@ class LoadedSpec(Shown):
 
 
 def with_controller(spec: LoadedSpec, controller: ControllerSection) -> LoadedSpec:
-    """Return a spec with another controller, unchecked; its text has every field."""
+    """Return a spec with another controller, without checking it. Its text has every field."""
     experiment = spec.experiment.model_copy(update={"controller": controller})
     return LoadedSpec(experiment, resolved_yaml(experiment), spec.name)
 
@@ -113,13 +113,16 @@ def _with_logged_keys(fields: Any, logged: Any) -> Any:
 
 
 def arm_hash(experiment: Experiment) -> str:
-    """Return the hash of an experiment without its number of trials, which affects no trial."""
+    """Compute the hash of an experiment without its number of trials.
+
+    The number of trials does not affect any single trial.
+    """
     trials = experiment.trials.model_copy(update={"count": 1})
     return spec_hash(experiment.model_copy(update={"trials": trials}))
 
 
 def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int) -> Start:
-    """Return the start record of a trial.
+    """Create the record of a trial's start.
 
     Args:
         spec: The spec of the trial.

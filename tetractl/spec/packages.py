@@ -1,4 +1,4 @@
-"""The packages of this repository that are installed separately, and what each of them provides.
+"""The packages of this repository that are installed separately, and the names that they provide.
 
 If a name belongs to a package that is not installed, the error shows how to install it.
 """

@@ -37,7 +37,7 @@ class Microscope(Protocol):
 
 
 class PlantSection(Model):
-    """A plant and its parameters; each section is in the file of its plant."""
+    """Base class of the plant's section in a spec. Each kind is in the file of its plant."""
 
     type: Any  # the section's name, a Literal in each subclass
     simulated: ClassVar[bool]
@@ -50,7 +50,7 @@ class PlantSection(Model):
 
     @property
     def real_time(self) -> bool:
-        """Whether real devices are driven, which takes real time and an operator's consent."""
+        """Whether the plant drives real devices, so that it needs real time and an operator."""
         return not self.simulated
 
     @property
@@ -60,7 +60,7 @@ class PlantSection(Model):
 
     @abstractmethod
     def clock(self) -> Clock:
-        """Return a new clock, virtual for a simulation and monotonic for the lab."""
+        """Create a new clock: virtual for a simulation, and monotonic for a lab."""
 
     @property
     def microscope(self) -> Microscope | None:
@@ -69,7 +69,7 @@ class PlantSection(Model):
 
     @property
     def sight(self) -> Sight:
-        """What the camera can see, as far as its section says."""
+        """How precisely the plant's camera measures, as far as the section says."""
         return UNSTATED
 
     def require_devices(self) -> None:
@@ -97,11 +97,11 @@ class PlantSection(Model):
         return False
 
     def bounds(self) -> dict[str, str]:
-        """Return the limits of a trial on this plant for display, {name: text}."""
+        """Describe the limits of a trial on this plant for display, as {name: text}."""
         return {}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield each contradiction in the section, or with the experiment, as location and text.
+        """Yield the field and message of each contradiction in the section, or with the experiment.
 
         Locations are relative to this section.
         """

@@ -1,6 +1,6 @@
-"""Selects the plant of an experiment, and applies a calibration file to its lab.
+"""Select the plant of an experiment, and apply a calibration file to its lab.
 
-`Prepare` is the type of a function that finds the robots of a trial on its plant, see
+`Prepare` is the type of a function that finds the robots of a trial on its plant. See
 `TrialRobots`.
 """
 
@@ -31,7 +31,7 @@ from tetractl.spec.yaml.spec_files import file_of_spec, read_text
 
 @dataclass(frozen=True, slots=True)
 class PreparedTrial:
-    """An experiment with the robots that were found, and their plant."""
+    """The experiment of a trial with the robots that were found, and its plant."""
 
     experiment: Experiment
     plant: Plant
@@ -137,7 +137,7 @@ def of_lab(kind: str) -> bool:
 
 
 def lab_as(kind: str | None, lab: LabSection) -> LabSection:
-    """Return a lab as a plant of another kind.
+    """Return the section of a lab as the section of a plant of another kind.
 
     The lab is unchanged if `kind` is None, or if it is "lab" and the lab is real.
     """
@@ -192,7 +192,7 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
 
 
 def _calibration(text: str, origin: str) -> Document:
-    """Parse a calibration file; errors do not quote the text of a file of another kind."""
+    """Parse a calibration file. Errors do not quote the text of other kinds of files."""
     try:
         document = parse_document(text, origin)
     except InvalidSpecError:

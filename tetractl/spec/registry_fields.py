@@ -1,4 +1,4 @@
-"""Fields of a spec that name a kind of something, such as `type: mpc`.
+"""Types of fields that select a kind by its name, such as `type: mpc`.
 
 Each kind is a class in a registry, and plug-ins can add more.
 """

@@ -51,7 +51,7 @@ def child(data: Any, step: str | int) -> Any:
 
 
 def alternatives(node: dict[str, Any], root: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return a union's alternative schemas, without null; [] for a schema that is not a union."""
+    """Return the alternatives of a union schema, without null. Empty for any other schema."""
     listed = node.get("anyOf") or node.get("oneOf") or []
     return [_resolved(option, None, root) for option in listed if option.get("type") != "null"]
 
@@ -79,7 +79,7 @@ def homes(key: str, root: dict[str, Any]) -> Iterator[str]:
 
 
 def _resolved(node: dict[str, Any], data: Any, root: dict[str, Any]) -> dict[str, Any]:
-    """Return the alternative of a schema that the data means.
+    """Return the alternative of a union schema that the data selects.
 
     That is the only alternative, or the one with the data's `type`, or the default's `type` if the
     data has none, or the only alternative for mappings or lists. If none of these decides, the

@@ -1,7 +1,7 @@
-"""Optional abilities of the sections of controllers, plants and devices.
+"""Protocols for optional abilities of controllers, plants and devices in a spec.
 
-Checks and predictions ask for an ability with isinstance. A section of a plug-in has an ability if
-it has these fields.
+Checks and predictions test for an ability with isinstance. A section, also one of a plug-in, has an
+ability if it has these fields.
 """
 
 from typing import Protocol, runtime_checkable
@@ -11,14 +11,14 @@ from tetractl.spec.controller import OptimizerSection
 
 @runtime_checkable
 class OnPort(Protocol):
-    """An actuator on the serial port with this name."""
+    """An actuator that is connected to a serial port."""
 
     port: str
 
 
 @runtime_checkable
 class Addressed(Protocol):
-    """A camera at an address, from which frames arrive `latency` [s] after their exposure."""
+    """A camera at a network address or port, with a known delay of its frames."""
 
     @property
     def address(self) -> str:
@@ -27,7 +27,7 @@ class Addressed(Protocol):
 
     @property
     def latency(self) -> float:
-        """Time from an exposure until its message comes [s]."""
+        """Time from the exposure of a frame until its message arrives [s]."""
         ...
 
 
@@ -61,7 +61,7 @@ class Modelled(Protocol):
 
 @runtime_checkable
 class Searches(Protocol):
-    """A controller that searches plans by an optimiser."""
+    """A controller that searches for plans with an optimiser."""
 
     optimizer: OptimizerSection
 
@@ -75,7 +75,7 @@ class GivenDirections(Protocol):
 
 @runtime_checkable
 class Estimating(Protocol):
-    """A controller that, if `estimate`, identifies robots and dead time while it drives."""
+    """A controller that, if `estimate` is True, identifies robots and dead time while it drives."""
 
     estimate: bool
 
@@ -87,7 +87,7 @@ class Clearance(Protocol):
         radius: Radius of a robot [length unit].
         margin: Distance in addition to the radius [length unit].
         separation: Minimum distance between the centres of two robots [length unit].
-        adaptive: Whether the margin gives way where it leaves no path.
+        adaptive: Whether the margin is reduced where it would leave no path.
         walls: Whether the margin is also kept to the walls of the arena.
     """
 
@@ -106,7 +106,7 @@ class KeepsClear(Protocol):
 
 
 class KnownNoise(Protocol):
-    """Stated standard deviations of measured positions and headings.
+    """The standard deviations of measured positions and headings that a spec gives.
 
     Attributes:
         position_noise: Standard deviation of a position [length unit]. 0 if unknown.
@@ -132,7 +132,7 @@ class Accepting(Protocol):
 
 @runtime_checkable
 class Delaying(Protocol):
-    """A plant with a stated time from a command to its effect [s]."""
+    """A plant whose spec gives the time from a command to its effect [s]."""
 
     dead_time: float
 
@@ -146,7 +146,7 @@ class MeasurementErrors(Protocol):
 
 @runtime_checkable
 class Noisy(Protocol):
-    """A plant with stated disturbances.
+    """A plant whose spec gives some disturbances.
 
     Attributes:
         a_error: Maximum relative error of the turning rate.

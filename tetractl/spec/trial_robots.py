@@ -1,4 +1,4 @@
-"""A mapping that replaces the list of `robots`: a rule by which each trial finds its robots.
+"""A rule by which each trial finds its robots, in place of the list `robots` in a spec.
 
 Packages provide such rules. An entry point of the group `tetractl.trial_robots` maps a key of the
 mapping, such as `choose` in `robots: {choose: 3, ...}`, to its class.
@@ -25,8 +25,8 @@ class StandIn:
     Attributes:
         name: The robot's name.
         target: Its target [length unit].
-        a: The turning rate that is asked for [rad/s].
-        speed: The speed that is asked for [length unit/s].
+        a: The turning rate that the robot should have [rad/s].
+        speed: The speed that the robot should have [length unit/s].
     """
 
     name: str
@@ -49,7 +49,7 @@ class TrialRobots(Model):
     @property
     @abstractmethod
     def are_found(self) -> bool:
-        """Whether the robots of the spec with this rule are those that a trial has found."""
+        """Whether a trial has already found the robots of this spec."""
 
     @abstractmethod
     def sought(self) -> Self:
@@ -58,11 +58,11 @@ class TrialRobots(Model):
     @property
     @abstractmethod
     def stand_ins(self) -> Sequence[StandIn]:
-        """The robots until a trial has found them."""
+        """Placeholders for the robots, until a trial has found them."""
 
 
 def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:
-    """Return the class that is named after one of the mapping's keys.
+    """Find the class of a rule whose name is one of the mapping's keys.
 
     Raises:
         PydanticCustomError: If there is none.

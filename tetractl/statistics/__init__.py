@@ -1,1 +1,1 @@
-"""Results: batches of trials opened, described, compared, and laid out as tables."""
+"""Statistics of trials: open batches, describe and compare them, and lay them out as tables."""

@@ -1,8 +1,7 @@
-"""The output of `stats` for other programs.
+"""The output of `tetractl stats` for other programs, as JSON and as a CSV table.
 
-It is the JSON of batches and of their comparisons, key by key, and the CSV table. Lengths are in
-the stated unit, times in the unit with which their key ends. Numbers are not rounded. Unknown
-numbers are NaN or None, which JSON writes as null.
+Lengths are in the unit that is given, and times in the unit with which their key ends. Numbers are
+not rounded. Unknown numbers are NaN or None, which JSON writes as null.
 """
 
 from typing import Any
@@ -43,7 +42,7 @@ def data_table(comparison: BatchComparison) -> Table:
 
 
 def batch_items(group: BatchStatistics) -> dict[str, Any]:
-    """Return the items of a batch: errors, plant, statistics and trials."""
+    """Return the JSON items of a batch: errors, plant, statistics and trials."""
     batch = group.batch
     experiment = group.experiment
     robots = zip(experiment.setup.names, group.robots, strict=True)
@@ -90,7 +89,7 @@ def _reference(group: BatchStatistics) -> dict[str, Any] | None:
 
 
 def contrast_items(contrast: Contrast) -> dict[str, Any]:
-    """Return the items of the comparison of two batches, `one` minus `other`."""
+    """Return the JSON items of the comparison of two batches, `one` minus `other`."""
     return {
         "one": contrast.first.name,
         "other": contrast.second.name,
@@ -114,7 +113,7 @@ def contrast_items(contrast: Contrast) -> dict[str, Any]:
 
 
 def _items_of_group(prefix: str, group: BatchStatistics) -> dict[str, Any]:
-    """Return the items of one side of a comparison, such as `one_mean`."""
+    """Return the JSON items of one side of a comparison, such as `one_mean`."""
     return {
         f"{prefix}_origin": group.origin.value,
         f"{prefix}_n": group.counted,

@@ -1,23 +1,24 @@
 """The built-in statistics of a batch.
 
-They describe how its trials ended, how near robots came to obstacles, to the arena's edge and to
-each other, events that should never happen, how tightly robots were held at their targets, and
-solve times.
+They describe how the trials of a batch ended; how near robots came to obstacles, to the arena's
+edge and to each other; which events occurred that should never happen; how close robots stayed to
+their targets; and how long the controller took to plan.
 
 Distances are between the robots' centres, on the true paths of a simulation and the measured paths
 in a lab. Percentiles of solve times are over all steps of all trials.
 
-To add a statistic, write it here, with a line in STATISTICS of `core/registries.py`, in its place
-in the tables, and one in docs/reference/statistics.md. Tables, JSON, CSV and the report then have
-it. Most are a line, from a number in each trial's `Result` of `core/trial.py`:
+To add a statistic, write it here. Add a line to STATISTICS of `core/registries.py`, at the
+statistic's place in the tables, and a row to docs/reference/statistics.md. Tables, JSON, CSV and
+the report then contain it. Most statistics are one line, made from a number in each trial's
+`Result` of `core/trial.py`:
 
     WORST = number("worst", "error of the worst robot", lambda result: max(result.robot_errors))
 
-`number`, `count` and `fraction` are in `statistic`. This module has `total` for a count of events
-that should never happen, `minimum` for a minimum distance, and `mean_of_each` for columns. The
-table without `--full` has only what is `unusual`. A value that a `Result` lacks can become a field
-of it. Only what few specs need is read from whole logs, as in `discs`, which takes 100 times as
-long.
+`number`, `count` and `fraction` are in `statistic`. In this module, `total` creates a count of
+events that should never happen, `minimum` a minimum distance, and `mean_of_each` the means of
+columns. The table without `--full` has only the statistics that are `unusual`. A value that a
+`Result` lacks can become a field of it. Only values that few specs need are read from whole logs,
+as in `discs`, because that takes 100 times as long.
 """
 
 from collections import Counter
@@ -100,7 +101,10 @@ def _arrived(trials: Sequence[ResultSummary]) -> list[Figure]:
 
 
 def _unknown_share(key: str, label: str, reason: str, unusual: bool = False) -> Figure:
-    """Return a share that is not known: JSON has the keys of one that is."""
+    """Create the figure of a fraction that is not known.
+
+    Its JSON has the same keys as the figure of a known fraction.
+    """
     items = {key: None, f"{key}_ci95": None}
     return Figure(label, f"{NONE} ({reason})", items, unusual)
 
@@ -111,9 +115,9 @@ def total(
     number_in: Callable[[ResultSummary], int],
     matters: Callable[[ResultSummary], bool] = lambda trial: True,
 ) -> Statistic:
-    """Create a statistic: a count of events that should never happen.
+    """Create a statistic that counts events that should never happen.
 
-    A reader must see it where it matters.
+    Tables always show it for trials in which it matters.
 
     Args:
         key: Key of the statistic.
@@ -179,10 +183,11 @@ LENGTHS = ("clearance", "edge", "apart")
 def safety(
     label: str, body_key: str, centre_key: str | None = None, centre_column: str | None = None
 ) -> Statistic:
-    """Create a statistic: the number of trials in which a robot did what a label in SAFETY says.
+    """Create a statistic that counts the trials in which a robot did something unsafe.
 
-    Tables show the count of bodies or, without a radius, the count of centres. For obstacles, a
-    reader always sees it; for the others, only if it happened.
+    SAFETY lists the labels of unsafe events. Tables show the count for bodies or, if the radius of
+    the robots is not known, the count for centres. The line about obstacles is always shown, the
+    others only if the event happened.
 
     Args:
         label: The label.
@@ -298,11 +303,11 @@ SETTLING_S = 5.0
 
 
 def discs(log: TrialLog) -> Floats:
-    """Return the diameter (N,) of each robot's disc [length unit]. NaN if no frame counts.
+    """Compute the diameter of the disc in which each robot stayed during a hold, shape (N,).
 
-    A robot is in the disc round its target for 95 % of the hold: the diameter is twice the
-    0.95-quantile of the distances to the target, by true poses where they are known, without the
-    first SETTLING_S.
+    The robot is inside the disc around its target for 95 % of the hold, without the first
+    SETTLING_S. The diameter is twice the 0.95-quantile of its distances to the target [length
+    unit]. True poses are used if they are known. NaN if no frame counts.
     """
     setup = log.start.setup
     held_ns = [s.observation.sampled_ns for s in log.steps if s.plan.leg == len(setup.legs)]
@@ -316,13 +321,19 @@ def discs(log: TrialLog) -> Floats:
 
 @lru_cache(maxsize=1024)
 def _discs_of(log: Path, digest: str | None) -> Sequence[float]:
-    """Return `discs` of the log with a content digest: a table of trials and its means need it."""
+    """Return `discs` of the log with a content digest, from a cache.
+
+    Both the table of trials and the means need it.
+    """
     trial = read_trial(log)
     return tuple(discs(trial).tolist())
 
 
 def _disc_columns(trial: ResultSummary) -> dict[str, Any]:
-    """Return the diameter of each robot's disc. None without a complete hold."""
+    """Return the diameter of the disc in which each robot stayed during the hold.
+
+    None if the hold was not completed.
+    """
     hold = trial.experiment.hold
     if hold is None or hold.time <= SETTLING_S:
         return {}
@@ -334,7 +345,7 @@ def _disc_columns(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _mean_discs(trials: Sequence[ResultSummary]) -> list[Figure]:
-    """Return the mean of each robot's diameter over the trials, with its 95 % interval."""
+    """Return the mean diameter of each robot's disc over the trials, with its 95 % interval."""
     rows = [_disc_columns(trial) for trial in trials]
     unit = trials[0].experiment.units.length
     figures: list[Figure] = []
@@ -387,13 +398,19 @@ DEADLINE_MISSES = total(
 
 
 def _lag_columns(trial: ResultSummary) -> dict[str, Any]:
-    """Return the lag that the controller has found in a trial; None if it does not estimate it."""
+    """Return the lag of the wheels that the controller estimated in a trial.
+
+    None if it does not estimate the lag.
+    """
     on_wheels = trial.experiment.setup.on_wheels
     return {"wheel_lag_s": trial.result.wheel_lag_s} if on_wheels else {}
 
 
 def _mean_lag(trials: Sequence[ResultSummary]) -> list[Figure]:
-    """Return the mean lag that the controller has found, which is unusual if the spec differs."""
+    """Return the mean lag of the wheels that the controller estimated.
+
+    It is marked as unusual if it differs from the lag in the spec.
+    """
     found = [trial.result.wheel_lag_s for trial in trials if trial.result.wheel_lag_s is not None]
     if not found:
         return [Figure("", "", {"wheel_lag_s": None})]
@@ -413,7 +430,7 @@ WHEEL_LAG = Statistic(_mean_lag, _lag_columns)
 
 
 def _turned(trials: Sequence[ResultSummary]) -> list[Figure]:
-    """Return in how many trials a robot turned otherwise than in the others."""
+    """Return in how many trials a robot turned differently than in the other trials."""
     label = "less certain"
     key = "less_certain"
     turns = list(turns_of(trials))

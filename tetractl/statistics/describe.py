@@ -1,9 +1,9 @@
-"""Describes batches of trials: how large their errors are, and whether one is better than another.
+"""Describe batches of trials: how large their errors are, and whether one batch is better.
 
 `describe` returns the errors of a batch with intervals, the difference from the published result,
-and statistics. `contrast` compares the total errors of every two batches, by pairs of trials where
-they have the same seeds; a verdict needs `ENOUGH` pairs or trials. `tables` and `as_json` write
-what these return.
+and statistics. `contrast` compares the total errors of each pair of batches. If their trials have
+the same seeds, it compares pairs of trials. A verdict needs `ENOUGH` pairs or trials. `tables` and
+`as_json` format the results.
 """
 
 import math
@@ -41,9 +41,10 @@ _NOT_THE_WORLD = CHANGES_NO_TRIAL | {"controller", "name", "reference", "lab"}
 
 @dataclass(frozen=True, slots=True)
 class BatchStatistics(Shown):
-    """A batch of trials of N robots, with a name; lengths in `unit`.
+    """The statistics of a batch of trials of N robots.
 
-    Its n valid trials are those whose outcome the controller decided and whose errors are known.
+    Lengths are in `unit`. A trial is valid, and counts in the means, if the controller decided its
+    outcome and its errors are known.
     """
 
     name: str
@@ -70,7 +71,7 @@ class BatchStatistics(Shown):
 
     @property
     def counted(self) -> int:
-        """Number of trials in the means."""
+        """The number of trials that count in the means."""
         return self.total.n
 
     @property
@@ -138,11 +139,11 @@ def _from_published(
 
 @dataclass(frozen=True, slots=True)
 class Contrast(Shown):
-    """Comparison of the total errors of two batches. Differences are `first` minus `second`.
+    """The comparison of the total errors of two batches. Differences are `first` minus `second`.
 
-    Groups with different plants (`same_origin` False) are not tested: their p-values are NaN. The
-    same holds if the directions of one batch were given, perhaps with hindsight (`no_controller`):
-    such a batch has no rank among controllers.
+    Batches with different plants (`same_origin` is False) are not tested, and their p-values are
+    NaN. The same applies if the directions of one batch were given in advance (`no_controller`),
+    because such a batch has no rank among controllers.
 
     Attributes:
         first: The first batch.
@@ -174,7 +175,7 @@ class Contrast(Shown):
 
     @property
     def same_origin(self) -> bool:
-        """Whether the trials are of plants of one kind."""
+        """Whether both batches have the same kind of plant."""
         return self.first.origin is self.second.origin
 
     @property
@@ -184,7 +185,7 @@ class Contrast(Shown):
 
     @property
     def reason(self) -> str | None:
-        """Why there is no verdict. None if there is one."""
+        """Why there is no verdict on the two batches. None if there is one."""
         if not self.same_origin:
             return "plants are not alike"
         if self.no_controller:
@@ -199,10 +200,12 @@ class Contrast(Shown):
 
     @property
     def verdict(self) -> str | None:
-        """The verdict, None if there is a `reason` for none.
+        """Whether the first batch's error is lower or higher.
 
-        "lower" or "higher" needs every interval of the difference below or above 0, and a corrected
-        p below 0.05; all else is "undecided".
+        None if there is a `reason` for no verdict.
+
+        "lower" or "higher" requires that every interval of the difference is below or above 0, and
+        that the corrected p is below 0.05. Otherwise, the verdict is "undecided".
         """
         if self.reason is not None:
             return None
@@ -215,7 +218,7 @@ class Contrast(Shown):
 
     @property
     def intervals(self) -> tuple[Interval, ...]:
-        """The intervals of the difference on which a verdict rests."""
+        """The intervals of the difference on which the verdict is based."""
         if self.pairs:
             return (self.difference.ci95,)
         return (self.difference.ci95, self.from_both_means)
@@ -269,7 +272,7 @@ class BatchComparison(Shown):
 def contrast(
     groups: Sequence[BatchStatistics], baseline: BatchStatistics | None = None
 ) -> BatchComparison:
-    """Compare each pair of batches or, with a baseline, each batch with the baseline.
+    """Compare each pair of batches or, if there is a baseline, each batch with the baseline.
 
     Raises UsageError if batches have different units of length.
     """
@@ -296,16 +299,16 @@ def contrast(
 
 
 def _is_tested(first: BatchStatistics, second: BatchStatistics) -> bool:
-    """Decide whether a difference is tested.
+    """Check whether the difference of two batches is tested.
 
-    It is if the plants are of the same kind, and controllers decided.
+    The plants must be of the same kind, and controllers must have decided the directions.
     """
     no_controller = first.experiment.directions_given or second.experiment.directions_given
     return first.origin is second.origin and not no_controller
 
 
 def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Contrast:
-    """Compare two batches; p-values are not corrected yet."""
+    """Compare two batches. The p-values are not corrected yet."""
     ours = first.total
     theirs = second.total
     paired, why_unpaired = pair_up(first, second)
@@ -338,11 +341,11 @@ def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Co
 
 
 def pair_up(first: BatchStatistics, second: BatchStatistics) -> tuple[Floats, str]:
-    """Return the differences between the total errors of paired trials, (n,).
+    """Return the differences (n,) between the total errors of trials that form pairs.
 
     The difference is the first batch minus the second. A pair is two simulated trials with the same
     seed, number and disturbances, which do not depend on the controller. The second result is the
-    reason why there are no pairs, or "".
+    reason why there are no pairs, or "" if there are.
     """
     if not (first.origin.simulated and second.origin.simulated):
         return NO_PAIRS, "no two trials in a lab have the same disturbances"
@@ -357,7 +360,7 @@ def pair_up(first: BatchStatistics, second: BatchStatistics) -> tuple[Floats, st
 
 
 def _world(group: BatchStatistics) -> dict[str, object]:
-    """Return all of a batch's spec but the controller and what does not change a trial."""
+    """Return a batch's spec without its controller and fields that do not affect a trial."""
     return group.experiment.model_dump(mode="json", exclude=set(_NOT_THE_WORLD))
 
 

@@ -1,10 +1,11 @@
-"""Estimates a mean or a fraction with its interval; `mean_difference` compares two means.
+"""Estimate a mean or a fraction with its 95 % interval.
 
 All intervals are closed formulas without resampling, so the same values always give the same
 interval. An estimate from too few values is NaN, with a reason.
 
-A `Distribution` comes from values (`distributions`), from a published mean and deviation with an
-interval computed here (`published_distribution`) or with a given one (`known_distribution`).
+A `Distribution` comes from values (`distributions`), or from a published mean and standard
+deviation. In the second case, the interval is computed (`published_distribution`) or given
+(`known_distribution`). `mean_difference` compares two means.
 """
 
 import math
@@ -31,7 +32,10 @@ Z = float(special.ndtri((1 + CONFIDENCE) / 2))
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A 95 % interval; if there is none, `low` and `high` are NaN and `reason` is the cause."""
+    """A 95 % confidence interval.
+
+    If there is none, `low` and `high` are NaN, and `reason` says why.
+    """
 
     low: float
     high: float
@@ -40,7 +44,7 @@ class Interval:
 
     @classmethod
     def none(cls, reason: str) -> Self:
-        """Return an `Interval` without ends, with the reason."""
+        """Create an interval without ends, for the given reason."""
         return cls(_NAN, _NAN, None, reason)
 
     @property
@@ -66,7 +70,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Tail:
-    """How many of n values are above a bound.
+    """The number of values, out of n, that are above a bound.
 
     The mean of a few values does not show rare large ones: an event with a probability of 2 % is
     missing in two of three batches of 20 trials.
@@ -76,7 +80,7 @@ class Tail:
             is not positive.
         above: Number of values above it.
         n: Number of values.
-        stated: Whether the spec states the bound.
+        stated: Whether the bound comes from the spec.
         ci95: Wilson's interval of the fraction above / n.
     """
 
@@ -88,7 +92,7 @@ class Tail:
 
     @property
     def label(self) -> str:
-        """What the values above the bound are called."""
+        """The label in tables for values above the bound."""
         return f"errors above {'error_bound' if self.stated else f'{FAR} times the median'}"
 
     def text(self, unit: str = "") -> str:
@@ -110,7 +114,7 @@ class Tail:
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """Summary of n values.
+    """A summary of n values: mean, standard deviation, median, range, and interval.
 
     With n = 0, mean, deviation, median and range are NaN. With n = 1, only the deviation is NaN.
 
@@ -202,7 +206,7 @@ def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distr
 
 
 def _tail(values: Floats, median: float, bound: float | None) -> Tail:
-    """Return the tail of values (n,) above `bound`, or if it is None above FAR times the median."""
+    """Count the values (n,) above `bound` or, if it is None, above FAR times the median."""
     limit = FAR * median if bound is None else bound
     n = len(values)
     if not limit > 0:
@@ -228,7 +232,7 @@ def published_distribution(n: int, mean: float, std: float) -> Distribution:
 
 
 def t_quantile(degrees: float, confidence: float = CONFIDENCE) -> float:
-    """Return the bound that |t| does not exceed with probability `confidence`.
+    """Compute the bound that |t| does not exceed with probability `confidence`.
 
     t has Student's distribution with `degrees` degrees of freedom.
     """
@@ -236,7 +240,7 @@ def t_quantile(degrees: float, confidence: float = CONFIDENCE) -> float:
 
 
 def _mean_interval(values: Floats, mean: float, std: float) -> Interval:
-    """Return the interval of the mean of sorted values (n,).
+    """Compute the 95 % interval of the mean of sorted values (n,).
 
     For values that are never negative, such as distances, it is Student's t interval on a
     logarithmic scale, with a higher upper end for skewed values; both ends are positive. For other
@@ -268,14 +272,14 @@ def _log_t(n: int, mean: float, std: float) -> tuple[float, float]:
 
 
 def _skewed_end(values: Floats, mean: float, std: float) -> float:
-    """Return the upper end of Hall's interval of a mean (J. R. Statist. Soc. B 54, 1992).
+    """Compute the upper end of Hall's interval of a mean (J. R. Statist. Soc. B 54, 1992).
 
     The n values have mean m, standard deviation s and skewness G. With g = G / sqrt(n) the function
 
         f(T) = T + g T^2 / 3 + g^2 T^3 / 27 + g / 6
 
-    takes the skewness out of Student's T, so that f(T) is about as T is for normal values. The
-    upper end is where f(T) is the lower quantile, -t(0.975, n - 1):
+    removes the skewness from Student's T, so that f(T) is distributed about like T for normal
+    values. The upper end is where f(T) is the lower quantile, -t(0.975, n - 1):
 
         m - T s / sqrt(n)  with  f(T) = -t(0.975, n - 1)
 
@@ -309,7 +313,7 @@ def proportion_interval(successes: int, n: int) -> Interval:
 
 
 def percent(fraction: Interval) -> str:
-    """Return the interval of a fraction as text in brackets, "" if there is none."""
+    """Format the interval of a fraction in brackets. Return "" if there is none."""
     if not fraction.known:
         return ""
     return f" (95 % interval {100 * fraction.low:.0f} to {100 * fraction.high:.0f} %)"
@@ -353,7 +357,7 @@ class ArmErrors:
 
 
 def numeric(arms: Iterable[ArmErrors]) -> bool:
-    """Decide whether all values are numbers."""
+    """Check whether all values of a swept field are numbers."""
     return all(
         isinstance(arm.value, int | float) and not isinstance(arm.value, bool) for arm in arms
     )

@@ -1,19 +1,21 @@
-"""Finds the logs of a batch that should be examined, and why.
+"""Find the logs of a batch that a person should examine, with the reasons.
 
-These are trials that do not count, unsafe robots, lost robots, damage, and robots that turned
-differently from the other trials.
+The reasons are trials that do not count, unsafe robots, lost robots, damaged logs, and robots that
+turned differently than in the other trials.
 
-If a pose turns with its course from the start of a trial, this looks like wheels that differ, and
-no check of one trial can tell the two apart. However, a robot has the same wheels in every trial.
-With its rate x_k and standard error e_k in trial k of n (`lab.drift_check`), the median m of the
-rates and e of the errors, trial k differs if
+The rest of this text is about the last reason. If a camera shows a robot turning off course from
+the start of a trial, either its poses are wrong or its wheels differ, and no check of a single
+trial can decide which. However, a robot has the same wheels in every trial. With its rate x_k and
+standard error e_k in trial k of n (`lab.drift_check`), the median m of the rates and e of the
+errors, trial k differs if
 
     |x_k - m| > z sqrt(e_k^2 + max(0, (1 + FEW / n)^2 s^2 - e^2)),   s = 1.4826 median |x_j - m|,
 
-where s is the standard deviation of the rates, whatever fewer than half of them show, and z a
-quantile of the normal distribution: of all N n rates of N robots, one is beyond it by chance in the
-fraction CHANCE of batches. With fewer trials, less is known of s. With FEW, normal rates exceed the
-limit in 1 % of batches of ten trials or more, and in at most 3 % of smaller ones.
+where s is a standard deviation of the rates that does not change if fewer than half of them are
+wrong. z is a quantile of the normal distribution, chosen such that in the fraction CHANCE of
+batches, one of the N n rates of N robots is beyond it by chance. With fewer trials, less is known
+of s. With FEW, normal rates exceed the limit in 1 % of batches of ten trials or more, and in at
+most 3 % of smaller ones.
 
 With fewer than LEAST trials, there is nothing to compare. The heading of a robot then counts as
 confirmed if its rate is 0 within UNCONFIRMED standard errors. Otherwise, either its wheels differ
@@ -66,7 +68,7 @@ DEVIATION_OVER_MEDIAN = 1.4826
 
 @dataclass(frozen=True, slots=True)
 class Flagged:
-    """A log to be examined: its path, the outcome of its trial, and the reasons."""
+    """A log that a person should examine: its path, the outcome of its trial, and the reasons."""
 
     log: str
     outcome: str
@@ -74,12 +76,16 @@ class Flagged:
 
 
 def flagged(batch: Batch) -> list[Flagged]:
-    """Return the flagged trials, then the earlier attempts.
+    """Return the logs of a batch that a person should examine, then the earlier attempts.
 
-    A trial is flagged if it is not valid, its log is damaged, a robot entered an obstacle, left the
-    arena, touched another one, was lost, stood while others drove, turned otherwise than in the
-    other trials or has an unconfirmed heading, or the trial ended at `steps max` or `time limit`.
-    Warnings flag trials in a lab only, since in a simulation the spec requests the disturbances.
+    A trial is flagged if one of these is true:
+
+    - It is not valid, or its log is damaged.
+    - A robot entered an obstacle, left the arena, touched another one, or was lost.
+    - A robot stood still while others drove, turned differently than in the other trials, or has an
+      unconfirmed heading.
+    - The trial ended at `steps max` or `time limit`.
+    - It has warnings and took place in a lab. In a simulation, the spec requests the disturbances.
     """
     logs: list[Flagged] = []
     turned = turned_otherwise(batch.trials)
@@ -120,7 +126,7 @@ def trial_notes(trial: ResultSummary) -> list[str]:
 
 
 def unsafe(trial: ResultSummary) -> dict[str, list[str]]:
-    """Return the robots of a trial that did what must not happen, by the labels in SAFETY."""
+    """Return the robots of a trial that did something unsafe, by the labels in SAFETY."""
     names = [robot.name for robot in trial.experiment.robots]
     radius = trial.experiment.controller.body_radius
     robots_by_label: dict[str, list[str]] = {}
@@ -136,13 +142,13 @@ def unsafe(trial: ResultSummary) -> dict[str, list[str]]:
 
 @dataclass(frozen=True, slots=True)
 class TrialTurn:
-    """How differently a robot turned in one trial.
+    """How differently a robot turned in one trial, compared with its other trials.
 
     Attributes:
         log: The log of the trial.
         robot: The robot.
-        off: How much faster it turned off course than in the median of its trials [rad/s].
-        limit: Maximum that chance explains [rad/s].
+        off: Its turning off course, minus the median of its trials [rad/s].
+        limit: Maximum difference that chance explains [rad/s].
     """
 
     log: str
@@ -152,12 +158,12 @@ class TrialTurn:
 
     @property
     def unusual(self) -> bool:
-        """Whether the robot turned otherwise than in its other trials."""
+        """Whether the robot turned differently than in its other trials, beyond chance."""
         return abs(self.off) > self.limit
 
 
 def turns_of(trials: Sequence[ResultSummary]) -> Iterator[TrialTurn]:
-    """Yield the turns of every robot with enough trials in which its rate is known."""
+    """Yield how each robot turned in each trial, if its rate is known in enough trials."""
     for i, robot, compared in _measured(trials):
         n = len(compared)
         if n < TRIALS_MIN:
@@ -186,7 +192,7 @@ def _measured(
 
 
 def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
-    """Describe the robots whose own motion does not confirm their heading, keyed by log.
+    """Describe the robots whose own motion does not confirm their heading, by the log's path.
 
     Robots with LEAST trials are compared by `turned_otherwise` instead.
     """
@@ -209,7 +215,7 @@ def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]
 
 
 def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
-    """Describe the robots that turned differently from their other trials, keyed by log."""
+    """Describe the robots that turned differently than in their other trials, by log."""
     texts = defaultdict[str, list[str]](list)
     for turn in turns_of(trials):
         if turn.unusual:
@@ -219,7 +225,10 @@ def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
 
 
 def turn_columns(trial: ResultSummary) -> dict[str, Any]:
-    """Return each robot's rate and its standard error, None if they are unknown."""
+    """Return the rate at which each robot turned off course, and its standard error.
+
+    None if they are unknown.
+    """
     if trial.simulated or not trial.experiment.setup.on_wheels:
         return {}
     names = trial.experiment.setup.names

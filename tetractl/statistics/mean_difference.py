@@ -1,4 +1,4 @@
-"""Compares the means and the ranks of two batches."""
+"""Compare the means and the ranks of two batches of trials."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -47,7 +47,7 @@ class MeanDifference:
 
     @classmethod
     def untested(cls, value: float, why: str, degrees: float = _NAN) -> "MeanDifference":
-        """Return a difference without interval and p-value.
+        """Create a difference of two means without interval and p-value.
 
         Args:
             value: The difference.
@@ -120,11 +120,11 @@ def paired_t(differences: Floats) -> MeanDifference:
 
 
 def from_both_intervals(ours: Distribution, theirs: Distribution) -> Interval:
-    """Return the interval of the difference of two means from their own intervals.
+    """Compute the interval of the difference of two means from the intervals of the means.
 
     With means m, m', lower ends l, l' and upper ends u, u', by Zou and Donner (Statistics in
-    Medicine 27, 2008): from m - m' - sqrt((m - l)^2 + (u' - m')^2) to m - m' + sqrt((u - m)^2 +
-    (m' - l')^2).
+    Medicine 27, 2008): from m - m' - sqrt((m - l)^2 + (u' - m')^2) to m - m' + sqrt((u - m)^2 + (m'
+    - l')^2).
     """
     low, high = _reach(ours)
     low2, high2 = _reach(theirs)
@@ -152,9 +152,9 @@ POWER = 0.8
 def detectable(n: int, m: int | None = None, tests: int = 1) -> float:
     """Compute the difference that a t test finds with probability POWER.
 
-    The level is the strictest of Holm's correction. With N = n, f = n - 1, or N = m n / (m + n), f
-    = m + n - 2, the result is (t(1 - level / 2, f) + t(POWER, f)) / sqrt(N), which is within 1.5 %
-    of the noncentral t.
+    The level of the test is the strictest one in Holm's correction. For pairs, let N = n and f = n
+    - 1. For two groups, let N = m n / (m + n) and f = m + n - 2. The result is (t(1 - level / 2, f)
+    + t(POWER, f)) / sqrt(N), which is within 1.5 % of the noncentral t.
 
     Args:
         n: Number of pairs, or of values in the first group.
@@ -183,10 +183,10 @@ EXACT = 60
 
 
 def signed_rank(differences: Floats) -> float:
-    """Return the p-value of Wilcoxon's signed-rank test that differences (n,) are centred at 0.
+    """Compute the p-value of Wilcoxon's signed-rank test that differences are centred at 0.
 
-    It is exact for up to 50 differences, of which no two are equal in size, or up to 13 otherwise.
-    Differences of exactly 0 are left out; NaN if none is left.
+    The p-value is exact for up to 50 differences if no two are equal in size, and otherwise for up
+    to 13. Differences of exactly 0 are left out; NaN if none is left.
     """
     from scipy import stats  # slow to import, and needed by comparisons alone
 
@@ -199,9 +199,10 @@ def signed_rank(differences: Floats) -> float:
 
 
 def rank_sum(ours: Floats, theirs: Floats) -> float:
-    """Return the p-value of the rank-sum test (Wilcoxon, Mann and Whitney) of values (m,) and (n,).
+    """Compute the p-value of the rank-sum test (Wilcoxon, Mann and Whitney) of two samples.
 
-    It is exact for up to EXACT values without ties. NaN if one side has no values.
+    The samples have shapes (m,) and (n,). The p-value is exact for up to EXACT values without ties.
+    NaN if one side has no values.
     """
     from scipy import stats
 
@@ -219,8 +220,8 @@ def rank_sum(ours: Floats, theirs: Floats) -> float:
 def holm(p_values: Sequence[float]) -> list[float]:
     """Correct p-values for multiple comparisons (Holm, Scand. J. Statist. 6, 1979).
 
-    The i-th smallest of k p-values is multiplied by k - i + 1, and raised to the corrected value of
-    the next smaller p-value if that is larger. NaN stays NaN and is not counted in k.
+    The i-th smallest of k p-values is multiplied by k - i + 1, and is at least as large as the
+    corrected value of the next smaller p-value. NaN stays NaN and is not counted in k.
     """
     order = sorted((p, i) for i, p in enumerate(p_values) if not math.isnan(p))
     corrected = [_NAN] * len(p_values)

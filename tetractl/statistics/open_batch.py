@@ -1,4 +1,4 @@
-"""Reads the results of a batch of trials, each from its log, and says which trials count."""
+"""Read the results of a batch of trials from their logs, and decide which trials count."""
 
 import json
 import math
@@ -22,7 +22,7 @@ OnLog = Callable[[int, int], object]
 
 @dataclass(frozen=True, slots=True)
 class Damaged:
-    """A log without a readable trial: its path, and what is wrong."""
+    """A log whose trial cannot be read: its path, and the problem."""
 
     log: str
     problem: str
@@ -37,9 +37,9 @@ class Damaged:
 class Batch(Shown):
     """Trials that form one batch.
 
-    `attempts` are earlier logs of the same trials: set aside by `--resume`, or incomplete while a
-    complete log of the trial exists. `damaged` are logs without a readable trial, including
-    attempts.
+    `attempts` are earlier logs of the same trials. Either `--resume` has set them aside, or they
+    are incomplete and a complete log of the trial exists. `damaged` are logs whose trial cannot be
+    read, including attempts.
     """
 
     trials: tuple[ResultSummary, ...]
@@ -58,7 +58,7 @@ class Batch(Shown):
     def from_results(
         cls, results: Iterable[ResultSummary], damaged: Iterable[Damaged] = ()
     ) -> "Batch":
-        """Return the trials as a batch, with earlier attempts separated."""
+        """Create a batch from results of trials, with earlier attempts separated."""
         results = list(results)
         complete = {_key(trial) for trial in results if trial.outcome.complete}
         trials: list[ResultSummary] = []
@@ -82,12 +82,12 @@ class Batch(Shown):
 
     @property
     def lost(self) -> tuple[Damaged, ...]:
-        """Damaged logs, whose trials are missing in the batch."""
+        """The damaged logs whose trials are missing in the batch."""
         return tuple(log for log in self.damaged if not log.set_aside)
 
     @property
     def lost_attempts(self) -> tuple[Damaged, ...]:
-        """Attempts that cannot be read."""
+        """The earlier attempts whose logs cannot be read."""
         return tuple(log for log in self.damaged if log.set_aside)
 
     @property
@@ -97,7 +97,7 @@ class Batch(Shown):
 
 
 class Batches(Shown, dict[str, Batch]):
-    """Batches by name, such as the arms of a study."""
+    """Several batches by name, such as the arms of a study."""
 
 
 def _key(trial: ResultSummary) -> tuple[int, int]:
@@ -105,26 +105,26 @@ def _key(trial: ResultSummary) -> tuple[int, int]:
 
 
 def counts(trial: ResultSummary) -> bool:
-    """Whether a trial's errors enter the means: they are known, and its log is whole."""
+    """Check whether a trial's errors count in the means: they are known, and its log is intact."""
     return errors_known(trial) and not trial.recovered
 
 
 def errors_known(trial: ResultSummary) -> bool:
-    """Whether a trial is complete and its errors are known."""
+    """Check whether a trial is complete and its errors are known."""
     errors = (trial.result.total_error, *trial.result.robot_errors)
     return trial.outcome.complete and all(map(math.isfinite, errors))
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The logs of a batch that is called `name`."""
+    """The logs of a batch called `name`, before their results are read."""
 
     name: str
     logs: Sequence[Path]
 
     @classmethod
     def from_paths(cls, paths: Sequence[Path | str]) -> "Source":
-        """Return the logs that files, folders and patterns name, including earlier attempts.
+        """Find the logs in files, folders and patterns, including earlier attempts.
 
         Raises UsageError for a path without a trial.
         """
@@ -160,10 +160,10 @@ def open_batch(paths: Sequence[Path | str]) -> Batch:
 
 
 def batches_in(path: Path | str) -> list[Source]:
-    """Return the batches in a file, folder or pattern.
+    """Find the batches in a file, a folder or a pattern.
 
-    It is one batch or, if all logs are in several folders of a folder, such as a study's, one for
-    each of these.
+    Usually, the result is one batch. If the path is a folder whose logs are all in subfolders, such
+    as a study, each subfolder is a batch.
     """
     source = Source.from_paths([path])
     by_arm: dict[Path, list[Path]] = {}
@@ -175,10 +175,10 @@ def batches_in(path: Path | str) -> list[Source]:
 
 
 def one_source(paths: Sequence[Path | str]) -> Source:
-    """Return the contents of all paths as one batch.
+    """Combine the logs in all paths to one batch.
 
     Raises:
-        UsageError: If a path is a folder of several.
+        UsageError: If a path is a folder of several batches.
     """
     source = Source.from_paths(paths)
     for folder in filter(Path.is_dir, map(Path, paths)):
@@ -189,7 +189,7 @@ def one_source(paths: Sequence[Path | str]) -> Source:
 
 
 def sources(paths: Sequence[str]) -> list[Source]:
-    """Return the batches that a user means.
+    """Find the batches that a user means by some paths.
 
     A single path gives the batches in it. If all paths are folders, each is a batch. Otherwise, all
     paths together form one batch.
@@ -208,8 +208,8 @@ def sources(paths: Sequence[str]) -> list[Source]:
 def experiment_of(batch: Batch) -> Experiment:
     """Return the experiment that all trials and attempts share.
 
-    Raises UsageError if the experiments or the plants differ, or if a trial occurs twice: copies of
-    a log, or a simulation run again, would count as independent trials.
+    Raises UsageError if the experiments or the plants differ, or if a trial occurs twice, because
+    copies of a log would count as independent trials.
     """
     if not batch.trials:
         if batch.attempts:
@@ -229,7 +229,7 @@ def experiment_of(batch: Batch) -> Experiment:
 
 
 def _check_alike(first: ResultSummary, second: ResultSummary) -> None:
-    """Raise UsageError for two trials of different plants or experiments."""
+    """Raise UsageError if two trials have different plants or experiments."""
     if second.origin is not first.origin:
         raise UsageError(
             f"{first.log} is from the {first.origin}, {second.log} from the {second.origin}",
@@ -299,5 +299,5 @@ def _differences(ours: Any, theirs: Any, path: str = "") -> Iterator[str]:
 
 
 def _as_text(value: Any) -> str:
-    """Return a single value as in JSON, text without quotes."""
+    """Format a single value as in JSON, but a text without quotes."""
     return value if isinstance(value, str) else json.dumps(value)

@@ -1,8 +1,9 @@
-"""Statistics of a batch of trials: what a statistic is, and how its results are written.
+"""The classes and functions from which the statistics of a batch of trials are made.
 
-A statistic computes figures of a batch and values of each trial. A `Figure` is a line of a table of
-the batch (`tables`) and items of its JSON (`as_json`); the values of a trial are columns of the CSV
-table and items of JSON. `share_figure` and `mean_figure` write figures that have an interval.
+A statistic computes figures of a batch and values of each trial. A `Figure` is a line in a table of
+the batch (`tables`), and some items in its JSON (`as_json`). The values of a trial are columns of
+the CSV table, and items in JSON. `share_figure` and `mean_figure` create figures that have an
+interval.
 
 `number`, `count` and `fraction` make the usual statistics from a function of one trial:
 
@@ -26,14 +27,14 @@ from tetractl.tools.table.table import lengths
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A figure of a batch.
+    """One figure of a batch, such as a mean: a line in tables, and items in JSON.
 
     Attributes:
         label: Its label in tables. Empty if it is in JSON only.
         text: Its text in tables.
         items: Its items of JSON.
-        unusual: Whether a reader must see it, such as damaged logs. The others are shown only with
-            `--full`.
+        unusual: Whether a reader must see it, such as damaged logs. Other figures are shown only
+            with `--full`.
         brief: The text next to those of other batches. None if it is the same, empty if the figure
             is left out there.
     """
@@ -48,7 +49,7 @@ class Figure:
 def share_figure(
     key: str, label: str, holding: int, n: int, counting: str = "", unusual: bool = True
 ) -> Figure:
-    """Return in how many of n trials a condition holds, with Wilson's interval of the fraction.
+    """Create a figure: in how many of n trials a condition holds, with Wilson's interval.
 
     Args:
         key: Key of the statistic.
@@ -68,7 +69,7 @@ def share_figure(
 
 
 def mean_figure(key: str, label: str, values: Distribution, states_n: bool = False) -> Figure:
-    """Return a mean with its interval.
+    """Create a figure: a mean with its interval.
 
     Args:
         key: Key of the statistic.
@@ -84,7 +85,7 @@ def mean_figure(key: str, label: str, values: Distribution, states_n: bool = Fal
 
 @dataclass(frozen=True, slots=True)
 class Statistic:
-    """How to compute a statistic.
+    """A statistic of a batch: functions that compute its figures and its values for each trial.
 
     Attributes:
         of_batch: Returns its figures for one or more trials of one experiment.
@@ -99,7 +100,7 @@ def number(key: str, label: str, number_in: Callable[[Result], float]) -> Statis
     """Create a statistic: the mean of a number in each complete trial, with its 95 % interval.
 
     A trial without a finite number is left out of the mean, and its cell in the table of trials is
-    empty. The statistic's line is also in the short table, because `stats` reads results, not the
+    empty. The statistic also has a line in the short table, because `stats` reads results, not the
     steps of the trials.
 
     Args:
@@ -160,7 +161,7 @@ def fraction(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> St
 
 
 def statistics() -> list[Statistic]:
-    """Return every usable statistic, the built-in ones first."""
+    """Return every statistic that can be used, the built-in ones first."""
     return list(STATISTICS.usable().values())
 
 

@@ -1,10 +1,10 @@
-"""Makes tables of batches and their comparisons: what `stats` and the report page show.
+"""Create tables of batches and their comparisons, which `stats` and the report page show.
 
-summary        `stats`, and the end of a run: the errors, the verdict and what is unusual
-tables         `stats --full`: every table
-trials_listed  the trials of a batch, on the report page and in a notebook
+summary        `stats`, and the end of a run: the errors, the verdict and unusual findings tables
+`stats --full`: every table trials_listed  the trials of a batch, on the report page and in a
+notebook
 
-`as_json` has the same numbers for other programs, in JSON and CSV.
+`as_json` returns the same numbers for other programs, in JSON and CSV.
 """
 
 import math
@@ -39,9 +39,9 @@ PAIR = "one - other"
 
 
 def summary(comparison: BatchComparison) -> list[Table]:
-    """Return the main result: the total errors, the verdict below them, and unusual findings.
+    """Return the main result of batches: total errors, the verdict, and unusual findings.
 
-    Of three batches or more, the verdicts are in a table of their own.
+    If there are three batches or more, the verdicts have their own table.
     """
     groups = comparison.groups
     first = groups[0]
@@ -60,7 +60,7 @@ def summary(comparison: BatchComparison) -> list[Table]:
 
 
 def _verdict(contrast: Contrast) -> str:
-    """Return the verdict of a comparison with its difference and test, in words."""
+    """Describe the verdict of a comparison in words, with its difference and test."""
     if contrast.verdict is None:
         verdict = f"no verdict ({contrast.reason})"
     elif contrast.verdict == "undecided":
@@ -77,7 +77,7 @@ def _verdict(contrast: Contrast) -> str:
 
 
 def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[str]:
-    """Yield a line for each label of what is unusual, `LABEL: NAMES: TEXT; NAMES: TEXT`.
+    """Yield a line for each kind of unusual finding, as `LABEL: NAMES: TEXT; NAMES: TEXT`.
 
     Each text has the names of the batches it is true for, unless there is only one batch.
     """
@@ -95,7 +95,7 @@ def _unusual(groups: Sequence[BatchStatistics]) -> Iterator[str]:
 
 
 def _remarks(group: BatchStatistics, several: bool) -> Iterator[tuple[str, str, str]]:
-    """Yield what is unusual about a batch, in short form if it is one of several.
+    """Yield the unusual findings of a batch, in short form if it is one of several.
 
     Each remark has a label, a text, and the name of the batch or trial that it is about.
     """
@@ -157,7 +157,7 @@ def _tail(group: BatchStatistics) -> Figure:
 
 
 def published_text(difference: MeanDifference, group: BatchStatistics) -> str:
-    """Return the difference of a batch's mean error from the published one as text."""
+    """Describe the difference of a batch's mean error from the published mean error."""
     if not group.origin.comparable:
         return f"{NONE} (not real robots)"
     text = difference.text(group.unit, lengths(difference.value), difference.p_value)
@@ -207,10 +207,10 @@ def _flagged(groups: Sequence[BatchStatistics]) -> Table:
 
 
 def error_format(smallest: float, decimals_most: int) -> Callable[[float], str]:
-    """Return a format with three digits for errors of about `smallest`, the minimum mean.
+    """Create a format that shows three digits of errors of about `smallest`.
 
-    Values over ten times that have three digits of their own, and none has more than
-    `decimals_most` decimals.
+    `smallest` is usually the minimum mean. A value of more than ten times that is shown with three
+    digits of its own. No value has more than `decimals_most` decimals.
     """
     format_of_least = lengths(smallest, decimals_most)
 
@@ -224,9 +224,9 @@ def error_format(smallest: float, decimals_most: int) -> Callable[[float], str]:
 
 
 def decimals_shown(experiment: Experiment) -> int:
-    """Return the number of decimals that shows about a millionth of the arena.
+    """Return the number of decimals that resolves about a millionth of the arena.
 
-    Smaller errors have no meaning.
+    Smaller differences have no meaning.
     """
     extent = max(experiment.arena.width, experiment.arena.height)
     of_a_millionth = 6 - math.floor(math.log10(extent))
@@ -346,7 +346,7 @@ def differences_table(contrasts: Sequence[Contrast]) -> Table:
 
 
 def _basis(contrasts: Sequence[Contrast]) -> Table:
-    """Return the table of what comparisons rest on: tests, power, pairs, and other fields."""
+    """Return the table that shows how batches were compared: tests, power, pairs, other fields."""
     header = (
         PAIR,
         "tests",

@@ -1,9 +1,9 @@
-"""The tables of trials.
+"""Create the tables that `tetractl export` writes: trials, steps, poses, estimates and events.
 
 They have one row for each trial or, within one trial, for each control step, pose, estimate or
 event. The unit of a column is in its name: s, ms, rad, rad/s, or the length unit of the experiment,
-such as mm and mm/s. Times count from the first direction sent. `log` (its file) and `trial` are in
-every table of `tetractl export`, so that tables can be joined.
+such as mm and mm/s. Times count from the first direction sent. Every table has the columns `log`
+(the log's file) and `trial`, so that tables can be joined.
 """
 
 from collections.abc import Callable, Container, Mapping, Sequence
@@ -43,9 +43,9 @@ _WORDS = ("robot", "level", "text", "stopped", "outcome", "origin", "reason")
 
 
 def trials_table(batch: Batch) -> Table:
-    """Return one row per trial, then one row per earlier attempt, with `attempt` True.
+    """Return a table with one row per trial, then one row per earlier attempt.
 
-    The names of lengths end in their unit.
+    In the rows of attempts, `attempt` is True. The names of lengths end in their unit.
     """
     trials = [_trial_row(trial) | {"attempt": False} for trial in batch.trials]
     attempts = [_trial_row(trial) | {"attempt": True, "counted": False} for trial in batch.attempts]
@@ -68,10 +68,10 @@ def _trial_row(trial: ResultSummary) -> dict[str, Any]:
 def steps(log: TrialLog, contents: RawLog) -> Table:
     """Return one row per control step k: the direction sent, its plan and its searches.
 
-    Columns that begin with `left_NAME` and `right_NAME` are the wheel speeds of robot NAME by the
-    paper's equations (24)-(25); `delivered_NAME` is False if the plant knows that the command did
-    not reach it. `lag_s` is the time constant of the wheels by the spec, 0 without one; `identify`
-    reads it. Columns that begin with `plan_` are `Plan.numbers`.
+    The columns `left_NAME` and `right_NAME` are the wheel speeds of robot NAME, by the paper's
+    equations (24)-(25). `delivered_NAME` is False if the plant knows that the command did not reach
+    the robot. `lag_s` is the time constant of the wheels in the spec, or 0 if the spec gives none;
+    `identify` reads it. Columns that begin with `plan_` are `Plan.numbers`.
     """
     timings = {timing.k: timing for timing in contents.messages(HOST_TIMING)}
     untimed = StepTiming()
@@ -190,8 +190,8 @@ def estimates(log: TrialLog, contents: RawLog) -> Table:
 def _of_each_robot(estimate: Estimate, field: str, robots: int) -> Floats:
     """Return a field of an estimate for each robot (N,).
 
-    It is NaN if it is not logged, the same for all robots if it is one number, and the largest
-    misfit of each robot.
+    The field is NaN if it is not logged. A single number is repeated for all robots. Of several
+    misfits, each robot gets its largest.
     """
     if field not in {logged.name for logged, _ in estimate.ListFields()}:
         return np.full(robots, np.nan)

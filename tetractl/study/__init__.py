@@ -1,1 +1,1 @@
-"""Studies: trials of many variants of a spec ("arms") with paired seeds, in one table."""
+"""Run studies: trials of many variants of a spec ("arms") with paired seeds."""

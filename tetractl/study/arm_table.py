@@ -42,11 +42,11 @@ def origins(loaded: LoadedStudy) -> list[Origin]:
 
 
 def write_table(loaded: LoadedStudy, store: Store) -> Path:
-    """Write `trials.csv` and return its path; the same results give the same bytes.
+    """Write the table of all trials of a study, `trials.csv`, and return its path.
 
-    Its columns are `log` (the path from the study's folder), `trial`, `arm`, `controller`, the
-    swept fields by their paths, all columns of `tetractl export` that do not differ from run to
-    run, `content_digest` and `code`.
+    The same results give the same bytes. The columns are `log` (the path from the study's folder),
+    `trial`, `arm`, `controller`, the swept fields by their paths, all columns of `tetractl export`
+    that do not differ from run to run, `content_digest` and `code`.
     """
     rows: list[dict[str, Any]] = []
     for arm, trial in finished_trials(loaded, store):
@@ -68,10 +68,11 @@ def write_table(loaded: LoadedStudy, store: Store) -> Path:
 
 
 def group_of(store: Store, value: Any, arms: Sequence[Arm]) -> ArmErrors:
-    """Describe the total error over the trials that have a result in all arms.
+    """Describe the total error for one value of a swept field, over all arms with this value.
 
-    Trials with the same number have the same seed in every arm, so their mean over the arms counts
-    as one observation. If each trial counted separately, the interval would be too short.
+    Only trials that have a result in all of these arms count. Trials with the same number have the
+    same seed in every arm, so their mean over the arms counts as one observation. If each trial
+    counted separately, the interval would be too short.
 
     Args:
         store: The folder of the study.
@@ -113,7 +114,10 @@ def field_values(store: Store, path: str, arms: Iterable[Arm]) -> list[ArmErrors
 
 
 def given_note(arms: Sequence[Arm]) -> str:
-    """Name the arms whose directions were given. Empty if there are none."""
+    """Name the arms whose directions were given, instead of decided by a controller.
+
+    The text is empty if there are none.
+    """
     names = [arm.name for arm in arms if arm.spec.experiment.directions_given]
     return f"{GIVEN_DIRECTIONS}: {', '.join(names)}" if names else ""
 

@@ -1,7 +1,6 @@
-"""The figures of a study.
+"""Draw the figures of a study: total errors by arm, and against each swept field.
 
-They show the total error by arm and, for each swept field, against its value, in the shades of the
-controllers.
+The colours distinguish the controllers.
 """
 
 import re

@@ -1,11 +1,11 @@
-"""Loads a study's file, many variants of a spec called arms, and reports all problems at once.
+"""Load a study's file, which describes many variants of a spec, and report all its problems.
 
-An arm is the combination of one point of the sweep with one controller. In the order of a study's
-arms,
+A variant is called an arm: the combination of one point of the sweep with one controller. In the
+order of the arms,
 
     _combinations    yields each
     _arm             loads the base spec with its settings, and checks it
-    _placed          tells a problem of that spec at the setting that causes it
+    _placed          reports a problem of that spec at the setting that causes it
 
 and then `_disagreements` looks for problems that concern several arms.
 """
@@ -69,7 +69,7 @@ class Arm:
 
 
 def arm_name(controller: str, values: Mapping[str, Any]) -> str:
-    """Return the name of an arm and of its folder, such as `ours-dead_time=0.07`.
+    """Compose the name of an arm and of its folder, such as `ours-dead_time=0.07`.
 
     A field is named by the last part of its path if that is unique, otherwise by the whole path.
     """
@@ -83,7 +83,7 @@ def arm_name(controller: str, values: Mapping[str, Any]) -> str:
 
 
 def shown(value: Any) -> str:
-    """Return a value as text: numbers with six digits, a list of mappings as its length."""
+    """Format a value for people: numbers with six digits, a list of mappings by its length."""
     if isinstance(value, float):
         return f"{value:.6g}"  # significant digits of a number in a name or a figure
     if isinstance(value, list | tuple) and value and isinstance(value[0], dict):
@@ -92,7 +92,7 @@ def shown(value: Any) -> str:
 
 
 def as_yaml(value: Any) -> str:
-    """Return a value as YAML in one line, as in `--set`."""
+    """Format a value as YAML in one line, as in `--set`."""
     return json.dumps(value, ensure_ascii=False)  # JSON is YAML
 
 
@@ -185,7 +185,7 @@ def _loaded(document: Document, folder: Path, settings: Sequence[SpecSetting]) -
 
 
 def _base(study: Study, document: Document, folder: Path) -> Document:
-    """Return the spec that every arm changes: a file, or contents in the study.
+    """Return the spec that every arm changes. It comes from a file, or is part of the study.
 
     Raises:
         InvalidSpecError: If it cannot be read.
@@ -204,7 +204,7 @@ def _base(study: Study, document: Document, folder: Path) -> Document:
 
 
 def _named(study: Study) -> str | None:
-    """Return the file's name that a problem with the whole base quotes. None for contents."""
+    """Return the file's name for problems with the whole base. None if the base is in the study."""
     return None if isinstance(study.base, dict) else printable(Path(study.base).name)
 
 
@@ -234,7 +234,7 @@ def _arms(
 
 
 def _study(document: Document) -> Study:
-    """Return the study of a document.
+    """Validate a document as a study.
 
     Raises:
         InvalidSpecError: If it is invalid, or a spec.
@@ -323,7 +323,7 @@ def _arm(
 
 
 def _placed(problem: SpecProblem, locations: Mapping[str, Loc], document: Document) -> SpecProblem:
-    """Return a problem of a spec, located in the study if a setting of the study causes it.
+    """Locate a problem of an arm's spec in the study, if a setting of the study causes it.
 
     `locations` are the locations of the settings, by the origin that a problem names.
     """
@@ -354,7 +354,7 @@ def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]
 
 
 def _with_unique_names(arms: list[Arm]) -> Iterable[Arm]:
-    """Yield the arms; if several have the same name, a part of the arm's hash is added."""
+    """Yield the arms. If several have the same name, a part of the arm's hash is added to it."""
     names = Counter(arm.name.lower() for arm in arms)  # some file systems ignore case
     for arm in arms:
         several = names[arm.name.lower()] > 1

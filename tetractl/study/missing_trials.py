@@ -1,4 +1,4 @@
-"""Says which trials of a study are still to be run."""
+"""Find the trials of a study that still have to be run."""
 
 import pickle
 from collections import Counter
@@ -17,7 +17,7 @@ from tetractl.tools.table.table import Table
 def lacking(
     loaded: LoadedStudy, store: Store, rerun_outdated: bool
 ) -> tuple[list[Task], dict[str, int]]:
-    """Return the tasks of trials that are not finished.
+    """Create the tasks for the trials of a study that are not finished.
 
     A trial is outdated if another version of the code has run it. Tasks are ordered by trial
     number, so that all arms have about equally many trials if the run ends early.
@@ -46,7 +46,7 @@ def lacking(
 
 
 def warm_up_arms(loaded: LoadedStudy, announce: Callable[[str], None]) -> None:
-    """Compile what the arms need; a failure is reported with its trial."""
+    """Compile the code that the arms of a study need. A failure is reported with its trial."""
     for arm in {arm.controller: arm for arm in loaded.arms}.values():
         with suppress(TetractlError):
             warm_up(arm.spec.experiment, announce)

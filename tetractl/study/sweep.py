@@ -1,7 +1,7 @@
-"""The sweeps of a study: points, each of which gives values to some fields of a spec.
+"""The sweep of a study: a list of points, each of which sets some fields of a spec.
 
-`type: grid` gives every combination of listed values, `list` listed points, `random` and `sobol`
-points drawn from ranges.
+`type: grid` gives every combination of listed values, `list` gives listed points, and `random` and
+`sobol` give points sampled from ranges.
 """
 
 import itertools
@@ -31,7 +31,7 @@ class Setting:
 
 
 class Sweep(Model):
-    """The section `sweep` of a study; each kind has its own name as the `Literal` of its `type`."""
+    """The section `sweep` of a study. Each kind has its own name as the `Literal` of its `type`."""
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
@@ -45,7 +45,7 @@ Values = Annotated[tuple[Any, ...], Field(min_length=1, max_length=1000)]
 
 
 class Grid(Sweep):
-    """Every combination of the listed values; the last field changes fastest."""
+    """Every combination of the listed values. The last field changes fastest."""
 
     type: Literal["grid"]
     fields: dict[FieldPath, Values] = Field(min_length=1)
@@ -63,7 +63,7 @@ Point = Annotated[dict[FieldPath, Any], Field(min_length=1)]
 
 
 class Points(Sweep):
-    """The listed points; a field that a point lacks has the base's value."""
+    """A list of points. A field that a point does not set has the value of the base spec."""
 
     type: Literal["list"]
     points: tuple[Point, ...] = Field(min_length=1, max_length=100_000)
@@ -79,7 +79,7 @@ class Points(Sweep):
 
 
 class Range(Model):
-    """The range from which values of a field are drawn."""
+    """The range from which values of a field are sampled."""
 
     low: Finite
     """Lower end of the range."""
@@ -111,7 +111,7 @@ class Range(Model):
         return min(max(value, self.low), self.high)
 
     def _between(self, low: float, high: float, fraction: float) -> float:
-        """Return the value between two others, which rounding may exceed."""
+        """Interpolate between two values; rounding may exceed them slightly."""
         if self.scale == "log":
             log_low = math.log(low)
             return math.exp(log_low + fraction * (math.log(high) - log_low))
@@ -131,11 +131,11 @@ class SampledSweep(Sweep):
         """Return numbers from 0 to below 1, shape (count, number of fields)."""
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return `count` points drawn from the ranges."""
+        """Return `count` points sampled from the ranges."""
         return [self._point(shares) for shares in self.shares(rng).tolist()]
 
     def _point(self, shares: Sequence[float]) -> Mapping[str, Setting]:
-        """Return the settings at one fraction of each field's range."""
+        """Return the settings at one point, given as a fraction of each field's range."""
         settings: dict[str, Setting] = {}
         for (path, range_), share in zip(self.fields.items(), shares, strict=True):
             settings[path] = Setting(range_.at(share), ("fields", path))
@@ -143,7 +143,7 @@ class SampledSweep(Sweep):
 
 
 class Random(SampledSweep):
-    """Points drawn independently of one another."""
+    """Points sampled independently of one another."""
 
     type: Literal["random"]
 

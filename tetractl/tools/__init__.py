@@ -1,1 +1,1 @@
-"""Tools that know nothing of robots: tables, processes, files, the cache of compiled code."""
+"""General tools that are independent of robots: tables, processes, files, and compiled code."""

@@ -1,4 +1,6 @@
-"""The cache folder for compiled code, to which only its user can write, and names for its files.
+"""The cache folder for compiled code, which only its user can write to.
+
+This module also chooses the names of the files in it.
 
 The files in the folder are executed: numba's files are pickles, and the firmware's cores are shared
 libraries. A folder that another user can write to, or whose parents another user can replace, is
@@ -59,7 +61,10 @@ def _wanted() -> Path | None:
 
 
 def claim(folder: Path) -> str | None:
-    """Make a folder that only this user can write to; return the reason if that fails, or None."""
+    """Create a folder that only this user can write to.
+
+    Return the reason if that fails, or None.
+    """
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         why = exposed(folder)
@@ -74,11 +79,11 @@ def claim(folder: Path) -> str | None:
 
 
 def exposed(folder: Path) -> str | None:
-    """Return a sentence that states how other users can write to a folder, None if they cannot.
+    """Explain how other users can write to a folder. None if they cannot.
 
-    The folder has to be the user's, and each parent the user's or root's; a parent that others can
-    write to must be sticky, as the temporary folder is. A group of which the user is the only
-    member counts as the user.
+    The folder has to belong to the user, and each parent to the user or to root. A parent that
+    others can write to must be sticky, like the temporary folder. A group of which the user is the
+    only member counts as the user.
     """
     if not hasattr(os, "getuid"):  # Windows: files have no owners
         return None
@@ -97,7 +102,7 @@ def exposed(folder: Path) -> str | None:
 
 
 def read_own(file: Path) -> bytes:
-    """Return the bytes of a file that is to be executed.
+    """Read a file whose contents will be executed, after checking who can write to it.
 
     Raises:
         PermissionError: With the reason, if it belongs to another user, or others can write to it.
@@ -112,7 +117,7 @@ def read_own(file: Path) -> bytes:
 
 
 def _alone_in(group: int) -> bool:
-    """Decide whether the user is the only member of a group."""
+    """Check whether the user is the only member of a group."""
     import grp
     import pwd
 
@@ -125,7 +130,7 @@ def _alone_in(group: int) -> bool:
 
 
 def compiler_settings() -> str:
-    """Return numba's environment variables except NUMBA_CACHE_DIR as text.
+    """Return the environment variables that configure Numba, except NUMBA_CACHE_DIR, as text.
 
     The form is "NAME=value NAME=value ...", or "none" if none is set.
     """
@@ -149,7 +154,7 @@ def file_digest(source: Path) -> bytes:
 
 
 def digest(sources: Iterable[Path], options: str = "") -> str:
-    """Return 12 hex digits of a hash of files and compiler options.
+    """Compute 12 hex digits of a hash of files and compiler options.
 
     Only the contents of the files count, wherever they are.
     """

@@ -1,10 +1,10 @@
-"""Starts the child processes of tetractl and of its packages: tools, and other Pythons.
+"""Start child processes of tetractl and its packages: tools, and other Python interpreters.
 
-Only this module and `worker_pool` start processes. Nothing of the present folder is run: a Python
-child starts with `-P`, or with PYTHONSAFEPATH where `multiprocessing` makes its command, so that a
-`json.py` next to a spec is not imported as Python's. What a child says on its standard error does
-not reach the terminal as it is: it is kept up to SAID_BYTES, made printable, and shown with the
-name of who said it.
+Only this module and `worker_pool` start processes. No code in the current folder is run: a Python
+child starts with `-P`, or with PYTHONSAFEPATH if `multiprocessing` makes its command. So a
+`json.py` next to a spec is not imported instead of Python's own. The standard error of a child does
+not reach the terminal unchanged. Up to SAID_BYTES of it are kept, made printable, and shown with
+the name of the child.
 """
 
 import os
@@ -33,7 +33,7 @@ def python(module: str, *arguments: str) -> list[str]:
 
 
 class Child:
-    """A process of a command, whose standard error is kept.
+    """A child process that runs a command, and whose standard error is kept.
 
     See `subprocess.Popen` for its other attributes.
 
@@ -71,7 +71,7 @@ class Child:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End it, and close its pipes."""
+        """End the process, and close its pipes."""
         self.kill()
         for stream in (self._process.stdin, self._process.stdout):
             if stream is not None:
@@ -91,23 +91,26 @@ class Child:
 
     @property
     def stdout(self) -> IO[bytes]:
-        """The pipe of what it prints."""
+        """The pipe from which the output of the process is read."""
         assert self._process.stdout is not None
         return self._process.stdout
 
     def wait(self) -> int:
-        """Wait until it ends; return its exit code, or less than 0 the number of a signal."""
+        """Wait until the process ends, and return its exit code.
+
+        If a signal has ended it, the result is minus the number of the signal.
+        """
         return self._process.wait()
 
     def kill(self) -> None:
-        """End it; may be called twice."""
+        """End the process. This method can be called twice."""
         self._process.kill()
         self._process.wait()
 
     def error_lines(self) -> list[str]:
         """Return the last printable lines on its standard error, after it has ended.
 
-        A child of its own may keep the pipe open: it is not waited for.
+        A child of that process may keep the pipe open. This method does not wait for it.
         """
         self._listener.join(1.0)
         return shown_lines(bytes(self._output))
@@ -124,7 +127,7 @@ class Child:
 def run_tool(
     command: Sequence[str], patience_s: float | None = None
 ) -> subprocess.CompletedProcess[bytes]:
-    """Run a tool, such as git or a compiler, to its end.
+    """Run a tool, such as git or a compiler, and wait until it ends.
 
     Raises:
         OSError: If it cannot be started, or does not end in time.
@@ -145,6 +148,6 @@ def open_in_browser(address: str) -> bool:
 
 
 def shown_lines(output: bytes) -> list[str]:
-    """Return the lines of a text that are not empty, each printable and of SHOWN_LINE_MAX."""
+    """Split an output into non-empty lines, each made printable and cut to SHOWN_LINE_MAX."""
     lines = output.decode(errors="replace").splitlines()
     return [printable(line, SHOWN_LINE_MAX) for line in lines if line.strip()]

@@ -1,4 +1,4 @@
-"""Creates folders, writes files completely or not at all, and locks files of one program."""
+"""Create folders, write files completely or not at all, and lock files."""
 
 from contextlib import suppress
 from pathlib import Path

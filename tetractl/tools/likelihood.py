@@ -1,4 +1,4 @@
-"""Maximises a likelihood by Newton steps with differences; the intervals that follow."""
+"""Maximise a likelihood with Newton steps, and compute the intervals that follow."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ SHARES = np.array([0.0, 0.05, 0.2, 0.5, 1.0])
 
 @dataclass(frozen=True, slots=True)
 class SampleInterval:
-    """A value and its 95 % interval; an end is infinite if the data do not bound the value."""
+    """A value and its 95 % interval. An end is infinite if the data do not bound the value."""
 
     value: float
     low: float
@@ -32,7 +32,7 @@ def newton_step(
 ) -> tuple[Floats, Floats]:
     """Improve parameters with a Newton step, and estimate their standard deviations.
 
-    Derivatives are differences. Each parameter has a normal prior around 0.
+    Derivatives are approximated by differences. Each parameter has a normal prior around 0.
 
     Args:
         likelihood: Returns the log-likelihood (N, V) for V variants of the parameters (N, V, P).
@@ -62,8 +62,8 @@ def newton_step(
 def derivatives(score: Callable[[Floats], Floats], size: int) -> tuple[Floats, Floats]:
     """Compute the slope (N, P) and the negative curvature (N, P, P) of a score of P parameters.
 
-    They follow from the score at the parameters, with each raised and lowered, and with each two
-    raised.
+    They are approximated by differences: each parameter is raised and lowered alone, and each pair
+    of parameters is raised together.
     """
     raised = DIFFERENCE * np.eye(size)
     row, column = np.triu_indices(size, 1)

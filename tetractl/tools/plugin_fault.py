@@ -1,6 +1,7 @@
-"""Reports an unexpected error of a trial whose spec uses plug-ins in one line that names them.
+"""Report an unexpected error in a trial with plug-ins as one line that names the plug-ins.
 
-Which of them is at fault is not guessed: the calls that led to the error are kept for the log.
+The program does not guess which of them is at fault. It keeps the calls that led to the error for
+the log.
 """
 
 import errno
@@ -57,7 +58,7 @@ def naming_plugins(error: BaseException, packages: Mapping[str, str]) -> PluginT
     """Return an error that also names the plug-ins of a spec.
 
     Args:
-        error: What was raised in a trial.
+        error: The error that was raised in a trial.
         packages: Version of each package whose kinds the spec uses.
 
     Returns:
@@ -76,7 +77,7 @@ def naming_plugins(error: BaseException, packages: Mapping[str, str]) -> PluginT
 
 
 def _of_computer(error: BaseException) -> bool:
-    """Tell whether an error comes from the computer or its system, whichever code it occurs in."""
+    """Check whether an error comes from the computer or its system, whichever code it occurs in."""
     match error:
         case SystemExit(__context__=BrokenPipeError()):
             return True  # of rich, whose output has no reader any more
@@ -90,7 +91,7 @@ def _of_computer(error: BaseException) -> bool:
 
 
 def _has_no_reader(stream: TextIO) -> bool:
-    """Tell whether nobody reads any more what is written to a stream."""
+    """Check whether nobody reads a stream any more."""
     try:
         stream.flush()
     except BrokenPipeError:

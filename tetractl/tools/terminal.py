@@ -1,7 +1,7 @@
-"""Decides whether a standard stream is a terminal at which a person reads and presses keys.
+"""Detect whether a stream is a terminal at which a person reads and presses keys.
 
-Every part of the program that shows pictures, sends a terminal's codes, or waits for a key asks
-here.
+Every part of the program that shows images, sends terminal codes, or waits for a key uses this
+module.
 """
 
 import os
@@ -11,21 +11,22 @@ from typing import IO
 
 
 def is_terminal(stream: IO[str] | None) -> bool:
-    """Decide whether a stream is a terminal with a person in front of it.
+    """Check whether a stream is a terminal with a person in front of it.
 
-    A command in a cell of a notebook, such as `!tetractl run`, has a pseudo-terminal, but no key
-    reaches it, and its output goes into the notebook's file: that is no terminal.
+    A command in a cell of a notebook, such as `!tetractl run`, has a pseudo-terminal. However, no
+    key reaches it, and its output goes into the notebook's file, so it does not count as a
+    terminal.
     """
     return stream is not None and stream.isatty() and not _is_in_a_cell(os.environ)
 
 
 def has_keys() -> bool:
-    """Decide whether a person can press keys, because stdin is a terminal."""
+    """Check whether a person can press keys, because stdin is a terminal."""
     return is_terminal(sys.stdin)
 
 
 def _is_in_a_cell(environment: Mapping[str, str]) -> bool:
-    """Decide whether a Jupyter kernel started this process.
+    """Check whether a Jupyter kernel started this process.
 
     Jupyter sets JPY_PARENT_PID when it starts a kernel. Kernels that other programs start (such as
     VS Code) are known by the settings that every IPython kernel gives its child processes.

@@ -1,7 +1,6 @@
-"""A background thread that makes calls in order, and an observer that uses it.
+"""A background thread that makes calls in order, and an observer that passes its calls to it.
 
-The observer's calls may wait for the thread: it is the log's writer, or another observer that may
-be slow.
+The log's writer and other observers that may be slow use them.
 """
 
 import queue
@@ -29,7 +28,7 @@ POLL_S = 0.05
 
 
 def drained(waiting: deque[T]) -> list[T]:
-    """Remove and return a queue's items, oldest first; another thread may add items meanwhile."""
+    """Remove and return a queue's items, oldest first. Another thread may add items meanwhile."""
     return [waiting.popleft() for _ in range(len(waiting))]
 
 
@@ -38,10 +37,10 @@ def _nothing() -> float | None:
 
 
 class Worker:
-    """A thread with a queue of calls.
+    """A thread that makes queued calls, one after another.
 
-    The first error is kept as `failure`: that a call raised it, or that the queue is too slow. The
-    next `put`, `drain` or `check` raises it, once, and later calls are dropped.
+    The first error is kept as `failure`. A call may have raised it, or the queue may be too slow.
+    The next `put`, `drain` or `check` raises it, once, and later calls are dropped.
 
     Args:
         name: Name of the thread.
@@ -79,7 +78,7 @@ class Worker:
         self._thread.start()
 
     def put(self, call: Callable[..., object], *args: object) -> None:
-        """Queue `call(*args)`."""
+        """Queue the call `call(*args)` for the thread."""
         self.check()
         if self.failure is None:
             place = self._places.acquire(blocking=False)
@@ -99,7 +98,7 @@ class Worker:
         self.check()
 
     def wait(self) -> None:
-        """As `drain`, but leave an error to the next call."""
+        """Wait until every call so far is done, but leave an error to the next call."""
         if self.failure is None:
             done = threading.Event()
             self._calls.put(done.set)
@@ -116,8 +115,8 @@ class Worker:
     def close(self, last: Callable[[], object] = _nothing) -> None:
         """Make the calls in the queue and then `last`, even after a failure, and end the thread.
 
-        `close` never raises: read `failure`, or call `check`. A second `close` does nothing. A
-        thread that has stalled is abandoned.
+        `close` never raises. To find out about errors, read `failure`, or call `check`. A second
+        `close` does nothing. A thread that has stalled is abandoned.
         """
         if not self._thread.is_alive():
             return
@@ -158,28 +157,28 @@ class Worker:
 
 
 class Relay(Observer):
-    """An observer that keeps each call, in order, to be made later and of another observer."""
+    """An observer that stores its calls in order, to make them later on another observer."""
 
     @abstractmethod
     def put(self, call: Callable[[Observer], object]) -> None:
-        """Keep a call, which is made of the observer that it is given."""
+        """Store a call, which is a function of the observer on which it will be made."""
 
     def on_samples(self, samples: list[Sample]) -> None:
-        """Keep camera frames."""
+        """Store camera frames."""
         self.put(lambda observer: observer.on_samples(samples))
 
     def on_step(self, step: Step) -> None:
-        """Keep a control step."""
+        """Store a control step."""
         self.put(lambda observer: observer.on_step(step))
 
     def on_command(self, command: Command) -> None:
-        """Keep a command sent outside the control steps."""
+        """Store a command sent outside the control steps."""
         self.put(lambda observer: observer.on_command(command))
 
     def on_note(self, note: Note) -> None:
-        """Keep an operator message."""
+        """Store an operator message."""
         self.put(lambda observer: observer.on_note(note))
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Keep the stop and the result."""
+        """Store the stop and the result."""
         self.put(lambda observer: observer.on_stop(stop, result))

@@ -1,6 +1,6 @@
-"""Worker processes of a pool, which execute calls for this process.
+"""A pool of worker processes, which make calls for this process.
 
-`children` starts all other child processes, and says what holds of all of them.
+`children` starts all other child processes, and explains the rules for all of them.
 """
 
 import multiprocessing
@@ -32,9 +32,9 @@ _starting = threading.RLock()
 
 @contextmanager
 def isolated() -> Iterator[None]:
-    """Let processes that `multiprocessing` starts in the block import nothing from this folder.
+    """Start processes in the block such that they import nothing from the current folder.
 
-    They inherit an environment variable from this process.
+    `multiprocessing` starts these processes, which inherit an environment variable.
     """
     with _starting:
         before = os.environ.get(SAFE_PATH)
@@ -49,7 +49,7 @@ def isolated() -> Iterator[None]:
 
 
 def fresh_context(preload: Sequence[str] = ()) -> BaseContext:
-    """Return a context that starts workers that are not copies of this process.
+    """Create a context that starts workers as new processes, not as copies of this process.
 
     Copies would have the locks that this process's threads hold. Modules in `preload` are imported
     only once for all workers, where that is possible.
@@ -62,7 +62,7 @@ def fresh_context(preload: Sequence[str] = ()) -> BaseContext:
 
 
 def copying_context() -> BaseContext:
-    """Return the context that starts workers as copies of this process."""
+    """Create a context that starts workers as copies of this process."""
     return multiprocessing.get_context("fork")
 
 

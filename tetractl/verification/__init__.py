@@ -1,1 +1,1 @@
-"""Verification of recorded trials by re-computation."""
+"""Verify logs of trials by repeating their simulations or their decisions."""

@@ -1,4 +1,4 @@
-"""Compares two records, such as two plans or messages, up to the first value that differs."""
+"""Compare two records, such as two plans or messages, and find the first difference."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A value that contradicts the log.
+    """A value in a log that contradicts the repeated computation or another part of the log.
 
     Attributes:
         step: The control step. None outside of steps.
@@ -24,7 +24,7 @@ class Difference:
     message: str
 
     def in_step(self, step: int | None) -> "Difference":
-        """Return the difference as one of a control step."""
+        """Return the difference with the number of its control step."""
         return replace(self, step=step)
 
     def __str__(self) -> str:
@@ -34,7 +34,10 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Unchecked(Difference):
-    """A part of a log that was not compared because that would take too long: no contradiction."""
+    """A part of a log that was not compared, because that would take too long.
+
+    It is not a contradiction.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +89,7 @@ def first_difference(
 def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Iterator[Difference]:
     """Yield the differences of two records: of their types, then of each part.
 
-    A part that is missing counts as None: a log does not distinguish the two.
+    A missing part counts as None, because a log does not distinguish the two.
     """
     if ours is logged:
         return

@@ -1,4 +1,4 @@
-"""Reads the microscope's pictures in a log, reduced for display, and their place in the dish."""
+"""Read the microscope images in a log, reduced for display, and their position in the dish."""
 
 import io
 import math
@@ -21,11 +21,11 @@ JPEG_QUALITY = 60
 
 
 class DishPictures:
-    """The readable pictures of one trial, at most `count_max`; only logs of a microscope have any.
+    """The microscope images of one trial that can be read, at most `count_max`.
 
-    `times` are when the pictures were taken, on the trial's clock [ns]. `corners` (3, 2) are the
-    positions of a picture's lower left, lower right and upper left corner in the spec's
-    coordinates.
+    Only logs of a microscope contain images. `times` are the times when they were taken, on the
+    trial's clock [ns]. `corners` (3, 2) are the positions of an image's lower left, lower right and
+    upper left corner in the spec's coordinates.
     """
 
     def __init__(self, log: TrialLog, count_max: int | None = None) -> None:
@@ -56,11 +56,11 @@ class DishPictures:
         return max(bisect_right(self.times, when_ns) - 1, 0) if self.times else None
 
     def grey(self, which: int) -> Grey:
-        """Return the grey levels (height, width) of a picture, with the upper row first."""
+        """Return the grey levels (height, width) of an image, with the upper row first."""
         return np.asarray(self._greys[which])
 
     def jpeg(self, which: int) -> bytes:
-        """Return a picture as a JPEG file."""
+        """Return an image as a JPEG file."""
         file = io.BytesIO()
         self._greys[which].save(file, "JPEG", quality=JPEG_QUALITY)
         return file.getvalue()

@@ -1,7 +1,8 @@
-"""Shows the frames and commands of a log to a guard again.
+"""Replay the frames and commands of a log to a guard, and report what it would have done.
 
-A log holds the poses that the guard of the trial accepted. A pose that it refused is in no log: the
-robot then counts as untracked. Heights, tilts and unknown bodies are not logged either.
+A guard decides during a run which robots may move. A log contains only the poses that the guard of
+the trial accepted. If it refused a pose, the robot is untracked in the log. Heights, tilts and
+unknown bodies are not logged either.
 """
 
 from collections.abc import Iterator
@@ -30,13 +31,13 @@ WHEEL_CHECKS = ("frozen", "motion", "drift", "wheels")
 
 @dataclass(frozen=True, slots=True)
 class GuardReport:
-    """What a guard would have done in a trial.
+    """The actions that a guard would have taken in a recorded trial.
 
     Attributes:
-        interventions: All that it would have done, the oldest first.
+        interventions: All actions that it would have taken, the oldest first.
         watched_s: Time in which robots were driven [s].
         checks: Names of the checks that could find something in this log.
-        began_ns: Time 0 of what users see [ns].
+        began_ns: The time that users see as 0 [ns].
     """
 
     interventions: tuple[Intervention, ...]
@@ -47,7 +48,10 @@ class GuardReport:
 
 @dataclass(frozen=True, slots=True, order=True)
 class LogEvent:
-    """A frame or command of a log, ordered as the inner loop met them: frames first."""
+    """A frame or a command of a log, in the order of the inner loop.
+
+    If a frame and a command have the same time, the frame comes first.
+    """
 
     t_ns: int
     is_command: bool
@@ -74,9 +78,9 @@ def camera_frame(log: TrialLog, row: int) -> CameraFrame:
 
 
 def checks_of_lab(experiment: Experiment) -> ChecksOf:
-    """Return the checks that the guard of a spec's lab has.
+    """Return the checks that the guard makes in a spec's lab.
 
-    If the spec has no lab, these are the checks of robots on wheels.
+    If the spec has no lab, these are the checks for robots on wheels.
     """
     plant = experiment.plant
     return resolve_name(plant.actuator.checks) if isinstance(plant, LabSection) else robot_checks
@@ -124,13 +128,16 @@ def limits_of(log: TrialLog) -> LabLimits:
 
 
 def _ticks(since_ns: int, until_ns: int) -> Iterator[int]:
-    """Yield the times of decisions between two events; few if nothing happened before."""
+    """Yield the times of the guard's decisions between two events.
+
+    If nothing happened before, there are only a few.
+    """
     if since_ns:
         yield from range(since_ns + TICK_NS, until_ns, TICK_NS)
 
 
 def _note_action(observer: GuardObserver, command: Command) -> None:
-    """Pass on what the controller decided."""
+    """Pass the controller's decision to the observer."""
     if isinstance(command.action, Stop):
         observer.end_run()
         return
@@ -139,10 +146,10 @@ def _note_action(observer: GuardObserver, command: Command) -> None:
 
 
 def note_speeds(guard: Guard | GuardObserver, log: TrialLog, command: Command) -> None:
-    """Pass on the motion that was commanded, if the log has it.
+    """Pass the commanded motion of a logged command to a guard, if the log contains it.
 
     Args:
-        guard: The guard that is to know it.
+        guard: The guard, or the observer of one.
         log: The command's trial.
         command: The command.
     """

@@ -1,4 +1,4 @@
-"""Compares the log of a trial with the log of the same trial run again, record by record."""
+"""Compare the log of a trial with the log of the same trial run again, record by record."""
 
 from collections.abc import Iterator
 from itertools import zip_longest
@@ -19,8 +19,9 @@ def log_differences(again: RawLog, log: RawLog) -> Iterator[Difference]:
     """Compare the log of a trial with the log of the same trial run again.
 
     Yields:
-        The first difference of each channel and attachment, those of control steps first.
-        Attachments that only the log has are not compared: others may add them.
+        The first difference in each channel and attachment; differences in control steps come
+        first. Attachments that only the log has are not compared, because other programs may add
+        them.
     """
     topics = [topic for topic in CHANNELS if topic not in NOT_COMPARED]
     names = again.attachments.keys() - NOT_COMPARED

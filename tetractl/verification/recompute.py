@@ -1,12 +1,12 @@
-"""Computes each decision of a trial again with the controller rebuilt from the log.
+"""Repeat each decision of a logged trial with a controller that is rebuilt from the log.
 
 `recompute` goes through the steps: `_step_difference` lets the controller decide on the logged
-frames, and compares. The controller's searches are answered by `StepSearches.search` in one of two
-ways. *Re-computed*: every search is run again and must give the same bits, as it does on the
-machine and with the versions that wrote the log. *Re-evaluated*: the searches' results are read
-from the log; their J, the choice among them and the predicted path are computed again, and must
-agree within TOLERANCE and ROUNDING. Searches cannot be repeated on another processor: a
-difference in the last bit of one cost may change the leading particle and then the whole search.
+frames, and compares. `StepSearches.search` answers the controller's searches in one of two ways.
+*Re-computed*: every search is run again and must give the same bits, as it does on the machine and
+with the versions that wrote the log. *Re-evaluated*: the searches' results are read from the log;
+their J, the choice among them and the predicted path are computed again, and must agree within
+TOLERANCE and ROUNDING. Searches cannot be repeated on another processor: a difference in the last
+bit of one cost may change the leading particle and then the whole search.
 """
 
 import copy
@@ -68,7 +68,7 @@ AFTER_EVERY_DEADLINE_NS = 1 << 62
 
 @dataclass(frozen=True, slots=True)
 class Recomputed:
-    """How far the decisions of a log agree.
+    """The result of repeating the decisions of a log: how many of them agree.
 
     Attributes:
         agreeing: Number of steps before the first difference.
@@ -125,7 +125,7 @@ def _step_difference(
     last: Step | None,
     step: Step,
 ) -> Difference | None:
-    """Decide a step again, and return the first difference from the logged decision.
+    """Repeat the decision of a step, and return the first difference from the logged decision.
 
     The step follows `last`. None if there is no difference.
     """
@@ -174,7 +174,7 @@ def _plan_difference(plan: Plan, step: Step, tolerance: Tolerance) -> Difference
 def plan_again(
     controller: Controller, log: TrialLog, last: Step | None, observation: Observation
 ) -> Decision:
-    """Return a controller's decision in the control step after a logged step.
+    """Repeat a controller's decision in the control step after a logged step.
 
     Args:
         controller: The controller.
@@ -252,9 +252,9 @@ def _outcome_difference(
 def _last_frames(log: TrialLog, last: Step | None, stop_ns: int) -> list[int]:
     """Return the rows of the camera frames on which a trial may have ended, the newest first.
 
-    The trial was stopped at `stop_ns`. In the lab, it may be any frame after the last step, because
-    the stop may have been sent later. In a simulation, it is the newest one a control period after
-    the last command.
+    The trial was stopped at `stop_ns`. In a lab, every frame after the last step is possible,
+    because the stop may have been sent later. In a simulation, it is the newest frame one control
+    period after the last command.
     """
     since_ns = last.observation.received_ns if last else -1
     after = (log.received_ns > since_ns) & (log.received_ns <= stop_ns)
@@ -272,7 +272,10 @@ def _last_frames(log: TrialLog, last: Step | None, stop_ns: int) -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class _LastDecision:
-    """The outcome with which a controller ends a trial, None if it does not end it, in words."""
+    """The outcome with which a controller ends a trial, and its description in words.
+
+    The outcome is None if the controller does not end the trial.
+    """
 
     outcome: Outcome | None
     text: str
@@ -306,16 +309,16 @@ def _outcome_of(decision: Outcome | End) -> Outcome:
 
 
 class TooLongError(Exception):
-    """Computing the decisions of a trial would take longer than the limits allow."""
+    """An error: repeating the decisions of a trial would take longer than the limits allow."""
 
 
 class NoSearchError(Exception):
-    """The controller searches at a point where the log has no search."""
+    """An error: the controller searches at a point where the log contains no search."""
 
 
 @dataclass(frozen=True, slots=True)
 class SearchRequest:
-    """An optimiser, and what a controller wants of it: the arguments of `Optimizer.search`."""
+    """A search that a controller requests: the optimiser, and the arguments of its `search`."""
 
     optimizer: OptimizerSection
     problem: Problem
@@ -326,13 +329,14 @@ class SearchRequest:
 
 
 class StepSearches:
-    """Answers the searches of a controller with the logged searches of the present step.
+    """Answers a controller's searches with the logged searches of the present step.
 
     They are run again if `search_again` is True. Otherwise, their results are evaluated. Call
-    `begin` before each step. Then `requests` are the controller's requests for the step's searches,
-    by their index in the log, and `contradiction` is how the first result contradicts its problem
-    or its optimiser. The processor time, read from `cpu` [s], is limited to `seconds_limit`. For
-    searches that are run again, it counts from the first search, which compiles.
+    `begin` before each step. Then `requests` contains the controller's requests in this step, by
+    the index of the search in the log. `contradiction` describes how the first logged result
+    contradicts its problem or its optimiser. The processor time, read from `cpu` [s], is limited to
+    `seconds_limit`. For searches that are run again, it counts from the first search, which
+    compiles.
     """
 
     def __init__(self, search_again: bool, cpu: Callable[[], float] = computing_s) -> None:
@@ -345,12 +349,15 @@ class StepSearches:
         self._until_s = math.inf if search_again else cpu() + seconds_limit()
 
     def controller(self, log: TrialLog, key: int) -> Controller:
-        """Return the controller of a log, whose searches come here, with the random key `key`."""
+        """Rebuild the controller of a log, with the random key `key`.
+
+        Its searches are answered by this object.
+        """
         host = Host(lambda optimizer: _Repeated(optimizer, self), self._time_ns)
         return CheckedController(log.experiment.controller, log.start.setup, key, host)
 
     def begin(self, searches: Sequence[Search]) -> None:
-        """Continue with the logged searches of a step; given signals need no search."""
+        """Continue with the logged searches of another step. Given signals need no search."""
         self._to_come = [
             (index, search)
             for index, search in enumerate(searches)
@@ -364,7 +371,7 @@ class StepSearches:
 
         Raises:
             NoSearchError: If the log has no other search.
-            TooLongError: Beyond the limits.
+            TooLongError: If the time limit is exceeded.
         """
         if not self._to_come:
             raise NoSearchError
@@ -398,7 +405,7 @@ class StepSearches:
         return search
 
     def expired(self) -> bool:
-        """Decide whether the time limit is exceeded."""
+        """Check whether the time limit is exceeded."""
         return self._cpu() > self._until_s
 
     def require_time(self) -> None:
@@ -417,7 +424,7 @@ class StepSearches:
 
 @dataclass(frozen=True, slots=True)
 class _Repeated:
-    """An `Optimizer` whose searches `searches` answers."""
+    """An `Optimizer` that passes its searches to `searches`, which answers them."""
 
     optimizer: OptimizerSection
     searches: StepSearches

@@ -1,10 +1,10 @@
-"""Compares the result in a log with the records that it follows from.
+"""Compare the result in a log with the other records, from which it must follow.
 
 The errors must follow from the final poses, the final poses must be those of a logged frame, and a
-lab's result must name the obstacles that the logged path enters. How fast a lab's robots turned by
-themselves is computed again by a guard that takes the logged commands and frames, if this code
-wrote the log. A log that somebody changed together with its digests can still pass: only a
-signature protects against that (docs/reference/durability.md).
+lab's result must name the obstacles that the logged path enters. If this code wrote the log, a
+guard computes again, from the logged commands and frames, how fast a lab's robots turned off
+course. A log that somebody changed together with its digests can still pass: only a signature
+protects against that (docs/reference/durability.md).
 """
 
 from collections.abc import Iterator
@@ -37,14 +37,14 @@ TURN_STD_SHARE = 0.1
 
 
 def result_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
-    """Yield what the result states and the other records contradict.
+    """Yield the contradictions between the result in a log and the other records.
 
     Args:
         log: An undamaged log.
         result: The result to compare, usually `log.result`.
 
     Yields:
-        A difference for each contradicted value. Of the errors, only the first one.
+        A difference for each contradicted value. Only the first contradicted error is yielded.
     """
     yield from _emulation(log)
     again = Result.from_verdict(
@@ -71,7 +71,10 @@ def result_differences(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _emulation(log: TrialLog) -> Iterator[Difference]:
-    """Yield that a trial of emulated devices does not name them: so it cannot pass for a lab's."""
+    """Yield a difference if a trial with emulated devices does not name them.
+
+    Otherwise it could be mistaken for a trial in a real lab.
+    """
     plant = log.start.plant
     says_so = any(EMULATED_NAME in value for value in plant.facts.values())
     is_emulated = log.experiment.plant.type == EMULATED_PLANT or says_so
@@ -101,7 +104,7 @@ def _places(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _turns(log: TrialLog, result: Result) -> Iterator[Difference]:
-    """Yield how the stated turning of a lab's robots contradicts commands and frames."""
+    """Yield how the turning of a lab's robots in the result contradicts commands and frames."""
     verdict = result.verdict
     rates, errors = _turning(log)
     if len(rates) != len(verdict.turn):
@@ -117,9 +120,9 @@ def _turns(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return how fast robots on wheels turn off course, with standard errors [rad/s].
+    """Compute how fast robots on wheels turned off course, with standard errors [rad/s].
 
-    They are what a guard finds that sees the trial again. Both are empty if it finds none.
+    A guard finds these rates when it sees the trial again. Both are empty if it finds none.
     """
     lab = log.experiment.plant
     setup = log.start.setup

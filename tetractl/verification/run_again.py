@@ -1,4 +1,4 @@
-"""Runs the simulation of a log again, and compares the two logs record by record.
+"""Run the simulation of a log again, and compare the two logs record by record.
 
 This needs the host and the code that wrote the log.
 """
@@ -45,7 +45,7 @@ class Recorder(RecordSink):
 def why_not_again(log: TrialLog, elsewhere: tuple[str, ...]) -> str:
     """Explain why the trial of an undamaged log does not repeat here. Empty if it does.
 
-    `elsewhere` are the differences between its host and this one.
+    `elsewhere` contains the differences between the log's computer and this one.
     """
     plant = log.experiment.plant
     result = log.result

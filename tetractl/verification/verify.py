@@ -1,9 +1,9 @@
-"""Verifies a log: runs its simulation again, or computes its decisions again.
+"""Verify a log, by repeating its simulation or the decisions of its controller.
 
-The end of the trial is compared with what gives it again (`EndCheck`). A simulation that was run
-again to the same records has decided each step again; of any other log the decisions are computed
-from its frames (`recompute`). Then the records are compared with what the log says of them
-(`_differences_of_records`): the plant, numbers in a row, digests, damage.
+First, the end of the trial is checked (`EndCheck`). If a simulation was run again and gave the same
+records, each of its decisions is thereby confirmed. For any other log, the decisions are computed
+again from its frames (`recompute`). Then the records of the log are compared with each other
+(`_differences_of_records`): the plant, consecutive numbers, digests, and damage.
 
 If another machine or version wrote the log, costs must agree within a tolerance.
 """
@@ -45,14 +45,14 @@ DECIDES_BITS = (
 
 
 class Method(StrEnum):
-    """How the decisions of a log are checked; see `recompute`."""
+    """The method by which the decisions of a log are checked; see `recompute`."""
 
     RECOMPUTED = "re-computed, bit-identical"
     REEVALUATED = f"costs of the logged plans re-evaluated, to {TOLERANCE:g}"
 
 
 class EndCheck(Enum):
-    """What the end of a trial is compared with."""
+    """The method by which the end of a trial is checked."""
 
     NOTHING = "nothing: run and spec dispute the plant, or the log is damaged or without a result"
     RECORDS = "the steps, frames and poses in the log: a lab, or a simulation that does not repeat"
@@ -70,8 +70,8 @@ class Verification(Shown):
         checked: Number of steps whose repeated decision agrees with the log.
         method: How decisions were checked. REEVALUATED only if `elsewhere` names a difference.
         elsewhere: Differences between the host that wrote the log and this one.
-        problems: What is wrong.
-        unchecked: What could not be checked.
+        problems: Contradictions and other faults, one line each.
+        unchecked: Parts that could not be checked.
         notes: Further remarks.
         seconds: Time that the check took [s].
     """
@@ -101,7 +101,7 @@ class Verification(Shown):
 
     @property
     def lines(self) -> Iterator[str]:
-        """The lines about the log: whether it is ok, which check was made, and what is wrong."""
+        """Yield the report about the log: its verdict, the check that was made, and problems."""
         verdict = self.verdict
         if self.rewritten:
             verdict += f", written again by {self.rewritten}"
@@ -165,10 +165,11 @@ def verify(path: Path, announce: Callable[[str], None] = lambda text: None) -> V
 
 
 def _decisions(log: TrialLog, elsewhere: tuple[str, ...]) -> tuple[Method, Recomputed]:
-    """Describe how decisions are checked, and how far they agree.
+    """Check the decisions of a log, and return the method and the result.
 
-    Searches are repeated on another host too: if none differs, that is the stricter check; else the
-    hosts may be the cause, and the logged searches are evaluated.
+    Searches are repeated even on another computer. If none differs, this is the stricter check.
+    Otherwise, the difference between the computers may be the cause, and the logged searches are
+    only evaluated.
     """
     decisions = recompute(log, search_again=True)
     if decisions.difference is None or not elsewhere:
@@ -186,7 +187,7 @@ def _end_check(log: TrialLog, why_not_again: str) -> EndCheck:
 
 
 def _differences_of_end(check: EndCheck, raw: RawLog, log: TrialLog) -> Iterator[Difference]:
-    """Yield how the end of a trial differs from what gives it again."""
+    """Yield how the end of a trial differs when it is repeated."""
     result = log.result
     if check is EndCheck.NOTHING or result is None:
         return
@@ -225,8 +226,8 @@ def _differences_of_commands(log: TrialLog) -> Iterator[Difference]:
 def _differences_of_records(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
     """Yield contradictions between the records of a log.
 
-    Run and spec may dispute the plant, frames or steps may be missing, and digests may not match.
-    Damage is also yielded.
+    For example, run and spec may name different plants, frames or steps may be missing, or digests
+    may not match. Damage is also yielded.
     """
     if log.start.plant.simulated != log.experiment.plant.simulated:
         yield Difference(None, "run.mode", "differs from the plant of the spec")
@@ -247,7 +248,7 @@ def _differences_of_records(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
 
 
 def _notes(raw: RawLog, log: TrialLog) -> Iterator[str]:
-    """Yield what a reader must know of a log that is not wrong for it."""
+    """Yield remarks that a reader of the log should know, but that are not faults."""
     if _may_lose_frames(log):
         for gap in frame_gaps(log):
             yield f"missing: {gap}"
@@ -256,12 +257,12 @@ def _notes(raw: RawLog, log: TrialLog) -> Iterator[str]:
 
 
 def _may_lose_frames(log: TrialLog) -> bool:
-    """Decide whether the camera may have lost the missing frames."""
+    """Check whether the camera itself may have lost the missing frames."""
     return log.experiment.plant.loses_frames and log.damage is None
 
 
 def host_differences(log: TrialLog) -> tuple[str, ...]:
-    """List the differences between the log's host and this one that may change bits."""
+    """List the differences between the log's computer and this one that may change results."""
     used = provenance.plugins(packages(log.experiment))
     these_facts = {**provenance.host(), **provenance.versions(), **used}
     return tuple(
@@ -272,5 +273,5 @@ def host_differences(log: TrialLog) -> tuple[str, ...]:
 
 
 def _difference(key: str, logged: str | None, present: str | None) -> str:
-    """Say how the fact `key` of the log's host differs from this host's."""
+    """Describe how the fact `key` differs between the log's computer and this one."""
     return f"{key}: {logged or 'unknown'} on the log's host, {present or 'unknown'} on this one"

@@ -1,1 +1,1 @@
-"""Estimation: where the robots are, how each of them turns, and how late commands act."""
+"""Estimate, during a trial, where the robots are, how each one turns, and how late commands act."""

@@ -1,11 +1,16 @@
-"""Estimates the robots' state at a control step from frames and commands.
+"""Estimate the state of the robots at each control step, from camera frames and sent commands.
 
-The estimate is the poses that the robots will have when the direction decided now begins to act.
-The prediction starts at the newest frame and uses the spec's values of the motion (`KnownMotion`),
-or the values that a bank of filters identifies from all frames and commands while the robots drive
-(`FilterBank`). At each step `add_step` takes the command of the step before and the frames since,
-and returns the problem to plan for; commands that are sent in between, such as turns and stops,
-come by `add_command`.
+Commands act late, because the camera, the planner, the radio and the wheels all take time (the
+*dead time*). A plan therefore has to start at the poses that the robots will have when the
+direction that is decided now begins to act. This module predicts these poses from the newest frame.
+
+There are two ways to predict. If the spec's values of the motion are certain, `KnownMotion` uses
+them. Otherwise a bank of Kalman filters (`FilterBank`) learns the motion of each robot from all
+frames and commands while the robots drive.
+
+The controller calls `add_step` once a step, with the command of the previous step and the frames
+since then. The result is the planning problem of this step. Commands that are sent between two
+steps, such as turns and stops, are added by `add_command`.
 """
 
 from collections.abc import Sequence
@@ -68,12 +73,15 @@ class StateEstimator:
 
     @property
     def is_radio_sparse(self) -> bool:
-        """Whether few of the directions sent reach the robots."""
+        """Whether the filters found that only a few of the directions sent reach the robots."""
         return self.filter is not None and self.filter.reception.is_sparse
 
     @property
     def known(self) -> Estimate | None:
-        """The latest estimate for the robots that are not lost; None if nothing is identified."""
+        """The latest estimate for the robots that are not lost.
+
+        None if no motion is being identified.
+        """
         return self.estimate and self.estimate.only(self.present)
 
     def add_step(
@@ -123,10 +131,11 @@ class StateEstimator:
         return problem.only(self.present)
 
     def add_command(self, command: Command) -> None:
-        """Add a direction with the time at which it was sent.
+        """Add a command with the time at which it was sent.
 
-        If the radio lets few directions through, robots hardly hear one again that is sent again
-        within a signal period. So the filter is given each signal once.
+        If the radio lets only a few directions through, robots hardly ever receive the repetition
+        of a direction within the same signal period. In this case, the filter is given each signal
+        only once.
         """
         if not isinstance(command.action, FieldOff):
             self._last_sent_ns = None if command.direction is None else command.sent_ns
@@ -137,9 +146,10 @@ class StateEstimator:
         self._predictor.add_command(command)
 
     def _is_sent_again(self, command: Command) -> bool:
-        """Return whether a command repeats the last one within a signal period of a sparse radio.
+        """Check whether a command repeats the last one within a signal period of a sparse radio.
 
-        The step that comes a whole period later may come up to half a step early.
+        Control steps are not perfectly regular. A command that comes up to half a step before the
+        end of the period therefore belongs to the next period.
         """
         if self.filter is None or not self.filter.reception.is_sparse:
             return False
@@ -152,12 +162,13 @@ class StateEstimator:
         return bool(is_same and since_ns < signal_ns - self._period_ns // 2)
 
     def sending_ns(self, observation: Observation) -> int:
-        """Return the time to which the dead time of a direction decided on a frame is added [ns].
+        """Return the time from which the dead time of the next direction is counted [ns].
 
-        The spec's dead time counts from the exposure of the frame. An identified dead time counts
-        from the sending of the direction. The direction is assumed to be sent one control period
-        after the previous one or, if that moment is before the frame's reception or more than 1.5
-        periods after it, at the reception; the time for planning is neglected.
+        The spec's dead time counts from the exposure of the frame on which a direction is decided,
+        so the result is the time of the exposure. An identified dead time counts from the sending
+        of the direction. The direction is expected one control period after the previous one. If
+        that moment is earlier than the reception of the frame, or more than 1.5 periods later, the
+        result is the reception; the time for planning is neglected.
         """
         if self.estimate is None:
             return observation.sampled_ns
@@ -172,13 +183,13 @@ class StateEstimator:
     def held_at_action(self) -> Floats:
         """The direction [rad] that each robot follows when the next direction takes effect.
 
-        Lost robots are left out. It is NaN for a robot that stands still.
+        Lost robots are left out. The direction is NaN for a robot that stands still.
         """
         return self._held[self.present]
 
 
 def _filter_bank(prior: Prior) -> "FilterBank":
-    """Create the filters of an uncertain prior."""
+    """Create the filters that learn the motion of robots with an uncertain prior."""
     from tetractl.control.estimation.filter import FilterBank
 
     return FilterBank(prior)

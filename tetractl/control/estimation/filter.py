@@ -1,66 +1,76 @@
-"""Where robots are, how they move, and where they will be when the next command acts.
+"""Kalman filters that learn how each robot moves, and predict where it will be.
 
-A camera shows the robots late and with noise; a command acts later still, or gets lost; and no two
-robots turn and drive alike. From all frames seen and all commands sent, these filters find out how
-each robot moves while it drives. A controller calls them once a control step:
+A camera shows the robots late and with noise. A command acts even later, or gets lost. And no two
+robots turn and drive in the same way. These filters use all frames seen and all commands sent to
+learn, while the robots drive, how each of them moves. A controller calls the filters once a control
+step:
 
-    filters.add_frames(newest, earlier)       what was seen since the step before
+    filters.add_frames(newest, earlier)       the frames since the previous step
     forecast = filters.forecast(sent_ns)      the robots when a command sent at that time acts
-    filters.add_command(command)              what was sent
+    filters.add_command(command)              the command that was sent
 
-**Terms.** One Kalman filter a robot is not enough, as it is not known what the robot does:
+**Terms.** One Kalman filter for each robot is not enough, because nobody knows which command the
+robot is following:
 
-    prior       what is assumed of the robots before they move, and how certain that is
-    state       of a robot: its pose and motion (`kernels.filter_state`)
-    dead time   from the sending of a command to the moment when it acts
-    hypothesis  a state with its covariance, the direction that the robot follows, and how likely
-                this is: a robot follows the last command, or one of the two before, because it
-                missed the later ones, or it is stuck and stands
-    filter      the hypotheses of one robot for one dead time. Its score is the ln of the likelihood
-                of the robot's frames
-    bank        all filters of all robots: for each robot, those of a grid of dead times, and this
-                grid again for each value of a state that is tried (`filter_start`)
-    misfit      what frames show beyond the predictions is independent from frame to frame if the
-                model is right. Sums over blocks of frames test this: standard deviations grow by
-                what they are found to be, and a robot is a misfit if chance hardly explains them
+    prior       the assumptions about the robots before they move, and how certain these are
+    state       pose and parameters of motion of one robot (`kernels.filter_state`)
+    dead time   the time from the sending of a command to the moment when it acts
+    hypothesis  one answer to the question what a robot is doing: a state with its covariance, the
+                direction that the robot follows, and the probability of this answer. A robot may
+                follow the last command; it may follow one of the two before, because it missed the
+                later ones; or it may be stuck and stand still
+    filter      the hypotheses of one robot, for one assumed dead time. A filter's score is the
+                logarithm of the likelihood of the robot's frames
+    bank        all filters of all robots. For each robot, there is one filter for each dead time of
+                a grid. The whole grid is repeated for each value that is tried for some other
+                state, such as the lag of the wheels (`filter_start`)
+    innovation  measured pose minus predicted pose, divided by its standard deviation
+    misfit      a robot whose motion the model does not explain. If the model is right, innovations
+                are independent from frame to frame. The filter tests this with sums over blocks of
+                frames. If a sum is too large to be chance, the robot is a misfit. In any case, the
+                standard deviations of the estimate grow by the factor that is found
 
 **What happens to a frame**, in `add_frames`:
 
- 1. It is left out if it comes less than 30 ms after the last one used and is not the newest of
-    several: wheels whose lag is not given respond over tens of milliseconds, and at shorter
-    intervals the start of the response would bias dead time and turning rate to smaller values.
- 2. Each filter predicts its hypotheses to the frame's time, compares them with the measured poses,
-    and adds to its score how well they fit (`kernels.filter`).
- 3. After the newest frame, the filters of all robots are compared: most probably all robots have
-    the same dead time, so that each robot's frames say something of that of the others. Filters
-    that are unlikely end, and the grid is refined around those that are likely (`kernels.bank`).
- 4. If the model has not fitted robots on wheels, the bank is *opened again*: it begins with the
-    first dead times, as theirs may have changed so that its filter is gone, and with motors that
-    may saturate, if it is the heading that does not fit. With all dead times it also begins if
-    robots on wheels seem to miss most directions, as these may only act later (`reception`).
+ 1. A frame is left out if it comes less than 30 ms after the last one used and is not the newest of
+    several. The reason: wheels whose lag is not given respond over tens of milliseconds. At shorter
+    intervals, the start of this response would bias the dead time and the turning rate downwards.
+ 2. Each filter predicts its hypotheses to the time of the frame, compares them with the measured
+    poses, and adds to its score how well they fit (`kernels.filter`).
+ 3. After the newest frame, the filters of all robots are compared. Most probably, all robots have
+    the same dead time, so the frames of one robot also carry information about the others. Unlikely
+    filters are dropped, and the grid of dead times is refined around the likely ones
+    (`kernels.bank`).
+ 4. If the model does not fit robots on wheels, the bank is *reopened*: it gets all dead times of
+    the start again, because the dead time may have changed after its filter was dropped. If the
+    heading is the part that does not fit, the new bank also tries motors that saturate. The bank is
+    also reopened if robots on wheels seem to miss most directions, because these may in fact only
+    act later (`reception`).
 
-If the prior is certain, there is nothing to identify: then `known_motion` predicts the robots.
+If the prior is certain, there is nothing to identify, and `known_motion` predicts the robots
+instead.
 
-**What happens to a command.** `add_command` only records it, with its time. It acts in each filter
-at another time, one dead time later, and hypotheses branch then: the robot heard it, or missed it.
-A *forecast* is by each robot's likeliest hypothesis, which takes the commands that are still to act
-to be heard. `kernels.bank.forecast` fills what of it is published, the fields of `Estimate`.
+**What happens to a command.** `add_command` only records the command and its time. In each filter,
+the command acts one dead time later. At that moment, hypotheses branch: the robot received the
+command, or missed it. A *forecast* uses each robot's likeliest hypothesis, and assumes that the
+robot receives the commands that have not acted yet. `kernels.bank.forecast` fills the fields of
+`Estimate`, the part of a forecast that is published.
 
 **What happens next, if**
 
-    a pose jumps                  it is an outlier beyond the gate: hypotheses are predicted on
-                                  without it; if none fits for LOST_TRACK_S, the robot is
-                                  placed at the camera's pose
-    a frame is missing            robots are predicted on to the next one
-    a command is missed           a hypothesis that follows the command before becomes the likeliest
-    most are missed by all        step 4; then, if they are missed still, `reception.is_sparse`
-    a robot sticks                the stuck hypothesis becomes the likeliest
+    a pose jumps                  it is an outlier beyond the gate: hypotheses are predicted further
+                                  without it. If no pose fits for LOST_TRACK_S, the filter takes
+                                  the camera's pose as the robot's new position
+    a frame is missing            robots are predicted to the next frame
+    a command is missed           a hypothesis that follows the previous command becomes likeliest
+    all robots miss most commands step 4. If this continues, `reception.is_sparse`
+    a robot gets stuck            the stuck hypothesis becomes the likeliest
     the camera freezes            its frames are not used
     the model does not fit        standard deviations grow, and step 4
-    a robot is replaced           `restart`: it begins with first filters
+    a robot is replaced           `restart`: the new robot begins with the filters of a start
 
-Units are seconds, radians and the spec's length unit; N is the number of robots. Kernels are
-imported where they are called, as checking a spec needs no compiler.
+Units are seconds, radians and the spec's length unit. N is the number of robots. Compiled kernels
+are imported only where they are called, because checking a spec needs no compiler.
 """
 
 from collections.abc import Sequence
@@ -114,12 +124,12 @@ HEADING_MISFIT = INNOVATIONS.index("heading")
 
 
 class FilterBank:
-    """The filters that identify N robots during one trial.
+    """The filters that identify the motion of N robots during one trial.
 
-    `add_frames` and `add_command` are called in the order in which frames and commands become
-    known; a command counts from its own time on. `forecast` changes nothing: it can be called after
-    the first frame, any number of times. `restart` is for robots that were replaced by others,
-    after the frames in which these are seen first.
+    Call `add_frames` and `add_command` in the order in which frames and commands become known. A
+    command counts from its own time. `forecast` changes nothing, and can be called any number of
+    times after the first frame. If robots were replaced by others, call `restart` after the first
+    frames that show the new robots.
     """
 
     def __init__(self, prior: Prior) -> None:
@@ -152,10 +162,10 @@ class FilterBank:
     # ---- what a controller calls ----
 
     def add_frames(self, newest: Observation, earlier: Sequence[Observation] = ()) -> None:
-        """Bring the filters to the newest frame of a control step, and reopen the bank if needed.
+        """Update the filters with the frames of a control step; reopen the bank if the model fails.
 
-        Whether the model fits is decided before the frames are added, because what the last
-        forecast said about it counts.
+        Whether the model fits is decided before the frames are added, because the decision has to
+        concern the last forecast that was used.
 
         Args:
             newest: The newest frame.
@@ -173,7 +183,7 @@ class FilterBank:
             self._reopen(newest, heading_fits=not misfits[:, HEADING_MISFIT].any())
 
     def forecast(self, sent_ns: int) -> Forecast:
-        """Return the robots as each will be when a command sent at `sent_ns` [ns] acts on it."""
+        """Predict each robot to the moment when a command sent at `sent_ns` [ns] acts on it."""
         from tetractl.control.estimation.kernels.bank import forecast as fill
 
         assert self.last_frame is not None, "poses are predicted from those of a frame"
@@ -197,8 +207,8 @@ class FilterBank:
     def add_command(self, command: Command) -> None:
         """Add a command with the time at which it was sent.
 
-        It is a direction, or a stop or a turn on the spot, which have none. A direction may state
-        the lag of the wheels that the host assumes, starting with this command.
+        A command is a direction, a stop, or a turn on the spot. A direction can contain the lag of
+        the wheels that the host assumes, starting with this command.
         """
         if isinstance(command.action, FieldOff):
             return  # it turns no robot
@@ -213,7 +223,7 @@ class FilterBank:
         )
 
     def restart(self, robots: Sequence[int]) -> None:
-        """Let replaced robots begin with first filters, in their poses of the last frame."""
+        """Restart the filters of robots that were replaced, at their poses in the last frame."""
         if not robots:
             return
         assert self.last_frame is not None, "a robot can be replaced only after a frame"
@@ -226,12 +236,7 @@ class FilterBank:
     # ---- what the filters say ----
 
     def likeliest(self) -> tuple[Integers, Integers, Integers]:
-        """Return where the likeliest hypothesis of each robot is in the arrays of the bank.
-
-        Returns:
-            The indices of its filter, robot and slot, (N,) each, so that `bank.state[likeliest]`
-            (N, STATES) are the states of these hypotheses.
-        """
+        """Return the position of each robot's likeliest hypothesis in the arrays of the bank."""
         filters = self._likeliest_filters()
         robots = np.arange(len(self.prior.a))
         slots = self.bank.ln_weight[filters, robots].argmax(axis=1)
@@ -240,8 +245,8 @@ class FilterBank:
     def _lags(self) -> tuple[Floats, Floats]:
         """Return the lag of each robot's wheels and its standard deviation [s], (N,) each.
 
-        It is the lag of the likeliest filter. The true lag lies between the lags that are tried, so
-        the deviation is at least a quarter of their distance.
+        The lag is the one of the robot's likeliest filter. The true lag lies between the lags that
+        are tried, so the deviation is at least a quarter of their distance.
         """
         score = self.bank.shared_score
         probability = elementwise.exp(score - score.max(axis=0))
@@ -252,14 +257,17 @@ class FilterBank:
         return lag_s, np.sqrt(variance + np.square(LAG_STEP_S / 4))
 
     def _likeliest_filters(self) -> Integers:
-        """Return each robot's likeliest filter (N,)."""
+        """Return the index of each robot's likeliest filter, shape (N,)."""
         return self.bank.shared_score.argmax(axis=0)
 
     def _misfits(self) -> Bools:
-        """Return (N, 3) whether each robot fails to fit the model, in each of INNOVATIONS.
+        """Find the robots whose motion the model does not explain.
 
-        A robot fails if, by its likeliest filter, the sum over blocks is so large that chance
-        exceeds it only once in a thousand times.
+        A robot counts as a misfit if the sum over blocks of its likeliest filter is so large that
+        chance exceeds this value only once in a thousand times.
+
+        Returns:
+            True for a misfit, shape (N, 3): for each robot, one column for each of INNOVATIONS.
         """
         filters = self._likeliest_filters()
         robots = np.arange(len(filters))
@@ -272,10 +280,11 @@ class FilterBank:
     def _frames_used(
         self, newest: Observation, earlier: Sequence[Observation]
     ) -> list[Observation]:
-        """Return the frames that the filters use, in the order of time.
+        """Select the frames that the filters use, in the order of time.
 
-        They are those at least SPACING_NS after the one used before. If there are earlier frames,
-        the newest is used at any distance: one more per control step does no harm.
+        Frames are used if they come at least SPACING_NS after the one used before. If there are
+        earlier frames, the newest one is always used, because one more frame per control step does
+        no harm.
         """
         used = list[Observation]()
         last = self.last_frame
@@ -287,11 +296,12 @@ class FilterBank:
         return used
 
     def _follow_frames(self, frames: Sequence[Observation]) -> None:
-        """Follow the robots from the last frame used before through some more.
+        """Follow the robots from the last frame used through some more frames.
 
-        There are three cases. While robots turn on the spot, of which the filters have no model,
-        the poses of the newest frame are taken as they are. In the first frames of a trial, those
-        of the first one are, and the others are followed. Usually all are followed.
+        There are three cases. Usually the filters follow all frames. While robots turn on the spot,
+        the filters take the poses of the newest frame as they are, because they have no model of
+        such turns. At the start of a trial, they take the poses of the first frame as they are, and
+        follow the others.
         """
         if not frames:
             return
@@ -306,9 +316,10 @@ class FilterBank:
         self.last_frame = frames[-1]
 
     def _place(self, frame: Observation, placed: Bools) -> None:
-        """Place the robots `placed` (N,) at their poses of a frame, in all their filters.
+        """Set the robots `placed` (N,) to their poses in a frame, in all their filters.
 
-        They follow the last command that has taken effect by then.
+        From then on, these robots follow the last command that had taken effect at the time of the
+        frame.
         """
         from tetractl.control.estimation.kernels.filter import place
 
@@ -316,7 +327,7 @@ class FilterBank:
         place(self.bank, self.model, self.commands, frame.seconds, poses, placed)
 
     def _follow(self, frames: Sequence[Observation]) -> None:
-        """Follow the robots from the first to the last of some frames, by all their filters."""
+        """Follow the robots from the first to the last of some frames, in all their filters."""
         from tetractl.control.estimation.kernels.filter import follow
 
         measured = PoseFrames(
@@ -340,22 +351,23 @@ class FilterBank:
 
     @property
     def tests_radio(self) -> bool:
-        """Whether frames have yet to show if only few directions reach the robots.
+        """Whether the test for a sparse radio is still running.
 
-        That is the case for robots on wheels until the answer is known.
+        The test applies to robots on wheels. It asks whether only a few directions reach the
+        robots, and stops when the answer is known.
         """
         return not (self.prior.swims or self.reception.is_sparse)
 
     # ---- step 3: the filters of all robots are compared ----
 
     def _share_scores(self) -> None:
-        """Compute how likely each filter is by the frames of all robots so far."""
+        """Compute how likely each filter is, given the frames of all robots so far."""
         from tetractl.control.estimation.kernels.bank import share
 
         share(self.bank, self._common_times)
 
     def _select_filters(self) -> None:
-        """Let unlikely filters end, and refine each robot's grid around its likely dead times."""
+        """Drop unlikely filters, and refine each robot's grid around its likely dead times."""
         from tetractl.control.estimation.kernels.bank import select
 
         most = max(len(self.bank.score), REFINED * GROUPS_MAX)
@@ -365,7 +377,7 @@ class FilterBank:
             self._go_on_with(going_on.taken_from(self.bank))
 
     def _go_on_with(self, bank: Bank) -> None:
-        """Go on with the filters of another bank."""
+        """Replace the filters by the filters of another bank."""
         self.bank = bank
         self._common_times = CommonTimes.of(bank, self.prior)
         self._share_scores()
@@ -373,20 +385,21 @@ class FilterBank:
     # ---- step 4: the bank is opened again ----
 
     def _may_reopen(self, newest: Observation) -> bool:
-        """Return whether the bank may be opened again if the model does not fit.
+        """Check whether the bank may restart from all dead times if the model does not fit.
 
-        It is not for cells, whose own moves do not mean a different dead time, nor soon after the
-        last time.
+        The bank of cells is never reopened, because cells also move on their own, which does not
+        mean that the dead time has changed. A bank is also not reopened soon after the last time.
         """
         opened_ns = TRIAL_STARTS_NS if self.reopened_ns is None else self.reopened_ns
         is_due = newest.sampled_ns >= opened_ns + REOPEN_S * SECOND
         return not self.prior.swims and is_due
 
     def _reopen(self, frame: Observation, heading_fits: bool) -> None:
-        """Open the bank again at a frame, with the first dead times.
+        """Restart the bank at a frame, with all dead times of the beginning.
 
-        Unless `heading_fits` for every robot, some filters assume motors that saturate. Until now
-        the saturation was taken to be absent; from now on it drifts from the values that are tried.
+        Unless `heading_fits` for every robot, some filters also assume motors that saturate. Until
+        then, saturation was taken to be absent; starting with this frame, it drifts from the values
+        that are tried.
         """
         bank = reopened_bank(self.bank, self.likeliest(), heading_fits, self.prior)
         walk = self.model.walk.copy()
@@ -399,12 +412,12 @@ class FilterBank:
         self._place(frame, self._all_robots())
 
     def _all_robots(self) -> Bools:
-        """Return that all robots are meant (N,)."""
+        """Return a mask (N,) that selects every robot."""
         return np.ones(len(self.prior.a), dtype=np.bool_)
 
 
 def warm_up(prior: Prior, starts: Poses) -> None:
-    """Compile the functions of a filter bank, or load them from the cache."""
+    """Compile the functions of a filter bank before a trial, or load them from the cache."""
     filters = FilterBank(prior)
     valid = np.ones(len(prior.a), dtype=np.bool_)
     first = Observation(0, 0, 0, starts, valid)

@@ -1,24 +1,24 @@
-"""What the filters of `tetractl.control.estimation.filter` start from.
+"""The banks of filters from which the estimation starts, or starts again.
 
-This module contains the assumptions about robots on wheels and cells, and the banks of filters: the
-first one, that of robots which were replaced, and that of robots on wheels whose model turns out
-not to fit.
+This module contains the assumptions about robots on wheels and about cells. It creates three banks
+for `tetractl.control.estimation.filter`: the bank at the start of a trial, the bank after robots
+were replaced by others, and the bank after the model has turned out not to fit robots on wheels.
 
-Both kinds of robots have states of their own, in addition to the states of all robots. For some of
-these, no single starting value leads to the true one. Then several values are *tried*, for one
-state at a time: filters are laid out in groups, which start from different values of this state.
-For cells, the state is the frequency of the helix. For robots on wheels, it is first the lag of the
-wheels: 0, and lags LAG_STEP_S apart around the given one. Later, if the heading does not fit, it is
-the saturation of the motors: one group has none, and there is one more group for each saturation
-that is tried.
+In addition to the states that all robots have, each kind of robot has some of its own. For some of
+these, one starting value is not enough to find the true value. Then several values are *tried*, for
+one state at a time: the filters are laid out in groups, and each group starts from a different
+value of this state. For cells, the state is the frequency of the helix on which they swim. For
+robots on wheels, the state is first the lag of the wheels: 0, and lags LAG_STEP_S apart around the
+given one. Later, if the heading does not fit, the state is the saturation of the motors: one group
+has none, and there is one more group for each saturation that is tried.
 
-In each group, a robot gets one filter for each dead time of a grid around the prior's,
+In each group, a robot gets one filter for each dead time of a grid around the prior's dead time,
 
     tau = tau_prior - reach, ... in steps of GRID_STEP_S ..., tau_prior + reach [s],
 
-and not below 0, where the reach is GRID_REACH standard deviations.
+and not below 0. The reach is GRID_REACH standard deviations.
 
-Arrays are those of a `Bank`: B filters, group by group, of N robots.
+Arrays have the layout of a `Bank`: B filters, group by group, for N robots.
 """
 
 import math
@@ -130,12 +130,15 @@ TRIED_LAGS = Tried(LAG, same=0.0)
 
 
 def first_tried(prior: Prior) -> Tried:
-    """Return the state that is tried from the start of a trial."""
+    """Return the state for which several starting values are tried when a trial begins."""
     return TRIED_FREQUENCIES if prior.swims else TRIED_LAGS
 
 
 def first_lags(prior: Prior) -> list[float]:
-    """Return the lags of the wheels to start from [s]: only the given one if it is not learnt."""
+    """Return the lags of the wheels with which filters start [s].
+
+    If the lag is certain, this is only the given one.
+    """
     if not prior.lag_is_learnt:
         return [prior.lag]
     fewer = math.floor(prior.lag / LAG_STEP_S + 1e-9)
@@ -145,9 +148,9 @@ def first_lags(prior: Prior) -> list[float]:
 
 
 def filter_model(prior: Prior) -> FilterModel:
-    """Return what the filters assume about the robots of a prior.
+    """Return the assumptions that filters make about the robots of a prior.
 
-    Motors of wheels do not saturate until that is tried.
+    At first, the motors of wheels are assumed not to saturate.
     """
     _, walk = _deviations(prior)
     walk[X] = SLIP * prior.speed
@@ -166,19 +169,20 @@ def filter_model(prior: Prior) -> FilterModel:
 
 
 def first_std(prior: Prior) -> Floats:
-    """Return the standard deviations (N, n) from which the n states with a variance start.
+    """Return the starting standard deviations (N, n) of the n states that have a variance.
 
-    Those of the pose are 0 until the pose comes from a frame.
+    The deviations of the pose are 0 until a frame provides the pose.
     """
     std, _ = _deviations(prior)
     return std.T
 
 
 def _deviations(prior: Prior) -> tuple[Floats, Floats]:
-    """Return the first standard deviations (n, N) of states and their random walks [1/sqrt(s)].
+    """Return starting standard deviations (n, N) of states, and their random walks [1/sqrt(s)].
 
-    Those of the poses are 0, as these start from a frame. A state that is known does not walk. If
-    the phase of a helix is random, sine and cosine deviate by its radius / sqrt(2).
+    The deviations of the poses are 0, because poses start from a frame. A state that is known
+    exactly does not walk. If the phase of a helix is random, sine and cosine deviate by the radius
+    of the helix divided by sqrt(2).
     """
     flow = (prior.flow_std, FLOW_WALK * prior.flow_std)
     deviations = {
@@ -206,7 +210,8 @@ def _deviations(prior: Prior) -> tuple[Floats, Floats]:
 def _noise(prior: Prior) -> Floats:
     """Return the standard deviations (3, N) of measured x, y and heading.
 
-    They are the camera's noise, or the usual one if that is not known, and what its grid adds.
+    They consist of the camera's noise, or a usual value if the noise is not known, and of the
+    rounding error of a camera that measures on a grid.
     """
     noise = np.empty((3, len(prior.a)))
     position = prior.position_noise
@@ -220,7 +225,10 @@ def _noise(prior: Prior) -> Floats:
 
 
 def first_bank(prior: Prior) -> Bank:
-    """Return the filters from which a trial begins: of robots that stand, in unknown poses."""
+    """Create the filters for the beginning of a trial.
+
+    Robots stand still, and their poses are unknown.
+    """
     dead_times_s = _dead_times(prior)
     std = first_std(prior)
     tried = first_tried(prior)
@@ -237,7 +245,7 @@ def first_bank(prior: Prior) -> Bank:
 
 
 def bank_with_replaced(bank: Bank, prior: Prior, replaced: Bools) -> Bank:
-    """Return a bank in which the replaced robots have the filters of a trial's beginning.
+    """Return a bank in which the replaced robots have the filters of a trial's beginning again.
 
     Args:
         bank: The bank so far, which stays unchanged.
@@ -255,17 +263,17 @@ def bank_with_replaced(bank: Bank, prior: Prior, replaced: Bools) -> Bank:
 def reopened_bank(
     bank: Bank, likeliest: tuple[Integers, Integers, Integers], heading_fits: bool, prior: Prior
 ) -> Bank:
-    """Return filters that find out why the model does not fit.
+    """Create filters that search for the reason why the model does not fit.
 
-    They start with the first dead times again, because the dead time may have changed and its
-    filter may have been dropped. Unless every heading fits, there are also groups with motors that
-    saturate. All robots get these: a robot whose motors only just saturate does not show it by a
+    The filters start with all dead times again, because the dead time may have changed after its
+    filter was dropped. Unless every heading fits, there are also groups with motors that saturate.
+    All robots get these groups, because a robot whose motors only just saturate is not visible as a
     misfit.
 
-    Every filter knows what the robot's likeliest hypothesis does. That hypothesis stays the
+    Every filter starts from the robot's likeliest hypothesis so far. That hypothesis stays the
     likeliest until frames show otherwise: filters with other dead times score less the more these
-    differ, and filters with saturation score less because saturation is rare. How well each one
-    fits is tested from the start again.
+    differ, and filters with saturation score less because saturation is rare. The test of how well
+    each filter fits starts from zero.
 
     Args:
         bank: The filters so far.
@@ -284,23 +292,23 @@ def reopened_bank(
 
 
 def _dead_times(prior: Prior) -> Floats:
-    """Return the grid of dead times to begin with [s]."""
+    """Return the grid of dead times with which filters start [s]."""
     reach_s = GRID_REACH * prior.dead_time_std
     least_s = max(0.0, prior.dead_time - reach_s)
     return np.arange(least_s, prior.dead_time + reach_s + 1e-9, GRID_STEP_S)
 
 
 def _numbers(group: int, dead_times_s: Floats) -> Integers:
-    """Return the number of a group for each of its filters."""
+    """Return an array that contains the number of a group once for each of its filters."""
     return np.full(len(dead_times_s), group)
 
 
 def _around_likeliest(
     bank: Bank, likeliest: tuple[Integers, Integers, Integers], prior: Prior, std: Floats
 ) -> Bank:
-    """Return a group of filters that all start from each robot's likeliest hypothesis.
+    """Create a group of filters that all start from each robot's likeliest hypothesis.
 
-    A dead time that differs by d from the likeliest one has the score -(d / CHANGE_STD_S)^2 / 2.
+    A dead time that differs by d from the likeliest one gets the score -(d / CHANGE_STD_S)^2 / 2.
     """
     filters, robots, _ = likeliest
     dead_times_s = _dead_times(prior)
@@ -314,11 +322,11 @@ def _around_likeliest(
 
 
 def _saturating(unchanged: Bank, number: int, ln_saturation: float, std: Floats) -> Bank:
-    """Return the group of this number: a copy of the unchanged one, with motors that saturate.
+    """Copy a group of filters as group `number`, with motors that saturate.
 
-    Without this limit, filters have explained slow turns by a small turning rate a, and by a side,
-    and are sure of them. So both are forgotten: they are those of the prior again, with its
-    deviations `std` (N, n).
+    Without saturation, filters have explained slow turns by a small turning rate a and by a
+    difference between the sides, and have become sure of both. The copy therefore forgets both:
+    they get the values and the deviations `std` (N, n) of the prior again.
     """
     group = unchanged.copied()
     group.group[:] = number
@@ -332,7 +340,10 @@ def _saturating(unchanged: Bank, number: int, ln_saturation: float, std: Floats)
 
 
 def _set_uncertain(bank: Bank, state: int, std: Floats | float) -> None:
-    """Let a state have a standard deviation, (N,) or that of all robots, and depend on no other."""
+    """Give a state a standard deviation, and remove its correlation with all other states.
+
+    `std` is one number for each robot (N,), or one number for all of them.
+    """
     bank.cov[..., state, :] = 0.0
     bank.cov[..., state] = 0.0
     bank.cov[:, :, FIRST_SLOT, state, state] = np.square(std)

@@ -1,8 +1,9 @@
-"""Predicts robots whose motion is known over the dead time.
+"""Predict robots whose motion is known exactly, over the dead time of their commands.
 
-Nothing is identified, so there is nothing to filter: each pose is taken as the camera measured it,
-and is advanced by the closed form of (1)-(3) along the directions that were sent (`model.motion`).
-It has the methods of `tetractl.control.estimation.filter.FilterBank`, which identifies the motion.
+Since nothing has to be identified, nothing is filtered. Each pose is taken as the camera measured
+it, and is advanced along the directions that were sent, by the closed form of the paper's equations
+(1)-(3) (`model.motion`). The class has the methods of
+`tetractl.control.estimation.filter.FilterBank`, which is used if the motion has to be identified.
 """
 
 import math
@@ -23,7 +24,7 @@ NEVER_NS = 2**62
 
 
 class KnownForecast(NamedTuple):
-    """The N robots at the moment when the next command acts on them.
+    """The predicted poses of N robots at the moment when the next command acts on them.
 
     Attributes:
         poses: Their poses.
@@ -38,10 +39,10 @@ class KnownForecast(NamedTuple):
 
 
 class KnownMotion:
-    """Predicts N robots of which everything is known.
+    """Predicts N robots whose motion is known exactly, without filtering.
 
-    Frames and commands are added in the order in which they become known. All robots receive every
-    command, one dead time after it was sent.
+    Add frames and commands in the order in which they become known. Every robot is assumed to
+    receive every command, one dead time after it was sent.
     """
 
     def __init__(self, prior: Prior) -> None:
@@ -56,7 +57,10 @@ class KnownMotion:
         self._last_frame = newest
 
     def add_command(self, command: Command) -> None:
-        """Add a command with the time at which it was sent. Robots stand if it has no direction."""
+        """Add a command with the time at which it was sent.
+
+        If the command has no direction, robots stand still.
+        """
         if isinstance(command.action, FieldOff):
             return  # it turns no robot
         direction = math.nan if command.direction is None else command.direction
@@ -64,10 +68,10 @@ class KnownMotion:
         self._directions.append(direction)
 
     def restart(self, robots: Sequence[int]) -> None:
-        """Nothing is to be forgotten about replaced robots: their poses come from the frame."""
+        """Do nothing, because the next frame contains the poses of replaced robots."""
 
     def forecast(self, sent_ns: int) -> KnownForecast:
-        """Predict the robots until a command that is sent at `sent_ns` [ns] acts on them."""
+        """Predict the robots to the moment when a command sent at `sent_ns` [ns] acts on them."""
         frame = self._last_frame
         assert frame is not None, "poses are predicted from those of a frame"
         count = len(frame.valid)

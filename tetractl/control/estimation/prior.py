@@ -1,4 +1,4 @@
-"""The assumptions about the robots' motion before they have moved."""
+"""The prior: the assumptions about the robots' motion before they have moved."""
 
 import math
 from typing import NamedTuple
@@ -12,9 +12,9 @@ from tetractl.core.poses import Floats
 
 
 class Sticks(NamedTuple):
-    """How robots ignore commands for a while.
+    """How often, and for how long, robots ignore commands.
 
-    A robot gets stuck; a cell rests, or backs off and turns.
+    A wheeled robot may get stuck. A cell may rest, or back off and turn.
     """
 
     every_s: float = 30.0  # mean time until it begins
@@ -24,18 +24,31 @@ class Sticks(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """The prior on N robots: means and standard deviations.
+    """The assumptions about N robots before they move: means and standard deviations.
 
-    `a` (N,) [rad/s] and `speed` (N,) [length unit/s] have relative standard deviations, the dead
-    time [s] an absolute one; the mean heading bias, marker bias [rad] and flow [length unit/s] are
-    0. `position_noise` [length unit] and `heading_noise` [rad] are standard deviations of one
-    measurement, 0 if unknown. The helix has a usual frequency [Hz] and radius [length unit]; the
-    radius is 0 if there is no helix. Wheels follow commands with a time constant `lag` [s], 0 for
-    robots without wheels. If `lag_is_learnt`, the filters try other lags too. A robot that receives
-    nothing for `watchdog` [s] stops. Now and then a robot does not do what it is sent: it `sticks`.
-    The mean `side` is 0 (`tetractl.model.motion.turn_rate`). `spread` are what camera's grid and
-    noise add to the deviations of x, y [length unit] and heading [rad]; the poses of a `coarse`
-    camera may repeat.
+    Attributes:
+        a: Mean turning rates [rad/s], shape (N,).
+        speed: Mean speeds [length unit/s], shape (N,).
+        dead_time: Mean time from a command to its effect [s].
+        a_std: Relative standard deviation of the turning rates.
+        speed_std: Relative standard deviation of the speeds.
+        dead_time_std: Standard deviation of the dead time [s]. With 0, the motion is certain.
+        heading_bias_std: Standard deviation of the heading bias [rad]. The mean is 0.
+        marker_bias_std: Standard deviation of the marker bias [rad]. The mean is 0.
+        flow_std: Standard deviation of the flow [length unit/s]. The mean is 0.
+        position_noise: Standard deviation of one measured position [length unit]. 0 if unknown.
+        heading_noise: Standard deviation of one measured heading [rad]. 0 if unknown.
+        helix_frequency: Usual frequency of a cell's helix [Hz].
+        helix_radius: Usual radius of the helix [length unit]. 0 if there is no helix.
+        lag: Time constant with which wheels follow commands [s]. 0 without wheels.
+        lag_is_learnt: Whether the filters try other lags too.
+        watchdog: Time without a command after which a robot stops [s].
+        side_std: Standard deviation of the `side` (`tetractl.model.motion.turn_rate`). The mean is
+            0.
+        sticks: How often, and for how long, robots ignore commands.
+        spread: What the camera's grid and noise add to the standard deviations of x, y [length
+            unit] and heading [rad].
+        coarse: Whether the camera is so coarse that poses may repeat while robots move.
     """
 
     a: Floats
@@ -61,7 +74,7 @@ class Prior(NamedTuple):
 
     @property
     def certain(self) -> bool:
-        """Whether nothing is to be identified."""
+        """Whether the motion is known exactly, so that nothing has to be identified."""
         return self.dead_time_std == 0
 
     @property
@@ -70,7 +83,7 @@ class Prior(NamedTuple):
         return self.helix_radius > 0 and self.helix_frequency > 0
 
     def estimate(self) -> Estimate:
-        """Return the prior's means as an estimate, with absolute standard deviations."""
+        """Return the means of the prior as an estimate, with absolute standard deviations."""
         std = hypot(self.heading_bias_std, self.marker_bias_std)
         return Estimate(
             a=self.a,
@@ -86,5 +99,5 @@ class Prior(NamedTuple):
 
 
 def certain_prior(problem: Problem, dead_time: float) -> Prior:
-    """Return the prior of robots whose motion is known, with a dead time [s]."""
+    """Create a prior for robots whose motion is known exactly, with a dead time [s]."""
     return Prior(problem.a, problem.speed, dead_time, 0.0, 0.0, 0.0, 0.0)

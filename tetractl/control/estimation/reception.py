@@ -1,28 +1,29 @@
-"""Tests whether the radio is sparse: whether most of the directions sent reach no robot.
+"""Detect a radio that is *sparse*: most of the directions that are sent reach no robot.
 
-A direction that all robots miss leaves them on the one before. One lost now and then does no harm,
-as the next one comes a control period later. But if most are lost, robots follow for several
-periods what was searched to be followed for one.
+If all robots miss a direction, they continue to follow the previous one. A direction lost now and
+then does no harm, because the next one comes a control period later. But if most directions are
+lost, robots follow one direction for several periods, although it was planned for one.
 
-The filters say of each direction how likely it is that a robot heard it. Let Lambda_i be the
-likelihood of robot i's frames if it heard the direction, over that if it missed it, and q the
-probability that a robot misses one by itself. Then the frames of all robots are
+The filters report, for each direction, how likely it is that a robot received it. Let Lambda_i be
+the likelihood of robot i's frames if it received the direction, divided by their likelihood if it
+missed the direction. Let q be the probability that a single robot misses a direction. Then the
+frames of all robots are
 
     P = prod_i ((1 - q) Lambda_i + q)
 
-times as likely if the radio let the direction through as if it did not. A radio that works loses a
-direction with the probability SELDOM, a sparse one with OFTEN. Each direction adds to r the ln of
-how much likelier its frames are with a sparse radio,
+times as likely if the radio sent the direction as if it did not. A working radio loses a direction
+with the probability SELDOM, a sparse one with the probability OFTEN. The test keeps a score r. Each
+direction adds to r the logarithm of how much likelier its frames are with a sparse radio:
 
-    ln((OFTEN + (1 - OFTEN) P) / (SELDOM + (1 - SELDOM) P)),
+    ln((OFTEN + (1 - OFTEN) P) / (SELDOM + (1 - SELDOM) P)).
 
-and r does not fall below 0, as a radio may turn sparse at any time (Page's test, 1954). Only frames
-before the next direction acted count: in later ones robots turn by the next one.
+The score does not fall below 0, because a radio may become sparse at any time (Page's test, 1954).
+Only frames before the effect of the next direction count, because later frames show the next one.
 
-Directions that act later than the filters know seem to be missed, too. Two things tell them from
-those of a sparse radio. They are missed one after another, so of directions missed in a row only
-the first few count. And when r shows a sparse radio for the first time, the filters begin again
-with all dead times: the radio is sparse if r shows it once more.
+Directions that act later than the filters assume also look as if they were missed. Two rules
+distinguish them from a sparse radio. Late directions seem to be missed one after another, so only
+the first few directions missed in a row count. And when r indicates a sparse radio for the first
+time, the filters restart with all dead times; the radio is sparse if r indicates it once more.
 """
 
 import math
@@ -60,7 +61,7 @@ MISSED_IN_A_ROW = 3
 
 
 class Reception:
-    """The test in one trial."""
+    """The running test of one trial for a radio that loses most directions."""
 
     def __init__(self) -> None:
         self.ln_ratio = 0.0
@@ -79,14 +80,18 @@ class Reception:
 
     @property
     def is_sparse(self) -> bool:
-        """Whether the radio is sparse: shown again after the filters began with all dead times."""
+        """Whether the radio is sparse.
+
+        The test must have shown this a second time, after the filters restarted with all dead
+        times.
+        """
         return self.times_shown > 1
 
     def add_frame(self, bank: Bank, filters: Integers, commands: SentCommands) -> None:
-        """Note what a frame says about the command that took effect last on each robot.
+        """Record what a frame shows about the reception of the last command that took effect.
 
-        Once the next command has taken effect on all robots, a command is tested, if it `is_news`
-        and frames were taken before.
+        A command is tested once the next command has taken effect on all robots, provided that it
+        `is_news` and that frames were taken before.
 
         Args:
             bank: The filters, which have followed the robots to this frame.
@@ -108,7 +113,7 @@ class Reception:
         self._next = first_untested
 
     def add_direction(self, ln_product: float) -> None:
-        """Add a direction with ln P to the test."""
+        """Add a direction with the logarithm of its likelihood ratio P to the test."""
         if abs(ln_product) < LN_SAYS:
             return
         if ln_product > 0:
@@ -126,10 +131,10 @@ class Reception:
 
 
 def is_news(directions: Floats, command: int) -> bool:
-    """Return whether frames can show if robots heard a command.
+    """Check whether frames can show if robots received a command.
 
-    They can if the robots drive by it and by the one before, and its direction is not one that they
-    may still follow.
+    This is possible if the robots drive under both this command and the previous one, and if the
+    new direction differs from all directions that they may still be following.
     """
     before = directions[max(0, command - FOLLOWS) : command]
     tested = directions[command]
@@ -138,12 +143,13 @@ def is_news(directions: Floats, command: int) -> bool:
 
 
 def ln_robot_ratio(bank: Bank, row: int, robot: int, direction: float) -> float:
-    """Return ln((1 - q) Lambda + q) of a robot, by one filter of the bank.
+    """Compute ln((1 - q) Lambda + q) for one robot, from one filter of the bank.
 
-    When the last command took effect, the odds that it was heard were (1 - q) / q. Since then,
-    frames have multiplied these odds by Lambda. The odds now are those of the likeliest hypothesis
-    that follows the direction, over the likeliest that follows another one. If one of the two is
-    not kept, or the robot is most probably stuck, nothing is known, and the result is 0.
+    When the last command took effect, the odds that the robot received it were (1 - q) / q. Since
+    then, frames have multiplied these odds by Lambda. The present odds are the probability of the
+    likeliest hypothesis that follows the direction, divided by the probability of the likeliest one
+    that follows another direction. If either of the two is missing, or if the robot is most
+    probably stuck, nothing is known, and the result is 0.
 
     Args:
         bank: The filters.

@@ -1,1 +1,1 @@
-"""Controllers: Algorithm 2 of the paper, model predictive control, and simpler methods."""
+"""The controllers: the paper's Algorithm 2, our model predictive control, and simpler methods."""

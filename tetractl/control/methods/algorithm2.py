@@ -1,9 +1,9 @@
 """The paper's Algorithm 2, exactly as published, with nothing added.
 
 A *sequence* consists of signals: directions [rad] that all robots follow, each for one control
-period. It is to bring the robots to their targets. At each control step k, counted from 0, the
-optimiser searches several sequences, the one with the lowest cost J is chosen, and its first signal
-is sent:
+period. A good sequence brings all robots to their targets. At each control step k, counted from 0,
+the controller makes several searches. It chooses the sequence with the lowest cost J, and sends its
+first signal:
 
     k = 0    a search for each length from 1 to `horizon_max`, without a      lines 1 to 7
              start
@@ -37,7 +37,7 @@ from tetractl.spec.controller import Host
 
 
 class Algorithm2:
-    """The published controller of one trial.
+    """The published controller, in one trial.
 
     `plan` is called once a control step. Between two steps, it keeps the number of the next step,
     `k`, and `warm`, the remaining signals of the last chosen sequence.
@@ -46,7 +46,7 @@ class Algorithm2:
         section: The fields of the controller in the spec.
         setup: The constants of the experiment.
         key: Seed of all random numbers.
-        host: Gives the timer, and wraps the optimiser.
+        host: Provides the timer, and wraps the optimiser.
     """
 
     def __init__(self, section: PsoMpc, setup: Setup, key: int, host: Host) -> None:

@@ -1,4 +1,4 @@
-"""Compiles the functions that the controller of a spec runs."""
+"""Compile the functions that the controller of a spec runs."""
 
 import gc
 import time
@@ -13,13 +13,12 @@ AGAIN_S = 10.0  # time after which a message says that code is still being compi
 
 
 def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
-    """Compile the functions that the controller runs, or load them from the cache.
+    """Compile the functions that the spec's controller runs, or load them from the cache.
 
     If anything is compiled, `announce` is called with a message before, every AGAIN_S seconds, and
-    at the end.
-    Compiled code is cached on disk, for all specs with the same kinds of controller, optimiser and
-    motion. Python's garbage collection is off meanwhile: the compiler makes so many
-    objects that searching them takes a fifth of its time.
+    at the end. Compiled code is cached on disk, for all specs with the same kinds of controller,
+    optimiser and motion. Python's garbage collection is off meanwhile, because the compiler creates
+    so many objects that searching them would take a fifth of its time.
     """
     collects = gc.isenabled()
     began_s = time.monotonic()

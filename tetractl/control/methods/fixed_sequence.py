@@ -1,7 +1,7 @@
-"""Functions that several controllers use.
+"""Functions that several controllers share: records of searches, plans, and the best stop.
 
-They make search records of given signals and plans of search records, predict where robots will be,
-and find the best moment to stop.
+They create search records from given signals, create plans from search records, and find the best
+moment to stop.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from tetractl.core.poses import Floats
 
 
 def given_search(problem: Problem, signals: Floats, foreseen: Foreseen) -> Search:
-    """Make a search record of a given sequence.
+    """Create the record of a search whose result is a given sequence.
 
     Args:
         problem: The problem of the control step.
@@ -29,7 +29,7 @@ def given_search(problem: Problem, signals: Floats, foreseen: Foreseen) -> Searc
 
 
 def make_plan(searches: Sequence[Search], chosen: int, step_key: int, foreseen: Foreseen) -> Plan:
-    """Make the plan of a control step from its searches.
+    """Create the plan of a control step from its searches.
 
     Args:
         searches: All searches of the step.
@@ -51,7 +51,7 @@ def make_plan(searches: Sequence[Search], chosen: int, step_key: int, foreseen: 
 
 
 def given_plan(problem: Problem, signals: Floats, step_key: int) -> Plan:
-    """Make a plan of a given sequence.
+    """Create a plan that follows a given sequence.
 
     Args:
         problem: The problem of the control step.
@@ -63,7 +63,7 @@ def given_plan(problem: Problem, signals: Floats, step_key: int) -> Plan:
 
 
 def least_error(problem: Problem, period_s: float) -> float:
-    """Compute a lower bound of the error after any stop in the coming period.
+    """Compute a lower bound of the error if robots stop at any time in the coming period.
 
     The bound is the sum of distances that would remain if every robot drove straight to its target.
 

@@ -1,11 +1,12 @@
-"""The searches of one control step of `mpc`: the lengths to try, and their limits.
+"""Search plans of several lengths in one control step of the controller `mpc`.
 
-A search at rest starts with plans that are about as long as the path. If no plan of a length is
-good, longer plans are tried. A good plan is then *shortened*: it is compressed in time and
-polished, as long as it stays good. In each step, the plan under way is shortened in the same way.
-Near the end of a plan, the few signals left cannot correct the 2N coordinates of N robots. If the
-plan under way is then no longer good, it is stretched, or longer plans (detours) lead the robots
-away from their targets and back.
+The length of a plan is its number of signals. If the robots stand still, the first search is for
+plans that are about as long as the path. If no plan of a length is good, longer plans are tried. A
+good plan is then *shortened*: it is compressed in time and polished, as long as it stays good.
+While robots follow a plan, the rest of it is shortened in the same way in each step. Near the end
+of a plan, the few signals left cannot correct the 2N coordinates of N robots. If the present plan
+is then no longer good, it is stretched, or longer plans (detours) lead the robots away from their
+targets and back.
 """
 
 import math
@@ -26,7 +27,7 @@ SIGNALS_PER_ROBOT = 6  # least number of signals per robot in a plan for several
 
 
 def least_length(problem: Problem) -> int:
-    """Compute the minimum length to try.
+    """Compute the minimum length of plans to try [signals].
 
     It has enough signals for each robot to drive straight to its target, and at least
     SIGNALS_PER_ROBOT signals per robot.
@@ -43,7 +44,7 @@ def least_length(problem: Problem) -> int:
 
 
 def longer(count: int, length_max: int) -> Iterator[int]:
-    """Yield increasing lengths above `count`, up to `length_max` [signals]."""
+    """Yield increasing lengths of plans above `count`, up to `length_max` [signals]."""
     length = count + 1
     while length <= length_max:
         yield length
@@ -51,7 +52,10 @@ def longer(count: int, length_max: int) -> Iterator[int]:
 
 
 def resampled(signals: Floats, length: int) -> Floats:
-    """Return signals (L,) [rad], drawn together or out in time to (length,), from -pi to pi."""
+    """Stretch or compress a sequence of directions (L,) [rad] in time to `length` directions.
+
+    The results are from -pi to pi.
+    """
     count = len(signals)
     times = (np.arange(length) + 0.5) * (count / length) - 0.5
     angles = np.unwrap(signals)
@@ -62,7 +66,7 @@ def resampled(signals: Floats, length: int) -> Floats:
 class Searcher:
     """Runs the searches of one control step, and collects their results in `found`.
 
-    Once the limits' time has passed, only the first search is done.
+    Once the time limit has passed, only the first search is made.
 
     Args:
         optimizer: Searches a plan of a given length.
@@ -85,7 +89,10 @@ class Searcher:
         self.found: list[Search] = []
 
     def search(self, length: int, start: Floats | None = None) -> Search | None:
-        """Search sequences of one length; return None if the limits do not allow it."""
+        """Search sequences of one length.
+
+        The result is None if the limits do not allow the search.
+        """
         tries = sum(search.length == length for search in self.found)
         key = mix(self._key, length)
         if tries:  # another search of the same length has other random numbers
@@ -124,7 +131,7 @@ class Searcher:
         return reached
 
     def _grow(self, length_min: int, length_max: int, good: Callable[[Search], bool]) -> bool:
-        """Search growing lengths until a plan is good; return whether one is."""
+        """Search growing lengths until a plan is good, and return whether one is."""
         # several robots hardly ever reach their targets along straight lines
         several = self.problem.a.size > 1
         length = min(round(SPREAD * length_min) if several else length_min, length_max)

@@ -1,63 +1,64 @@
-"""The recommended controller: model predictive control in which one value decides.
+"""The recommended controller: model predictive control that compares all options by one value.
 
-A *signal* is the direction [rad] that all robots follow for a signal period, a *plan* a sequence of
-signals. A plan is *under way* while robots follow it; the signals of it that are left are `warm`,
-as searches start from them. Without one robots are *at rest*: before the first plan, after a rest
-or a turn on the spot, and when a leg begins, when they may still drive (`moving`). A *leg* is the
-part of a trial up to a way-point or to the targets, or the hold after them.
+One common direction steers all robots. A *signal* is the direction [rad] that all robots follow for
+a signal period, and a *plan* is a sequence of signals. A plan is *under way* while robots follow
+it. Its remaining signals are called `warm`, because searches start from them. If no plan is under
+way, robots are *at rest*: before the first plan, after a pause or a turn on the spot, and when a
+leg begins. In the last case they may still drive (`moving`). A *leg* is the part of a trial up to a
+way-point or to the targets, or the time for which they have to stay there (the hold).
 
-As in Algorithm 2 of the paper, each control step searches plans of several lengths, from what is
-left of the plan under way, and only the first signal is exerted. Besides driving by a plan, robots
-can stop. What there is to choose from has a *value*, the less the better: the predicted sum of
-distances to the targets at its end [length unit], and what its time and its risk cost in the same
-unit (`tetractl.control.methods.value`).
+As in Algorithm 2 of the paper, each control step searches plans of several lengths, starting from
+the rest of the plan under way, and only the first signal is sent. Besides following a plan, robots
+can stop. Each option has a *value* (`tetractl.control.methods.value`), and the lowest value wins.
+The value is the predicted sum of distances to the targets at the end [length unit], plus the cost
+of the option's time and risk in the same unit.
 
-A plan *collides soon* if its first signal, held until a stop can act, brings a body into something:
-robots that can stand never drive such a plan, whatever its value (`_collides_soon`).
+A plan *collides soon* if its first signal, held until a stop can act, brings a body into something.
+Robots that can stand still never follow such a plan, whatever its value (`_collides_soon`).
 
-The rules of one of two lists are asked in turn, and the first answer is what the robots do. Each is
-the method of its name.
+Two lists of rules decide. The rules of a list are tried one after another, and the first one that
+applies decides what the robots do. Each rule is a method with the same name.
 
     under way                                      at rest
 
-    thread   on through a passage                  stay     in a hold: all are within its radius
+    thread   continue through a gap                stay     in a hold: all are within its radius
     stop     in the coming period, if no plan      finish   if no plan can have a lower value,
              can have a lower value                         or none fits into the time left
     (plans are searched)                           (plans are searched)
-    go on    by the plan of least value that       turn     on the spot, if the plan of least value
+    go on    by the plan of lowest value that      turn     on the spot, if the plan of lowest value
              does not collide soon                          collides soon: other headings allow
     rest     if all plans found collide soon                other plans
-                                                   give up  if it does so after all turns
-                                                   drive    by the plan of least value
+                                                   give up  if this is still so after all turns
+                                                   drive    by the plan of lowest value
 
-What happens next, if
+**What happens next, if**
 
-    a plan fails: all collide     robots rest, and search from there; at rest, where the plan of
-    soon, or it leads astray      least value counts alone, they turn on the spot, in up to 12
-                                  turns, and then give up: the trial ends in the step after
-    a search takes too long       searches end at the spec's `deadline`; the first one is always
-                                  done, and its plan is a candidate
-    no time is left for a new     robots that can stand: plans are searched first, and a stop is
-    plan                          compared with the best, as the plan under way may have to be
-                                  polished to come near
-    a step is late                the next one begins with the poses that robots have by then
-    few directions get through    a signal is sent again until it ends, and nothing is searched
+    all plans collide soon,       robots pause, and search from there. If they are already at rest,
+    or the plan leads astray      only the plan of lowest value counts. They turn on the spot, in up
+                                  to 12 turns, and then give up: the next step ends the trial
+    a search takes too long       searches end at the spec's `deadline`. The first one is always
+                                  completed, and its plan is an option
+    no time is left for a new     robots that can stand still: plans are searched first, and a stop
+    plan                          is compared with the best one, because the plan under way may have
+                                  to be polished to come near the targets
+    a step is late                the next step begins with the poses that robots have by then
+    few directions get through    a signal is repeated until it ends, and nothing is searched
                                   meanwhile (`tetractl.control.estimation.reception`)
-    a pose jumps                  the filter predicts on without it
-                                  (`tetractl.control.estimation.filter`)
-    a robot dies                  ControlError, if the spec ends a trial then; else it is lost
+    a pose jumps                  the filter predicts without it (`control.estimation.filter`)
+    a robot stops working         ControlError, if the spec requires that this ends the trial.
+                                  Otherwise the robot is lost
     a robot is lost               the leg begins again for the others, at rest or driving as they
-                                  are; on wheels, its body is an obstacle from now on
-    all are at their targets,     the leg ends, and the next one begins in the same step; after the
+                                  are. If it has wheels, its body is an obstacle from then on
+    all are at their targets,     the leg ends, and the next one begins in the same step. After the
     or a rule ends the leg        last leg, the trial ends
     the time limit is over        the trial ends
     Ctrl-C                        nothing here: the trial ends after a step (`run.control_loop`)
 
-Robots that cannot stand, such as cells, end a leg where others stop, and never rest or turn. What
-robots do is the `state` of the plan; docs/reference/controllers/mpc.md draws the states, and
-docs/decisions/controller.md has what was tried instead, with figures.
+Robots that cannot stand still, such as cells, end a leg where others stop, and never pause or turn
+on the spot. The `state` of a plan says what the robots do. docs/reference/controllers/mpc.md draws
+the states, and docs/decisions/controller.md describes what was tried instead, with figures.
 
-Times are in seconds, the lengths of plans in signals. N is the number of robots that are not lost,
+Times are in seconds, and lengths of plans in signals. N is the number of robots that are not lost,
 and L the number of signals of a plan.
 """
 
@@ -127,7 +128,7 @@ END_OF_LEG = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLA
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A part of a trial: up to a way-point, up to the targets, or the hold after them.
+    """A part of a trial: the way to a way-point, the way to the targets, or the hold after them.
 
     Attributes:
         index: Index of the way-point, or the number of way-points for the targets.
@@ -136,9 +137,9 @@ class Leg:
             if there is no hold.
         began_s: Time of the trial at which the leg began [s].
         began_ns: Time of the clock at which the leg began [ns].
-        outcome: How the previous leg ended.
+        outcome: The outcome of the previous leg.
         present: Which of all robots are not lost.
-        targets: Where the N robots go that are not lost, shape (N, 2). Targets that are too close
+        targets: Targets of the N robots that are not lost, shape (N, 2). Targets that are too close
             to each other have been moved apart.
         discs: Bodies of the robots.
         margins: Distances that plans keep.
@@ -158,7 +159,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class TrialProgress:
-    """What the robots have done so far.
+    """The progress of a trial: what the robots have done so far.
 
     Attributes:
         k: Number of the control step.
@@ -177,7 +178,7 @@ class TrialProgress:
 
     @property
     def state(self) -> State:
-        """What the robots were commanded to do in this leg; they rest before the first step."""
+        """What the robots were commanded to do in this leg. Before the first step, they rest."""
         return State.RESTING if self.last is None else self.last.state
 
     def after(self, plan: Plan) -> "TrialProgress":
@@ -194,12 +195,12 @@ class ControlStep:
     """The situation at the beginning of a control step.
 
     Attributes:
-        problem: How to bring the robots from where they will be when the next command acts to their
-            targets.
+        problem: The planning problem: targets, obstacles, and the poses that the robots will have
+            when the next command acts.
         warm: The remaining signals of the plan under way, shape (L,). None if no plan is under way.
         horizon_max: Length of the longest plan [signals].
         signals_left: Time until the time limit [signals].
-        value: How plans are valued.
+        value: Computes the value of a plan.
     """
 
     problem: Problem
@@ -210,11 +211,11 @@ class ControlStep:
 
     @property
     def signals_max(self) -> int:
-        """The most signals of a plan that ends before the limit of time."""
+        """The maximum number of signals of a plan that ends before the time limit."""
         return min(self.horizon_max, int(self.signals_left))
 
     def is_new(self, signals: Floats) -> bool:
-        """Decide whether signals (L,) are more than one signal longer than the current plan."""
+        """Check whether signals (L,) are longer than the current plan by more than one signal."""
         return self.warm is None or len(signals) > len(self.warm) + 1
 
     def allows(self, length: int) -> bool:
@@ -240,7 +241,7 @@ class Searched(NamedTuple):
 
 
 class Mpc:
-    """The recommended controller of one trial.
+    """The recommended controller, in one trial.
 
     `plan` is called once a control step. Between two steps, the controller keeps the `leg`, the
     `progress` of the trial, and the records of the `estimator` and the `time`.
@@ -249,7 +250,7 @@ class Mpc:
         section: The fields of the controller in the spec.
         setup: The constants of the experiment.
         key: Seed of all random numbers.
-        host: Gives the timer, which is read only for deadlines, and wraps the optimiser.
+        host: Provides the timer, which is read only for deadlines, and wraps the optimiser.
     """
 
     def __init__(self, section: RecommendedMpc, setup: Setup, key: int, host: Host) -> None:
@@ -298,21 +299,21 @@ class Mpc:
     # legs
 
     def _ends_a_leg_only(self, decision: Decision) -> bool:
-        """Decide whether a decision ends a leg that is not the last one."""
+        """Check whether a decision ends a leg, but not the trial."""
         if not isinstance(decision, Outcome) or decision not in END_OF_LEG:
             return False
         gave_up = decision is Outcome.NO_BETTER_PLAN and self.progress.state is State.STUCK
         return not gave_up and not self.leg.is_last
 
     def _begin(self, leg: Leg) -> None:
-        """Begin a leg with new plans."""
+        """Begin a leg of the trial without a plan."""
         self.leg = leg
         self.progress = replace(self.progress, last=None, driven=0)
 
     def _leg(
         self, index: int, began_s: float, began_ns: int, outcome: Outcome, poses: Poses
     ) -> Leg:
-        """Return a leg for the robots that are not lost.
+        """Create a leg of the trial for the robots that are not lost.
 
         Lost robots on wheels become obstacles at their `poses`.
         """
@@ -343,7 +344,7 @@ class Mpc:
     # a step
 
     def _decide(self, motion: Problem, observation: Observation) -> Decision:
-        """Decide what the robots do or how the leg ends, given their states and motion."""
+        """Decide what the robots do, or how the leg ends, given the predicted poses and motion."""
         step = self._step(motion)
         outcome = self._outcome(step, observation)
         if outcome is not None:
@@ -355,7 +356,7 @@ class Mpc:
         return self._under_way(step, step.warm)
 
     def _step(self, motion: Problem) -> ControlStep:
-        """Return the situation at the beginning of the step, given the robots' states and motion.
+        """Collect the situation at the beginning of a control step.
 
         A plan may hold each signal for several control periods. The lengths of plans and the
         remaining time count from the beginning of the signal that is held now. The prediction
@@ -392,7 +393,10 @@ class Mpc:
         return last.signals[1:] if is_over else last.signals
 
     def _outcome(self, step: ControlStep, observation: Observation) -> Outcome | None:
-        """Decide how the leg ends, whatever the robots could do. None if it continues."""
+        """Decide whether the leg ends now, whatever the robots could do, and how.
+
+        None if it continues.
+        """
         if self.leg.holds:
             assert self.setup.hold is not None
             if observation.sampled_ns - self.leg.began_ns >= self.setup.hold.seconds * SECOND:
@@ -418,7 +422,7 @@ class Mpc:
     # under way
 
     def _under_way(self, step: ControlStep, warm: Floats) -> Decision:
-        """Decide while a plan is under way."""
+        """Decide what the robots do while they follow a plan."""
         if self.progress.state is State.PASSING and len(warm) > AHEAD:
             return self._thread(step, warm)
         if self._rests_at_the_end and not step.allows(least_length(step.problem)):
@@ -429,7 +433,7 @@ class Mpc:
         return self._go_on(self._search_under_way(step, warm))
 
     def _near_the_limit(self, step: ControlStep, warm: Floats) -> Decision:
-        """Decide during a plan, when no time is left for a new one.
+        """Decide what the robots do while they follow a plan and no time is left for a new one.
 
         This applies only to robots that stop at the end, because the log of an outcome has no
         searches. The plan is polished before it is compared with a stop. After a disturbance, its
@@ -445,8 +449,8 @@ class Mpc:
     def _bound_of_going_on(self, step: ControlStep, warm: Floats) -> float:
         """Compute a lower bound of the value of driving on.
 
-        It is the value of the plan under way, or of the shortest new plan if that led exactly to
-        the targets. A new plan counts only if there is time for it.
+        The bound is the value of the plan under way, or the value that the shortest new plan would
+        have if it led exactly to the targets. A new plan counts only if there is time for it.
         """
         bound = np.inf
         if len(warm) > 0:
@@ -458,7 +462,7 @@ class Mpc:
 
     @property
     def _rests_at_the_end(self) -> bool:
-        """Whether robots that stop now are to rest, before the next step ends the leg."""
+        """Whether robots that stop now should stand still for a step before the leg ends."""
         return self.leg.holds or (self.stands and self.leg.is_last)
 
     def _stop(
@@ -466,9 +470,9 @@ class Mpc:
     ) -> Decision | None:
         """Stop at the best moment of the coming control period, if nothing else can be better.
 
-        That is the case if the error after the stop is at most `bound`, a lower bound of the value
-        of anything else. Driving on would take the robots past their targets, on a detour that
-        costs more than it can gain. Nothing is searched then, because a search takes up to a
+        This is so if the error after the stop is at most `bound`, which is a lower bound of the
+        value of any other option. Driving on would take the robots past their targets, on a detour
+        that costs more than it can gain. Nothing is searched then, because a search takes up to a
         control period, and the moment would pass. (Near the time limit there are `searches`; the
         value of their best plan is `bound`.)
 
@@ -513,8 +517,8 @@ class Mpc:
     def _go_on(self, searched: Searched) -> Plan:
         """Follow the plan with the lowest value that does not collide soon.
 
-        If there is none, pause and search from there. Robots that cannot stand still follow the
-        first plan, because nothing they could do is safer.
+        If there is no such plan, robots pause, and the next step searches from there. Robots that
+        cannot stand still follow the first plan, because nothing they could do is safer.
         """
         for plan in searched.plans:
             if not (self.stands and self._collides_soon(searched.problem, plan.signals)):
@@ -522,7 +526,7 @@ class Mpc:
         return self._standing(searched.problem, State.RESTING, searched.plans[0].searches)
 
     def _search_under_way(self, step: ControlStep, warm: Floats) -> Searched:
-        """Polish the plan under way, and shorten it if it is good, or else search longer plans.
+        """Polish the present plan. Shorten it if it is good, otherwise search longer plans.
 
         While a signal is kept, the plan is followed unchanged.
         """
@@ -540,10 +544,11 @@ class Mpc:
         return self._searched(step, step.problem, searcher.found, by_tree=False)
 
     def _is_kept(self, step: ControlStep, warm: Floats) -> bool:
-        """Decide whether the present signal is kept to its end because the radio is sparse.
+        """Check whether the present signal is kept to its end because the radio is sparse.
 
-        Robots then follow the direction that they receive for about a whole signal period, not for
-        the rest of one. A plan that is longer than the remaining time has to be searched.
+        If the radio is sparse, few directions reach the robots. Robots then follow a direction for
+        about a whole signal period, not for the rest of one. A plan that is longer than the
+        remaining time has to be searched.
         """
         is_within_signal = step.problem.first_period < step.problem.period
         fits = len(warm) <= step.signals_max
@@ -571,14 +576,15 @@ class Mpc:
     # under way through a passage
 
     def _thread(self, step: ControlStep, warm: Floats) -> Plan:
-        """Continue through a passage with a long plan that was made at rest.
+        """Continue through a narrow gap with a long plan that was made at rest.
 
         Only its next AHEAD signals are searched again, so that they bring the robots to where the
         plan led after these signals. The other signals are kept.
 
         Errors of the model in the first of about 90 signals add up until the last, so the unchanged
-        plan would lead robots into the wall. A search of all 90 signals would not find the passage
-        again. Robots pause for another plan if they stray from this one, or would touch something.
+        plan would lead robots into the wall. A search of all 90 signals would not find the path
+        through the gap again. Robots pause for another plan if they stray from this one, or would
+        touch something.
         """
         last = self.progress.last
         assert last is not None
@@ -596,11 +602,11 @@ class Mpc:
         return replace(plan, state=State.PASSING, path=path)
 
     def _strays(self, planned: Poses, miss: float) -> bool:
-        """Decide whether passing robots would miss their `planned` poses by too much.
+        """Check whether robots in a gap would miss their `planned` poses by too much.
 
-        A small miss is mended by the next steps, the more of them are left: so a fraction of what
-        robots have to go from there is added to the limit. As before a rest, the plan must have
-        been driven for a while.
+        The next steps can correct a small miss, and the more steps are left, the larger it may be.
+        So a fraction of the remaining distance is added to the limit. As before any pause, the plan
+        must have been followed for a while.
         """
         driven_s = self.progress.driven * self.section.period
         to_go = float(planned.distances(self.leg.targets).sum())
@@ -610,7 +616,7 @@ class Mpc:
     # at rest
 
     def _at_rest(self, step: ControlStep) -> Plan | Outcome:
-        """Decide while no plan is under way."""
+        """Decide what the robots do while no plan is under way."""
         stay = self._stay(step)
         if stay is not None:
             return stay
@@ -629,7 +635,8 @@ class Mpc:
     def _stay(self, step: ControlStep) -> Plan | None:
         """Keep standing still in a hold while all robots are within its radius.
 
-        Driving nearer could lead them out of the radius, and gains nothing.
+        Driving nearer to the targets would gain nothing, and could lead the robots out of the
+        radius.
         """
         gaps = step.problem.poses.distances(step.problem.targets)
         if self.leg.holds and self.setup.hold and (gaps <= self.setup.hold.radius).all():
@@ -643,9 +650,9 @@ class Mpc:
         value of a new plan (the shortest plan that would lead exactly to the targets), or if there
         is no time for a new plan. Without this rule, robots would try again until the time limit.
 
-        The first step does not end a trial, because a trial is there to be planned. Robots that are
-        still driving, for example when a leg begins, do not end it either, because they do not stop
-        where they are measured.
+        The first step never ends a trial, because a trial without any plan would be useless. Robots
+        that are still driving, for example when a leg begins, do not end it either, because they do
+        not stop where they are measured.
         """
         if self.progress.k == 0 or self.progress.moving:
             return None
@@ -678,9 +685,11 @@ class Mpc:
         return replace(best, state=State.STUCK, instead=Stop())
 
     def _drive(self, searched: Searched, best: Plan) -> Plan:
-        """Follow the best plan found; if a tree led to it, through a passage (`_thread`).
+        """Follow the best plan found.
 
-        A plan that touches something later is driven too: it is searched again on the way.
+        If a tree of directions led to it, it leads through a gap (`_thread`).
+
+        A plan that touches something later is also followed, because the next steps search again.
         """
         if searched.by_tree and best.search.length > AHEAD:
             return replace(best, state=State.PASSING)
@@ -707,13 +716,13 @@ class Mpc:
         return self._searched(step, certain if by_tree else problem, searcher.found, by_tree)
 
     def _is_good(self, search: Search) -> bool:
-        """Decide whether a plan is so good that no better one has to be found."""
+        """Check whether a plan is good enough that the search for a better one can end."""
         return search.cost <= (self.section.optimizer.good_enough or 0.0)
 
     def _searched(
         self, step: ControlStep, problem: Problem, searches: Sequence[Search], by_tree: bool
     ) -> Searched:
-        """Return all plans that searches found for the problem."""
+        """Collect all plans that searches found for the problem, in the order of their values."""
         posed = replace(step, problem=problem)
         plans = sorted(self._plans(problem, searches), key=lambda plan: self._value(posed, plan))
         return Searched(problem, plans, by_tree)
@@ -726,7 +735,7 @@ class Mpc:
         return mix(self.key, self.progress.k)
 
     def _searcher(self, step: ControlStep) -> Searcher:
-        """Create the searcher of a step. Its time counts from now."""
+        """Create the object that makes the searches of a step. Its time counts from now."""
         return Searcher(self.optimizer, step.problem, self._step_key, self._limits())
 
     def _limits(self) -> Limits:
@@ -750,7 +759,8 @@ class Mpc:
     def _value(self, step: ControlStep, plan: Plan) -> float:
         """Return the value of a plan.
 
-        A cost below the weight of an obstacle is the error itself, since nothing is touched.
+        If the cost is below the weight of an obstacle, nothing is touched, and the cost is the
+        error itself.
         """
         error = plan.cost
         touches = False
@@ -760,13 +770,13 @@ class Mpc:
         return step.value.plan(error, len(plan.signals), step.is_new(plan.signals), touches)
 
     def _given(self, problem: Problem, signals: Floats, searches: Iterable[Search] = ()) -> Plan:
-        """Return a plan with given signals (L,). The `searches` before it found no better one."""
+        """Create a plan with given signals (L,), after `searches` that found no better one."""
         foreseen = compiled_foresee(problem, signals)
         all_searches = [*searches, given_search(problem, signals, foreseen)]
         return make_plan(all_searches, len(all_searches) - 1, self._step_key, foreseen)
 
     def _standing(self, problem: Problem, state: State, searches: Iterable[Search] = ()) -> Plan:
-        """Return a plan that makes robots stand still.
+        """Create a plan that makes robots stand still.
 
         Its one signal is not sent; a stop or a turn is sent instead. `searches` are this step's
         searches, for the log.

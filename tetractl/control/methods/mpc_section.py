@@ -1,4 +1,4 @@
-"""The fields of the recommended controller in a spec, which extend those of Algorithm 2."""
+"""The fields of the recommended controller in a spec. They extend the fields of Algorithm 2."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -106,7 +106,7 @@ class PriorSection(Model):
         return not setup.on_wheels and is_noise_known
 
     def of(self, problem: Problem, dead_time: float, setup: Setup) -> Prior:
-        """Return the prior for the robots of a problem.
+        """Create the prior for the robots of a problem: means, and standard deviations.
 
         Args:
             problem: The robots' parameters.
@@ -200,7 +200,7 @@ class RecommendedMpc(SearchFields):
         return self.collision.radius
 
     def fitted(self, stands: bool, speed: float) -> Self:
-        """Return the section with the defaults for robots of the given summed speed."""
+        """Return the section with defaults that suit robots with the given sum of speeds."""
         fitting: dict[str, Any] = {}
         if "accept_error" not in self.model_fields_set:
             fitting["accept_error"] = float(f"{0.45 * self.period * speed:.2g}")

@@ -1,4 +1,4 @@
-"""Paths for many robots, or through passages that are too narrow for all robots side by side.
+"""Find plans for many robots, or through gaps that are too narrow for all robots side by side.
 
 A common direction moves all robots in nearly the same way, so robots pass a gap one after another.
 Hardly any random sequence of directions leads many robots to targets far apart, or several robots
@@ -67,7 +67,10 @@ TRUSTED_S = 1.0
 
 
 class Nodes(NamedTuple):
-    """K nodes of one level, or branches that may become nodes of the next one."""
+    """K nodes of one level of a tree of directions, or branches that may become nodes.
+
+    A node is a predicted situation: the poses of all robots after some signals.
+    """
 
     parents: Integers
     """(K,) numbers of the nodes of the level before from which they grew."""
@@ -134,7 +137,7 @@ class Tree:
 
 
 class Squares:
-    """The square cells of an arena, as rows and columns, numbered row by row."""
+    """The square cells of an arena, numbered row by row."""
 
     def __init__(self, arena: Bounds) -> None:
         self.side = max(arena.width, arena.height) / CELLS_ACROSS
@@ -147,7 +150,10 @@ class Squares:
         """(C, 2)"""
 
     def cells(self, xy: Floats) -> Integers:
-        """Return the numbers (...) of the cells that contain points (..., 2), or are nearest."""
+        """Return the number of the cell that contains each point, or that is nearest to it.
+
+        The points have shape (..., 2), the numbers (...).
+        """
         rows, columns = self.shape
         last = np.array([columns - 1, rows - 1])
         column_and_row = np.clip(((xy - self._low) / self.side).astype(np.int64), 0, last)
@@ -245,7 +251,7 @@ def _grid_distances(problem: Problem, grid: Squares) -> Floats:
 def _best_branches(
     problem: Problem, path: Floats, distances_left: Floats, nodes_max: int
 ) -> Integers:
-    """Select the branches grown last whose ends become nodes, the best first.
+    """Select the branches whose ends become the nodes of the next level, the best first.
 
     Clearances take time, so they are computed only for the best branches.
 
@@ -264,9 +270,9 @@ def _best_branches(
 
 
 def _keep_clear(problem: Problem, xy: Floats) -> Bools:
-    """Check along which branches robots keep their distances to each other and to obstacles, (B,).
+    """Check for each branch whether robots keep their distance from each other and obstacles.
 
-    `xy` are the positions along the branches, shape (T, B, N, 2).
+    `xy` contains the positions along the branches, shape (T, B, N, 2). The result has shape (B,).
     """
     x = xy[..., 0].copy()
     y = xy[..., 1].copy()
@@ -280,5 +286,5 @@ def _keep_clear(problem: Problem, xy: Floats) -> Bools:
 
 
 def with_targets_ahead(problem: Problem, path: Floats) -> Problem:
-    """Return a problem with the positions after AHEAD signals of a path (M, N, 3) as targets."""
+    """Return a problem whose targets are the positions after AHEAD signals of a path (M, N, 3)."""
     return replace(problem, targets=np.ascontiguousarray(path[AHEAD, :, :2]))

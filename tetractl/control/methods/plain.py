@@ -1,4 +1,4 @@
-"""Base classes of controllers that do not search, with the problem that gives the logged cost."""
+"""Base classes of controllers that do not search for plans."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -17,7 +17,10 @@ from tetractl.spec.controller import ControllerSection
 
 
 class PlainSection(ControllerSection):
-    """A controller that knows the robots' motion, and predicts them over the dead time."""
+    """Base class of the spec's section for a controller that does not search for plans.
+
+    Such a controller knows the robots' motion exactly, and predicts it over the dead time.
+    """
 
     def problem(self, setup: Setup) -> Problem:
         """Return the problem used to compute the logged cost, for robots at their starts.
@@ -43,7 +46,9 @@ class PlainSection(ControllerSection):
 
 
 class PlainController:
-    """A controller without a search, for one trial. Derive from it and implement `decided`.
+    """Base class of a controller that does not search for plans, in one trial.
+
+    Derive from it and implement `decided`.
 
     It counts the control steps, k, and estimates the robots' poses.
 
@@ -63,7 +68,7 @@ class PlainController:
 
     @cached_property
     def estimator(self) -> StateEstimator:
-        """The robots' poses at the moment when the next direction acts."""
+        """Predicts the robots' poses at the moment when the next direction acts."""
         return StateEstimator(self.problem, self._ends.period, self._known)
 
     def plan(
@@ -81,7 +86,7 @@ class PlainController:
         return decision
 
     def step(self, observation: Observation, last_command: Command | None) -> Problem | Outcome:
-        """Return the problem of one step, or the outcome if the trial is over.
+        """Predict the problem of one step, or return the outcome if the trial is over.
 
         The problem has the poses at which the next direction acts. `open_trial` uses it, and lets
         the script decide what to send.

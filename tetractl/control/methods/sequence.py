@@ -1,4 +1,4 @@
-"""A controller that sends a given sequence of directions, open loop."""
+"""A controller that sends a given sequence of directions without feedback."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -28,7 +28,7 @@ class SequenceSection(PlainSection):
     """Number of signals for which each step predicts the path."""
 
     def bounds(self) -> dict[str, str]:
-        """Return the number of directions, for display: {name: text}."""
+        """Describe the number of directions for display, as {name: text}."""
         return {"directions": f"{len(self.directions)}"}
 
     def build(self, setup: Setup, key: int, host: Host = ALONE) -> "SequenceController":

@@ -1,4 +1,4 @@
-"""The time of a trial, which controllers compare with its limit."""
+"""Count the time of a trial in control periods, to compare it with the time limit."""
 
 import math
 
@@ -8,12 +8,13 @@ from tetractl.core.poses import Observation
 
 
 class TrialTime:
-    """Counts the time of one trial up to `limit_s`, from its first command.
+    """Counts the time of one trial from its first command, up to `limit_s`.
 
-    A step begins a control period `period_s` after the last command, or later, after a turn or a
-    rest; its frame is somewhat older, or much older if frames are lost. A time is taken for the
-    next full period if it is at most half a period short of it. After a rest of 3.5 periods it is
-    exactly half a period short: so times are compared in whole nanoseconds, which nothing rounds.
+    A step begins one control period `period_s` after the last command, or later, after a turn or a
+    pause. Its frame is somewhat older, or much older if frames are lost. A time that is at most
+    half a period short of the next full period counts as this period. After a pause of 3.5 periods,
+    the time is exactly half a period short. So times are compared in whole nanoseconds, without
+    rounding.
     """
 
     def __init__(self, limit_s: float, period_s: float) -> None:

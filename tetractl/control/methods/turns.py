@@ -1,10 +1,10 @@
-"""Turns on the spot out of a corner, for stationary robots without a safe plan.
+"""Choose a direction for turns on the spot, if stationary robots have no safe plan.
 
 A robot that faces a wall, and is nearer to it than its turning circle v / a, cannot drive away from
-it. However, robots on wheels can turn on the spot: all turn to one direction u, by (3) with speed
-0, and then plans are searched again. The first of FACINGS directions u to be tried is the one with
-the most free space straight ahead (`roomiest`). That is the direction with the largest mean over t
-in (0, AHEAD_S] of
+it. However, robots on wheels can turn on the spot. All of them turn to one direction u, by equation
+(3) with speed 0, and then plans are searched again. The first of FACINGS directions u to be tried
+is the one with the most free space straight ahead (`roomiest`). That is the direction with the
+largest mean over t in (0, AHEAD_S] of
 
     the minimum clearance of any robot at x_i + v_i t (cos u, sin u)  to obstacles, walls and robots
 
@@ -31,7 +31,7 @@ TURNS_IN_VAIN = 12  # number of turns in vain, one after the other, after which 
 
 
 class Turning(NamedTuple):
-    """How stationary robots turn on the spot.
+    """The turn on the spot that stationary robots are making.
 
     Attributes:
         facing: The direction to which they turn [rad]. None if they do not turn.
@@ -45,7 +45,7 @@ class Turning(NamedTuple):
     def then(self, facing: float | None) -> "Turning":
         """Return the state after a step in which the robots turn to `facing` [rad].
 
-        None: they do not.
+        None means that they do not turn.
         """
         return NOT_TURNING if facing is None else Turning(facing, self.steps + 1)
 

@@ -1,13 +1,14 @@
-"""The value of a candidate in a control step. `mpc` takes the candidate with the lowest value.
+"""Compute the value by which the controller `mpc` compares the options in a control step.
 
-The value is an error [length unit]. Lower is better:
+An option, called a candidate, is a plan or a stop. `mpc` takes the candidate with the lowest value.
+The value is an error [length unit]:
 
     V = J + attempt + price t + caution
 
     J        predicted total error at the candidate's end, f of the paper's (8)
-    attempt  what disturbances cost a new attempt: a plan that leads the robots away from the plan
-             under way. It starts at `accept` and doubles every `patience_s`, because a long trial
-             is disturbed more. 0 for the plan under way and for a stop
+    attempt  the expected cost of disturbances during a new attempt: a plan that leads the robots
+             away from the plan under way. It starts at `accept` and doubles every `patience_s`,
+             because a long trial is disturbed more. 0 for the plan under way and for a stop
     price t  the price of the time t until the robots stand still at the end
     caution  a penalty if the path touches a margin
 

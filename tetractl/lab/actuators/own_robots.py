@@ -1,4 +1,4 @@
-"""The base of actuators for robots of another make: two wheels, and a port for each robot."""
+"""Base class of actuators for your own robots: two wheels, and one port for each robot."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ SILENT_ROBOT_HINT = "is the robot on, and in this computer's network?"
 
 
 class SpeedRobots(WheeledActuator):
-    """The base of actuators that send each robot the speeds of its wheels.
+    """Base class of actuators that send each robot the speeds of its two wheels.
 
     Args:
         section: The actuator's section of the spec.
@@ -57,7 +57,7 @@ class SpeedRobots(WheeledActuator):
 
 
 class OwnRobots(SpeedRobots):
-    """The actuator for robots that do not answer. A subclass packs the speeds of their wheels.
+    """Base class of actuators for robots that do not answer. A subclass encodes the wheel speeds.
 
     See `tetractl.core.protocols.Actuator`.
 
@@ -85,7 +85,7 @@ class OwnRobots(SpeedRobots):
 
     @abstractmethod
     def packed(self, row: int, left: int, right: int) -> bytes:
-        """Pack a message to one robot that sets the speeds of its wheels.
+        """Encode a message to one robot that sets the speeds of its wheels.
 
         Args:
             row: Index of the robot in the setup.

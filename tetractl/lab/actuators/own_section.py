@@ -1,4 +1,4 @@
-"""The base of sections for robots of another make: two wheels, and a port for each robot."""
+"""Base class of the spec's section for your own robots: two wheels, and one port for each robot."""
 
 from collections.abc import Iterator
 from typing import ClassVar
@@ -12,7 +12,7 @@ from tetractl.spec.yaml.problems import Loc
 
 
 class OwnRobot(SpeedRobot):
-    """A robot's entry in the actuator's section."""
+    """The entry of a robot in the section of an actuator for your own robots."""
 
     address: str = Field(min_length=1, max_length=500)
     """Where its commands go: udp://HOST:PORT, or a serial port such as /dev/rfcomm0."""
@@ -34,7 +34,10 @@ class OwnSection(SpeedSection):
     """One entry for each robot of the spec."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield place and text of each problem with robots, addresses, wheels, speeds and rate."""
+        """Yield the field and message of each problem with this section.
+
+        The robots, addresses, wheels, speeds and rate are checked.
+        """
         from tetractl.lab.udp_port import SCHEME, address_of
 
         yield from mismatches(self.robots, setup.names, self.unique)

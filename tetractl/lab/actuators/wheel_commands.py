@@ -1,6 +1,6 @@
 """The common part of actuators for robots on two wheels.
 
-It computes the speeds to send for a direction, and reads what robots reply.
+It computes the wheel speeds for a direction, and polls robots for their state.
 """
 
 import math
@@ -25,7 +25,7 @@ EMPTY_V = 4.0  # voltage of four cells below which motors would soon fail
 
 
 class Status(IntFlag):
-    """Status flags of a robot."""
+    """Status flags in a robot's reply."""
 
     RUNNING = 1  # the last frame set the run flag
     EMERGENCY_STOPPED = 2
@@ -54,7 +54,7 @@ class Reply:
 
 
 class PolledLink(Protocol):
-    """A connection by which robots are polled, and reply."""
+    """A connection over which robots are polled for their state."""
 
     @property
     def failure(self) -> str | None:
@@ -69,7 +69,7 @@ class PolledLink(Protocol):
         ...
 
     def hear(self, timeout_s: float) -> Iterable[Reply]:
-        """Wait for replies for at most a time [s]; return those that have come."""
+        """Wait for replies for at most `timeout_s` seconds, and return those that arrived."""
         ...
 
 
@@ -79,9 +79,9 @@ def polled(
     """Poll robots until each of them has replied, at most TRIES times.
 
     Robot i replies to a poll i slots later. A reply counts only if its sequence number belongs to
-    one of these polls. A reply to an earlier command, or one made up without receiving this poll,
-    says nothing about the robot now. Time during which the computer slept counts as one try. The
-    function returns at once if the link has failed.
+    one of these polls. A reply to an earlier command, or a reply from a device that did not receive
+    this poll, says nothing about the present state. Time during which the computer slept counts as
+    one try. The function returns at once if the link has failed.
 
     Args:
         link: The connection to the robots.
@@ -126,7 +126,7 @@ def radii_mm(setup: Setup, stated_mm: Sequence[float | None]) -> Floats:
 
 
 def wheels_by_speed(gain: Floats, speed_max: float) -> Drivetrains:
-    """Return wheels whose counts are the speeds that robots are sent, for their gains (2, N)."""
+    """Return wheels that are commanded by their speed, given their gains (2, N)."""
     count = gain.shape[1]
     return Drivetrains(
         gain=gain,
@@ -137,7 +137,7 @@ def wheels_by_speed(gain: Floats, speed_max: float) -> Drivetrains:
 
 
 class RobotLink(Protocol):
-    """The connection to robots."""
+    """The connection between this computer and the robots."""
 
     @property
     def failure(self) -> str | None:
@@ -231,7 +231,10 @@ class WheeledActuator(ABC):
         return self._transmission(sent_ns, action, speeds, tuple(moving))
 
     def stop(self, emergency: bool = False) -> Transmission:
-        """Stop every robot; if `emergency`, robots that can latch it stop until switched off."""
+        """Stop every robot.
+
+        In an `emergency`, robots that can do so stay stopped until switched off.
+        """
         sent_ns = self._halt(emergency)
         count = len(self.names)
         none = np.zeros((2, count), dtype=np.int64)
@@ -239,14 +242,14 @@ class WheeledActuator(ABC):
         return self._transmission(sent_ns, Stop(), still, (True,) * count)
 
     def outputs(self, wished: Floats, may: Bools) -> CountArray:
-        """Return the outputs (2, N) for wheel speeds (2, N) [mm/s].
+        """Convert wheel speeds (2, N) [mm/s] to outputs (2, N), in the actuator's own unit.
 
         They are 0 for robots that may not move.
         """
         return self._host.counts(wished) * may
 
     def wished(self, action: Steer | Turn, poses: Sequence[Pose | None], exposed_ns: int) -> Floats:
-        """Compute the wheel speeds (2, N) for an action [mm/s], with `WheelHost`.
+        """Compute the wheel speeds (2, N) [mm/s] that an action requires, with `WheelHost`.
 
         Headings are predicted to the time when the command reaches the wheels, over at most
         AHEAD_NS. Robots without a pose stand still.
@@ -277,10 +280,10 @@ class WheeledActuator(ABC):
 
     @abstractmethod
     def _halt(self, emergency: bool) -> int:
-        """Send a stop to every robot, to be latched if `emergency`; return when [ns]."""
+        """Send a stop to every robot, and return when it was sent [ns]. Latched if `emergency`."""
 
     def check(self) -> Health:
-        """Return nothing: by default an actuator has nothing to report."""
+        """Return an empty report: by default, an actuator has nothing to report."""
         return Health()
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
@@ -293,7 +296,7 @@ class WheeledActuator(ABC):
     def _transmission(
         self, sent_ns: int, action: Action, speeds: Floats, delivered: tuple[bool, ...]
     ) -> Transmission:
-        """Return the record of a transmission, from the wheel speeds (2, N) [mm/s].
+        """Create the record of a transmission from the wheel speeds (2, N) [mm/s].
 
         Robots are assumed to have received it, because broadcasts are not acknowledged.
         """

@@ -1,4 +1,4 @@
-"""What calibration measures of a robot on two wheels, and how an actuator's section states it."""
+"""The values that a calibration measures for a robot on two wheels, and their fields in a spec."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from tetractl.spec.yaml.problems import Loc
 
 
 class FoundWheel(NamedTuple):
-    """What a calibration found about a wheel.
+    """The calibrated values of one wheel.
 
     Attributes:
         gain_mm: Speed per output [mm/s].
@@ -29,7 +29,7 @@ class FoundWheel(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The measured values of one robot; see the fields of the same name in the spec."""
+    """The calibrated values of one robot. Fields of the same name in the spec explain them."""
 
     heading_offset: float
     radius_mm: float
@@ -47,7 +47,7 @@ class Found:
 
 
 def wheel_gains(calibrated: Found, unit_mm: float) -> dict[str, float]:
-    """Return r and the gains of wheels that nominally drive at `unit_mm` [mm/s] per output.
+    """Return r and the gains of wheels that drive at a nominal `unit_mm` [mm/s] per output.
 
     Raises:
         AbortError: If the wheels are swapped or inverted, which gains cannot express.
@@ -65,7 +65,7 @@ def wheel_gains(calibrated: Found, unit_mm: float) -> dict[str, float]:
 
 
 class CalibratedSection(Protocol):
-    """What the section of an actuator must have so that its robots' wheels can be calibrated."""
+    """A section of an actuator whose robots' wheels can be calibrated."""
 
     dead_zone_max: ClassVar[int]
     """The largest dead zone that the section can state [outputs]."""
@@ -80,7 +80,7 @@ class CalibratedSection(Protocol):
         ...
 
     def measured(self, calibrated: Found) -> dict[str, Any]:
-        """Return a robot's fields in the section.
+        """Convert calibrated values to a robot's fields in the section.
 
         Raises:
             AbortError: If the section cannot express what the calibration found.
@@ -89,7 +89,7 @@ class CalibratedSection(Protocol):
 
 
 class SpeedRobot(RobotPart):
-    """The entry of a robot that is sent the speeds of its wheels, in the actuator's section."""
+    """The entry of a robot that receives wheel speeds, in the actuator's section."""
 
     radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
     """Distance r from a wheel to its centre [mm], as in its program. Default: the spec's."""
@@ -100,7 +100,7 @@ class SpeedRobot(RobotPart):
 
 
 class SpeedSection(ActuatorSection):
-    """The base of sections for robots on two wheels that are sent the speeds of their wheels."""
+    """Base class of the spec's sections for robots on two wheels that receive wheel speeds."""
 
     calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
     dead_zone_max: ClassVar[int] = 0
@@ -116,7 +116,7 @@ class SpeedSection(ActuatorSection):
     def wheel_contradictions(
         self, setup: Setup, robots: Iterable[SpeedRobot]
     ) -> Iterator[tuple[Loc, str]]:
-        """Yield the place and text of each problem with the wheels' speeds and radii."""
+        """Yield the field and message of each problem with the wheels' speeds and radii."""
         yield from too_fast(setup, self.speed_max_mm_s)
         yield from unknown_radii(setup, [robot.radius_mm for robot in robots])
 
@@ -126,5 +126,5 @@ class SpeedSection(ActuatorSection):
         return unit, int(unit * limit)
 
     def measured(self, calibrated: Found) -> dict[str, Any]:
-        """Return a robot's r and gains."""
+        """Return a robot's r and gains, as fields of this section."""
         return wheel_gains(calibrated, self.unit_mm)

@@ -1,4 +1,4 @@
-"""The base of cameras that send each frame as one message."""
+"""Base class of cameras that send each frame as one message."""
 
 from abc import ABC, abstractmethod
 from collections import deque
@@ -22,7 +22,7 @@ PORT_BAUD = 115200  # of serial ports
 
 
 class PortCamera(ABC):
-    """A `tetractl.core.protocols.Camera` that receives its frames from the section's `address`.
+    """Base class of a camera that receives each frame as one message at the section's `address`.
 
     A frame was exposed the section's `latency` [s] before its message arrived, unless messages have
     stamps (`stamp_s`). If the port fails, the robots stop at once. A subclass sets `emulated` once
@@ -78,14 +78,14 @@ class PortCamera(ABC):
     def stamp_s(self, message: bytes) -> float | None:
         """Return when a message's image was exposed, on the camera's own clock with any zero [s].
 
-        None, the default, if the message does not say so. Among the last 600 messages with
-        stamps, the fastest is assumed to have taken `latency`. The others took longer by as much as
-        they arrived later.
+        None, the default, if the message does not say so. The fastest of the last 600 messages with
+        stamps is assumed to have taken `latency`. How much longer each other message took follows
+        from its stamp and its arrival.
         """
         return None
 
     def __enter__(self) -> Self:
-        """Ask for frames, and return once one has arrived.
+        """Request frames, and return once one has arrived.
 
         Raises:
             AbortError: If none arrives.
@@ -113,7 +113,7 @@ class PortCamera(ABC):
         return drained(self._waiting)
 
     def _receive(self, data: bytes, at_ns: int) -> None:
-        """Take a message; without data, the port has failed."""
+        """Process a message. Empty data mean that the port has failed."""
         fault = "" if data else self._port.failure or "the camera's port has failed"
         robots = len(self.setup.names)
         try:

@@ -1,7 +1,7 @@
-"""Measures how late messages are, from stamps of a clock that may differ from ours.
+"""Measure how late messages are, from time stamps of a clock that may differ from ours.
 
-The message that came quickest among the last STAMPS is not late. Another message is late by as much
-as it took longer from its stamp to its arrival.
+The fastest of the last STAMPS messages counts as not late. Any other message is late by the
+difference between its own time from stamp to arrival and that of the fastest message.
 """
 
 from collections import deque
@@ -17,7 +17,7 @@ class StampClock:
         self._gaps_ns = deque[int](maxlen=STAMPS)
 
     def late_ns(self, stamp_ns: int, received_ns: int) -> int:
-        """Take a message; return how much later than the quickest one it came [ns]."""
+        """Add a message, and return how much later than the fastest one it arrived [ns]."""
         gap_ns = received_ns - stamp_ns
         self._gaps_ns.append(gap_ns)
         return gap_ns - min(self._gaps_ns)

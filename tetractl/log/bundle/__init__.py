@@ -1,1 +1,1 @@
-"""Bundles of logs, captures and texts for a report, without names and addresses."""
+"""Pack logs and network captures for a bug report, without names and addresses of people."""

@@ -1,4 +1,4 @@
-"""Replaces addresses and names in texts and packets by aliases.
+"""Replace addresses and names in texts and network packets by aliases.
 
 The aliases of addresses come from ranges that are reserved for documentation: 192.0.2.0/24,
 2001:db8::/32, 00:00:5e:00:53:00, and the domain `example`. A spec with aliases therefore remains
@@ -32,7 +32,7 @@ ORDINARY_WORD = re.compile(r"[a-z]+")
 
 
 class Aliases:
-    """Gives each address and name an alias, always the same one.
+    """A mapping from addresses and names to aliases. The same name always gets the same alias.
 
     Args:
         names: Names to replace, also as a part of a word, in upper and lower case.
@@ -45,7 +45,7 @@ class Aliases:
         """How many different addresses and names of each kind were replaced."""
 
     def text(self, text: str) -> str:
-        """Return a text with aliases."""
+        """Replace the addresses and names in a text by aliases."""
         text = LOGIN.sub("", text)
         text = PERSON.sub(lambda m: self._alias("persons", m[0], "person-{}@example.org"), text)
         text = MAC.sub(lambda m: self._mac_in_text(m[0]), text)
@@ -63,7 +63,7 @@ class Aliases:
         return text
 
     def payload(self, data: bytes) -> bytes:
-        """Return bytes in which an x stands for each character of a name."""
+        """Replace each character of a name in some bytes by an x."""
         for name in self._names:
             given = re.compile(re.escape(name.encode()), re.IGNORECASE)
             data = given.sub(lambda m: b"x" * len(m[0]), data)
@@ -75,7 +75,10 @@ class Aliases:
             self._names.append(name)
 
     def ip(self, address: str) -> str:
-        """Return the alias of an IPv4 or IPv6 address; the text itself if it is none."""
+        """Return the alias of an IPv4 or IPv6 address.
+
+        A text that is no address is returned unchanged.
+        """
         try:
             parsed = ipaddress.ip_address(address)
         except ValueError:
@@ -89,7 +92,7 @@ class Aliases:
         return self._alias("addresses", address, "192.0.2.{}", IPV4_MAX)
 
     def mac(self, address: bytes) -> bytes:
-        """Return the alias of the 6 bytes of a MAC address."""
+        """Return the alias of a MAC address, given as 6 bytes."""
         if address[0] & 1 or not any(address):  # multicast, broadcast or none
             return address
         alias = self._alias("network cards", address.hex(), "00005e0053{:02x}", 255)
@@ -101,7 +104,11 @@ class Aliases:
         return alias.hex(separator)
 
     def _alias(self, kind: str, original: str, form: str, number_max: int = 1 << 24) -> str:
-        """Return the alias of an original: the form with the number of its place in its kind."""
+        """Return the alias of an address or name, or create it if it is new.
+
+        `form` is the pattern of the alias. It is filled with a number that counts the originals of
+        this `kind`.
+        """
         if (kind, original) not in self._aliases:
             self.counts[kind] += 1
             number = min(self.counts[kind], number_max)
@@ -110,5 +117,5 @@ class Aliases:
 
 
 def _is_version(text: str) -> bool:
-    """Return whether four numbers look like a version, such as 4.1.0.0."""
+    """Check whether four numbers look like a version, such as 4.1.0.0, and not like an address."""
     return int(text.partition(".")[0]) < VERSION_BELOW

@@ -1,4 +1,4 @@
-"""Packs logs, captures and texts for a report into one archive, without names and addresses.
+"""Pack logs, network captures and texts into one archive for a bug report, without names.
 
 A log in a bundle is a valid log: it can be verified and replayed. Its records are copied, and texts
 in them get aliases. Images that a camera added to its log stay as they are.
@@ -52,7 +52,7 @@ BYTES_MAX = 500_000_000
 
 @dataclass(slots=True)
 class Bundle:
-    """What a bundle contains.
+    """A summary of an archive of logs and captures that was packed for a bug report.
 
     Attributes:
         lines: A line for each file, with its name in the bundle and what a reader should know.
@@ -112,7 +112,7 @@ def write_bundle(paths: Sequence[Path], out: Path, names: Iterable[str]) -> Bund
 
 
 def contents_text(bundle: Bundle) -> str:
-    """Return what a bundle contains as text, a line for each fact."""
+    """Describe the contents of a bundle as text, one line for each fact."""
     kinds = [f"{kind}: {count}" for kind, count in sorted(bundle.replaced.items())]
     replaced = f"replaced by aliases: {', '.join(kinds) or 'nothing'}"
     images = [f"{bundle.images} images of the arena are unchanged"] * (bundle.images > 0)
@@ -120,14 +120,17 @@ def contents_text(bundle: Bundle) -> str:
 
 
 def _has_logs(path: Path) -> bool:
-    """Return whether a path is a log, a folder or a pattern."""
+    """Check whether a path can contain logs: a log, a folder or a pattern."""
     return not path.is_file() or path.name.endswith((".mcap", ".mcap.part"))
 
 
 def _add_log(
     archive: zipfile.ZipFile, number: int, log: RawLog, aliases: Aliases, bundle: Bundle
 ) -> None:
-    """Add a copy of a log with aliases, numbered, as logs of several folders have the same name."""
+    """Add a numbered copy of a log, in which aliases replace names and addresses.
+
+    The number is needed because logs of several folders may have the same name.
+    """
     if not log.records:
         raise LogError(f"{log.path}: nothing in the log can be read")
     name = f"logs/{number:03d}-{log.path.name.removesuffix('.part')}"
@@ -151,7 +154,7 @@ def _add_log(
 
 
 def _aliased(record: Record, aliases: Aliases) -> Record:
-    """Return a record with aliases in its texts."""
+    """Return a copy of a record in which aliases replace names and addresses."""
     if isinstance(record, Attachment):
         if record.name == ENVIRONMENT:
             text = _environment(record.data.decode(errors="replace"), aliases)
@@ -173,7 +176,7 @@ def _aliased(record: Record, aliases: Aliases) -> Record:
 
 
 def _alias_strings(message: Message, aliases: Aliases) -> None:
-    """Replace texts in all fields of a message, and the name of the computer."""
+    """Replace names and addresses in all fields of a message, including the computer's name."""
     if getattr(message, "key", None) == COMPUTER:
         message.value = REMOVED  # type: ignore[attr-defined]
     for about, value in message.ListFields():
@@ -187,7 +190,7 @@ def _alias_strings(message: Message, aliases: Aliases) -> None:
 
 
 def _environment(text: str, aliases: Aliases) -> str:
-    """Return the environment of a log without the computer's name and without names of files."""
+    """Return the environment that a log contains, without the names of computer and files."""
     try:
         facts: dict[str, Any] = dict(json.loads(text))
     except (ValueError, TypeError):
@@ -201,7 +204,7 @@ def _environment(text: str, aliases: Aliases) -> str:
 
 
 def _add_file(archive: zipfile.ZipFile, path: Path, aliases: Aliases, bundle: Bundle) -> None:
-    """Add a capture or a text with aliases.
+    """Add a network capture or a text file, in which aliases replace names and addresses.
 
     Raises:
         UsageError: If the file is neither.

@@ -1,7 +1,8 @@
-"""Copies a recording of network traffic (pcap, as tcpdump writes it) with aliases of addresses.
+"""Copy a recording of network traffic (a pcap file) with aliases instead of addresses.
 
 UDP and TCP over IPv4 or IPv6 remain, with their payload. Other packets are left out, because they
-say who is in the network: ARP, ICMP, and the services that look up names or give out addresses.
+would show who is in the network: ARP, ICMP, and the services that look up names or assign
+addresses.
 """
 
 import ipaddress
@@ -36,7 +37,7 @@ NAME_PORTS = frozenset({53, 67, 68, 137, 138, 546, 547, 1900, 5353, 5355})
 
 @dataclass(frozen=True, slots=True)
 class AliasedCapture:
-    """A capture with aliases.
+    """A recording of network traffic in which aliases replace the addresses.
 
     Attributes:
         data: The bytes of the file.
@@ -50,12 +51,12 @@ class AliasedCapture:
 
 
 def is_capture(data: bytes) -> bool:
-    """Return whether a file with this beginning is a capture that can be copied."""
+    """Check whether a file that begins with these bytes is a capture that can be copied."""
     return data[:4] in MAGICS
 
 
 def aliased_capture(data: bytes, aliases: Aliases) -> AliasedCapture:
-    """Return a copy of a capture with aliases of its addresses.
+    """Copy a recording of network traffic, with aliases instead of its addresses.
 
     An incomplete packet at the end is left out.
 
@@ -88,7 +89,7 @@ def aliased_capture(data: bytes, aliases: Aliases) -> AliasedCapture:
 
 
 def _aliased_packet(packet: bytearray, link: int, aliases: Aliases) -> bytearray | None:
-    """Return a packet with aliases, None if it is to be left out."""
+    """Replace the addresses of a packet by aliases. None if the packet has to be left out."""
     try:
         at = _alias_link(packet, link, aliases)
         if at is not None and _alias_ip(packet, at, aliases):
@@ -99,7 +100,10 @@ def _aliased_packet(packet: bytearray, link: int, aliases: Aliases) -> bytearray
 
 
 def _alias_link(packet: bytearray, link: int, aliases: Aliases) -> int | None:
-    """Replace the addresses of network cards; return where the IP header is, None if nowhere."""
+    """Replace the addresses of network cards, and return where the IP header begins.
+
+    None if the packet has no IP header.
+    """
     if link == RAW_IP:
         return 0
     if link == ETHERNET:
@@ -115,7 +119,7 @@ def _alias_link(packet: bytearray, link: int, aliases: Aliases) -> int | None:
 
 
 def _alias_ip(packet: bytearray, at: int, aliases: Aliases) -> bool:
-    """Replace the IP addresses of a packet; return whether the packet may remain."""
+    """Replace the IP addresses of a packet, and return whether the packet may remain."""
     if packet[at] >> 4 == 4:
         length, protocol, size, first = (packet[at] & 15) * 4, packet[at + 9], 4, at + 12
         is_later_fragment = bool(_number(packet, at + 6) & 0x1FFF)
@@ -138,7 +142,7 @@ def _alias_ip(packet: bytearray, at: int, aliases: Aliases) -> bool:
 
 
 def _aliased_ip(address: bytes, aliases: Aliases) -> bytes:
-    """Return the alias of the bytes of an IP address."""
+    """Return the alias of an IP address that is given as bytes."""
     return ipaddress.ip_address(aliases.ip(str(ipaddress.ip_address(address)))).packed
 
 
@@ -147,7 +151,7 @@ def _number(packet: bytearray, at: int) -> int:
 
 
 def _checksum(header: bytearray) -> int:
-    """Return the checksum of an IPv4 header (RFC 1071), whose own field must be 0."""
+    """Compute the checksum of an IPv4 header (RFC 1071). The header's checksum field must be 0."""
     total = sum(struct.unpack(f">{len(header) // 2}H", header))
     while total >> 16:
         total = (total & 0xFFFF) + (total >> 16)

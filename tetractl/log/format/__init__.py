@@ -1,1 +1,1 @@
-"""The format of a log: channels, messages, metadata, digest."""
+"""The format of a trial's log: channels, messages, metadata and digest."""

@@ -1,7 +1,7 @@
-"""The records of a log by name: channels with their schemas, and attachments.
+"""The names of all records in a log: channels with their schemas, and attachments.
 
-Host records describe the machine and the time, so they differ between two runs of the same trial;
-all other records of a simulated trial's log repeat byte for byte.
+Host records describe the machine and the time, so they differ between two runs of the same trial.
+All other records of a simulated trial's log repeat byte for byte.
 """
 
 from typing import NamedTuple
@@ -88,7 +88,7 @@ HOST_RECORDS = frozenset({HOST_TIMING, HOST, HOST_END, ENVIRONMENT})
 
 
 class Entry(NamedTuple):
-    """One message.
+    """One message of a log.
 
     Attributes:
         topic: Its topic.

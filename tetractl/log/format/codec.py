@@ -1,13 +1,13 @@
-"""Converts what happens in a trial, such as a camera frame, to a message of its log, and back.
+"""Convert the data of a trial, such as a camera frame, to messages of its log, and back.
 
     Observation <-> MocapSample      Step    <-> ControllerStep and StepTiming
     Command     <-> WheelCommand     Search, Estimate <-> messages of the same names
     Frames      <-> CameraFrames
 
-Each pair is an `encode_` and a `decode_` function, next to each other. What is decoded is what was
-encoded, bit for bit, but for what only serves drawing: predicted paths are rounded (`drawn`), and
-true poses that are not the measured ones have single precision. Decoding raises ValueError for a
-message that no trial of that many robots has.
+Each pair is an `encode_` and a `decode_` function, next to each other. Decoding returns exactly the
+bits that were encoded, with two exceptions, which only serve drawing: predicted paths are rounded
+(`drawn`), and true poses have single precision unless they equal the measured ones. Decoding raises
+ValueError for a message that cannot come from a trial with this number of robots.
 """
 
 from collections.abc import Sequence
@@ -60,8 +60,8 @@ class Frames(NamedTuple):
     def from_samples(cls, samples: Sequence[Sample], robots: int) -> "Frames":
         """Convert samples to arrays.
 
-        `truth` is None unless every sample has true poses. Without samples it is empty, so that
-        `joined` treats it as known.
+        `truth` is None unless every sample has true poses. If there are no samples, `truth` is
+        empty, and `joined` treats it as known.
         """
         observations = [sample.observation for sample in samples]
         truths = [sample.truth for sample in samples if sample.truth is not None]
@@ -83,7 +83,10 @@ class Frames(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence["Frames"]) -> "Frames":
-        """Join parts in order; `truth` is None unless every part has true poses."""
+        """Join several parts in order.
+
+        `truth` is None unless every part has true poses.
+        """
         columns: list[Any] = []
         for of_parts in zip(*parts, strict=True):
             all_known = all(column is not None for column in of_parts)
@@ -109,7 +112,10 @@ def _stacked(poses: Sequence[Poses], robots: int) -> Floats:
 
 @np.errstate(all="ignore")  # numbers beyond single precision
 def drawn(values: Floats) -> Floats:
-    """Round numbers that are only drawn to 14 significant bits: zeros take no space in a log."""
+    """Round numbers that are only used for drawing to 14 significant bits.
+
+    The zeros at the end take almost no space in a compressed log.
+    """
     half = 1 << (DRAWN_BITS_CUT - 1)
     high_bits = -(1 << DRAWN_BITS_CUT)
     bits = values.astype(np.float32).view(np.int32)
@@ -118,7 +124,10 @@ def drawn(values: Floats) -> Floats:
 
 @np.errstate(all="ignore")  # numbers beyond single precision
 def encode_frames(frames: Frames) -> pb.CameraFrames:
-    """Encode camera frames; true poses have single precision unless they are the measured ones."""
+    """Encode camera frames as a message of the log.
+
+    True poses have single precision, unless they equal the measured ones.
+    """
     count = len(frames.numbers)
     late_ns = frames.sampled_ns[:, None] - frames.exposed_ns
     message = pb.CameraFrames(
@@ -245,7 +254,7 @@ def _decode_action(message: pb.WheelCommand) -> Action:
 
 
 def encode_step(step: Step, command: pb.WheelCommand) -> pb.ControllerStep:
-    """Encode one control step with its encoded command; its solve time is in a separate message."""
+    """Encode one control step with its encoded command. Its solve time goes to another message."""
     plan = step.plan
     path = drawn(plan.path[..., :2]).reshape(-1, 2)
     return pb.ControllerStep(
@@ -340,7 +349,10 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
 
 
 def decode_stop_reason(text: str) -> StopReason | str:
-    """Return the StopReason that a log calls `text`; the text, printable, if there is none."""
+    """Convert a log's text to the reason why a search stopped.
+
+    If there is no such reason, the result is the text itself, with unprintable characters removed.
+    """
     reason = printable(text, STOP_REASON_MAX)
     try:
         return StopReason(reason)
@@ -349,7 +361,7 @@ def decode_stop_reason(text: str) -> StopReason | str:
 
 
 def _encode_estimate(estimate: Estimate) -> pb.Estimate:
-    """Encode an estimate; what it lacks is unset."""
+    """Encode the controller's estimate of the motion. Missing values stay unset."""
     misfit = None if estimate.misfit is None else estimate.misfit.ravel().tolist()
     return pb.Estimate(
         a=estimate.a.tolist(),
@@ -371,7 +383,10 @@ def _encode_estimate(estimate: Estimate) -> pb.Estimate:
 
 
 def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
-    """Decode an estimate; ValueError unless each array it has is of `robots` robots."""
+    """Decode an estimate of the motion.
+
+    Raises ValueError unless each of its arrays has an entry for each of `robots` robots.
+    """
     estimate = Estimate(
         a=_floats(message.a),
         a_std=_floats(message.a_std),
@@ -404,7 +419,10 @@ def _floats(values: Sequence[float]) -> Floats:
 
 
 def _floats_or_none(values: Sequence[float]) -> Floats | None:
-    """Return optional numbers; a message does not tell an empty array from none."""
+    """Return optional numbers as an array. None if there are none.
+
+    A message cannot distinguish an empty array from a missing one.
+    """
     return _floats(values) if values else None
 
 

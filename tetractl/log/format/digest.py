@@ -1,7 +1,7 @@
-"""The digests of a log: hashes of all its records.
+"""Compute the digests of a log: hashes of all its records, which show whether it was changed.
 
 The content digest covers the records that repeat when a trial is run again. Another digest covers
-the host records.
+the host records, which describe the machine and the time.
 """
 
 import hashlib
@@ -20,9 +20,9 @@ class LogDigests:
     Each digest is a SHA-256 over records in file order, without the digests themselves and the
     report of a recovery.
 
-    A record is preceded by the number of its fields, and a field by its length in bytes, so that no
-    two different logs give the same bytes to hash. The fields of a message are topic, both times
-    and data; of an attachment, name, media type and data.
+    A record is preceded by the number of its fields, and a field by its length in bytes. Therefore
+    two different logs never give the same bytes to hash. The fields of a message are topic, both
+    times and data; of an attachment, name, media type and data.
     """
 
     def __init__(self) -> None:

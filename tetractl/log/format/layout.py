@@ -1,8 +1,9 @@
 """The layout in which Lichtblick and Foxglove show a trial, as JSON that they import from a file.
 
-The format is that of Lichtblick's `LayoutData`: `configById` holds a panel's settings by its type
-and an id, `layout` the arrangement, `userNodes` scripts that publish topics. The parts that are the
-same for every experiment are in `layout.json` and `layout_error.ts`.
+The format is that of Lichtblick's `LayoutData`: `configById` contains the settings of each panel,
+under its type and an id. `layout` contains the arrangement, and `userNodes` contains scripts that
+publish topics. The parts that are the same for every experiment are in `layout.json` and
+`layout_error.ts`.
 """
 
 import json
@@ -39,7 +40,7 @@ class PlotCurve(TypedDict):
 
 
 def layout(setup: Setup) -> str:
-    """Return the layout for an experiment: the arena from above, and plots of four quantities."""
+    """Create the viewer's layout for an experiment: the arena from above, and four plots."""
     parts = json.loads((_FILES / "layout.json").read_text())
     period_ns = str(round(setup.period_s * 1e9))
     error = [
@@ -73,7 +74,7 @@ def layout(setup: Setup) -> str:
 
 
 def _robot_curves(setup: Setup, values: str) -> list[PlotCurve]:
-    """Return the curve of each robot, at most CURVES_MAX, from a list with a value per robot."""
+    """Create the curves of at most CURVES_MAX robots, given the list that has a value per robot."""
     colors = robot_colors(setup.names, setup.colors)
     curves = [
         PlotCurve(value=f"{values}[{i}]", label=name, color=color)
@@ -83,18 +84,18 @@ def _robot_curves(setup: Setup, values: str) -> list[PlotCurve]:
 
 
 def _plot(parts: dict[str, Any], title: str, curves: Iterable[PlotCurve]) -> dict[str, Any]:
-    """Return a panel of curves."""
+    """Create a panel that plots curves."""
     paths = [parts["curve"] | curve for curve in curves]
     titles = {"foxglovePanelTitle": title, "lichtblickPanelTitle": title}
     return parts["plot"] | titles | {"paths": paths}
 
 
 def _view(setup: Setup, view: dict[str, Any]) -> dict[str, Any]:
-    """Return the 3D panel: an orthographic view from above, with the arena as large as possible.
+    """Create the panel that shows the arena from above, as large as possible.
 
-    An orthographic camera is always `far` / 2 above the plane, and its `distance` is the visible
-    height [m], so that an arena of 5 mm fills the panel too. `near` and `far` are scaled by the
-    same factor, since a depth buffer has 24 bits.
+    The view is orthographic. Its camera is always `far` / 2 above the plane, and its `distance` is
+    the visible height [m], so that an arena of 5 mm fills the panel too. `near` and `far` are
+    scaled by the same factor, since a depth buffer has 24 bits.
     """
     arena = setup.arena
     height = MARGIN * max(arena.height, arena.width / ASPECT) * setup.metres
@@ -110,7 +111,7 @@ def _view(setup: Setup, view: dict[str, Any]) -> dict[str, Any]:
 
 
 def _column(panels: list[str]) -> Any:
-    """Return panels of equal height, one below the other."""
+    """Arrange panels of equal height in a column."""
     if len(panels) == 1:
         return panels[0]
     return {

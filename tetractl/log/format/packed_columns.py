@@ -1,16 +1,16 @@
-"""Packs columns of numbers without loss, in a form that zstd compresses well.
+"""Pack columns of numbers without loss, in a form that zstd compresses well.
 
-`pack_columns` does these steps, and `unpack_columns` undoes them in the reverse order:
+`pack_columns` takes these steps, and `unpack_columns` reverses them:
 
-1. The bits of each number are taken for an integer. All sums and differences below wrap around at
-   its size, so that any bits come back.
-2. Each column is replaced by its fourth differences, as if zeros were before it: numbers that
-   change smoothly become small. Of 100 102 104 106 the first differences are 100 2 2 2, and the
-   second ones 100 -98 0 0. A single row stays as it is.
-3. Small negative integers become small positive ones, 2 n for n >= 0 and -2 n - 1 for n < 0:
-   0 -1 1 -2 become 0 1 2 3.
-4. The lowest bytes of all numbers come first, column after column, then the next higher ones: the
-   high bytes, nearly all 0, are together.
+1. The bits of each number are read as an integer. All sums and differences below wrap around at its
+   size, so that any bits can be restored.
+2. Each column is replaced by its fourth differences, as if zeros preceded it. Numbers that change
+   smoothly become small. For example, the first differences of 100 102 104 106 are 100 2 2 2, and
+   the second differences are 100 -98 0 0. A single row stays as it is.
+3. Small negative integers are mapped to small positive ones: 2 n for n >= 0 and -2 n - 1 for n < 0.
+   For example, 0 -1 1 -2 become 0 1 2 3.
+4. The lowest bytes of all numbers come first, column after column, then the next higher bytes. So
+   the high bytes, which are nearly all 0, are together.
 """
 
 from typing import Any
@@ -36,10 +36,10 @@ def pack_columns(columns: NDArray[Any]) -> bytes:
 
 
 def unpack_columns(data: bytes, width: int, kind: str) -> NDArray[Any]:
-    """Return the columns of numbers in packed bytes, shape (M, `width`).
+    """Unpack columns of numbers, shape (M, `width`).
 
     Args:
-        data: The bytes.
+        data: The packed bytes.
         width: Number of columns.
         kind: Type of the numbers.
 

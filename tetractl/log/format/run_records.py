@@ -1,7 +1,4 @@
-"""Converts the records of a run to their messages and back.
-
-The records are what identifies the trial, and its result.
-"""
+"""Convert the identity and the result of a trial to messages of its log, and back."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -18,17 +15,17 @@ from tetractl.log.format.outcome_names import outcome_from_log, outcome_to_log
 
 
 def encode_facts(facts: Mapping[str, str]) -> Iterable[pb.Fact]:
-    """Return facts as messages."""
+    """Convert facts, which are pairs of a name and a text, to messages."""
     return (pb.Fact(key=key, value=value) for key, value in facts.items())
 
 
 def decode_facts(facts: Iterable[pb.Fact]) -> dict[str, str]:
-    """Return messages of facts as a mapping."""
+    """Convert messages of facts to a mapping from names to texts."""
     return {fact.key: fact.value for fact in facts}
 
 
 def encode_run(start: Start) -> pb.Run:
-    """Return the message that identifies a trial."""
+    """Create the message that identifies a trial."""
     setup = start.setup
     plant = start.plant
     run_id = f"{start.spec_hash[:12]}-{start.seed}-{start.trial}"
@@ -53,7 +50,7 @@ def encode_run(start: Start) -> pb.Run:
 
 
 def run_items(run: pb.Run) -> dict[str, str]:
-    """Return the values of a run as text by name, each fact of its plant as `plant.KEY`."""
+    """Return the fields of a run as texts by name. Facts about its plant are called `plant.KEY`."""
     items = {field.name: str(getattr(run, field.name)) for field in run.DESCRIPTOR.fields}
     del items["facts"]
     items["robots"] = json.dumps(list(run.robots))
@@ -139,10 +136,10 @@ def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Re
 
 
 def _require_robots(message: pb.Result, robots: int) -> None:
-    """Check that each column of a result has an entry for each robot.
+    """Check that each column of a stored result has an entry for each robot.
 
-    Columns that a log may lack are complete or empty, together if they belong together. `passed`
-    has an entry for each way-point.
+    Some columns are optional. These are either complete or empty, and columns that belong together
+    are all complete or all empty. `passed` has an entry for each way-point.
 
     Raises:
         ValueError: If a column does not fit.

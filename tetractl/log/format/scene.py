@@ -1,4 +1,4 @@
-"""Encodes the messages that viewers draw, in Foxglove's formats and in metres.
+"""Encode the messages that log viewers draw, in Foxglove's formats and in metres.
 
 Positions are converted from the spec's unit to metres. Non-finite values are not drawn, since
 viewers drop a whole message for one NaN.
@@ -49,19 +49,19 @@ def frame_of(name: str) -> str:
 
 
 def stamp(unix_ns: int) -> Timestamp:
-    """Return Unix ns as a protobuf time stamp."""
+    """Convert a time [Unix ns] to a protobuf time stamp."""
     return Timestamp(seconds=unix_ns // SECOND, nanos=unix_ns % SECOND)
 
 
 def encode_note(note: Note, start_ns: int) -> Log:
-    """Encode an operator message for /log; the trial starts at `start_ns` [Unix ns]."""
+    """Encode an operator message for the topic /log. The trial starts at `start_ns` [Unix ns]."""
     unix = stamp(start_ns + note.t_ns)
     text = printable(note.text, TEXT)
     return Log(timestamp=unix, level=_LEVELS[note.level], message=text, name="tetractl")
 
 
 def decode_note(message: Log, start_ns: int) -> Note:
-    """Decode a message of /log as a note; a level that tetractl does not write becomes "info"."""
+    """Decode a message of the topic /log. A level that tetractl does not know becomes "info"."""
     unix_ns = message.timestamp.seconds * SECOND + message.timestamp.nanos
     level = next((name for name, value in _LEVELS.items() if value == message.level), "info")
     return Note(unix_ns - start_ns, level, message.message)
@@ -72,10 +72,11 @@ BODY_OF_ARENA = 0.03
 
 
 class Scene:
-    """Composes the messages that draw one experiment, from lengths in the experiment's unit.
+    """Creates the messages with which a log viewer draws one experiment.
 
-    Numbers of transforms and plans are rounded as by `drawn`, unless `exact`: a lab's transforms
-    are also a second copy of its camera frames.
+    Lengths are given in the experiment's unit. The numbers of transforms and plans are rounded by
+    `drawn`, unless `exact`. A lab's transforms are exact, because they are also a second copy of
+    its camera frames.
     """
 
     def __init__(self, setup: Setup, exact: bool = False) -> None:
@@ -89,7 +90,7 @@ class Scene:
         self._body = body * self._metres
 
     def transforms(self, parts: Sequence[Frames], start_ns: int) -> list[FrameTransforms]:
-        """Return the transforms of the poses in each part of camera frames.
+        """Return the robots' coordinate frames, as transforms, for each part of camera frames.
 
         They are ordered by robot. A robot has none for a frame in which it is untracked. The trial
         began at `start_ns` [Unix ns].
@@ -119,7 +120,7 @@ class Scene:
         return transforms
 
     def plan(self, path: Floats, unix_ns: int) -> SceneUpdate:
-        """Return a line along each robot's predicted path (length + 1, N, 3).
+        """Draw a line along each robot's predicted path (length + 1, N, 3).
 
         It is shown until the next plan.
         """
@@ -131,7 +132,10 @@ class Scene:
         return SceneUpdate(entities=entities)
 
     def static(self, unix_ns: int) -> SceneUpdate:
-        """Return the static scene: arena, obstacles, targets, a body in each robot's frame."""
+        """Draw the parts that do not move: arena, obstacles, targets, and the robots' bodies.
+
+        Each body is drawn in the coordinate frame of its robot.
+        """
         arena = self._setup.arena
         corners = [
             (arena.left, arena.bottom),
@@ -160,7 +164,7 @@ class Scene:
     def _target(
         self, name: str, color: Color, way_points: Floats, target: Floats, unix_ns: int
     ) -> SceneEntity:
-        """Return squares at the target and way-points of a robot, and a ring for a hold.
+        """Draw squares at a robot's target and way-points, and a ring if it has to stay there.
 
         The square around the target is as wide as a robot, those around way-points half as wide.
         The ring has the hold's radius.
@@ -174,7 +178,7 @@ class Scene:
         return self._entity(f"target/{name}", unix_ns, lines=lines)
 
     def _robot(self, name: str, color: Color, unix_ns: int) -> SceneEntity:
-        """Return a robot's body, a wedge that points along its heading, with the name above."""
+        """Draw a robot's body as a wedge that points along its heading, with the name above it."""
         half = self._body / 2
         nose = [Point3(x=half), Point3(x=-half, y=half), Point3(x=-half, y=-half)]
         wedge = TriangleListPrimitive(pose=Pose(orientation=_UPRIGHT), points=nose, color=color)
@@ -191,7 +195,7 @@ class Scene:
         return entity
 
     def _entity(self, entity_id: str, unix_ns: int, **primitives: Any) -> SceneEntity:
-        """Return an entity that stays until it is replaced and moves with its frame."""
+        """Create a drawing that stays until it is replaced, and moves with its coordinate frame."""
         return SceneEntity(
             timestamp=stamp(unix_ns), frame_id=WORLD, id=entity_id, frame_locked=True, **primitives
         )
@@ -199,7 +203,7 @@ class Scene:
     def _line(
         self, xy: Floats, color: Color, kind: LinePrimitive.Type.ValueType = _STRIP
     ) -> LinePrimitive:
-        """Return a line, 2 pixels wide, through the places xy (M, 2) [m] that are finite."""
+        """Draw a line, 2 pixels wide, through the points xy (M, 2) [m] that are finite."""
         finite = xy[np.isfinite(xy).all(axis=1)]
         points = [Point3(x=x, y=y) for x, y in finite.tolist()]
         return LinePrimitive(
@@ -218,7 +222,9 @@ def _color(text: str) -> Color:
 
 
 def prism(outline: Floats, height: float) -> tuple[Floats, NDArray[np.int64]]:
-    """Return corners (2 M, 3) and triangles (T, 3) of the walls and top over an outline (M, 2).
+    """Compute the walls and the top of a prism over an outline (M, 2).
+
+    The result consists of corners (2 M, 3) and triangles (T, 3).
 
     The outline is simple and anticlockwise; the triangles are anticlockwise seen from outside.
     """
@@ -263,5 +269,8 @@ def _is_ear(outline: Floats, corners: list[int], triangle: tuple[int, int, int])
 
 
 def _turn(a: Floats, b: Floats, c: Floats) -> Floats:
-    """Return twice the signed area of triangles a, b, c (..., 2): positive if anticlockwise."""
+    """Compute twice the signed area of triangles a, b, c (..., 2).
+
+    It is positive if anticlockwise.
+    """
     return (b[0] - a[0]) * (c[..., 1] - a[1]) - (b[1] - a[1]) * (c[..., 0] - a[0])

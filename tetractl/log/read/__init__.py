@@ -1,1 +1,1 @@
-"""Reads logs: complete logs, only their results, and damaged logs."""
+"""Read logs of trials: complete logs, only their results, or what is left of damaged logs."""

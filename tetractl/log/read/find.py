@@ -1,4 +1,4 @@
-"""Finds the logs in given files, folders and patterns."""
+"""Find the logs in given files, folders and patterns."""
 
 import re
 from collections.abc import Iterable
@@ -17,13 +17,13 @@ _SET_ASIDE = re.compile(r"\.attempt-\d+\.(recovered\.)?mcap(\.part)?$")
 
 
 def attempt_name(log: str, number: int) -> str:
-    """Return the name under which `--resume` sets a log aside: trial-003.attempt-1.mcap."""
+    """Return the new name of a log that `--resume` sets aside, such as trial-003.attempt-1.mcap."""
     stem, suffix, rest = log.partition(RECOVERED_SUFFIX if RECOVERED_SUFFIX in log else SUFFIX)
     return f"{stem}.attempt-{number}{suffix}{rest}"
 
 
 def is_set_aside(name: str) -> bool:
-    """Decide whether the name of a file marks a log that was set aside."""
+    """Check whether a file's name shows that `--resume` has set this log aside."""
     return _SET_ASIDE.search(name) is not None
 
 
@@ -45,10 +45,10 @@ def find_logs(paths: Iterable[Path | str], attempts: bool = False) -> list[Path]
 
 
 def without_others(paths: Iterable[Path | str]) -> list[Path]:
-    """Return the paths without those files whose endings show that they are not logs.
+    """Leave out the files whose endings show that they are not logs.
 
-    A shell expands `logs/slip/*` to such files: the tables and figures of a study, besides the
-    folders of its arms. Raises UsageError if no path is left.
+    A pattern such as `logs/slip/*` also matches such files: besides the folders of its arms, a
+    study contains tables and figures. Raises UsageError if no path is left.
     """
     listed = [Path(path) for path in paths]
     remaining = [path for path in listed if not (_NO_LOGS.search(path.name) and path.is_file())]
@@ -59,7 +59,7 @@ def without_others(paths: Iterable[Path | str]) -> list[Path]:
 
 
 def _hint_without_logs(path: Path) -> str | None:
-    """Suggest what was meant by the path of a file that is not a log."""
+    """Suggest what was meant by a path that leads to a file which is not a log."""
     if path.suffix.lower() in (".yaml", ".yml"):
         return f"run it with: tetractl run {path}"
     logs = sorted(path.parent.glob(f"*{SUFFIX}"), key=_natural)
@@ -137,7 +137,7 @@ def _logs(paths: Iterable[Path], attempts: bool) -> list[Path]:
 
 
 def _natural(path: Path) -> list[list[tuple[int, int, str]]]:
-    """Return a sorting key by which trial-2 comes before trial-10, and x=0/t before x=0.1/t.
+    """Return a sorting key that puts trial-2 before trial-10, and x=0/t before x=0.1/t.
 
     Numbers in the parts of the path count by their value.
     """

@@ -1,8 +1,8 @@
-"""The three limits on reading a file, which anybody may have written.
+"""Limits on reading a log file, which protect against damaged or malicious files.
 
-They limit the bytes of the file, the bytes of a chunk, and the seconds. A log may contain more than
-an hour of a trial at 120 Hz. For a longer trial, the environment variable that FACTOR names raises
-the limits on a whole file.
+There are three limits: the bytes of the file, the bytes of a chunk, and the processor time. A log
+within these limits can contain more than an hour of a trial at 120 Hz. For a longer trial, the
+environment variable that FACTOR names raises the limits on a whole file.
 """
 
 import math
@@ -23,7 +23,7 @@ tetractl's chunks have about a million.
 
 
 def file_limit() -> int:
-    """Return the largest size of a file, and of its chunks unpacked [bytes]."""
+    """Return the maximum size of a file, and of all its chunks when unpacked [bytes]."""
     return round(_factor() * (1 << 28))
 
 
@@ -36,7 +36,7 @@ def seconds_limit() -> float:
 
 
 def too_much(path: Path, what: str) -> LogError:
-    """Return the error for a file that exceeds a limit by `what`."""
+    """Create the error for a file that exceeds a limit. `what` describes the excess."""
     return LogError(
         f"{path}: contains {what}, more than tetractl reads; {FACTOR}=2 allows twice as much"
     )

@@ -1,4 +1,4 @@
-"""An overview of a log: its records of the run, and the counts and sizes of its records."""
+"""Summarise a log: which trial it contains, and the number and size of its records."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,11 +28,11 @@ class ChannelCount:
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """The contents of a log.
+    """A summary of the contents of a log.
 
-    `digest` is the content digest computed from the file, `stated_digest` that in the log. `run`,
-    `host` and `provenance` are the records of the run, `attachments` the sizes of attachments
-    [bytes]. `estimate` is the controller's last estimate of the robots, at control step
+    `digest` is the content digest computed from the file, and `stated_digest` the digest stored in
+    the log. `run`, `host` and `provenance` are the records of the run, `attachments` the sizes of
+    attachments [bytes]. `estimate` is the controller's last estimate of the robots, at control step
     `estimate_step`; None without an estimate.
     """
 
@@ -54,7 +54,10 @@ class Overview:
 
 
 def overview(path: Path) -> Overview:
-    """Read a whole log, and return its overview; raises LogError as `read_trial` does."""
+    """Read a whole log, and return a summary of its contents.
+
+    It raises LogError in the same cases as `read_trial`.
+    """
     contents = scan(path)
     trial = trial_of(contents)
     damage = trial.damage

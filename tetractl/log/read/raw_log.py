@@ -1,6 +1,6 @@
-"""The contents of a log file, record by record, and what they say of the run.
+"""The contents of a log file, record by record.
 
-This includes which trial it is, how it ended, and whether its content is unchanged.
+The records show which trial it is, how the trial ended, and whether the content is unchanged.
 """
 
 from collections import defaultdict
@@ -36,8 +36,8 @@ BEFORE_ATTACHMENTS = (channels.RUN, channels.HOST)
 class RawLog:
     """The intact records of a log file; `problems` and `lost` are empty for an undamaged file.
 
-    A log ends with the digests that its writer states, one of the content and one of the host
-    records. Those computed of the records in the file are the same, or the log was altered.
+    A log ends with two digests that its writer has computed, one of the content and one of the host
+    records. If the digests of the records in the file differ from them, the log was altered.
     """
 
     path: Path
@@ -65,7 +65,7 @@ class RawLog:
 
     @cached_property
     def attachments(self) -> dict[str, Attachment]:
-        """The attachments by name. Of two with the same name, it has the first."""
+        """The attachments by name. If two have the same name, the first one counts."""
         by_name: dict[str, Attachment] = {}
         for record in self.records:
             if isinstance(record, Attachment):
@@ -73,17 +73,23 @@ class RawLog:
         return by_name
 
     def text(self, name: str) -> str | None:
-        """Return the attachment `name` as text, None if it is lost."""
+        """Return the attachment `name` as text.
+
+        None if it is lost.
+        """
         attachment = self.attachments.get(name)
         return None if attachment is None else attachment.data.decode(errors="replace")
 
     def messages(self, topic: str) -> Iterator[Any]:
-        """Decode the messages of a topic; raises DecodeError."""
+        """Decode the messages of a topic.
+
+        It raises DecodeError for a message that cannot be decoded.
+        """
         decode = channels.CHANNELS[topic].FromString
         return (decode(entry.data) for entry in self.by_topic[topic])
 
     def _stated(self, topic: str) -> Any:
-        """Return the first message of a topic, an empty one if it is lost or unreadable."""
+        """Return the first message of a topic. It is empty if the message is lost or unreadable."""
         with suppress(DecodeError, ValueError):
             return next(self.messages(topic), channels.CHANNELS[topic]())
         return channels.CHANNELS[topic]()
@@ -109,7 +115,7 @@ class RawLog:
         return run
 
     def _without_run(self) -> LogError:
-        """Return the error for a file without the record of a run."""
+        """Create the error for a file that does not contain the record of a run."""
         if self.has_loose_messages:
             return LogError(
                 f"{self.path}: was written again without chunks by another program: its messages "
@@ -123,12 +129,15 @@ class RawLog:
 
     @property
     def result(self) -> Result | None:
-        """The result stated in the log, None if it cannot be read."""
+        """The result that the log contains, None if it cannot be read."""
         return self.result_or_why_not if isinstance(self.result_or_why_not, Result) else None
 
     @property
     def damaged(self) -> bool:
-        """Whether the log is torn, recovered or unfinished; `TrialLog.damage` says how."""
+        """Whether the log is torn, recovered or unfinished.
+
+        `TrialLog.damage` describes the damage.
+        """
         return bool(self.problems) or self.recovered is not None or self.result is None
 
     @cached_property
@@ -145,12 +154,15 @@ class RawLog:
 
     @property
     def warnings(self) -> int:
-        """The number of operator warnings and errors that the log states. 0 if it states none."""
+        """The number of operator warnings and errors according to the log.
+
+        0 if the log lacks it.
+        """
         return max(0, self._stated(channels.RESULT).warnings)
 
     @cached_property
     def stated_digests(self) -> Digests:
-        """The digests that the log states; empty texts if it states none."""
+        """The digests stored in the log. They are empty if it contains none."""
         return self._stated(channels.DIGESTS)
 
     @cached_property
@@ -163,9 +175,9 @@ class RawLog:
 
     @cached_property
     def _in_tetractls_order(self) -> list[Record]:
-        """The records with attachments where tetractl puts them, after the run and the host.
+        """The records in tetractl's order, in which attachments follow the run and the host.
 
-        Other programs move attachments.
+        Other programs move attachments to another place.
         """
         attachments = [record for record in self.records if isinstance(record, Attachment)]
         before = 0
@@ -175,26 +187,26 @@ class RawLog:
 
     @property
     def content_digest(self) -> str:
-        """The content digest, computed of the records in the file."""
+        """The content digest, computed from the records in the file."""
         return self.computed_digests.content
 
     @property
     def altered(self) -> bool:
-        """Whether the content in this file differs from the digest that the log states of it."""
+        """Whether the content in this file differs from the digest stored in the log."""
         stated = self.stated_digests.content
         return stated not in ("", self.computed_digests.content) and not self.reordered
 
     @property
     def host_altered(self) -> bool:
-        """Whether the host records differ from the digest that the log states of them."""
+        """Whether the host records differ from the digest stored in the log."""
         return self.stated_digests.host not in ("", self.computed_digests.host)
 
     @property
     def rewritten_by(self) -> str:
         """The program that rewrote a log of tetractl, such as MCAP's own. Empty if none did.
 
-        A program that copies tetractl's name with the header is recognised by attachments in
-        another place.
+        Some programs copy tetractl's name together with the header. These are recognised because
+        their attachments are in another place.
         """
         if not self.library.startswith(channels.WRITER):
             return self.library or UNKNOWN
@@ -229,12 +241,12 @@ class RawLog:
 
     @cached_property
     def facts(self) -> dict[str, str]:
-        """Machine, time and versions of the run."""
+        """Facts about the computer and the time of the run: machine, time and versions."""
         return decode_facts(self._stated(channels.HOST).facts)
 
 
 def _reason(error: Exception) -> str:
-    """Return the message of an error in decoding a record, in one line."""
+    """Return the message of an error in decoding a record, as one line."""
     return printable(str(error) or type(error).__name__, 200)
 
 

@@ -1,10 +1,10 @@
-"""Reads trials from their logs: completely, or the intact part of a damaged log.
+"""Read trials from their logs: completely, or the intact part of a damaged log.
 
     read_trial(path)   = trial_of(scan(path))
     read_result(path)  = result_of(peek(path)), or of scan(path) if the index does not serve
 
-`scan` finds the records of a file and checks them; here they are decoded. Every function raises
-LogError for a log that has lost its spec, or whose values tetractl does not write
+`scan` finds the records of a file and checks them, and this module decodes them. Every function
+raises LogError if the log has lost its spec, or contains values that tetractl does not write
 (`decode_errors`).
 """
 
@@ -53,7 +53,10 @@ def read_trial(path: Path) -> TrialLog:
 
 
 def trial_of(contents: RawLog, steps: int | None = None) -> TrialLog:
-    """Decode the trial in a scanned file, with only its first `steps` control steps if given."""
+    """Decode the trial in a scanned file.
+
+    If `steps` is given, only this many control steps are decoded.
+    """
     experiment, start = _start(contents)
     start_ns = start.start_unix_ns
     robots = len(start.setup.names)
@@ -121,7 +124,7 @@ def _damage(contents: RawLog, trial: TrialLog) -> Damage:
 
 
 def _all_after(trial: TrialLog, what: str, last_ns: int | None) -> str:
-    """Describe what a log without a result has lost: everything after the last record that is left.
+    """Describe what a log without a result has lost: everything after its last record.
 
     `last_ns` is the time of that record. None if there is none.
     """
@@ -131,8 +134,8 @@ def _all_after(trial: TrialLog, what: str, last_ns: int | None) -> str:
 def read_result(path: Path) -> ResultSummary:
     """Read only the result of a trial.
 
-    It is found by the file's index if file and result are intact. The errors are those of
-    `result_of`.
+    If file and result are intact, the file's index leads to the result. The errors are the same as
+    for `result_of`.
     """
     contents = peek(Path(path))
     if contents is None or contents.damaged:
@@ -143,8 +146,8 @@ def read_result(path: Path) -> ResultSummary:
 def result_of(contents: RawLog) -> ResultSummary:
     """Return the result of the trial in a scanned file.
 
-    Frames and steps are decoded only if the result is lost: it is then computed from the last
-    poses. Raises LogError also for a log without poses.
+    If the result is lost, the frames and steps are decoded, and the result is computed from the
+    last poses. Raises LogError if the log has no poses either.
     """
     experiment, start = _start(contents)
     result = contents.result
@@ -165,7 +168,7 @@ def result_of(contents: RawLog) -> ResultSummary:
 
 
 def _result_of_poses(trial: TrialLog) -> Result:
-    """Compute a result from the poses of a log: the path of each robot ends at its last pose.
+    """Compute the result of a trial from the poses in its log, assuming that it ended there.
 
     The true path is used for a simulation, otherwise the measured one. Raises LogError if a robot
     was never tracked.
@@ -189,7 +192,7 @@ def _result_of_poses(trial: TrialLog) -> Result:
 
 
 def trial_path(trial: TrialLog) -> tuple[Floats, Bools]:
-    """Return the poses (M, N, 3) used to evaluate a trial, and which of them are known (M, N).
+    """Return the poses (M, N, 3) by which a trial is evaluated, and which of them are known (M, N).
 
     These are the true poses of a simulation and the measured poses in a lab.
     """
@@ -199,10 +202,10 @@ def trial_path(trial: TrialLog) -> tuple[Floats, Bools]:
 
 
 def content_digest(path: Path) -> str:
-    """Return the SHA-256 over all records of a log except its host records.
+    """Compute the SHA-256 over all records of a log except its host records.
 
-    A simulated trial that is run again has the same digest. A complete log states this digest in
-    its last message.
+    A simulated trial that is run again has the same digest. The last message of a complete log
+    contains this digest.
     """
     return scan(Path(path)).content_digest
 
@@ -257,7 +260,7 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
 
 @lru_cache(maxsize=16)
 def _parse_spec(text: str) -> tuple[Experiment, str]:
-    """Return the experiment of a resolved spec, and its hash."""
+    """Parse the resolved spec in a log, and return the experiment and the spec's hash."""
     spec = parse_written(text, channels.RESOLVED_SPEC)
     return spec.experiment, spec.hash
 

@@ -1,4 +1,4 @@
-"""Copies the intact records of a damaged log to a complete file."""
+"""Copy the intact records of a damaged log to a complete file."""
 
 import hashlib
 from collections import Counter
@@ -59,7 +59,7 @@ def recovered_path(log: Path) -> Path:
 def recover(log: Path, out: Path | None = None) -> Recovery:
     """Write every intact chunk and attachment of a log to a complete file.
 
-    The file is `out`, by default `recovered_path`; an undamaged log is copied only if `out` is
+    The file is `out`, or `recovered_path` by default. An undamaged log is copied only if `out` is
     given. An unfinished copy of an earlier call is replaced. Raises LogError if nothing can be
     read, if the file exists already, or if another process is writing it.
     """
@@ -82,7 +82,7 @@ def recover(log: Path, out: Path | None = None) -> Recovery:
 
 
 def _examine(contents: RawLog) -> Damage:
-    """Return the problems and the losses of a log."""
+    """Find the problems of a log, and what it has lost."""
     try:
         trial = trial_of(contents)
     except LogError as error:

@@ -1,13 +1,14 @@
-"""Reads a log file however damaged it is: finds every record that is still as it was written.
+"""Read a log file, however damaged it is, and find every record that is still intact.
 
-A log is an MCAP file: a row of records, each an opcode, the length of its contents, and these. The
-messages of a trial are in chunks; chunks and attachments have checksums, so each is verified by
-itself. The file is read from record to record; if one is damaged, or the checksum over all of them
-does not match, the file is also searched for further chunks and attachments.
+A log is an MCAP file: a series of records. Each record consists of an opcode, the length of its
+contents, and the contents. The messages of a trial are in chunks. Chunks and attachments have
+checksums, so each can be verified separately. The file is read from record to record. If one of
+them is damaged, or if the checksum over all of them does not match, the rest of the file is
+searched for chunks and attachments.
 
-What decodes a record gets the bytes of this record only, and all of the reading of a file counts
-towards one limit of processor time: records that claim to be longer than they are, or very many of
-them, could otherwise keep a reader busy for hours.
+Two measures protect the reader from records that claim to be longer than they are, and from very
+many records, which could keep it busy for hours. The code that decodes a record gets only the bytes
+of this record. And all reading of a file counts towards one limit of processor time.
 """
 
 import re
@@ -66,9 +67,9 @@ RawMessage = tuple[int, int, int, bytes]  # channel, log time, publish time, dat
 
 
 def records(data: bytes, offset: int = 0) -> Iterator[tuple[int, int, int]]:
-    """Yield the opcode of each record, and where its contents begin and end.
+    """Yield the opcode of each record in some bytes, and where its contents begin and end.
 
-    It ends at a record that is cut off. A power cut leaves zeros.
+    The generator stops at a record that is cut off, or at zeros, which a power cut can leave.
     """
     while offset + _RECORD.size <= len(data):
         opcode, length = _RECORD.unpack_from(data, offset)
@@ -83,16 +84,16 @@ def peek(path: Path) -> RawLog | None:
     """Read only attachments and the chunks with the messages of the run and its result.
 
     This takes a third of the time of `scan`. Two checksums are tested, which together cover the
-    whole file: that of the data section and that of the index.
+    whole file: one of the data section and one of the index.
 
     Returns:
-        The contents. None for a damaged file. The errors are those of `scan`.
+        The contents. None for a damaged file. The errors are the same as for `scan`.
     """
     return _Scan(path).summary()
 
 
 def scan(path: Path) -> RawLog:
-    """Return every intact record of a file.
+    """Find and return every intact record of a log file.
 
     Raises LogError if it is not an MCAP file, or exceeds the `limits`.
     """
@@ -100,7 +101,10 @@ def scan(path: Path) -> RawLog:
 
 
 class _Scan:
-    """A pass over a file that verifies its records, keeps the intact ones, and lists problems."""
+    """One pass over a log file, which verifies records and keeps the intact ones.
+
+    It also lists problems.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -146,7 +150,10 @@ class _Scan:
         return raw
 
     def summary(self) -> RawLog | None:
-        """Read what `peek` returns. None for a damaged file, or a file of another program."""
+        """Read only the records that `peek` returns.
+
+        None for a damaged file, or for a file of another program.
+        """
         wanted: set[tuple[int, int, int]] = set()
         chunk: tuple[int, int, int] | None = None  # the last one
         for record in self._walk():
@@ -187,7 +194,7 @@ class _Scan:
         self._problems.append(f"the file breaks off in the record at byte {cut}")
 
     def _read_index(self) -> int | None:
-        """Return the number of messages that the index at the file's end states.
+        """Return the number of messages according to the index at the end of the file.
 
         None if the index is damaged or missing. For a damaged file, the channels in the index are
         read, because the chunk with the record of a channel may be lost.
@@ -217,7 +224,7 @@ class _Scan:
     def _search(self) -> None:
         """Find more chunks and attachments anywhere in the file.
 
-        Most bytes that look like one are not.
+        Most bytes that look like the beginning of one are not.
         """
         kinds = (
             (Opcode.CHUNK, _ZSTD, -_CHUNK_TIMES_AND_SIZE.size),
@@ -275,9 +282,9 @@ class _Scan:
             self._has_loose_messages = True
 
     def _inside(self, data: bytes) -> list[RawMessage]:
-        """Return the messages of an unpacked chunk; its schemas and channels are kept.
+        """Return the messages in an unpacked chunk, and keep its schemas and channels.
 
-        MCAP's `breakup_chunk` takes more than twice the time for each message.
+        MCAP's `breakup_chunk` would take more than twice the time for each message.
         """
         messages: list[RawMessage] = []
         count = 0
@@ -296,7 +303,7 @@ class _Scan:
         return messages
 
     def _know(self, opcode: int, contents: bytes) -> None:
-        """Keep the record of a channel or of a schema."""
+        """Keep the record of a channel or a schema."""
         if opcode == Opcode.CHANNEL:
             channel = Channel.read(ReadDataStream(BytesIO(contents)))
             self._channels[channel.id] = channel
@@ -307,8 +314,8 @@ class _Scan:
     def _collected(self) -> RawLog:
         """Return the records found, in file order.
 
-        The topic of each channel is the one that its record states. If that record is lost, it is
-        the format's topic for its number, unless a remaining record contradicts it.
+        The topic of each channel comes from the channel's record. If that record is lost, the topic
+        follows from the channel's number in the format, unless a remaining record contradicts it.
         """
         topics = {number: channel.topic for number, channel in self._channels.items()}
         if all(_TOPICS.get(number, topic) == topic for number, topic in topics.items()):
@@ -356,10 +363,10 @@ class _Scan:
 
 
 def unpack(chunk: Chunk, unsealed: bool = False) -> bytes:
-    """Return the contents of a chunk.
+    """Decompress a chunk of a log, and check its checksum.
 
-    If it is damaged or too large or, unless it may be `unsealed`, has no checksum, ValueError or an
-    error of zstd or lz4 is raised.
+    ValueError, or an error of zstd or lz4, is raised if the chunk is damaged or too large. The same
+    holds if it has no checksum, unless it may be `unsealed`.
     """
     data = chunk.data
     size = chunk.uncompressed_size

@@ -20,7 +20,10 @@ from tetractl.spec.loaded_spec import LoadedSpec
 
 
 class Origin(StrEnum):
-    """The kind of plant of a trial, which every table and figure states."""
+    """Where a trial took place: in a simulation, in an emulated lab or in a real lab.
+
+    Every table and figure states this.
+    """
 
     UNDISTURBED = "undisturbed simulation"
     DISTURBED = "disturbed simulation"
@@ -29,7 +32,7 @@ class Origin(StrEnum):
 
     @classmethod
     def from_spec(cls, experiment: Experiment, plant: PlantInfo) -> "Origin":
-        """Return the origin of a trial, from its spec and its plant's facts.
+        """Determine where a trial took place from its spec and the facts about its plant.
 
         A lab is emulated if its spec says so or a device reported so, whatever its address is.
         """
@@ -45,13 +48,13 @@ class Origin(StrEnum):
 
     @property
     def comparable(self) -> bool:
-        """Whether results may be compared with a published result of real robots."""
+        """Whether results may be compared with a published result from real robots."""
         return self is Origin.LAB
 
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """The problems and losses of a log that is not intact, one sentence each.
+    """The problems of a log that is not intact, and what it has lost, one sentence each.
 
     Such a log is
 
@@ -98,7 +101,7 @@ class TrialLog(TrialRecords, Shown):
 
     @property
     def began_ns(self) -> int:
-        """The time of the first direction: 0 on every time axis shown to users.
+        """The time of the first direction, which is 0 on every time axis that users see.
 
         In the lab the trial's clock starts earlier, while the robots are placed. If the first steps
         are lost, the time is computed from the control period; without directions it is 0.
@@ -112,7 +115,7 @@ class TrialLog(TrialRecords, Shown):
         return max(min(sent, default=0), 0)
 
     def elapsed_s(self, time_ns: int) -> float:
-        """Return the time since the first direction [s] at a time of the trial's clock [ns]."""
+        """Convert a time on the trial's clock [ns] to the time since the first direction [s]."""
         return seconds(time_ns - self.began_ns)
 
     @property
@@ -156,7 +159,7 @@ class TrialLog(TrialRecords, Shown):
 
     @property
     def spec(self) -> LoadedSpec:
-        """The spec by which the trial can be run again."""
+        """The spec with which the trial can be run again."""
         start = self.start
         return LoadedSpec(
             self.experiment, start.spec_text, start.spec_name, attached=start.attached
@@ -164,7 +167,10 @@ class TrialLog(TrialRecords, Shown):
 
 
 def _next_step(text: str) -> str:
-    """Return the reason for a message and what to do, which logs do not contain."""
+    """Return the reason for a message and the operator's next step.
+
+    Logs do not contain them.
+    """
     if text.endswith(" is lost"):
         return ": no poses of it arrived; is it hidden, out of view, off its mat or switched off?"
     if text.startswith("the model does not fit"):
@@ -177,10 +183,10 @@ def _next_step(text: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ResultSummary(Shown):
-    """Only the result of a trial, without its frames and steps.
+    """The result of a trial, read from its log without the frames and steps.
 
-    `recovered` is True for a log that is damaged or ends early. If its result is lost, `result`
-    is computed from the last poses of the log, with the outcome `aborted`.
+    `recovered` is True for a log that is damaged or ends early. If its result is lost, `result` is
+    computed from the last poses of the log, with the outcome `aborted`.
     """
 
     log: str  # its file

@@ -1,8 +1,8 @@
-"""Refuses numbers of a log that no trial can have: arrays of a wrong shape, NaN and infinities.
+"""Refuse numbers in a log that no trial can have: arrays of a wrong shape, NaN and infinities.
 
-A checksum shows that a log was not changed, not that tetractl wrote it. Each function raises
+A checksum shows that a log was not changed, but not that tetractl wrote it. Each function raises
 ValueError with the first value that no trial can have. Plans and actions are also checked before
-they are logged, as a controller of a plug-in may return anything.
+they are logged, because a controller from a plug-in may return anything.
 """
 
 from collections.abc import Iterable, Sequence
@@ -38,7 +38,7 @@ def check_frames(frames: Frames) -> None:
 
 
 def check_commands(commands: Sequence[Command], robots: int) -> None:
-    """Check commands to N robots, all at once, which is faster."""
+    """Check all commands to N robots together, which is faster than one by one."""
     check_actions([command.action for command in commands])
     for count in {len(command.delivered) for command in commands} - {robots}:
         raise ValueError(f"a command is for {count} robots instead of {robots}")
@@ -50,7 +50,7 @@ def check_commands(commands: Sequence[Command], robots: int) -> None:
 
 
 def check_actions(actions: Iterable[Action]) -> None:
-    """Check the directions of actions."""
+    """Check that the directions of actions are finite."""
     directions: list[float] = []
     lags: list[float] = []
     for action in actions:
@@ -68,7 +68,7 @@ def check_actions(actions: Iterable[Action]) -> None:
 
 
 def check_steps(steps: Sequence[Step], robots: int) -> None:
-    """Check control steps of N robots, all at once, which is faster."""
+    """Check all control steps of N robots together, which is faster than one by one."""
     check_frames(Frames.from_samples([Sample(step.observation, None) for step in steps], robots))
     check_commands([step.command for step in steps], robots)
     for step in steps:
@@ -76,7 +76,7 @@ def check_steps(steps: Sequence[Step], robots: int) -> None:
 
 
 def check_plan(plan: Plan, robots: int) -> None:
-    """Check a plan for N robots, as it is logged or before: headings of its path may be NaN."""
+    """Check a plan for N robots. The headings of its path may be NaN."""
     count = plan.signals.size
     if plan.signals.shape != (count,) or plan.path.shape != (count + 1, robots, 3):
         shapes = f"{plan.path.shape} for signals of shape {plan.signals.shape}"
@@ -130,7 +130,7 @@ def _numbers_of_estimate(estimate: Estimate, robots: int) -> dict[str, Floats]:
 
 
 def stated_result(message: pb.Result, end: pb.HostEnd | None, robots: int, unit: str) -> Result:
-    """Return the result that a log states. Its reason is made printable.
+    """Return the result that a log contains, with its reason made printable.
 
     Args:
         message: The message.
@@ -152,7 +152,7 @@ def stated_result(message: pb.Result, end: pb.HostEnd | None, robots: int, unit:
 
 
 def check_result(result: Result) -> None:
-    """Check a result; final poses and errors may be NaN if the trial is not complete."""
+    """Check a result. Final poses and errors may be NaN if the trial is not complete."""
     verdict = result.verdict
     lengths = np.array([result.total_error, *result.robot_errors, *verdict.final.xy.ravel()])
     headings = verdict.final.heading

@@ -1,1 +1,1 @@
-"""Writing logs."""
+"""Write the log of a trial to an MCAP file while the trial runs."""

@@ -1,6 +1,6 @@
-"""Turns what happens in a trial, while it happens, into the messages of its log.
+"""Convert the events of a running trial to the messages of its log.
 
-What each call adds, in this order; `channels` says what the topics hold:
+Each call adds these messages, in this order. `channels` explains the topics:
 
     on_start     /run, /host/machine; attachments: specs, files they name, layout, environment;
                  /scene/static, /log
@@ -10,8 +10,9 @@ What each call adds, in this order; `channels` says what the topics hold:
     on_step      /controller/step, /commands, /scene/plan, /host/timing, /log of lost commands
     on_stop      /frames with /tf, /commands, /log; in a chunk of their own /host/end, /run, /result
 
-Records count time from the trial's start [ns]; messages have Unix times [ns]. Camera frames of a
-simulation are collected until their chunk ends, those of a lab are added as they come.
+The times of records count from the trial's start [ns], and messages have Unix times [ns]. Camera
+frames of a simulation are collected until their chunk ends. Camera frames of a lab are added as
+they arrive.
 """
 
 from abc import abstractmethod
@@ -52,7 +53,10 @@ PLAN_SHOWN_NS = SECOND * 3 // 20
 
 
 class RecordSink(Protocol):
-    """Takes the records of a log, in their order; chunks mean nothing to most."""
+    """A destination for the records of a log, such as a file or a connection to a viewer.
+
+    Chunks have no meaning for most destinations.
+    """
 
     @abstractmethod
     def add(self, record: Record) -> None:
@@ -87,7 +91,7 @@ class Encoder:
         self.warnings = 0
 
     def on_start(self, start: Start) -> None:
-        """Add what identifies the trial, specs, static scene and the message on the start."""
+        """Add the start of a trial: its identity, specs, static scene, and a message."""
         setup = start.setup
         self._start = start
         self._scene = Scene(setup, exact=not start.plant.simulated)
@@ -188,10 +192,10 @@ class Encoder:
         self._end_chunk(sent_ns)
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Add the stop and the end.
+        """Add the stop, the end of the trial, and its result.
 
-        Then, in a separate chunk, the run is added again, without which a log that lost its first
-        chunk could not be read, and the result.
+        The result is in a chunk of its own. This chunk repeats the record of the run, because a log
+        that has lost its first chunk could not be read without it.
         """
         self.flush_frames()
         t_ns = stop.sent_ns
@@ -268,13 +272,13 @@ def tracking_texts(
 
 
 def undelivered_texts(names: Sequence[str], step: Step) -> Iterator[str]:
-    """Yield a warning on each robot that did not receive the command of a step."""
+    """Yield a warning for each robot that did not receive the command of a step."""
     for name, delivered in zip(names, step.command.delivered, strict=True):
         if not delivered:
             yield f"{name} did not get the command of step {step.k}"
 
 
 def end_text(result: Result) -> tuple[str, str]:
-    """Return level and text of the message on the end of a trial."""
+    """Return level and text of the message about the end of a trial."""
     level = "error" if result.outcome is Outcome.ABORTED else "info"
     return level, outcome_to_log(result.summary)

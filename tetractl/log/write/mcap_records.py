@@ -1,4 +1,4 @@
-"""Writes a log's MCAP file (mcap.dev/spec), with its channels under the numbers of the format.
+"""Write the MCAP file (mcap.dev/spec) of a log, with fixed channel numbers.
 
     magic, header, metadata
     chunks: messages, compressed, and behind them an index for each channel
@@ -67,11 +67,11 @@ NO_OTHERS: OtherChannels = {}
 
 
 class FileWriter:
-    """The file of a log, begun with its metadata; it hashes the records that it writes.
+    """A writer for the MCAP file of a log, which also hashes the records that it writes.
 
-    Each topic of the format has its number, whichever others are in the file, which
-    `mcap.writer.Writer` does not allow. `others` are the channels of a log that is copied, by their
-    topics: those of cameras are taken as they are.
+    The file begins with its metadata. Each topic of the format has a fixed number, whichever other
+    topics are in the file; `mcap.writer.Writer` does not allow that. `others` contains the channels
+    of a log that is copied, by their topics. Channels of cameras are copied unchanged.
     """
 
     def __init__(self, stream: BinaryIO, others: OtherChannels = NO_OTHERS) -> None:
@@ -119,7 +119,7 @@ class FileWriter:
         self._stream.flush()
 
     def finish(self) -> None:
-        """Write the last chunk and the summary; the stream stays open."""
+        """Write the last chunk and the summary. The stream stays open."""
         self.flush()
         self._write_record(DataEnd(data_section_crc=self._crc))
         begin = self._size
@@ -249,7 +249,7 @@ class FileWriter:
     # ---- the summary ----
 
     def _summary(self) -> Iterator[McapRecord]:
-        """Yield what is repeated at the end of the file, and where chunks and attachments are."""
+        """Yield the records that are repeated at the end of the file, and an index of its parts."""
         statistics = Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
@@ -270,7 +270,7 @@ class FileWriter:
 
 
 def _with_imports(file: Any) -> list[Any]:
-    """List a `FileDescriptor` after the files that it imports, each once."""
+    """List a `FileDescriptor` after all files that it imports, each once."""
     listed: dict[str, Any] = {}
     for imported in file.dependencies:
         listed |= {one.name: one for one in _with_imports(imported)}
@@ -279,7 +279,7 @@ def _with_imports(file: Any) -> list[Any]:
 
 @cache
 def protobuf_schema(message: type[ProtobufMessage]) -> Schema:
-    """Return the schema of a message, without a number of its own."""
+    """Return the schema of a protobuf message. It has no number yet."""
     descriptor = message.DESCRIPTOR
     files = FileDescriptorSet()
     for definition in _with_imports(descriptor.file):

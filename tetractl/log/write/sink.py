@@ -1,4 +1,4 @@
-"""Writes an MCAP file: collects messages in chunks, and writes these to the disk."""
+"""Write an MCAP file to the disk: collect messages in chunks, and flush these regularly."""
 
 import errno
 import os
@@ -35,7 +35,7 @@ _sync_data = os.fsync if sys.platform in ("darwin", "win32") else os.fdatasync
 
 
 def _while_open(method: Method[P]) -> Method[P]:
-    """Decorate a method of a sink.
+    """Decorate a method that writes to the file of a log, so that it handles disk errors.
 
     On a closed sink, it does nothing. After an OSError, it closes the sink and raises LogError.
     """
@@ -53,7 +53,7 @@ def _while_open(method: Method[P]) -> Method[P]:
 
 
 class Sink:
-    """Writes NAME.part and renames it to NAME when it is complete.
+    """The file of a log while it is written: NAME.part, renamed to NAME when it is complete.
 
     If a write fails, the call raises LogError and closes the file, which stays readable as
     NAME.part. Later calls do nothing, so that stopping a trial because of a full disk raises no
@@ -88,7 +88,7 @@ class Sink:
 
     @_while_open
     def add(self, record: Record) -> None:
-        """Add a record; an attachment ends the chunk of the messages so far."""
+        """Add a record. An attachment ends the chunk of the messages so far."""
         if isinstance(record, Attachment):
             self.flush()
         else:
@@ -109,7 +109,7 @@ class Sink:
 
     @_while_open
     def sync(self) -> None:
-        """Wait until the disk has every record so far, and check that the file still exists."""
+        """Wait until the disk has stored all records so far; check that the file still exists."""
         self.flush()
         self._sync_written()
 
@@ -138,7 +138,10 @@ class Sink:
 
     @_while_open
     def close(self, complete: bool) -> None:
-        """Write the index and close; only a complete log is renamed from NAME.part to NAME."""
+        """Write the index and close the file.
+
+        Only a complete log is renamed from NAME.part to NAME.
+        """
         self._mcap.finish()
         self.sync()
         self._release()
@@ -176,7 +179,7 @@ class Sink:
         raise OSError(errno.ENOENT, "the file or its folder was moved during the trial")
 
     def fail(self, error: OSError) -> NoReturn:
-        """Close the file, as after a write that failed; raise LogError."""
+        """Close the file as after a failed write, and raise LogError."""
         with suppress(OSError):  # closing writes the buffer, which fails again
             self._release()
         hint = None

@@ -23,7 +23,7 @@ BATCH_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class _OpenLog:
-    """A log that is being written: `worker` is the thread that calls encoder and sink."""
+    """A log that is being written. `worker` is the thread that calls encoder and sink."""
 
     sink: Sink
     encoder: Encoder
@@ -32,12 +32,13 @@ class _OpenLog:
 
 
 class LogWriter(Relay):
-    """Stores one trial in a file, which has another suffix until the trial has ended.
+    """An observer that stores one trial in a log file, in a thread of its own.
 
-    One thread encodes and writes; calls only put records in a queue. While the queue is full, a
-    call waits: up to DISK_PATIENCE_S in a simulation, which runs faster than any disk, and not at
-    all in real time. If the queue stays full or a write fails, the log is given up: the next call
-    raises LogError, later calls do nothing, and the records in the file stay readable.
+    Until the trial has ended, the file has another suffix. The thread encodes and writes, and calls
+    only put records in a queue. While the queue is full, a call waits: up to DISK_PATIENCE_S in a
+    simulation, which runs faster than any disk, and not at all in real time. If the queue stays
+    full or a write fails, the log is given up: the next call raises LogError, later calls do
+    nothing, and the records in the file stay readable.
 
     Args:
         path: The file when the trial has ended.
@@ -68,7 +69,7 @@ class LogWriter(Relay):
         return None if self._log is None else self._log.worker.failure
 
     def on_start(self, start: Start) -> None:
-        """Create the file; store metadata, specs and scene, and wait until the disk has them."""
+        """Create the file, store metadata, specs and scene, and wait until they are on the disk."""
         sink = Sink(self._path, self._part)
         encoder = Encoder(sink, self._real_time, hosted=True)
         worker = Worker(
@@ -91,12 +92,12 @@ class LogWriter(Relay):
         worker.drain()  # no robot moves before the start of the log is on the disk
 
     def put(self, call: Callable[[Observer], object]) -> None:
-        """Queue a call of the encoder."""
+        """Queue a call of the encoder, which the writing thread makes."""
         if self._log is not None:
             self._log.worker.put(call, self._log.encoder)
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Store the stop and the result, wait until the disk has them, and rename the log.
+        """Store the stop and the result, wait until they are on the disk, and rename the log.
 
         The log is not renamed if it keeps its suffix.
         """
@@ -109,12 +110,12 @@ class LogWriter(Relay):
         log.worker.check()
 
     def drain(self) -> None:
-        """Wait until every call so far is done."""
+        """Wait until the writing thread has made all calls so far."""
         if self._log is not None:
             self._log.worker.drain()
 
     def fail(self, error: OSError) -> None:
-        """Let the disk fail from now on, as an emulated lab does: the next call raises LogError."""
+        """Simulate a disk failure, as an emulated lab does: the next call raises LogError."""
         log = self._log
         if log is None:
             self._early_failure = error
@@ -123,7 +124,7 @@ class LogWriter(Relay):
             log.worker.wait()
 
     def close(self) -> None:
-        """Close the log; if the trial has not ended, the file keeps the suffix .part."""
+        """Close the log. If the trial has not ended, the file keeps the suffix .part."""
         self._close(complete=False)
 
     def __enter__(self) -> Self:

@@ -1,1 +1,1 @@
-"""Motions of a robot under the common direction; each has a file named in `core.registries`."""
+"""Models of how a robot moves under the common direction. `core.registries` lists their files."""

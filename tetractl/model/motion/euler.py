@@ -25,7 +25,7 @@ def step(
 def hold(
     x: Floats, y: Floats, heading: Floats, held: Held, a: Floats, v: Floats, t: Floats
 ) -> XYHeading:
-    """Follow the chord of (4)-(5) with a constant turning rate; see `Hold`.
+    """Compute poses along the chord of (4)-(5) with a constant turning rate; see `Hold`.
 
     After a whole period, this equals (4)-(6).
     """
@@ -58,7 +58,7 @@ def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float
 
 
 class EulerLanes(PlainLanes):
-    """The constants of (4)-(6)."""
+    """The constants of the discrete model (4)-(6) for compiled code."""
 
     differentiate = staticmethod(differentiate)
 

@@ -1,15 +1,17 @@
-"""The continuous motion (1)-(3) under a held direction, in closed form.
+"""The closed form of the paper's continuous motion (1)-(3) under a held direction u.
 
 With phi = u - heading, (3) reads d phi/dt = -a sin phi, so tan(phi/2) decays by E = exp(-a t). With
-c = cos(phi/2), s = sin(phi/2) and h = c^2 + s^2 E^2, the robot moves v (t + ln(h)/a) along u and
-v (phi - phi')/a to the right of it, where tan((phi - phi')/2) = s c (1 - E) / (c^2 + s^2 E).
+c = cos(phi/2), s = sin(phi/2) and h = c^2 + s^2 E^2, the robot moves v (t + ln(h)/a) along u and v
+(phi - phi')/a to the right of it, where tan((phi - phi')/2) = s c (1 - E) / (c^2 + s^2 E).
 
-With phi_m, the angle phi at t/2, both components of the same displacement are odd functions,
+Let phi_m be the angle phi at the time t/2. Both components of the same displacement are odd
+functions of it,
 
     along u:  2 v/a artanh(tanh(a t/2) cos phi_m)     right:  2 v/a arctan(sinh(a t/2) sin phi_m),
 
-the real and the imaginary part of 4 v/a artanh(r exp(i phi_m)), r = tanh(a t/4). Its series in r
-gains a factor of r^2, below 0.1, with each term: rollouts need no logarithm and no arc tangent.
+the real and the imaginary part of 4 v/a artanh(r exp(i phi_m)), r = tanh(a t/4). Each term of its
+series in r is smaller than the last by a factor of r^2, which is below 0.1. Therefore simulations
+of many sequences need no logarithm and no arc tangent.
 """
 
 import math
@@ -79,7 +81,7 @@ def step(
 def hold(
     x: Floats, y: Floats, heading: Floats, held: Held, a: Floats, v: Floats, t: Floats
 ) -> XYHeading:
-    """Follow (1)-(3) under the held direction; see `Hold`."""
+    """Compute poses by (1)-(3) under the held direction; see `Hold`."""
     return step(x, y, heading, held.direction, a, v, t)
 
 
@@ -144,7 +146,7 @@ def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float
 
 @cache
 def odd_multiples(count: int) -> tuple[Floats, Floats]:
-    """Return sin(n t)/sin t and cos(n t)/cos t, n = 1, 3, 5, ..., as polynomials of cos^2 t.
+    """Compute sin(n t)/sin t and cos(n t)/cos t, n = 1, 3, 5, ..., as polynomials of cos^2 t.
 
     Both are (count, count), a row for each n, lowest coefficient first.
     """
@@ -172,7 +174,7 @@ def _recurrence(first: Floats, before: Floats) -> Floats:
 
 
 class ExactLanes(NamedTuple):
-    """Constants for one piece of a step, as used by `advance`."""
+    """The constants of the exact motion for one piece of a step, as used by `advance`."""
 
     rows: Floats  # (N, size)
     pieces: int  # number of pieces, each with a t <= LARGEST_TURN
@@ -180,7 +182,7 @@ class ExactLanes(NamedTuple):
 
     @classmethod
     def of(cls, parameters: Floats, t: float) -> Self:
-        """Return the constants of robots with PARAMETERS (N, K) for steps of t [s]."""
+        """Compute the constants of robots with PARAMETERS (N, K) for steps of t [s]."""
         a, v = parameters.T[:2]
         largest_turn = float(a.max()) * t
         pieces = max(1, math.ceil(largest_turn / LARGEST_TURN))

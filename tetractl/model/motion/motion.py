@@ -1,4 +1,4 @@
-"""The interfaces of a motion, which planner, compiled planner and simulated plant share.
+"""The interfaces of a motion model, which the planner, its compiled code and the simulation share.
 
 A motion is one file that defines a `Motion`, and one line in `tetractl.core.registries` that names
 it. See docs/how-to/extend.md.
@@ -32,7 +32,7 @@ with respect to their logarithms.
 
 
 def in_rows(robots: Any) -> Floats:
-    """Return the PARAMETERS (N, K) in the fields of a problem or a prior."""
+    """Collect the PARAMETERS of a problem's or a prior's robots in one array (N, K)."""
     return np.column_stack([robots.a, robots.speed])
 
 
@@ -44,7 +44,10 @@ UPPER = math.pi
 
 @dataclass(slots=True)
 class Held:
-    """The commands that N robots hold, (N,) each; before the first they stand still."""
+    """The commands that N robots follow at present, shape (N,) each.
+
+    Before its first command, a robot stands still.
+    """
 
     direction: Floats  # u [rad]
     turning: Floats  # a sin(u - heading) when the command was received [rad/s], (3)
@@ -53,7 +56,7 @@ class Held:
 
 
 class StepFunction(Protocol):
-    """Poses after a time t [s] under a held direction u [rad].
+    """A function that computes poses after a time t [s] under a held direction u [rad].
 
     Arguments broadcast against each other: typically x, y [length unit] and heading [rad] of shape
     (..., N), u of shape (..., 1), turning rates a [rad/s] and speeds v [length unit/s] of shape
@@ -77,18 +80,19 @@ class Hold(Protocol):
     def __call__(
         self, x: Floats, y: Floats, heading: Floats, held: Held, a: Floats, v: Floats, t: Floats
     ) -> XYHeading:
-        """Return x, y and heading a time t later."""
+        """Return x, y and heading after the time t."""
         ...
 
 
 class Lanes(Protocol):
-    """Constants of N robots for steps of one duration, and the step of one robot in scalars.
+    """The constants of N robots for steps of one duration, and compiled functions for one robot.
 
     It is a `NamedTuple` with the fields `rows` and `pieces`. Each class gets its own compiled
     kernel. The functions, and the plain functions that they call, are compiled together with the
     kernel; they may use arithmetic, `math` and `tetractl.model.motion.polynomials`. `advance` runs
-    in a loop over particles, `differentiate` in a loop over signals. To make these loops vector
-    code, use conditional values rather than branches, and polynomials rather than calls to `math`.
+    in a loop over particles, and `differentiate` in a loop over signals. The compiler turns these
+    loops into vector code if the functions use conditional values instead of branches, and
+    polynomials instead of calls to `math`.
     """
 
     size: int
@@ -105,7 +109,7 @@ class Lanes(Protocol):
 
     @classmethod
     def of(cls, parameters: Floats, t: float) -> Self:
-        """Return the constants of robots with PARAMETERS (N, K) for steps of t [s]."""
+        """Compute the constants of robots with PARAMETERS (N, K) for steps of t [s]."""
         ...
 
     @staticmethod
@@ -144,7 +148,9 @@ class Lanes(Protocol):
 
 
 class PlainLanes(NamedTuple):
-    """`Lanes` of a motion that computes nothing in advance: PARAMETERS and t of each robot.
+    """The base class of `Lanes` for a motion that computes nothing in advance.
+
+    Its constants are the PARAMETERS of each robot, and t.
 
     A subclass implements `differentiate` and `advance`. The latter may consist of `differentiate`
     and `onwards`.
@@ -156,14 +162,14 @@ class PlainLanes(NamedTuple):
 
     @classmethod
     def of(cls, parameters: Floats, t: float) -> Self:
-        """Return the constants of robots with PARAMETERS (N, K) for steps of t [s]."""
+        """Compute the constants of robots with PARAMETERS (N, K) for steps of t [s]."""
         times = np.full(len(parameters), t)
         return cls(np.column_stack([parameters, times]))
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A motion, defined by its NumPy step, the plant's step and the compiled step."""
+    """A motion model: its NumPy step, the step of the simulation, and the compiled step."""
 
     name: str
     step: StepFunction

@@ -5,7 +5,7 @@ They are plain functions of scalars: kernels compile them, and they also work wi
 Coefficients are written out, lowest first, because computed ones would depend on the processor.
 They interpolate at Chebyshev points of the squared argument q. The degree gives an error below
 1e-13 on the named range: the errors of steps add up, and a path must agree with the readable model
-to 1e-9. `tetractl.core.elementary` has functions to the last digits, which take longer.
+to 1e-9. The functions of `tetractl.core.elementary` are exact to the last digits, but take longer.
 """
 
 import math
@@ -79,7 +79,7 @@ DECAY_MAX = 230.0  # beyond, exp(-x) counts as exp(-230), which is 1e-100
 
 
 def horner(coefficients, q):
-    """Return the value of a polynomial, given the lowest coefficient first."""
+    """Evaluate a polynomial, given its coefficients with the lowest first."""
     value = coefficients[-1]
     for i in range(len(coefficients) - 2, -1, -1):
         value = value * q + coefficients[i]
@@ -119,7 +119,7 @@ def sincos(x):
 
 
 def wrap(x):
-    """Return the angle x wrapped into [-pi, pi]."""
+    """Wrap the angle x into [-pi, pi]."""
     return x - math.tau * np.rint(x / math.tau)
 
 
@@ -142,19 +142,19 @@ def onwards(x, y, c, s, step):
 
 
 def mantissa(y):
-    """Return (m, k) with y = m 2^k and sqrt(1/2) <= m < sqrt(2), for finite y > 0."""
+    """Split a finite y > 0 into (m, k) with y = m 2^k and sqrt(1/2) <= m < sqrt(2)."""
     bits = np.float64(y).view(np.int64)
     k = (bits - np.int64(ROOT_HALF_BITS)) >> 52
     return np.int64(bits - (k << 52)).view(np.float64), np.float64(k)
 
 
 def log_from_ratio(f, k):
-    """Return ln(m 2^k) from f = (m - 1)/(m + 1): ln m = 2 atanh f."""
+    """Compute ln(m 2^k) from f = (m - 1)/(m + 1), because ln m = 2 atanh f."""
     return k * LOG_2 + 2 * f * horner(ATANH, f * f)
 
 
 def decay(x):
-    """Return exp(-x) for x >= 0, or exp(-230) if that is more."""
+    """Compute exp(-x) for x >= 0. The result is at least exp(-230)."""
     x = min(x, DECAY_MAX)
     k = np.rint(x / LOG_2)
     r = k * LOG_2 - x  # exp(-x) = 2^-k exp(r)
@@ -164,7 +164,7 @@ def decay(x):
 
 
 def arctan(z):
-    """Return atan z, computed from the nearest of 0, pi/4 and pi/2."""
+    """Compute atan z, starting from the nearest of 0, pi/4 and pi/2."""
     size = abs(z)
     low = min(size, 1.0)
     high = max(size, 1.0)

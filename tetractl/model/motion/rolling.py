@@ -1,4 +1,4 @@
-"""Two-wheeled robots in plain loops: which wheel speeds a host sends them, and where they go.
+"""Two-wheeled robots in plain loops: the wheel speeds that a host sends, and the motion.
 
     host      wish    wheel speeds towards a direction, by the paper's (24)-(25), for the headings
                       that robots will have when the speeds take effect; `note` records what was
@@ -48,7 +48,7 @@ def count(speeds: Floats, owed: Floats, gain: Floats, dead_zone: Any, limit: Any
 
 
 class KnownRobots(NamedTuple):
-    """What a host knows of N robots on wheels, (N,) each."""
+    """The properties of N robots on wheels that their host knows, (N,) each."""
 
     a: Floats
     """Turning rates [rad/s]."""
@@ -60,7 +60,7 @@ class KnownRobots(NamedTuple):
     """Time constant T with which all wheels follow commands [s]. 0 to neglect it."""
 
     def turning(self) -> Self:
-        """Return the robots with speed 0, as they turn on the spot."""
+        """Return the robots with speed 0, for turns on the spot."""
         return self._replace(speed=np.zeros_like(self.speed))
 
 
@@ -83,7 +83,7 @@ class SentRates(NamedTuple):
 
     @classmethod
     def none(cls, robots: int) -> Self:
-        """Return rates of 0 for robots that stand still, with room for later rates."""
+        """Create rates of 0 for robots that stand still, with space for later rates."""
         times_ns = np.full(ENTRIES_AT_FIRST, NEVER)
         times_ns[0] = 0
         return cls(times_ns, np.zeros((ENTRIES_AT_FIRST, robots)), np.zeros(robots))
@@ -286,7 +286,7 @@ def roll(
 
 
 def _step(body: Floats, seconds: float) -> None:
-    """Advance robots (ROWS, N) along the chords of arcs, equations (21)-(23).
+    """Advance robots (ROWS, N) along the chords of arcs, by the paper's equations (21)-(23).
 
     Wheel speeds, distances and headings are exact. Chords are exact for settled wheels. Otherwise,
     their error falls with the square of the time.

@@ -1,7 +1,8 @@
-"""The motion of swimming cells in time steps: the axes of their helices follow the paper's (1)-(3).
+"""The motion of swimming cells in time steps.
 
-Plain loops, compiled for the simulation and run as they are by the emulated dish. Lengths are in
-micrometres. `model.swimmers` draws cells and states the source of each number.
+Cells swim on helices, whose axes follow the paper's equations (1)-(3). The code consists of plain
+loops, which are compiled for the simulation, and run uncompiled by the emulated dish. Lengths are
+in micrometres. `model.swimmers` samples cells and gives the source of each number.
 """
 
 import math
@@ -18,7 +19,7 @@ SINK_S = 5.0  # guess: time constant of the wander in depth
 
 
 class CellArrays(NamedTuple):
-    """N swimming cells and what acts on them. Each array has shape (N,).
+    """The state of N swimming cells, and the forces that act on them. Each array has shape (N,).
 
     `step` also takes lists of these numbers.
     """
@@ -81,7 +82,7 @@ def steps_until(since_ns: int, times_ns: Sequence[int]) -> int:
 
 
 def torque(dipole: float, across: float, up: float) -> tuple[float, float]:
-    """Compute the turning rate for a = 1 by equation (3), and its derivative by the direction.
+    """Compute how fast a field turns a cell with a = 1, by equation (3), and the derivative.
 
     Args:
         dipole: Direction of the dipole [rad].

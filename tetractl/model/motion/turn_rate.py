@@ -1,8 +1,8 @@
-"""Extensions of (3): robots that turn faster to one side, or no faster than their motors allow.
+"""Turning rates of robots that turn faster to one side, or whose motors saturate.
 
-A robot turns with the rate a exp(k) to the left and a exp(-k) to the right, where k is its `side`.
-It never turns faster than `saturation` times the larger of these two rates. `saturation` is 1 for
-motors that never saturate.
+These are extensions of the paper's equation (3). A robot turns with the rate a exp(k) to the left
+and a exp(-k) to the right, where k is its `side`. It never turns faster than `saturation` times the
+larger of these two rates. `saturation` is 1 for motors that never saturate.
 
 Under a held direction, the side does not change. A step of any motion is therefore a step with a
 exp(+-k) instead of a. While motors saturate, a is chosen so that the robot turns at its maximum
@@ -21,7 +21,7 @@ from tetractl.model.motion.polynomials import sincos
 
 
 class RobotParameters(NamedTuple):
-    """The PARAMETERS of the motion of one robot, followed by the parameters of its turning."""
+    """The parameters of one robot: the PARAMETERS of its motion, its side and its saturation."""
 
     a: float
     speed: float
@@ -30,7 +30,7 @@ class RobotParameters(NamedTuple):
 
 
 def all_in_rows(robots: Any) -> Floats:
-    """Return a row for each `RobotParameters` (N, 4), from the fields of a problem."""
+    """Collect the `RobotParameters` of a problem's robots in an array (N, 4)."""
     rows = np.empty((len(robots.a), 4))
     rows[:, 0] = robots.a
     rows[:, 1] = robots.speed
@@ -112,7 +112,7 @@ def held(a: float, slopes: Any, c: float, s: float, hold: Any) -> Any:
 
 
 def times(by: Any, factor: float) -> Any:
-    """Return derivatives of x, y and heading times a factor."""
+    """Multiply derivatives of x, y and heading by a factor."""
     return by[0] * factor, by[1] * factor, by[2] * factor
 
 

@@ -1,1 +1,1 @@
-"""Disturbances of the simulated plant, named in `core.registries`."""
+"""The disturbances of a simulated plant. `core.registries` lists their names."""

@@ -34,7 +34,7 @@ class TrackingLossSection(DisturbanceSection):
 
 
 class TrackingLoss(Disturbance):
-    """Makes each robot alternately tracked and not tracked; all are tracked at first.
+    """A disturbance by which each robot is sometimes not tracked. At first, all are tracked.
 
     Args:
         section: The fields of the disturbance in the spec.
@@ -76,14 +76,17 @@ class CameraLatencySection(DisturbanceSection):
 
 
 class CameraLatency(Disturbance):
-    """Adds a latency to each frame."""
+    """A disturbance that delays each camera frame by a random latency."""
 
     def __init__(self, section: CameraLatencySection, rng: np.random.Generator) -> None:
         self._section = section
         self._rng = rng
 
     def received(self, exposed_ns: int, received_ns: int) -> int:
-        """Return the time of arrival with the latency added, never before the exposure."""
+        """Add the random latency to a frame's time of arrival.
+
+        A frame never arrives before its exposure.
+        """
         section = self._section
         deviations = self._rng.standard_normal()
         if abs(deviations) > DEVIATIONS_MAX:
@@ -128,7 +131,7 @@ class FrameLoss(Disturbance):
         self._losing = False  # whether the next frame is lost
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
-        """Return the time of arrival unchanged, or None for a lost frame."""
+        """Return the time of arrival unchanged. None if the frame is lost."""
         lost = self._losing
         chance = self._rng.random()
         if lost:
@@ -156,7 +159,7 @@ class FrozenCameraSection(SpellsSection):
 
 
 class FrozenCamera(Disturbance):
-    """During an interval, repeats the last measurement before it, or loses the frames."""
+    """A disturbance that repeats the last frame, or loses all frames, during some intervals."""
 
     def __init__(self, repeats: bool, spells: Spells) -> None:
         self._repeats = repeats
@@ -164,14 +167,17 @@ class FrozenCamera(Disturbance):
         self._last: tuple[Poses, Bools] | None = None  # measurement before the interval
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the measurement, or the last one before an interval; see `Disturbance`."""
+        """Return the measurement or, during an interval, the last one before it.
+
+        See `Disturbance.measured`.
+        """
         frozen = self._repeats and self._spells.include(time_s)
         if self._last is None or not frozen:
             self._last = (poses, valid)
         return self._last
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
-        """Return the time of arrival unchanged, or None for a lost frame."""
+        """Return the time of arrival unchanged. None if the frame is lost."""
         lost = not self._repeats and self._spells.include(exposed_ns / SECOND)
         return None if lost else received_ns
 
@@ -189,7 +195,7 @@ class MarkerOffSection(DisturbanceSection):
 
 
 class MarkerOff(Disturbance):
-    """Adds an offset (N,) [rad] to each robot's measured heading."""
+    """A disturbance that adds an offset (N,) [rad] to each robot's measured heading."""
 
     def __init__(self, offsets: Floats) -> None:
         self.offsets = offsets
@@ -213,7 +219,7 @@ class StaleCameraSection(SpellsSection):
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What a frame that was exposed at `time_s` shows."""
+    """The poses that a camera frame shows, with the time `time_s` of its exposure."""
 
     time_s: float
     poses: Poses
@@ -229,7 +235,7 @@ class StaleCamera(Disturbance):
         self._recent: deque[Measurement] = deque()  # those of the last `age_s` and one before
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses, or old poses during an interval; see `Disturbance.measured`."""
+        """Return the poses or, during an interval, earlier poses; see `Disturbance.measured`."""
         self._recent.append(Measurement(time_s, poses, valid))
         while len(self._recent) > 1 and self._recent[1].time_s <= time_s - self._age_s:
             self._recent.popleft()

@@ -1,4 +1,4 @@
-"""Disturbances of commands: planning time, and delay and loss by the radio."""
+"""Disturbances of commands: time for planning, and delays and losses of the radio."""
 
 from dataclasses import replace
 from typing import Literal
@@ -14,7 +14,7 @@ from tetractl.spec.disturbance import DelayedCommand, Disturbance, DisturbanceSe
 
 
 class RadioSection(DisturbanceSection):
-    """A broadcast with a delay and random losses, independent for each robot."""
+    """A broadcast by radio with a delay and random losses, independent for each robot."""
 
     type: Literal["radio"]
     delay: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
@@ -35,7 +35,7 @@ class RadioSection(DisturbanceSection):
 
 
 class Radio(Disturbance):
-    """Delays each transmission, and samples which robots receive it.
+    """A disturbance that delays each transmission, and decides which robots receive it.
 
     Args:
         section: The fields of the disturbance in the spec.
@@ -51,7 +51,7 @@ class Radio(Disturbance):
             self._late_ns = np.rint(section.spread * SECOND * rng.random(robots)).astype(np.int64)
 
     def sent(self, command: DelayedCommand) -> DelayedCommand:
-        """Return the transmission with its delays, and with the robots that receive it."""
+        """Add random delays to a transmission, and mark the robots that receive it."""
         section = self._section
         chances = self._rng.random(1 + command.reached.size)  # of the delay, then of each robot
         delay_s = section.delay + section.jitter * float(chances[0])
@@ -82,7 +82,7 @@ class SilentRadioSection(SpellsSection):
 
 
 class SilentRadio(Disturbance):
-    """Loses every command that is sent in an interval."""
+    """A disturbance that loses every command sent during some intervals."""
 
     def __init__(self, spells: Spells) -> None:
         self._spells = spells
@@ -114,7 +114,7 @@ class PlanningTimeSection(DisturbanceSection):
 
 
 class PlanningTime(Disturbance):
-    """Draws the planning time of each control step."""
+    """A disturbance that samples the planning time of each control step."""
 
     def __init__(self, section: PlanningTimeSection, rng: np.random.Generator) -> None:
         self._section = section

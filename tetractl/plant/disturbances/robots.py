@@ -29,7 +29,7 @@ class BatterySection(DisturbanceSection):
 
 
 class Battery(Disturbance):
-    """Reduces turning rate a and speed by fractions that grow with time."""
+    """A disturbance that reduces turning rate a and speed by fractions that grow with time."""
 
     def __init__(self, section: BatterySection) -> None:
         self._section = section
@@ -59,7 +59,7 @@ class HeadingDriftSection(DisturbanceSection):
 
 
 class HeadingDrift(Disturbance):
-    """Turns each moving robot at its own rate (N,) [rad/s]."""
+    """A disturbance that turns each moving robot at its own constant rate (N,) [rad/s]."""
 
     def __init__(self, rates: Floats) -> None:
         self._rates = rates
@@ -84,7 +84,7 @@ class StickingSection(DisturbanceSection):
 
 
 class Sticking(Disturbance):
-    """Makes each robot stick, independently of the others.
+    """A disturbance by which each robot sometimes gets stuck, independently of the others.
 
     Args:
         section: The fields of the disturbance in the spec.
@@ -98,7 +98,7 @@ class Sticking(Disturbance):
         )
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Set turning rate and speed of robots that are stuck to 0; see `Disturbance.varied`."""
+        """Set the turning rates and speeds of stuck robots to 0; see `Disturbance.varied`."""
         free = self._free.well(time_s)
         return a * free, speed * free
 
@@ -124,7 +124,9 @@ class WanderSection(DisturbanceSection):
 
 
 class Wander(Disturbance):
-    """Varies turning rates and speeds randomly, with statistics independent of the rate of calls.
+    """A disturbance that changes turning rates and speeds slowly and randomly.
+
+    The statistics do not depend on how often it is called.
 
     Args:
         section: The fields of the disturbance in the spec.
@@ -164,7 +166,7 @@ class StartErrorSection(DisturbanceSection):
 
 
 class StartError(Disturbance):
-    """Draws the errors of the start poses."""
+    """A disturbance that adds random errors to the start poses."""
 
     def __init__(self, section: StartErrorSection, rng: np.random.Generator) -> None:
         self._section = section

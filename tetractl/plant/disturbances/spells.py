@@ -22,7 +22,7 @@ class SpellsSection(DisturbanceSection):
     """Earliest and latest start of an interval in the trial, uniformly distributed [s]."""
 
     def draw(self, rng: np.random.Generator) -> "Spells":
-        """Draw the intervals of one trial."""
+        """Sample the intervals of one trial."""
         return Spells(self, rng)
 
 
@@ -34,7 +34,7 @@ class Spells:
         self._end_s = self._begin_s + section.duration
 
     def include(self, time_s: float) -> bool:
-        """Decide whether a time is within an interval."""
+        """Check whether a time is within one of the intervals."""
         return bool(((self._begin_s <= time_s) & (time_s < self._end_s)).any())
 
 

@@ -29,7 +29,7 @@ class FlowSection(DisturbanceSection):
 
 
 class Flow(Disturbance):
-    """Carries each swimming cell with a flow of velocity (2,) [length unit/s]."""
+    """A disturbance that carries each swimming cell with a flow, (2,) [length unit/s]."""
 
     def __init__(self, velocity: Floats) -> None:
         self.velocity = velocity
@@ -42,7 +42,7 @@ class Flow(Disturbance):
 
 
 class WobbleSection(DisturbanceSection):
-    """A cell circles about the axis of its helix, and the field turns this axis.
+    """The helical path of a swimming cell, which circles about an axis that the field turns.
 
     Seen from above, the cell swings across the axis, and its body points along its path.
     """
@@ -54,7 +54,7 @@ class WobbleSection(DisturbanceSection):
     """Frequency of the helix [Hz]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Wobble":
-        """Return this disturbance for one trial, with a random phase for each cell."""
+        """Create this disturbance for one trial, with a random phase for each cell."""
         return Wobble(self, setup.speed, rng.uniform(-np.pi, np.pi, len(setup.names)))
 
 

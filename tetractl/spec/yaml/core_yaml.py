@@ -1,8 +1,7 @@
-"""Reads and writes YAML by the core schema of YAML 1.2, with PyYAML.
+"""Read and write YAML by the core schema of YAML 1.2, with PyYAML.
 
-PyYAML resolves scalars as YAML 1.1 does (`on` is true, 12:30 is 750, 1e3 is text, 2020-01-01 a
-date). Here only the core schema applies, and only one document of limited depth and size is
-accepted.
+PyYAML follows YAML 1.1, where `on` is true, 12:30 is 750, 1e3 is text, and 2020-01-01 is a date.
+This module applies only the core schema, and accepts only one document of limited depth and size.
 """
 
 import re
@@ -37,7 +36,7 @@ SCALARS = {
 
 
 def not_yaml(origin: str, message: str, mark: Mark | None) -> InvalidSpecError:
-    """Return the error for text that is not one YAML document within the limits.
+    """Create the error for text that is not one YAML document within the limits.
 
     Args:
         origin: The file.
@@ -86,7 +85,7 @@ class _Composer(yaml.SafeLoader):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes text that YAML 1.1 or the core schema would read as another type."""
+    """A YAML writer that quotes text which would otherwise be read as another type."""
 
     def represent_text(self, text: str) -> ScalarNode:
         # only in double quotes does PyYAML keep every control character and line break
@@ -101,7 +100,7 @@ for _tag, (_pattern, _first) in SCALARS.items():
 
 
 def compose(text: str, origin: str) -> Node | None:
-    """Return the node graph of a text. None if it is empty.
+    """Parse a text to a graph of YAML nodes. None if it is empty.
 
     Raises:
         InvalidSpecError: If it is not YAML.
@@ -164,10 +163,10 @@ def with_space(text: str) -> str:
 
 
 def scalar(tag: str, text: str) -> str | bool | int | float | None:
-    """Return the value of a scalar with a tag.
+    """Convert the text of a scalar to a value, according to its tag.
 
     Raises:
-        ValueError: With the reason if they disagree.
+        ValueError: If the text does not fit the tag. The message gives the reason.
     """
     if tag == STR:
         return text
@@ -195,7 +194,7 @@ def short_tag(tag: str) -> str:
 
 
 def dump(data: Any) -> str:
-    """Return plain data as YAML text, in the data's order: one key per line, points as [x, y]."""
+    """Convert plain data to YAML text: one key per line, points as [x, y]."""
     return yaml.dump(
         data,
         Dumper=_Dumper,

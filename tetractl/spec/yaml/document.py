@@ -1,8 +1,8 @@
-"""A spec's text as plain data, with the place of each value: where it is written, or what put it.
+"""A parsed spec: plain data, with the place in the file from which each value comes.
 
-A location is a tuple of keys and list indices, such as ("robots", 0, "a"). A value that is put into
-a document (by `--set`, by another option, or from a file that the spec names) takes the place of
-what put it: problems with this value name that option or file.
+A location is a tuple of keys and list indices, such as ("robots", 0, "a"). A value may also come
+from `--set`, from another option, or from a file that the spec refers to. Problems with such a
+value name that option or file.
 """
 
 from collections.abc import Iterator
@@ -35,8 +35,8 @@ from tetractl.spec.yaml.spec_files import read_text
 class Place:
     """The file, line and column (from 1) of a value or a key, and the text of that value or key.
 
-    Of a value in a mapping, `key` is the place of its key. `refused` is the problem of a value that
-    YAML's core schema does not allow; the data has None in its stead.
+    For a value in a mapping, `key` is the place of its key. If YAML's core schema does not allow
+    the value, `refused` is the problem, and the data contains None instead.
     """
 
     origin: str
@@ -83,12 +83,18 @@ class Document:
             raise InvalidSpecError(self.all_problems)
 
     def key(self, loc: Loc) -> Place:
-        """Return the place of a key. If unknown, return its value's or the enclosing node's."""
+        """Return the place of a key.
+
+        If unknown, return the place of its value or enclosing node.
+        """
         written = self.places.get(loc)
         return (written and written.key) or self.place(loc)
 
     def place(self, loc: Loc) -> Place:
-        """Return the place of a value. If unknown, return the nearest enclosing node's."""
+        """Return the place of a value.
+
+        If unknown, return the place of the nearest enclosing node.
+        """
         while loc and loc not in self.places:
             loc = loc[:-1]
         return self.places.get(loc) or Place(self.origin)
@@ -104,7 +110,7 @@ class Document:
         return self.place(loc).problem(loc, message, value)
 
     def refuse(self, loc: Loc, message: str) -> None:
-        """Add the problem of the value at a location, with its text."""
+        """Add a problem about the value at a location, with the value's text."""
         place = self.place(loc)
         self.problems.append(place.problem(loc, message, place.text))
 
@@ -116,12 +122,12 @@ class Document:
         return holder
 
     def put(self, loc: Loc, value: Any, place: Place) -> None:
-        """Replace the value at a location by one that is given elsewhere.
+        """Replace the value at a location by a value from another source.
 
         Args:
             loc: The location. Its parent exists.
             value: The new value.
-            place: Where the new value is given.
+            place: The place from which the new value comes.
         """
         self.holder(loc)[loc[-1]] = value
         stale = [inner for inner in self.places if inner[: len(loc)] == loc]
@@ -130,7 +136,7 @@ class Document:
         self.places[loc] = place
 
     def take_out(self, loc: Loc) -> None:
-        """Take out the value at a location, which is known; its place stays known, for problems."""
+        """Remove the value at a location, but remember its place for problems."""
         del self.holder(loc)[loc[-1]]
 
 
@@ -183,7 +189,7 @@ def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
 
 
 class _Builder:
-    """Turns nodes into plain data, expanding aliases within the limits, and fills a document."""
+    """Converts YAML nodes to plain data, within the limits, and fills a document."""
 
     def __init__(self, text: str, document: Document) -> None:
         self.text = text

@@ -47,7 +47,10 @@ class SpecProblem:
 
 
 class InvalidSpecError(SpecError):
-    """A spec with problems; the message lists them one per line, and `problems` holds them."""
+    """An error: a spec has problems.
+
+    The message lists them, one per line, and `problems` contains them.
+    """
 
     def __init__(self, problems: Iterable[SpecProblem], hint: str | None = None) -> None:
         self.problems = tuple(sorted(problems, key=lambda p: (p.line is None, p.line, p.column)))
@@ -67,7 +70,7 @@ class InvalidSpecError(SpecError):
 
 
 def _in_python(line: str) -> str:
-    """Return the line of a problem for Python, where a setting is a text that `load_spec` takes."""
+    """Adapt the line of a problem for Python, where a setting is an argument of `load_spec`."""
     setting = line.removeprefix("--set ")
     return line if setting == line else f"setting {setting}"
 

@@ -1,4 +1,4 @@
-"""Values that options such as `--set` put into a document, each at its place.
+"""Apply the values of options such as `--set` to a parsed spec.
 
 with_settings(document, ["robots.green.a=5", FieldValue("trials.seed", 3, "--seed")])
 """
@@ -81,7 +81,7 @@ def _put_text(document: Document, setting: str) -> None:
 
 
 def make_way(document: Document, steps: Sequence[str], place: Place) -> Loc:
-    """Return the location that a path means, after creating the missing mappings on the way.
+    """Find the location that a path means, and create mappings that are missing on the way.
 
     Args:
         document: The document.
@@ -102,7 +102,7 @@ def make_way(document: Document, steps: Sequence[str], place: Place) -> Loc:
 
 
 def _key(holder: Any, loc: Loc, step: str, place: Place) -> str | int:
-    """Return the key or index that a step of a path means in `holder`, the value at `loc`."""
+    """Return the key or index that one step of a path means in `holder`, the value at `loc`."""
     if isinstance(holder, list):
         return _index(holder, loc, step, place)
     if not isinstance(holder, dict):
@@ -114,7 +114,7 @@ def _key(holder: Any, loc: Loc, step: str, place: Place) -> str | int:
 
 
 def _index(entries: list[Any], loc: Loc, step: str, place: Place) -> int:
-    """Return the index of the list's entry that a step means: by index, or by its name."""
+    """Return the index of the list entry that a step means, by index or by name."""
     names = {
         i: str(entry["name"])
         for i, entry in enumerate(entries)

@@ -1,4 +1,4 @@
-"""Reads the text of a spec, and of the files that it names."""
+"""Read the text of a spec, and of the files that it refers to."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ MAX_BYTES = 1 << 20
 
 
 def file_of_spec(folder: Path | None, key: str, name: str) -> Path:
-    """Return the path of the file that a key of a spec names.
+    """Return the path of the file to which a key of a spec refers.
 
     Args:
         folder: The spec's folder, which the name is relative to. None if there is none, as in a

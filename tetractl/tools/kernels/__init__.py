@@ -1,1 +1,1 @@
-"""How kernels are compiled and cached. Kernels are in the folders named `kernels`."""
+"""The compilation and the cache of kernels, which are the functions in folders named `kernels`."""

@@ -1,12 +1,12 @@
-"""Keeps compiled kernels between runs, in place of numba's own cache.
+"""Keep compiled functions between runs, instead of in Numba's own cache.
 
-Numba's cache ends the process if one of its files is empty, damaged or cannot be written, unpickles
-any file, and does not see that a function in another file was edited. Here each file begins with
-the SHA-256 of its contents; if the sum does not match, the code is compiled again. If a file cannot
-be written, a note is printed once.
+Numba's cache has three faults. It ends the process if one of its files is empty, damaged or cannot
+be written. It unpickles any file. And it does not notice that a function in another file was
+edited. Here, each file begins with the SHA-256 of its contents. If the sum does not match, the code
+is compiled again. If a file cannot be written, a note is printed once.
 
-A wheel for one Python and system has files, too, compiled for all processors of level x86-64-v3
-(`make dist`). They are looked for where the user's cache has none.
+A wheel for one version of Python and one system also contains compiled files, for all processors of
+level x86-64-v3 (`make dist`). They are used if the user's cache has none.
 """
 
 import hashlib
@@ -49,7 +49,10 @@ class _Internals(NamedTuple):
 
 @cache
 def _internals() -> _Internals | None:
-    """Return Numba's private functions. None if this version lacks one: then nothing is kept."""
+    """Return Numba's private functions.
+
+    None if this version of Numba lacks one of them. Then no compiled code is kept.
+    """
     try:
         from numba.core import compiler, serialize
 
@@ -67,7 +70,7 @@ _NEEDED = "avx avx2 bmi bmi2 cx16 f16c fma lzcnt movbe popcnt sahf sse3 sse4.1 s
 
 @cache
 def folder() -> Path | None:
-    """Return the cache folder for the compiler's present settings, None if it cannot be made.
+    """Return the cache folder for the compiler's present settings. None if it cannot be created.
 
     Its parent is $NUMBA_CACHE_DIR, or by default the user's cache folder.
     """
@@ -92,9 +95,9 @@ def folder() -> Path | None:
 
 @cache
 def shipped() -> Path | None:
-    """Return the folder of code in the package, None if it has none that runs here.
+    """Return the folder of compiled code inside the package. None if none runs here.
 
-    Settings of the compiler, such as NUMBA_OPT, ask for other code.
+    None is also returned if settings of the compiler, such as NUMBA_OPT, require other code.
     """
     if not SHIPPED.is_dir() or compiler_settings() != "none":
         return None
@@ -104,10 +107,10 @@ def shipped() -> Path | None:
 
 @dataclass(slots=True)
 class CompileTime:
-    """How long one function took to compile.
+    """The time that the compilation of one function took.
 
     Attributes:
-        versions: For how many signatures it was compiled.
+        versions: Number of signatures for which it was compiled.
         own_s: Processor time without that of the functions that it calls [s].
     """
 
@@ -154,14 +157,14 @@ event.register("numba:compile", _listener)
 
 
 def computing_s() -> float:
-    """Return the processor time of this thread without the time that compiling took [s]."""
+    """Return the processor time of this thread, without the time for compiling [s]."""
     return time.thread_time() - _listener.spent_s
 
 
 def compile_times() -> dict[str, CompileTime]:
-    """Return how long each function took that this process has compiled, by "module.name".
+    """Return the compile time of each function that this process has compiled, by "module.name".
 
-    Functions that were loaded from the cache are not contained.
+    Functions that were loaded from the cache are left out.
     """
     return dict(_listener.times)
 
@@ -179,7 +182,7 @@ class KernelCache:
         return str(self._place)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the compiled code for a signature, None if there is none or it is damaged."""
+        """Load the compiled code for a signature. None if there is none or it is damaged."""
         target_context.refresh()
         system = target_context.codegen().magic_tuple()
         own = self._load(self._place, self._key(sig, system), target_context)

@@ -1,4 +1,4 @@
-"""Compiles kernels and their parts: each part is optimised once, with the kernel that contains it.
+"""Compile kernels so that each of their parts is optimised only once, with its kernel.
 
 A *kernel* is a compiled function that Python calls. Its *parts* are the functions that only kernels
 call. By default, numba optimises each part alone and makes machine code of it. Then it links the
@@ -29,18 +29,18 @@ _IS_REPLACED = JITCodeLibrary is not object
 
 
 class _NoMachineCode:
-    """Stands for the code generator of a part, where numba sets up its machine code."""
+    """A stand-in for the code generator of a part, which generates no machine code."""
 
     def set_env(self, env_name: str, env: Any) -> None:
         """Do nothing. Only machine code needs its environment, and a kernel has its own."""
 
 
 class PartLibrary(JITCodeLibrary):
-    """The code of a part, without machine code."""
+    """Numba's code library for a part of a kernel, without machine code."""
 
     @property
     def codegen(self) -> Any:
-        """What numba asks for the environment of machine code."""
+        """The code generator that Numba asks for the environment of machine code."""
         return _NoMachineCode()
 
     def get_pointer_to_function(self, name: str) -> int:
@@ -49,7 +49,7 @@ class PartLibrary(JITCodeLibrary):
         return 0
 
     def _optimize_final_module(self) -> None:
-        """Do nothing: the kernel is optimised with its parts."""
+        """Do nothing, because the kernel is optimised together with its parts."""
 
     def _finalize_final_module(self) -> None:
         """Make the code ready to be linked into kernels."""
@@ -59,7 +59,7 @@ class PartLibrary(JITCodeLibrary):
 
 
 class KernelLibrary(JITCodeLibrary):
-    """The code of a kernel with its parts."""
+    """Numba's code library for a kernel together with its parts."""
 
     def _optimize_final_module(self) -> None:
         """Optimise the kernel after its parts have become its own."""
@@ -73,7 +73,7 @@ class PartCompiler(Compiler):
     """Numba's compiler for parts of kernels."""
 
     def define_pipelines(self) -> Any:
-        """Choose where the code goes, and return numba's own passes."""
+        """Select the code library, and return Numba's own compiler passes."""
         _use_library(self.state, PartLibrary)
         return super().define_pipelines()
 
@@ -82,13 +82,13 @@ class KernelCompiler(Compiler):
     """Numba's compiler for kernels."""
 
     def define_pipelines(self) -> Any:
-        """Choose where the code goes, and return numba's own passes."""
+        """Select the code library, and return Numba's own compiler passes."""
         _use_library(self.state, KernelLibrary)
         return super().define_pipelines()
 
 
 def _use_library(state: Any, library: type[Any]) -> None:
-    """Let a function's code go into a new library of a class."""
+    """Store a function's code in a new library of the given class."""
     if _IS_REPLACED and state.library is None:
         state.library = library(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()  # so that a kernel can be stored

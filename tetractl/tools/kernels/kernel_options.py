@@ -45,10 +45,10 @@ call of this one.
 
 
 def with_parts(function: Callable[..., Any], part: Callable[..., Any]) -> FunctionType:
-    """Return a plain function that calls what `part` makes of the plain functions it calls.
+    """Return a copy of a plain function in which every function that it calls is wrapped by `part`.
 
-    Models are plain Python without compiler decorators, so that checking a spec does not import
-    the compiler.
+    `part` makes a compiled part of a kernel. Models are plain Python without compiler decorators,
+    so that checking a spec does not import the compiler.
     """
     assert isinstance(function, FunctionType)
     code = function.__code__
@@ -60,13 +60,13 @@ def with_parts(function: Callable[..., Any], part: Callable[..., Any]) -> Functi
 
 @cache
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a plain function of scalars, compiled together with the plain functions it calls."""
+    """Compile a plain function of scalars together with the plain functions that it calls."""
     return njit(**INLINE_FAST)(with_parts(function, inlined))
 
 
 @cache
 def exact(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a part of a kernel that computes the bits of a plain function."""
+    """Compile a plain function as a part of a kernel that returns exactly the same bits."""
     return njit(**INLINE_EXACT)(with_parts(function, exact))
 
 

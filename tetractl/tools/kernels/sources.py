@@ -1,4 +1,4 @@
-"""What the code of a kernel is compiled from: the files and constants that its function reaches."""
+"""Find the files and constants on which the compiled code of a function depends."""
 
 import sys
 from collections.abc import Callable, Iterable, Iterator
@@ -15,11 +15,11 @@ from tetractl.tools.cache import digest as files_digest
 
 
 def digest(function: Callable[..., Any], sig: Any) -> str:
-    """Return 12 hex digits of all that the code of a function depends on, for a signature.
+    """Compute 12 hex digits of everything on which the compiled code of a function depends.
 
-    These are the file of each function that it calls, directly or not, the constants that they
-    name, and the modules of the classes of its arguments: a motion is such a class, whose module
-    may use others of its package's folder.
+    It depends on the signature; on the file of each function that it calls, directly or not; on the
+    constants that these functions name; and on the modules of the classes of its arguments. A
+    motion is such a class, whose module may use other modules in its folder.
     """
     files = set[Path]()
     constants = list[str]()
@@ -37,7 +37,7 @@ Named = list[tuple[str, Any]]
 
 
 def _reached(function: Callable[..., Any]) -> Iterator[tuple[FunctionType, Named]]:
-    """Yield a plain function and each that is compiled into it, once, with what they name."""
+    """Yield a plain function and all functions compiled into it, with the names they use."""
     visited = set[FunctionType]()
     to_visit = [function]
     while to_visit:
@@ -54,7 +54,7 @@ def _reached(function: Callable[..., Any]) -> Iterator[tuple[FunctionType, Named
 
 
 def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """Yield name and value of all that a function's code names outside itself."""
+    """Yield the name and the value of everything outside a function that its code refers to."""
     held = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     yield from ((name, cell.cell_contents) for name, cell in held)
     names = sorted(_names(function.__code__))
@@ -67,7 +67,10 @@ def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
 
 
 def _frozen(value: Any) -> str:
-    """Return a constant, whose value is frozen into the code, as text. Empty otherwise."""
+    """Return the text of a constant whose value becomes part of the compiled code.
+
+    Empty otherwise.
+    """
     if isinstance(value, np.ndarray):
         return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
     if isinstance(value, tuple):
@@ -91,7 +94,10 @@ def _classes(kinds: Iterable[Any]) -> Iterator[type[Any]]:
 
 @cache
 def _module_files(name: str) -> frozenset[Path]:
-    """Return the files of a module's folder if it is in a package, else its own."""
+    """Return the files of a module's package folder.
+
+    If it is in no package, return its own file.
+    """
     origin = sys.modules[name].__file__
     if origin is None:
         return frozenset()

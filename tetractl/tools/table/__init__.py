@@ -1,1 +1,1 @@
-"""Tables; `terminal_table` writes them for readers, `table_files` as data."""
+"""Tables of values: `terminal_table` formats them for people, and `table_files` for programs."""

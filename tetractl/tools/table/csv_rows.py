@@ -1,9 +1,10 @@
-"""Reads CSV files as spreadsheets and other programs write them.
+"""Read CSV files in the many forms in which spreadsheets and other programs write them.
 
 The encoding is UTF-8, UTF-16 with a byte order mark, or Windows' Latin-1. Entries are separated by
-commas, semicolons, tabs or blanks; a decimal comma is read where commas do not separate. Spaces
-around entries, lines of comments (#) and titles above the header and a line such as `sep=;` are
-left out. Characters are those of Unicode's form NFKC, so that names that look alike are.
+commas, semicolons, tabs or blanks. If commas do not separate entries, a decimal comma is also read.
+These are left out: spaces around entries, lines of comments (#), titles above the header, and a
+line such as `sep=;`. Characters are converted to Unicode's form NFKC, so that names that look the
+same are the same.
 """
 
 import codecs
@@ -48,9 +49,10 @@ class CsvRow:
 
 
 def read_csv(path: Path) -> Iterator[CsvRow]:
-    """Yield the rows of a CSV file; empty lines are left out.
+    """Yield the rows of a CSV file. Empty lines are left out.
 
-    Raises UsageError if the file is not CSV, has no header, or is larger than the limits above.
+    Raises:
+        UsageError: If the file is not CSV, has no header, or is larger than the limits above.
     """
     try:
         yield from _rows(path, csv_lines(path))
@@ -59,7 +61,10 @@ def read_csv(path: Path) -> Iterator[CsvRow]:
 
 
 def csv_lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield the lines of a CSV file that are not empty, with their numbers; UsageError as above."""
+    """Yield the non-empty lines of a CSV file with their numbers.
+
+    It raises UsageError in the same cases as `read_csv`.
+    """
     if not path.is_file():
         said = "is not a regular file" if path.exists() else "no such file"
         raise UsageError(f"{path}: {said}")
@@ -74,7 +79,7 @@ def csv_lines(path: Path) -> Iterator[tuple[int, str]]:
 
 
 def columns_of(path: Path) -> tuple[str, ...]:
-    """Return the column names of a CSV file with at least one row. Empty if it has none."""
+    """Return the column names of a CSV file. Empty if the file has no row below the header."""
     first = next(read_csv(path), None)
     return () if first is None else tuple(first.cells)
 
@@ -109,7 +114,7 @@ def _encoding(path: Path) -> str:
 
 
 def _lines(path: Path, stream: TextIO) -> Iterator[tuple[int, str]]:
-    """Yield the lines that are not empty with their numbers."""
+    """Yield the non-empty lines with their numbers."""
     for number, line in enumerate(iter(partial(stream.readline, CSV_LINE), ""), 1):
         if number > CSV_ROWS + 1 or len(line) == CSV_LINE:
             raise _too_large(path)
@@ -120,7 +125,10 @@ def _lines(path: Path, stream: TextIO) -> Iterator[tuple[int, str]]:
 
 
 def _rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
-    """Yield the rows below the header, which may be a comment if numbers follow, as of NumPy."""
+    """Yield the rows below the header.
+
+    The header may be a comment if numbers follow, as NumPy writes it.
+    """
     comments: list[str] = []
     stated = ""
     for top in lines:
@@ -156,9 +164,9 @@ def _rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
 def _below_titles(
     top: tuple[int, str], lines: Iterator[tuple[int, str]]
 ) -> tuple[tuple[int, str], list[tuple[int, str]]]:
-    """Return the line of the header, and the lines taken from `lines` below it.
+    """Skip titles above the header, and return the header with the lines read below it.
 
-    Lines with one entry, as Imaris writes above a header, are titles if several names follow.
+    A line with one entry, such as Imaris writes above a header, is a title if several names follow.
     """
     if len(_most_entries(top[1])) > 1:
         return top, list(islice(lines, 1))
@@ -174,7 +182,7 @@ def _below_titles(
 
 
 def _most_entries(line: str) -> list[str]:
-    """Return the entries of a line by the separator that makes most."""
+    """Split a line by the separator that gives the most entries."""
     text = line.rstrip().lstrip(" ")
     return max((csv_entries(text, separator) for separator in SEPARATORS), key=len)
 
@@ -182,8 +190,8 @@ def _most_entries(line: str) -> list[str]:
 def _separator(header: str, row: str) -> str:
     """Return the separator that splits a header into the most entries.
 
-    It is blanks if no separator makes two entries of the header, and blanks make as many of the row
-    below.
+    If no separator splits the header into two entries, but blanks split the header and the row
+    below into equally many, the separator is blanks.
     """
     best = max(SEPARATORS, key=lambda separator: len(csv_entries(header, separator)))
     words = len(header.split())
@@ -194,7 +202,10 @@ def _separator(header: str, row: str) -> str:
 
 
 def csv_entries(line: str, separator: str) -> list[str]:
-    """Return the entries of a line. A quoted entry with line breaks ends at the line's end."""
+    """Split a line into its entries.
+
+    A quoted entry with line breaks ends at the end of the line.
+    """
     if separator == BLANKS:
         return line.split()
     # line by line, since a quoted entry with line breaks may have any length
@@ -206,12 +217,12 @@ def csv_entries(line: str, separator: str) -> list[str]:
 
 
 def has_decimal_comma(entry: str) -> bool:
-    """Decide whether an entry is a number with a decimal comma."""
+    """Check whether an entry is a number with a decimal comma."""
     return _DECIMAL_COMMA.fullmatch(entry) is not None
 
 
 def is_number(entry: str) -> bool:
-    """Decide whether an entry is a number with a decimal point."""
+    """Check whether an entry is a number with a decimal point."""
     try:
         float(entry)
     except ValueError:
@@ -220,7 +231,7 @@ def is_number(entry: str) -> bool:
 
 
 def _check_header(path: Path, header: list[str]) -> None:
-    """Raise UsageError for a header of numbers, or one that has a name twice."""
+    """Raise UsageError if a header consists of numbers, or contains a name twice."""
     if any(map(is_number, header)):
         raise UsageError(
             f"{path}: has no header: its first line has numbers",

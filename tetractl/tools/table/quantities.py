@@ -1,7 +1,7 @@
-"""Columns of a table by what they measure.
+"""Find the columns of a table by the quantity that they contain, such as time or x.
 
-Names end in units, as in `time_ms`, `direction (deg)` or `x [um]`. Numbers are returned in the unit
-that is asked for.
+Names of columns end in units, as in `time_ms`, `direction (deg)` or `x [um]`. Numbers are converted
+to the unit that the caller needs.
 """
 
 import math
@@ -80,11 +80,11 @@ TIME_MAX = 1e19
 
 @dataclass(frozen=True, slots=True)
 class NumberColumn:
-    """A column of numbers.
+    """A column of numbers in a table, with the factor that converts its unit.
 
     Attributes:
         key: Its name in the table.
-        factor: Factor from the table's unit to the one asked for.
+        factor: Factor from the table's unit to the unit that is needed.
         largest: Maximum number that is accepted.
     """
 
@@ -104,7 +104,7 @@ class NumberColumn:
         return value
 
     def optional(self, path: Path, row: CsvRow) -> float:
-        """Return the number in a row, NaN if it states none."""
+        """Return the number in a row. NaN if there is none."""
         text = row.cells[self.key]
         if text.lower() in _UNKNOWN:
             return math.nan
@@ -122,7 +122,10 @@ class NumberColumn:
 
 
 def name_and_unit(header: str) -> tuple[str, str]:
-    """Return the name of a column in lower case and its unit, "" if it states none."""
+    """Split the header of a column into its name in lower case and its unit.
+
+    The unit is "" if there is none.
+    """
     words = header.strip().lower()
     text = re.sub(r"[ _/]+", "_", words).replace("_per_", "_")
     match = _BRACKETS.fullmatch(text)
@@ -156,7 +159,7 @@ def find_column(
         The column. None if no column has such a name.
 
     Raises:
-        UsageError: If all columns with such a name are in other units, or state none.
+        UsageError: If all columns with such a name have other units, or none.
     """
     quantities = {header: name_and_unit(header) for header in headers}
     matching = {header: unit for header, (name, unit) in quantities.items() if name in names}
@@ -172,7 +175,7 @@ def find_column(
 
 
 def find_time(path: Path, headers: Collection[str]) -> NumberColumn | None:
-    """Return the column of times [s], None if there is none."""
+    """Return the column of times, to be read in seconds. None if there is none."""
     return find_column(path, headers, TIME_NAMES, SECONDS)
 
 
@@ -211,7 +214,7 @@ def refuse_degrees(path: Path, column: NumberColumn, lines: Sequence[int], angle
 
 
 def earlier(path: Path, row: CsvRow, other: str = "") -> UsageError:
-    """Return the error for a row with an earlier time than the rows before.
+    """Create the error for a row whose time is earlier than in the rows before.
 
     Args:
         path: The table.
@@ -225,7 +228,7 @@ def earlier(path: Path, row: CsvRow, other: str = "") -> UsageError:
 
 
 def truth(path: Path, row: CsvRow, key: str) -> bool:
-    """Return the truth value in a column. True if the table has no such column.
+    """Read a truth value in a column. True if the table has no such column.
 
     Args:
         path: The table.

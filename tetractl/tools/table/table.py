@@ -12,7 +12,7 @@ LISTED = 4
 
 
 def fixed(decimals: int) -> Callable[[float], str]:
-    """Return a format with the given number of decimals."""
+    """Create a format with a fixed number of decimals."""
 
     def show(value: float | None) -> str:
         return NONE if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
@@ -21,7 +21,7 @@ def fixed(decimals: int) -> Callable[[float], str]:
 
 
 def lengths(scale: float, finest: int = 9) -> Callable[[float], str]:
-    """Return a format with three significant digits for lengths of about `scale`.
+    """Create a format with three significant digits for lengths of about `scale`.
 
     The format has at least one decimal below 1000, and at most `finest` decimals.
     """
@@ -32,7 +32,7 @@ def lengths(scale: float, finest: int = 9) -> Callable[[float], str]:
 
 
 def digits(value: float) -> str:
-    """Return a number as text with three significant digits."""
+    """Format a number with three significant digits."""
     if value <= 0 or not math.isfinite(value):
         return fixed(0)(value)
     decimals = 2 - math.floor(math.log10(value))
@@ -40,19 +40,19 @@ def digits(value: float) -> str:
 
 
 def plural(noun: str, count: int) -> str:
-    """Return a regular noun as it stands after a count."""
+    """Return a regular noun in the form that follows a count."""
     return noun if count == 1 else f"{noun}s"
 
 
 def listing(texts: Sequence[str], between: str = ", ") -> str:
-    """Join the first texts into one line, with the number of the rest."""
+    """Join the first texts into one line, followed by the number of the remaining ones."""
     joined = between.join(texts[:LISTED])
     more = len(texts) - LISTED
     return f"{joined} and {more} more" if more > 0 else joined
 
 
 def p_value(p: float) -> str:
-    """Return a p-value as text with two digits."""
+    """Format a p-value with two digits."""
     if not math.isfinite(p):
         return NONE
     return f"{p:.2g}" if p >= 0.001 else "< 0.001"
@@ -68,7 +68,7 @@ class Array(Protocol):
     """An array or a number of NumPy, which is slow to import."""
 
     def tolist(self) -> Any:
-        """Return the values as Python's."""
+        """Return the values as Python objects."""
         ...
 
 
@@ -77,10 +77,10 @@ class Column:
     """The values of one quantity, one per row. None or NaN means unknown.
 
     Attributes:
-        name: Name of the quantity. A data file has the values below `name_unit`.
+        name: Name of the quantity. In a data file, the column is called `name_unit`.
         values: The values.
         unit: Unit of the values.
-        format: Returns a value as a reader sees it, below the heading "name [unit]".
+        format: Formats a value for people, below the heading "name [unit]".
         words: Whether the column is left-aligned and may be wrapped. All others are numbers.
     """
 
@@ -107,14 +107,14 @@ class Column:
 
     @property
     def listed(self) -> Sequence[Any]:
-        """The values as Python's."""
+        """The values as Python objects."""
         values = self.values  # `isinstance(given, Array)` takes as long as a hundred values
         return values if isinstance(values, list | tuple) else values.tolist()
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Columns of equal length under a `title`; `note` is text below them."""
+    """Columns of equal length below a `title`, with a `note` as text below them."""
 
     title: str
     columns: tuple[Column, ...]
@@ -122,7 +122,7 @@ class Table:
 
     @classmethod
     def of_texts(cls, title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> Self:
-        """Return a table of words.
+        """Create a table of texts.
 
         A column that is empty in all rows is left out, unless it is the first. An entry is empty if
         it is "" or "-".
@@ -141,7 +141,10 @@ class Table:
 
     @classmethod
     def of_records(cls, title: str, records: Sequence[Mapping[str, Any]]) -> Self:
-        """Return a table with a row per record; if a record lacks a key, its value is unknown."""
+        """Create a table with one row per record.
+
+        If a record lacks a key, its value is unknown.
+        """
         keys = dict.fromkeys(key for record in records for key in record)
         columns = [Column(key, [record.get(key) for record in records]) for key in keys]
         return cls(title, tuple(columns))
@@ -165,7 +168,7 @@ class Table:
         return len(self.columns[0].values) if self.columns else 0
 
     def with_first(self, **constants: Any) -> "Table":
-        """Return the table with further columns in front, each with one value for all rows."""
+        """Return the table with more columns in front, each with the same value in all rows."""
         first = (Column(name, [value] * len(self)) for name, value in constants.items())
         return Table(self.title, (*first, *self.columns), self.note)
 

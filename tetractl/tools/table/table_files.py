@@ -1,9 +1,9 @@
-"""Writes tables as data: JSON, and CSV after RFC 4180.
+"""Write tables for other programs: JSON, and CSV that follows RFC 4180.
 
-An entry of a CSV file is written so that R, MATLAB and spreadsheets read it: numbers with all their
-digits, truth values as true and false, infinities as inf and -inf, unknown values (None and NaN)
-empty. Text that a spreadsheet would evaluate gets an apostrophe in front. In JSON, a number that is
-not finite is null.
+R, MATLAB and spreadsheets can read the CSV files. Numbers have all their digits, truth values are
+true and false, infinities are inf and -inf, and unknown values (None and NaN) are empty. Text that
+a spreadsheet would evaluate as a formula gets an apostrophe in front. In JSON, a non-finite number
+is null.
 """
 
 import csv
@@ -30,7 +30,7 @@ AddRows = Callable[[str, Table, str], None]
 
 
 def csv_text(table: Table) -> str:
-    """Return a table as CSV."""
+    """Format a table as CSV."""
     text = io.StringIO()
     _write_header(table, text)
     _write_rows(table, text)
@@ -49,7 +49,7 @@ def _write_rows(table: Table, stream: TextIO) -> None:
 
 
 def _cells(values: Sequence[Any]) -> list[str]:
-    """Return the values of a column as entries of a CSV file."""
+    """Format the values of a column as entries of a CSV file."""
     from pydantic_core import to_json  # slow to import, and not needed by most commands
 
     def cell(value: Any) -> str:
@@ -71,10 +71,10 @@ def _cells(values: Sequence[Any]) -> list[str]:
 
 @lru_cache  # columns repeat their words
 def csv_entry(text: str) -> str:
-    """Return text as an entry of a CSV file, which a spreadsheet may open.
+    """Format text as an entry of a CSV file, safely for spreadsheets.
 
-    A spreadsheet evaluates text that begins with =, +, - or @, even after white space or as
-    full-width signs; an apostrophe is put in front to prevent that.
+    A spreadsheet evaluates text as a formula if it begins with =, +, - or @, even after white space
+    or as full-width signs. An apostrophe in front prevents that.
     """
     safe = printable(text)
     first = unicodedata.normalize("NFKC", text).lstrip()[:1]
@@ -83,7 +83,7 @@ def csv_entry(text: str) -> str:
 
 @contextmanager
 def table_files(paths: Mapping[str, Path]) -> Iterator[AddRows]:
-    """Write the CSV files of several tables; yields the function that adds rows to one of them.
+    """Write the CSV files of several tables, and yield the function that adds rows to them.
 
     That function raises UsageError if the columns differ from those of earlier rows. Each file is
     written as NAME.part, and renamed at the end of the `with` block unless there was an error; then
@@ -115,8 +115,8 @@ def table_files(paths: Mapping[str, Path]) -> Iterator[AddRows]:
 class _GrowingFile:
     """The CSV file of one table, to which rows are added while it is open.
 
-    It is `opened`, grows by `add`, and is then `complete`. Until then it is called NAME.part, which
-    `discard` deletes. LogError if it cannot be written.
+    Call `opened`, then `add` for the rows, then `complete`. Until then, the file is called
+    NAME.part, which `discard` deletes. If the file cannot be written, LogError is raised.
     """
 
     def __init__(self, name: str, path: Path) -> None:
@@ -139,7 +139,7 @@ class _GrowingFile:
                 self._stream.close()
 
     def add(self, table: Table, source: str) -> None:
-        """Write rows, the first ones below their header."""
+        """Write rows. The first rows are preceded by the header."""
         assert self._stream is not None, "rows are added to an open file"
         keys = [column.key for column in table.columns]
         with self._writing():
@@ -156,18 +156,18 @@ class _GrowingFile:
             _write_rows(table, self._stream)
 
     def complete(self) -> None:
-        """Give the file its name."""
+        """Rename the file to its final name."""
         with self._writing():
             self._part.replace(self._path)
 
     def discard(self) -> None:
-        """Delete what is not complete."""
+        """Delete the file if it is not complete."""
         with self._writing():
             self._part.unlink(missing_ok=True)
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Raise LogError for an error of writing the file, such as of a full disk."""
+        """Raise LogError if an error occurs while the file is written, such as a full disk."""
         try:
             yield
         except OSError as error:
@@ -176,12 +176,12 @@ class _GrowingFile:
 
 
 def json_text(value: Any, indent: int | None = 2) -> str:
-    """Return JSON of plain data, dataclasses and arrays; null for a number that is not finite."""
+    """Convert plain data, dataclasses and arrays to JSON. Non-finite numbers become null."""
     return json.dumps(plain(value), indent=indent, ensure_ascii=indent is not None, allow_nan=False)
 
 
 def plain(value: Any) -> Any:
-    """Convert data to dictionaries, lists, texts and finite numbers; other numbers become None."""
+    """Convert data to dictionaries, lists, texts and finite numbers. Other numbers become None."""
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
     if isinstance(value, Array):
@@ -196,7 +196,7 @@ def plain(value: Any) -> Any:
 
 
 def flat(items: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Flatten nested items: a `ci95` pair becomes `low` and `high`, lists become text."""
+    """Flatten nested items: a `ci95` pair becomes `low` and `high`, and lists become text."""
     row: dict[str, Any] = {}
     for key, value in items.items():
         name = f"{prefix}{key}"

@@ -1,4 +1,4 @@
-"""Writes tables for readers: to a terminal, as Markdown, LaTeX and HTML."""
+"""Write tables for people: to a terminal, and as Markdown, LaTeX and HTML."""
 
 import re
 import sys
@@ -42,8 +42,8 @@ _MINUS = re.compile(r"(?<![\w.])-(?=\d)|(?<= )-(?= )")
 def open_console(stderr: bool = False, quiet: bool = False) -> "Console":
     """Return rich's console of stdout or stderr.
 
-    Unless the stream is a terminal, the console sends no code of a terminal, whatever FORCE_COLOR
-    and TTY_COMPATIBLE say: they are set in notebooks and CI.
+    Unless the stream is a terminal, the console sends no terminal codes, even if FORCE_COLOR or
+    TTY_COMPATIBLE is set, as in notebooks and CI.
     """
     from rich.console import Console
 
@@ -80,9 +80,9 @@ def _print(table: Table, console: "Console") -> None:
 
 
 def _fitting(table: Table, console: "Console") -> Table:
-    """Return a table with as many columns as fit a terminal without breaking a number or a word.
+    """Select as many columns as fit into a terminal without breaking a number or a word.
 
-    These are the first columns, and the last.
+    These are the first columns, and the last one.
     """
     columns = table.columns
     while len(columns) > 2 and _least_width(_drawn(table, True), console) > console.width:
@@ -99,7 +99,7 @@ def _least_width(drawn: "RichTable", console: "Console") -> int:
 
 
 def _drawn(table: Table, terminal: bool) -> "RichTable":
-    """Convert a table for rich.
+    """Convert a table to a table of the library rich.
 
     Words are wrapped. Numbers and units are not broken. Without a terminal, names and paths in the
     first column are not broken either.
@@ -132,7 +132,7 @@ def _drawn(table: Table, terminal: bool) -> "RichTable":
 
 
 def markdown(tables: Sequence[Table]) -> str:
-    """Return tables in Markdown."""
+    """Format tables as Markdown."""
     parts = []
     for table in tables:
         first, *others = table.columns
@@ -151,7 +151,7 @@ def _markdown(text: str) -> str:
 
 
 def latex(tables: Sequence[Table]) -> str:
-    r"""Return `tabular` and `tabularx` environments that fit the width of the text.
+    r"""Format tables as LaTeX: `tabular` and `tabularx` environments that fit the text's width.
 
     The document needs the packages booktabs, graphicx and tabularx. Tables of numbers that are too
     wide are set smaller; in tables of words the words are wrapped. Title and note are below.
@@ -196,7 +196,7 @@ def _escaped(text: str) -> str:
 
 
 def html(tables: Sequence[Table], links: Mapping[str, str] | None = None) -> str:
-    """Return tables as HTML, each in an element that scrolls.
+    """Format tables as HTML, each in an element that scrolls.
 
     `links` maps the text of an entry in the first column to the address that it links to.
     """

@@ -1,1 +1,1 @@
-"""The filter and its bank of hypotheses, compiled."""
+"""The compiled filters that learn how robots move, and the bank that compares these filters."""

@@ -1,16 +1,19 @@
-"""What the filters (`tetractl.control.estimation.kernels.filter`) of all robots say together.
+"""Combine what the filters of all robots have learnt: which are likely, and what they predict.
 
-`share` computes how likely each filter is; `select` finds which filters go on, and with which dead
-times; `forecast` predicts the robots by their likeliest filters, and says what is known of them.
-Numbers and shapes are those of `filter_state`; `tests/testkit/references/bank.py` is a readable
-reference.
+Each robot has several filters, which differ in the dead time that they assume
+(`tetractl.control.estimation.kernels.filter`). `share` computes how likely each filter is. `select`
+decides which filters continue, and with which dead times. `forecast` predicts each robot with its
+likeliest filter, and fills the estimate of its motion. Numbers and shapes are explained in
+`filter_state`. `tests/testkit/references/bank.py` is a readable reference implementation.
 
-Let l(b, i) be the likelihood of filter b of robot i by the robot's own frames, exp(score), and
-n(t, b, i) the density of a common dead time t, given that filter's. The frames of robot i tell of t
+Most probably, all robots have the same dead time t. So each robot's frames also carry information
+about the dead times of the others. Let l(b, i) = exp(score) be the likelihood of filter b of robot
+i, given the robot's own frames. Let n(t, b, i) be the density of the common dead time t if this
+filter is right. Then the likelihood of t, given the frames of robot i, is
 
-    L_i(t) = sum_b n(t, b, i) l(b, i),
+    L_i(t) = sum_b n(t, b, i) l(b, i).
 
-and filter b of robot i is as likely as its own frames say, times what the other robots tell of t:
+The probability of filter b of robot i combines its own frames with those of the other robots:
 
     P(b, i) ~ l(b, i) sum_t n(t, b, i) prior(t) prod_(k != i) L_k(t).
 """
@@ -56,7 +59,7 @@ _largest_square_sum = inlined(largest_square_sum)
 
 @compiled(**ENTRY_FAST)
 def share(bank, common):
-    """Fill the shared score of each filter: the ln of its probability."""
+    """Compute the shared score of each filter, its ln probability given all robots' frames."""
     filters, robots = bank.score.shape
     times = common.ln_prior.size
     ln_of_others = np.empty((times, robots))  # ln of what the other robots tell of each time
@@ -81,9 +84,9 @@ def share(bank, common):
 
 @compiled(**INLINE_FAST)
 def _multiply(bank, common, ln_of_others, i, density):
-    """Fill robot i's shared scores: those of its own frames and those of the other robots.
+    """Combine the scores of robot i's filters with what other robots' frames say of the dead time.
 
-    The other robots also tell of the dead time. `density` (B,) is scratch.
+    The result is the shared score of each filter. `density` (B,) is a working array.
     """
     filters = density.size
     times = common.ln_prior.size
@@ -102,11 +105,11 @@ def _multiply(bank, common, ln_of_others, i, density):
 
 @compiled(**INLINE_FAST)
 def _dead_time(bank, i, best, density):
-    """Return mean and standard deviation of robot i's dead time.
+    """Compute the mean and standard deviation of robot i's dead time.
 
     Only the filters with the same lag as the robot's likeliest filter, `best`, count. The dead time
     lies between those of the grid, so its deviation is at least a quarter of their step. `density`
-    (B,) is scratch.
+    (B,) is a working array.
     """
     filters = density.size
     total = 0.0
@@ -126,20 +129,21 @@ def _dead_time(bank, i, best, density):
 
 @compiled(**ENTRY_FAST)
 def select(bank, tried, same, commanded, going_on):
-    """Fill `going_on` with the filters that continue, chosen by their shared scores.
+    """Choose the filters that continue, by their shared scores.
 
-    In each group of a robot's filters, those continue that are not far less likely than the best,
-    together with those between them and next to the likeliest. If the states `tried` of two groups
-    differ by less than `same`, the less likely group ends. Once robots were commanded, a grid of
-    three dead times halves its step, and a grid whose best dead time is at its end moves. Each lag
-    has a grid of its own: the longer the lag, the shorter the dead time.
+    In each group of a robot's filters, three kinds continue: filters that are not much less likely
+    than the best one, the filters between them, and the neighbours of the likeliest one. If the
+    states `tried` of two groups have come closer than `same`, the less likely group is dropped.
+    Once robots were commanded, a grid of three dead times halves its step, and a grid whose best
+    dead time is at its end moves in that direction. Each lag has a grid of its own, because a
+    longer lag goes with a shorter dead time.
 
     Args:
         bank: The filters.
-        tried: The index of the state that groups start from different values of.
+        tried: Index of the state for which each group started from a different value.
         same: Difference of this state below which two groups count as one.
         commanded: Whether the robots were sent commands.
-        going_on: A `NextFilters` that is filled.
+        going_on: A `NextFilters`, filled with the filters that continue.
 
     Returns:
         Whether the filters differ from those of the bank.
@@ -169,7 +173,7 @@ def select(bank, tried, same, commanded, going_on):
 
 @compiled(**INLINE_FAST)
 def _count(bank, i):
-    """Return the number of robot i's filters: those after them in the bank are none."""
+    """Return the number of robot i's filters. Rows of the bank beyond this number are unused."""
     count = 0
     while count < bank.score.shape[0] and not is_none(bank.score[count, i]):
         count += 1
@@ -178,9 +182,10 @@ def _count(bank, i):
 
 @compiled(**INLINE_FAST)
 def _choose(bank, i, count, best, tried, same, chosen):
-    """Fill `chosen` with those of robot i's first `count` filters that go on; return their number.
+    """Choose which of robot i's first `count` filters continue, and return their number.
 
-    The filters of one group follow each other, in the order of their dead times.
+    Their indices are written to `chosen`. The filters of one group follow each other, in the order
+    of their dead times.
     """
     score = bank.shared_score
     least = score[best, i] - UNLIKELY
@@ -213,14 +218,14 @@ def _choose(bank, i, count, best, tried, same, chosen):
 
 @compiled(**INLINE_FAST)
 def _reached(bank, b, i, tried):
-    """Return the value that the state `tried` of a filter's likeliest hypothesis has reached."""
+    """Return the present value of the state `tried`, in the likeliest hypothesis of a filter."""
     slot = likeliest(bank.ln_weight[b, i], bank.ln_weight.shape[2])
     return bank.state[b, i, slot, tried]
 
 
 @compiled(**INLINE_FAST)
 def _take(bank, i, chosen, going_on):
-    """Let the filters `chosen` go on as they are."""
+    """Copy the filters `chosen` to `going_on`, with their dead times unchanged."""
     for row in range(chosen.size):
         b = chosen[row]
         going_on.rows[row, i] = b
@@ -232,13 +237,13 @@ def _take(bank, i, chosen, going_on):
 
 @compiled(**INLINE_FAST)
 def _is_in(bank, b, i, group):
-    """Return whether a filter is in a group. Every filter is in ALL_GROUPS."""
+    """Check whether a filter is in a group. Every filter is in ALL_GROUPS."""
     return group == ALL_GROUPS or bank.group[b, i] == group
 
 
 @compiled(**INLINE_FAST)
 def _number_of_dead_times(bank, i, chosen, group):
-    """Return the number of different dead times of the filters `chosen` that are in a group."""
+    """Count the different dead times of the filters `chosen` in a group."""
     number = 0
     for row in range(chosen.size):
         if not _is_in(bank, chosen[row], i, group):
@@ -255,7 +260,10 @@ def _number_of_dead_times(bank, i, chosen, group):
 
 @compiled(**INLINE_FAST)
 def _is_inside(bank, i, chosen, best, group):
-    """Return whether the best dead time is between others of a group, or 0 with a longer one."""
+    """Check whether the best dead time is inside the grid of a group, not at its end.
+
+    A dead time of 0 counts as inside if there is a longer one.
+    """
     best_s = bank.dead_time_s[best, i]
     shorter = best_s == 0
     longer = False
@@ -271,10 +279,11 @@ def _is_inside(bank, i, chosen, best, group):
 
 @compiled(**INLINE_FAST)
 def _lay_around(bank, i, chosen, best, best_group, going_on):
-    """Let three dead times around the best one go on, or two from 0 on, in each group.
+    """Lay a new grid around the best dead time of each group: three values, or two starting with 0.
 
-    Each of them takes the filter with the nearest dead time. Unless `best_group` is ALL_GROUPS,
-    each group has a best dead time of its own. Groups that poses do not distinguish stay.
+    Each dead time of the new grid takes the filter with the nearest dead time so far. Unless
+    `best_group` is ALL_GROUPS, each group has a best dead time of its own. Groups that the poses
+    cannot distinguish stay as they are.
     """
     best_s = bank.dead_time_s[best, i]
     last_group = 0
@@ -299,7 +308,7 @@ def _lay_around(bank, i, chosen, best, best_group, going_on):
 
 @compiled(**INLINE_FAST)
 def _best_dead_time(bank, i, chosen, group):
-    """Return the likeliest dead time of the filters `chosen` of a group, or 0 if there are none."""
+    """Return the likeliest dead time among the filters `chosen` of a group. 0 if there are none."""
     best = -1
     for b in chosen:
         in_group = bank.group[b, i] == group
@@ -310,10 +319,10 @@ def _best_dead_time(bank, i, chosen, group):
 
 @compiled(**INLINE_FAST)
 def _between(bank, i, chosen, group, time_s):
-    """Return which of the `chosen` filters of a group is nearest to a dead time, and its score.
+    """Find which of the `chosen` filters of a group is nearest to a dead time, and compute a score.
 
-    The score is that of the dead time: it is interpolated, and beyond the ends of the grid it is
-    that of the end. The filter is -1 if there is none.
+    The score belongs to the dead time. It is interpolated between the neighbours, and beyond the
+    ends of the grid it equals the score of the end. The filter is -1 if there is none.
     """
     nearest = -1
     before = -1
@@ -338,11 +347,12 @@ def _between(bank, i, chosen, group, time_s):
 
 @compiled(**ENTRY_FAST)
 def forecast(bank, model, commands, frame_s, sent_s, room):
-    """Fill a `Forecast` with what each robot's likeliest hypothesis predicts.
+    """Predict each robot with its likeliest hypothesis, and fill a `Forecast`.
 
     Poses are predicted from the last frame, through all commands, to the moment when a command that
-    is sent at `sent_s` takes effect on each robot. If wheels lag, they are the poses in which the
-    robots come to rest if they then stop. Standard deviations grow with the misfit.
+    is sent at `sent_s` takes effect on each robot. If wheels lag, the predicted poses are the ones
+    at which the robots would come to a standstill if they stopped then. Standard deviations grow if
+    the model does not fit.
 
     Args:
         bank: The filters.
@@ -393,12 +403,13 @@ def forecast(bank, model, commands, frame_s, sent_s, room):
 
 @compiled(**INLINE_FAST)
 def _misfit(bank, b, i, room):
-    """Fill how far the sums of the innovations are from what the model allows.
+    """Compute how badly the model fits a robot, from the sums of innovations over blocks of frames.
+
+    An innovation is the measured minus the predicted pose, divided by its standard deviation.
 
     Returns:
         The factor by which standard deviations grow: the root of the largest mean square, and at
-        least
-        1.
+        least 1.
     """
     blocks = max(bank.blocks[b, i], LEAST_BLOCKS)
     limit = _largest_square_sum(blocks)
@@ -411,9 +422,9 @@ def _misfit(bank, b, i, room):
 
 @compiled(**INLINE_FAST)
 def _describe(bank, model, b, i, slot, z, growth, room):
-    """Fill what a hypothesis says about the motion of robot i.
+    """Fill the estimate of robot i's motion and its standard deviations, from one hypothesis.
 
-    The state has logarithms of a and v, so their deviations are relative.
+    The state contains the logarithms of a and v, so their deviations are relative.
     """
     cov = bank.cov[b, i, slot]
     a, speed, side, saturation = parameters_of(model, i, z)
@@ -433,7 +444,7 @@ def _describe(bank, model, b, i, slot, z, growth, room):
 
 @compiled(**INLINE_FAST)
 def _probability_of_stuck(ln_weight, slot):
-    """Return the probability of the last hypothesis; `slot` is the likeliest one."""
+    """Return the probability that a robot is stuck; `slot` is its likeliest hypothesis."""
     total = 0.0
     for s in range(ln_weight.size):
         total += exp(ln_weight[s] - ln_weight[slot])
@@ -444,8 +455,8 @@ def _probability_of_stuck(ln_weight, slot):
 def _predict(bank, model, commands, b, i, slot, z, dead_time_s, begin_s, end_s):
     """Predict the state z of a hypothesis from `begin_s` to `end_s` [s], through all commands.
 
-    A stuck robot hears no command. A command that takes effect within 1 ns of the end is followed
-    then. Those that took effect before the beginning are contained in the state.
+    A stuck robot follows no command. A command that takes effect within 1 ns of the end already
+    counts. Commands that took effect before the beginning are contained in the state.
 
     Returns:
         The direction followed at the end [rad], NaN for a robot that stands still.
@@ -479,7 +490,7 @@ def _predict(bank, model, commands, b, i, slot, z, dead_time_s, begin_s, end_s):
 
 @compiled(**INLINE_FAST)
 def _come_to_rest(model, i, z):
-    """Let lagging wheels come to rest: their swing and pace decay with the time constant."""
+    """Advance lagging wheels until they stand still: their turning and speed decay to zero."""
     a, speed, _, _ = parameters_of(model, i, z)
     turn = z[LAG] * a * z[SWING]
     way = z[LAG] * speed * z[PACE]

@@ -1,33 +1,35 @@
-"""How the filters of `tetractl.control.estimation.filter` follow robots from frame to frame.
+"""Follow each robot from frame to frame with filters that allow for missed commands.
 
-Commands reach robots by radio: they act after a dead time, and a robot may miss one, or be stuck.
+This is the compiled part of `tetractl.control.estimation.filter`. Commands reach robots by radio.
+They act after a dead time, a robot may miss one, and a robot may be stuck.
 
-A *filter* follows one robot and assumes one dead time tau. As it cannot know what the robot is
-doing, it keeps some *hypotheses*, each in a slot of its arrays (`filter_state.Hypotheses`): a state
-z with its covariance, the direction u that the robot would follow, and, as `ln_weight`,
+A *filter* follows one robot and assumes one dead time tau. Since the filter cannot know what the
+robot is doing, it keeps several *hypotheses*, each in a slot of its arrays
+(`filter_state.Hypotheses`). A hypothesis consists of a state z with its covariance, of the
+direction u that the robot would follow, and, as `ln_weight`, of
 
     w = ln P(hypothesis is true),    -inf for a slot without a hypothesis.
 
-In the last slot, the robot is stuck: it stands whatever it is sent. In all others it drives, or
-stands because it was commanded to.
+In the last slot, the robot is stuck: it stands still whatever it is sent. In all other slots, it
+drives, or stands still because it was commanded to.
 
-`place` starts filters from the poses of a frame. `follow` takes them on from there: for each frame,
-each robot and each filter it calls
+`place` starts filters from the poses of a frame. `follow` continues from there: for each frame,
+each robot and each filter, it calls
 
-    _predict         moves each hypothesis on to the time of the frame, by the motion's equations.
-                     When a command acts on the way, hypotheses *branch* (`_branch`): the robot
-                     heard it, and follows its direction from then on, or missed it, with the
-                     probability `LOSS_PROBABILITY`
+    _predict         moves each hypothesis to the time of the frame, by the equations of motion.
+                     When a command acts in between, hypotheses *branch* (`_branch`): the robot
+                     received the command, and follows its direction from that moment; or it missed
+                     the command, with the probability `LOSS_PROBABILITY`
     _update          compares each hypothesis with the pose in the frame, by Bayes' rule:
                      w_s <- w_s + ln p(pose | s) - ln L,    L = sum_s exp(w_s) p(pose | s)
-    _exchange_stuck  lets some probability pass from driving to being stuck, and back
+    _exchange_stuck  moves some probability from driving to being stuck, and back
 
-and adds ln L to the filter's score, which is how well its tau does.
+and adds ln L to the filter's score, which measures how well its dead time explains the frames.
 
-Symbols: b is a filter, i a robot, s a slot, and f a frame; u is a direction [rad], NaN to stand. A
-time ends with `_s`: seconds on the clock of frames and commands, whose orders are those of their
-times. The arrays of the bank and its hypotheses are changed in place. Shapes and units are those of
-`filter_state`.
+Symbols: b is a filter, i a robot, s a slot, and f a frame. u is a direction [rad], NaN if the robot
+is to stand still. Names that end in `_s` are times in seconds on the common clock of frames and
+commands, which come in the order of their times. The arrays of the bank and of its hypotheses are
+changed in place. Shapes and units are explained in `filter_state`.
 """
 
 import math
@@ -100,8 +102,8 @@ NO_SLOT = -1
 def place(bank, model, commands, time_s, poses, placed):
     """Restart the robots `placed` from the poses of a frame.
 
-    In every hypothesis, a robot gets the pose that was measured, and drives by the last command
-    that takes effect at or before the time of its pose.
+    Every hypothesis gets the measured pose, and the last command that took effect at or before the
+    time of this pose.
 
     Args:
         bank: The filters.
@@ -121,10 +123,9 @@ def place(bank, model, commands, time_s, poses, placed):
 
 @compiled(**INLINE_FAST)
 def _set_pose(bank, model, b, i, pose):
-    """Set the pose of every hypothesis to a measured one (3,).
+    """Set the pose of every hypothesis of a filter to a measured pose (3,).
 
-    It is as uncertain as two deviations of the camera's noise, and does not correlate with the
-    other states.
+    Its standard deviation is twice the camera's noise. It does not correlate with the other states.
     """
     bank.unfit_s[b, i] = 0.0
     for s in range(bank.ln_weight.shape[2]):
@@ -142,7 +143,7 @@ def _set_pose(bank, model, b, i, pose):
 
 @compiled(**INLINE_FAST)
 def _follow_last(bank, model, commands, b, i, time_s):
-    """Let every hypothesis but the stuck one follow the last command that acts by a time."""
+    """Let every hypothesis except the stuck one follow the last command that acts by a time."""
     dead_time_s = bank.dead_time_s[b, i]
     number = _number_sent_by(commands, time_s - dead_time_s)
     if number == 0:
@@ -155,7 +156,7 @@ def _follow_last(bank, model, commands, b, i, time_s):
 
 @compiled(**INLINE_FAST)
 def _number_sent_by(commands, time_s):
-    """Return how many commands were sent at or before a time."""
+    """Count the commands that were sent at or before a time."""
     number = commands.sent_s.size
     while number > 0 and commands.sent_s[number - 1] > time_s:
         number -= 1
@@ -167,12 +168,12 @@ def _number_sent_by(commands, time_s):
 
 @compiled(**ENTRY_FAST)
 def follow(bank, model, commands, frames, noisy, step_s):
-    """Take every filter through some frames.
+    """Advance every filter through some frames.
 
-    The filters are at the first frame, whose poses they know already. A pose is used for an update
-    if it is valid and new. A camera may show old poses as new ones: if measurements are noisy, a
-    pose equal to the one before is old, unless the camera is so coarse that poses repeat; and all
-    poses of a frame that `_is_frozen` are old.
+    The filters start at the first frame, whose poses they already know. A pose is used for an
+    update if it is valid and new. A camera may repeat old poses as if they were new. Two rules find
+    them: if measurements are noisy, a pose that equals the previous one is old, unless the camera
+    is so coarse that poses may repeat; and all poses of a frame that `_is_frozen` are old.
 
     Args:
         bank: The filters.
@@ -214,17 +215,18 @@ def follow(bank, model, commands, frames, noisy, step_s):
 
 @compiled(**INLINE_FAST)
 def _equal(pose, before):
-    """Return whether two poses (3,) are equal."""
+    """Check whether two poses (3,) are equal."""
     return pose[X] == before[X] and pose[Y] == before[Y] and pose[HEADING] == before[HEADING]
 
 
 @compiled(**INLINE_FAST)
 def _is_frozen(bank, model, commands, frames, f):
-    """Return whether the camera has shown the frame before again: all its poses are equal.
+    """Check whether the camera has repeated the previous frame: all poses of the two are equal.
 
-    They may also be equal because nothing moved, and then they count: a single robot may be stuck,
-    and measured without noise; a coarse camera may not resolve the motion; and all robots may
-    stand, if the last command that has acted by then, whatever the dead time, was a stop.
+    Poses may also be equal because nothing moved, and then the frame counts as new. This is the
+    case in three situations: there is a single robot, measured without noise, which may be stuck;
+    the camera is too coarse to resolve the motion; or all robots stand still, because the last
+    command that has acted for every possible dead time was a stop.
     """
     robots = len(model.parameters)
     if robots == 1 or model.coarse:
@@ -251,7 +253,7 @@ def _is_frozen(bank, model, commands, frames, f):
 def _predict(bank, model, commands, b, i, begin_s, end_s, step_s, scratch):
     """Predict the hypotheses of a filter from one time to another.
 
-    They branch at each command that takes effect on the way.
+    Hypotheses branch at each command that takes effect in between: it was received, or missed.
     """
     hypotheses = _hypotheses(bank, b, i)
     noise_scale = bank.noise_scale[b, i]
@@ -272,9 +274,9 @@ def _predict(bank, model, commands, b, i, begin_s, end_s, step_s, scratch):
 
 @compiled(**INLINE_FAST)
 def _next_acts_s(bank, commands, b, i):
-    """Return when the next command takes effect in a filter [s]; infinity if there is none.
+    """Return when the next command takes effect in a filter [s]. Infinity if there is none.
 
-    That is its dead time after the command was sent.
+    This is the time at which the command was sent, plus the filter's dead time.
     """
     command = bank.next_command[b, i]
     if command < commands.sent_s.size:
@@ -300,11 +302,11 @@ def _predict_one(hypotheses, s, model, i, noise_scale, begin_s, end_s, scratch):
 
 @compiled(**INLINE_FAST)
 def _branch(hypotheses, model, i, u, now_s, step_s):
-    """Branch hypotheses when a command to follow u acts: a robot heard it, or missed it.
+    """Branch hypotheses when a command to follow u acts: the robot received it, or missed it.
 
-    The controller has little time, and a command is rarely missed: it branches the likeliest
-    hypothesis only. Logs have all branched, as their commands may act so soon after each other that
-    frames do not show in between which of them was heard.
+    A controller has little time, and a command is rarely missed, so it branches only the likeliest
+    hypothesis. The evaluation of a log branches all of them, because the commands in a log may act
+    so soon after each other that no frame in between shows which of them the robot received.
     """
     if model.branch_all:
         _branch_all(hypotheses, model, i, u, now_s, step_s)
@@ -316,15 +318,16 @@ def _branch(hypotheses, model, i, u, now_s, step_s):
 def _branch_likeliest(hypotheses, model, i, u, now_s, step_s):
     """Branch the likeliest hypothesis when a command to follow u acts.
 
-    The branch that heard the command takes the slot of the least likely hypothesis,
+    The branch in which the robot received the command takes the slot of the least likely
+    hypothesis,
 
-        w_heard = w_likeliest + ln(1 - lost),
+        w_heard = w_likeliest + ln(1 - lost).
 
-    and all others, the likeliest too, missed it: w <- w + ln(lost).
+    In all other hypotheses, including the likeliest one, the robot missed it: w <- w + ln(lost).
 
-    If one of them follows u already, a robot that hears the command becomes that one. It then has
-    the likeliest one's state with w_heard, if it was less likely than that; its watchdog starts
-    again; and the others stay as they are.
+    If some hypothesis already follows u, a robot that receives the command continues as that
+    hypothesis. If that hypothesis is less likely than w_heard, it takes the state of the likeliest
+    one and w_heard. Its watchdog starts again, and the other hypotheses stay as they are.
     """
     driving = hypotheses.ln_weight.size - 1
     best = likeliest(hypotheses.ln_weight, driving)
@@ -349,9 +352,10 @@ def _branch_likeliest(hypotheses, model, i, u, now_s, step_s):
 def _branch_all(hypotheses, model, i, u, now_s, step_s):
     """Branch each hypothesis when a command to follow u acts, and keep the likeliest branches.
 
-    Each hypothesis so far is the *parent* of two branches. From the likeliest on, each branch takes
-    the next slot; but if its *twin* has one already, its probability is added to the twin's. When
-    no slot is left, the other branches are dropped.
+    Each hypothesis so far is the *parent* of two branches: command received, command missed. The
+    branches take the slots in the order of their probabilities. If an equivalent branch, the
+    *twin*, already has a slot, the probability is added to the twin's instead. When no slot is
+    left, the remaining branches are dropped.
     """
     driving = hypotheses.ln_weight.size - 1
     parents = Hypotheses(
@@ -393,12 +397,12 @@ def _branch_all(hypotheses, model, i, u, now_s, step_s):
 
 @compiled(**INLINE_FAST)
 def _ln_branches(parents, u):
-    """Return ln of the probabilities of the branches of each parent: (2, S), rows HEARD and MISSED.
+    """Compute the ln of the probabilities of each parent's branches: (2, S), rows HEARD and MISSED.
 
         w_heard = w + ln(1 - lost),    w_missed = w + ln(lost).
 
-    For a parent that follows u already, both are the same: it continues as HEARD, with all its
-    probability.
+    For a parent that already follows u, both branches are the same. It continues as HEARD, with its
+    whole probability.
     """
     number = parents.ln_weight.size
     ln_branches = np.empty((2, number))
@@ -414,7 +418,7 @@ def _ln_branches(parents, u):
 
 @compiled(**INLINE_FAST)
 def _likeliest_branch(ln_branches):
-    """Return row and column of the likeliest branch; of equals, HEARD comes first."""
+    """Return row and column of the likeliest branch. If branches are equal, HEARD comes first."""
     best_row = 0
     best_s = 0
     for row in range(ln_branches.shape[0]):
@@ -427,11 +431,12 @@ def _likeliest_branch(ln_branches):
 
 @compiled(**INLINE_FAST)
 def _find_twin(parents, parent, u, hypotheses, parent_of):
-    """Return the slot of the twin of a branch that follows u, NO_SLOT if there is none.
+    """Find the slot of an equivalent branch that also follows u. NO_SLOT if there is none.
 
-    A twin follows the same direction, and the headings of their parents differ little compared with
-    their uncertainty: whichever of the two is true, the robot moves in the same way from now on.
-    The branches in the slots taken come from the parents `parent_of`; the first twin counts.
+    Two branches are twins if they follow the same direction, and if the headings of their parents
+    differ little compared with their uncertainty. Then the robot moves in the same way from now on,
+    whichever of the two is true. `parent_of` contains the parent of the branch in each slot that is
+    taken. If there are several twins, the first one counts.
     """
     variance = parents.cov[parent, HEADING, HEADING]
     for slot in range(parent_of.size):
@@ -443,7 +448,10 @@ def _find_twin(parents, parent, u, hypotheses, parent_of):
 
 @compiled(**INLINE_FAST)
 def _slot_that_follows(hypotheses, u):
-    """Return the first hypothesis that follows u, the stuck one aside; NO_SLOT if there is none."""
+    """Return the first slot, except the stuck one, whose robot follows u.
+
+    NO_SLOT if there is none.
+    """
     for s in range(hypotheses.ln_weight.size - 1):
         if hypotheses.direction[s] == u and not is_none(hypotheses.ln_weight[s]):
             return s
@@ -452,7 +460,7 @@ def _slot_that_follows(hypotheses, u):
 
 @compiled(**INLINE_FAST)
 def _followed(hypotheses, s, now_s):
-    """Return the direction that a robot follows now: NaN once its watchdog has stopped it."""
+    """Return the direction that a robot follows now. NaN once its watchdog has stopped it."""
     if now_s < hypotheses.until_s[s]:
         return hypotheses.direction[s]
     return math.nan
@@ -460,11 +468,12 @@ def _followed(hypotheses, s, now_s):
 
 @compiled(**INLINE_FAST)
 def _hear(hypotheses, s, model, i, u_before, u, now_s, step_s):
-    """Let the robot of one hypothesis hear the command to follow u, instead of `u_before`.
+    """Let the robot of one hypothesis receive the command to follow u, instead of `u_before`.
 
-    When it did so is as uncertain as the dead time, which is anywhere within a step of the grid. A
-    time that is spread evenly over step_s has the variance step_s^2 / 12; in that time, the robot
-    turns at the one rate or at the other, and if it starts or stops, drives or stands.
+    The moment at which this happened is uncertain, because the true dead time is anywhere within a
+    step of the grid. A time that is uniform over step_s has the variance step_s^2 / 12. During this
+    time, the robot turns at the old rate or at the new one; if it starts or stops, it drives or
+    stands still. Heading and position therefore become more uncertain.
     """
     hypotheses.direction[s] = u
     hypotheses.until_s[s] = now_s + model.watchdog_s
@@ -480,7 +489,10 @@ def _hear(hypotheses, s, model, i, u_before, u, now_s, step_s):
 
 @compiled(**INLINE_FAST)
 def _turning_rate(model, i, z, u):
-    """Return dtheta/dt of a robot that follows u [rad/s]; 0 if it stands, u = NaN."""
+    """Compute dtheta/dt of a robot that follows u [rad/s].
+
+    It is 0 if u is NaN, because the robot then stands still.
+    """
     if stands(u):
         return 0.0
     parameters = parameters_of(model, i, z)
@@ -496,13 +508,13 @@ def _turning_rate(model, i, z, u):
 
 @compiled(**INLINE_FAST)
 def _update(bank, model, b, i, pose, seconds, scratch):
-    """Update the hypotheses of a filter by a pose, and return ln of the pose's likelihood.
+    """Update the hypotheses of a filter by a measured pose, and return ln of the pose's likelihood.
 
-    The innovation nu of the likeliest hypothesis, which is the measured minus the expected pose
-    over its deviation, then says how well the filter does. If |nu|^2 is within the gate, the pose
-    fits: it tells how large the noise is, and whether the model is right. Otherwise it is an
-    outlier. If outliers last longer than any fault of a camera, the filter has lost the robot, and
-    restarts from the pose.
+    The innovation nu is the measured minus the expected pose, divided by its standard deviation.
+    The innovation of the likeliest hypothesis shows how well the filter fits. If |nu|^2 is within
+    the gate, the pose fits, and it contributes to the estimate of the noise and to the test of the
+    model. Otherwise, the pose is an outlier. If outliers last longer than any fault of a camera,
+    the filter has lost the robot, and restarts from the pose.
 
     Args:
         bank: The filters.
@@ -537,9 +549,9 @@ def _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovat
 
         w_s <- w_s + ln p(pose | s) - ln L,    ln L = ln sum_s exp(w_s) p(pose | s)
 
-    Then the sum of the probabilities is 1. After that, a w below `LEAST_LN_WEIGHT` is raised to it:
-    what the robot does not do now may become true again. The `innovation` (3,) of the likeliest
-    hypothesis is filled.
+    The sum of the probabilities is then 1. After that, a w below `LEAST_LN_WEIGHT` is raised to
+    this value, so that a hypothesis that is improbable now can become probable again. The
+    `innovation` (3,) of the likeliest hypothesis is filled.
     """
     ln_weight = hypotheses.ln_weight
     largest = -math.inf
@@ -564,11 +576,11 @@ def _update_hypotheses(hypotheses, model, i, noise_scale, pose, scratch, innovat
 
 @compiled(**INLINE_FAST)
 def _scale_after(scale, square):
-    """Return the ratio r of observed to expected variances after one more squared innovation q.
+    """Update the ratio r of observed to expected variances by one more squared innovation q.
 
         r <- r (1 + (min(q, q_max) / E - 1) / n),    E = E[min(q, q_max)], if the noise is right.
 
-    It is an average over some n frames, in which outliers count no more than q_max.
+    The ratio is an average over about n frames, in which an outlier counts no more than q_max.
     """
     change = min(square, CAPPED_SQUARE) / MEAN_CAPPED - 1
     scale = scale * (1 + change / SCALE_MEMORY)
@@ -579,12 +591,12 @@ def _scale_after(scale, square):
 def _add_to_block(bank, b, i, innovation):
     """Add an innovation nu (3,) to the present block of K frames.
 
-    When a block is full, it is added to the sum over blocks that tests the model:
+    When a block is full, its square is added to the sum that tests the model:
 
         square_sum <- square_sum + min((sum_block nu)^2 / K, most_square).
 
-    If the model is right, innovations are independent, and the square is 1 on average. If it is
-    wrong, those of a block have the same sign, and the square is larger.
+    If the model is right, innovations are independent, and the square is 1 on average. If the model
+    is wrong, the innovations of a block have the same sign, and the square is larger.
     """
     block_sum = bank.block_sum[b, i]
     for j in range(3):
@@ -607,13 +619,13 @@ def _add_to_block(bank, b, i, innovation):
 def _exchange_stuck(hypotheses, model, seconds, now_s):
     """Exchange probability between the likeliest driving hypothesis and the stuck one.
 
-    A robot that drives gets stuck once in `every_s`, and a stuck one comes free after `for_s`, both
-    on average. In the `seconds` until now, this happens with the probabilities
+    On average, a robot that drives gets stuck once in `every_s`, and a stuck robot comes free after
+    `for_s`. In the `seconds` until now, this happens with the probabilities
 
         p_stick = seconds / every_s,    p_free = seconds / for_s,    at most 1/2 each.
 
-    Where two hypotheses become one, the state and w of the likelier one count. One of three things
-    is done:
+    When two hypotheses are merged into one, it gets the state and w of the likelier one. There are
+    three cases:
 
         it comes free   if w_stuck + ln p_free > w_likeliest, the likeliest takes the stuck state:
                         w_likeliest <- w_stuck + ln p_free,    w_stuck <- w_stuck + ln(1 - p_free)
@@ -621,8 +633,8 @@ def _exchange_stuck(hypotheses, model, seconds, now_s):
                         takes the likeliest state: w_stuck <- w_likeliest + ln p_stick
         neither         w_stuck <- w_stuck + ln(1 - p_free)
 
-    If the likeliest hypothesis does not drive, being stuck and standing still are the same, and no
-    robot is stuck.
+    If the robot of the likeliest hypothesis stands still anyway, being stuck makes no difference,
+    and no robot is stuck.
     """
     ln_weight = hypotheses.ln_weight
     stuck = ln_weight.size - 1
@@ -649,7 +661,7 @@ def _exchange_stuck(hypotheses, model, seconds, now_s):
 
 @compiled(**INLINE_FAST)
 def _stray(cov, sticks, seconds):
-    """Let the pose of a stuck robot become more uncertain: it may stray, and turn (`Sticks`)."""
+    """Increase the uncertainty of a stuck robot's pose, as it may drift and turn (`Sticks`)."""
     strays2 = sticks.strays * sticks.strays
     turns2 = sticks.turns * sticks.turns
     cov[X, X] += strays2 * seconds
@@ -662,7 +674,10 @@ def _stray(cov, sticks, seconds):
 
 @compiled(**INLINE_FAST)
 def _relate_scores(bank, i):
-    """Let a robot's scores be 0 for its best filter, so that their exponentials are numbers."""
+    """Subtract the best score from all scores of a robot.
+
+    Their exponentials then do not underflow.
+    """
     filters = bank.score.shape[0]
     largest = -math.inf
     for b in range(filters):
@@ -676,16 +691,16 @@ def _relate_scores(bank, i):
 
 @compiled(**INLINE_FAST)
 def is_none(ln_probability):
-    """Return whether a slot with this ln of a probability has no hypothesis, or a row no filter.
+    """Check whether a slot is empty, given its ln of a probability: minus infinity or NaN.
 
-    That is so for minus infinity and for NaN.
+    The same test shows whether a row of the bank has no filter.
     """
     return not ln_probability > -math.inf
 
 
 @compiled(**INLINE_FAST)
 def _hypotheses(bank, b, i):
-    """Return the hypotheses of one filter of a robot, to be read and changed in place."""
+    """Return a view of the hypotheses of one filter of a robot, which can be changed in place."""
     return Hypotheses(
         state=bank.state[b, i],
         cov=bank.cov[b, i],
@@ -699,7 +714,8 @@ def _hypotheses(bank, b, i):
 def _copy_state(source, from_slot, target, to_slot):
     """Copy the state and covariance of a hypothesis of `source` to a slot of `target`.
 
-    They are copied number by number: arrays that are assigned whole take seconds to compile.
+    The copy is made number by number, because the assignment of whole arrays takes seconds to
+    compile.
     """
     z = source.state[from_slot]
     cov = source.cov[from_slot]
@@ -714,7 +730,7 @@ def _copy_state(source, from_slot, target, to_slot):
 
 @compiled(**INLINE_FAST)
 def likeliest(ln, count):
-    """Return the index of the largest of the first `count` logarithms, the first one of equals."""
+    """Return the index of the largest of the first `count` logarithms. The first one wins a tie."""
     best = 0
     for s in range(1, count):
         if ln[s] > ln[best]:
@@ -724,7 +740,10 @@ def likeliest(ln, count):
 
 @compiled(**INLINE_FAST)
 def _least_likely(ln, count):
-    """Return the index of the smallest of the first `count` logarithms, the first one of equals."""
+    """Return the index of the smallest of the first `count` logarithms.
+
+    The first one wins a tie.
+    """
     least = 0
     for s in range(1, count):
         if ln[s] < ln[least]:
@@ -734,7 +753,7 @@ def _least_likely(ln, count):
 
 @compiled(**INLINE_FAST)
 def _scratch(states):
-    """Return room for predictions and updates of hypotheses with some number of states."""
+    """Create the working arrays for predictions and updates of hypotheses with this many states."""
     return FilterScratch(
         jacobian=np.eye(states),
         product=np.empty((states, states)),

@@ -1,16 +1,17 @@
-"""How a filter of `tetractl.control.estimation.filter` updates one hypothesis by a measured pose.
+"""Update one hypothesis about a robot by a measured pose: the measurement step of a Kalman filter.
 
-Of a robot in the state z, a camera measures with noise of the variances R
+For a robot in the state z (`filter_state`), a camera measures, with noise of the variances R,
 
-    h(z) = ( x - p sin theta,   y + p cos theta,   theta + m + atan(w q / v) ),
+    h(z) = ( x - p sin theta,   y + p cos theta,   theta + m + atan(w q / v) ).
 
-p = q = 0 for robots on wheels. The Kalman filter's update by the pose y is
+For robots on wheels, p = q = 0. The Kalman filter's update by the pose y is
 
     z <- z + K (y - h(z)),    K = P H' / (H P H' + R),    H = dh/dz.
 
-It is made for one number after the other, so that no matrix is inverted: H P H' + R is a number,
-and H is a row. P is updated in Joseph's form, (1 - K H) P (1 - K H)' + K R K': after a long time
-without a fit, P is many orders larger than R, and by rounding P - K H P would not be a covariance.
+The update is made for one number after the other, so that no matrix is inverted: H P H' + R is a
+number, and H is a row. P is updated in Joseph's form, (1 - K H) P (1 - K H)' + K R K'. The shorter
+form P - K H P would fail: after a long time without a fit, P is many orders of magnitude larger
+than R, and rounding errors would leave a matrix that is no covariance.
 """
 
 import math
@@ -46,14 +47,14 @@ def measure(model, i, z, cov, noise_scale, pose, scratch):
     """Update one hypothesis of robot i by a measured pose.
 
     Args:
-        model: What is assumed of the robots, a `FilterModel`.
-        i: The robot.
+        model: The assumptions about the robots, a `FilterModel`.
+        i: Index of the robot.
         z: The state (STATES,), which changes.
         cov: The covariance P (n, n), which changes.
         noise_scale: Ratios (2,) of the bank, by which the variances R are multiplied.
         pose: The measured x, y [length unit] and heading [rad], (3,).
         scratch: A `FilterScratch`. Its `innovation` (3,) is filled with y - h(z) along and across
-            the course and of the heading, over their standard deviations.
+            the course and of the heading, each divided by its standard deviation.
 
     Returns:
         The ln of the pose's likelihood. An outlier changes neither z nor P, and has the likelihood
@@ -78,9 +79,9 @@ def measure(model, i, z, cov, noise_scale, pose, scratch):
 
 @compiled(**INLINE_FAST)
 def _expect(model, i, z, expected, slopes):
-    """Fill the pose h(z) (3,) that a camera would measure, and its `slopes` H (3, n).
+    """Compute the pose h(z) (3,) that a camera would measure, and its `slopes` H (3, n).
 
-    Only slopes that are not always 0 are written.
+    Only the slopes that can differ from 0 are written.
     """
     expected[0] = z[X]
     expected[1] = z[Y]
@@ -112,9 +113,9 @@ def _expect(model, i, z, expected, slopes):
 
 @compiled(**INLINE_FAST)
 def _compare(model, i, z, cov, noise_scale, pose, scratch):
-    """Compare a measured pose (3,) with the one expected by a hypothesis.
+    """Compare a measured pose (3,) with the pose that a hypothesis expects.
 
-    `off`, `variance` and `innovation` of the scratch arrays are filled.
+    The function fills `off`, `variance` and `innovation` of the scratch arrays.
 
     Returns:
         The sum of the squared innovations, and the sum of the ln of their variances H P H' + R.
@@ -146,7 +147,7 @@ def _compare(model, i, z, cov, noise_scale, pose, scratch):
 
 @compiled(**INLINE_FAST)
 def _multiply(cov, h, p_h):
-    """Fill `p_h` (n,) with P h, for a row h (n,) of H; return h P h'."""
+    """Compute P h for a row h (n,) of H into `p_h` (n,), and return h P h'."""
     total = 0.0
     for k in range(h.size):
         p_h[k] = 0.0
@@ -158,9 +159,9 @@ def _multiply(cov, h, p_h):
 
 @compiled(**INLINE_FAST)
 def _correct(z, cov, j, scratch):
-    """Update z and P by the measured number j; return its variance H P H' + R before.
+    """Correct z and P by the measured number j; return its variance H P H' + R from before.
 
-    The later numbers' differences `off` from what is expected are updated, too.
+    The differences `off` of the later numbers from their expectation change accordingly.
     """
     off = scratch.off
     slopes = scratch.slopes

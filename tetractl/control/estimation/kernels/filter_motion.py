@@ -1,29 +1,34 @@
-"""How a filter of `tetractl.control.estimation.filter` predicts one hypothesis: z and P.
+"""Predict one hypothesis about a robot: its state z and covariance P after a short time.
 
-A robot that follows a direction u moves for a short time t [s] by
+This is the prediction step of a Kalman filter (`tetractl.control.estimation.filter`). A robot that
+follows a direction u changes, in a short time t [s], by
 
     z <- f(z, u, t),    P <- F P F' + Q t,    F = df/dz.
 
-The motion's own step f and its slopes are those of the planner (`tetractl.model.motion.exact`),
-with the turning rate of `tetractl.model.motion.turn_rate`.
+The step f and its derivatives are the ones of the planner (`tetractl.model.motion.exact`), with the
+turning rate of `tetractl.model.motion.turn_rate`.
 
-Wheels that lag by T have a swing r, their turning rate over a, and a pace g, their speed over v.
-Their host assumes a lag of T_h, with which it computes the swing r_h, and sends the turning rate
-that (3) gives for the heading psi = theta + T_h a r_h, in which the robot would come to rest if
-that were true. So psi follows (3), but for what the host does not know:
+Wheels that lag with a time constant T have two more states: a swing r, their turning rate divided
+by a; and a pace g, their speed divided by v. The host assumes a lag T_h, and computes its own idea
+of the swing, r_h. It sends the turning rate that equation (3) gives for the heading
 
-    dpsi/dt = a sin(u + beta - psi) + a (r - r_h),
+    psi = theta + T_h a r_h,
 
-where r_h is sin(u + beta - psi) itself if the host neglects the lag, T_h = 0. In a short time, psi
-turns by `rest_turn` if it begins half of the second term's integral further on. The wheels follow
-the mean of the rate sent: r approaches w = rest_turn / (a t) and g approaches 1, or 0 for a robot
-that stops, with the time constant T, and r_h approaches w with T_h:
+at which the robot would come to a standstill if T_h were the true lag. So psi follows (3), except
+for what the host does not know:
+
+    dpsi/dt = a sin(u + beta - psi) + a (r - r_h).
+
+If the host neglects the lag, T_h = 0, then r_h is sin(u + beta - psi) itself. In a short time, psi
+turns by `rest_turn`; to compute this, psi starts half of the second term's integral further on. The
+wheels follow the mean of the rate that is sent, w = rest_turn / (a t). With the time constant T, r
+approaches w, and g approaches 1, or 0 for a robot that stops. With T_h, r_h approaches w:
 
     r' = w + (r - w) exp(-t/T),    turn = rest_turn + a T (r - w) (1 - exp(-t/T)),
-    g' = 1 + (g - 1) exp(-t/T),    way = v (t + T (g - 1) (1 - exp(-t/T))),
+    g' = 1 + (g - 1) exp(-t/T),    distance = v (t + T (g - 1) (1 - exp(-t/T))).
 
-with g' = g exp(-t/T) and way = v T g (1 - exp(-t/T)) for a robot that stops. The path is the arc of
-this turn and way, whose chord points to the heading in its middle.
+For a robot that stops, g' = g exp(-t/T) and distance = v T g (1 - exp(-t/T)). The path is an arc
+with this turn and this distance. Its chord points to the heading in the middle of the arc.
 """
 
 import math
@@ -84,19 +89,13 @@ without bound, until the covariance is invalid because of rounding.
 
 @compiled(**INLINE_FAST)
 def stands(u):
-    """Return whether a direction is none: a robot that follows it stands."""
+    """Check whether a direction is NaN, which means that the robot stands still."""
     return math.isnan(u)
 
 
 @compiled(**INLINE_FAST)
 def parameters_of(model, i, z):
-    """Return a [rad/s], v [length unit/s], side and saturation of robot i in a state.
-
-    Args:
-        model: The assumptions about the robots.
-        i: The index of the robot.
-        z: The state (STATES,).
-    """
+    """Return a [rad/s], v [length unit/s], side and saturation of robot i in a state."""
     a = model.parameters[i, 0] * exp(z[LN_A])
     speed = model.parameters[i, 1] * exp(z[LN_SPEED])
     return a, speed, z[SIDE], exp(min(z[LN_SATURATION], 0.0))
@@ -107,11 +106,11 @@ def advance(model, i, z, cov, u, noise_scale, seconds, scratch):
     """Predict the state z and the covariance P of robot i that follows the direction u.
 
     Args:
-        model: What is assumed of the robots, a `FilterModel`.
-        i: The robot.
+        model: The assumptions about the robots, a `FilterModel`.
+        i: Index of the robot.
         z: Its state (STATES,), which changes.
         cov: P (n, n), which changes. With None, only the state is predicted.
-        u: The direction [rad]; NaN if the robot is to stand.
+        u: The direction [rad]; NaN if the robot is to stand still.
         noise_scale: Ratios (2,) of the bank; None if `cov` is None.
         seconds: How long the robot moves [s].
         scratch: A `FilterScratch` whose `jacobian` began as the unit matrix; None if `cov` is None.
@@ -150,7 +149,10 @@ def advance(model, i, z, cov, u, noise_scale, seconds, scratch):
 
 @compiled(**INLINE_FAST)
 def _step(model, z, drives, cos_u, sin_u, parameters, t):
-    """Return the `Derivatives` of a short step; swings and pace of lagging wheels change."""
+    """Compute the `Derivatives` of a short step.
+
+    The swings and the pace of lagging wheels, which are part of the state, are updated.
+    """
     host_lag = model.host_lag_s
     lags = z[LAG] > 0 or host_lag > 0
     rest_heading = z[HEADING]
@@ -184,20 +186,20 @@ def _step(model, z, drives, cos_u, sin_u, parameters, t):
 
 @compiled(**INLINE_FAST)
 def _unknown_turn(z, rest_heading, cos_u, sin_u, a, host_lag, t):
-    """Return by how much more the heading psi turns in a short step than its host knows.
+    """Compute the part of the turn of the heading psi in a short step that the host does not know.
 
-    It is a times the integral of r - r_h, with the rate that is sent at the beginning: exactly 0 if
-    the host assumes the true lag.
+    It is a times the integral of r - r_h, for the rate that is sent at the beginning of the step.
+    It is exactly 0 if the host assumes the true lag.
     """
     sent = sin_u * cos(rest_heading) - cos_u * sin(rest_heading)
-    true_way = _remaining_way(z[SWING] - sent, z[LAG], t)
-    host_way = _remaining_way(z[HOST_SWING] - sent, host_lag, t)
-    return a * (true_way - host_way)
+    true_distance = _remaining_distance(z[SWING] - sent, z[LAG], t)
+    host_distance = _remaining_distance(z[HOST_SWING] - sent, host_lag, t)
+    return a * (true_distance - host_distance)
 
 
 @compiled(**INLINE_FAST)
-def _remaining_way(missing, lag, t):
-    """Return the integral over a time t [s] of what is missing at first and decays with a lag."""
+def _remaining_distance(missing, lag, t):
+    """Integrate over a time t [s] a difference that is `missing` at first and decays with a lag."""
     if lag == 0:
         return 0.0
     return missing * lag * (1 - exp(-t / lag))
@@ -205,10 +207,11 @@ def _remaining_way(missing, lag, t):
 
 @compiled(**INLINE_FAST)
 def _lagging(z, rest, rest_slopes, goal, parameters, host_lag, t):
-    """Return the `Derivatives` of a short step of lagging wheels; swings and pace change.
+    """Compute the `Derivatives` of a short step of lagging wheels, and update their swing and pace.
 
-    They follow from the derivatives of the heading in which the wheels come to rest. If that
-    heading changes and a fraction `keep` of the change stays, the chord turns by half of both.
+    The derivatives follow from those of the heading at which the wheels will come to a standstill.
+    If that heading changes, and a fraction `keep` of the change remains after the step, the chord
+    of the step turns by the mean of both.
     """
     lag = max(z[LAG], LEAST_LAG_S)
     a = parameters[0]
@@ -220,8 +223,8 @@ def _lagging(z, rest, rest_slopes, goal, parameters, host_lag, t):
     decay = decay_half * decay_half
     turn_half = 0.5 * rest_turn + a * lag * (1 - decay_half) * (z[SWING] - wish)
     turn = rest_turn + a * lag * (1 - decay) * (z[SWING] - wish)
-    way = speed * (t * goal + lag * (1 - decay) * (z[PACE] - goal))
-    dx, dy = rolled(z[HEADING] + turn_half - 0.5 * turn, turn, way)
+    distance = speed * (t * goal + lag * (1 - decay) * (z[PACE] - goal))
+    dx, dy = rolled(z[HEADING] + turn_half - 0.5 * turn, turn, distance)
     host_swing = z[HOST_SWING]
     z[SWING] = wish + decay * (z[SWING] - wish)
     z[PACE] = goal + decay * (z[PACE] - goal)
@@ -244,7 +247,7 @@ def _lagging(z, rest, rest_slopes, goal, parameters, host_lag, t):
 
 @compiled(**INLINE_FAST)
 def _move(z, derivatives, t):
-    """Move x, y and the heading by a step, and by the flow."""
+    """Move x, y and the heading by one step, and add the displacement by the flow."""
     dx, dy, turn = derivatives[0]
     z[X] += dx + t * z[FLOW_X]
     z[Y] += dy + t * z[FLOW_Y]
@@ -253,7 +256,7 @@ def _move(z, derivatives, t):
 
 @compiled(**INLINE_FAST)
 def _turn_helix(z, angle):
-    """Turn the helix: p' = p cos + q sin, q' = q cos - p sin."""
+    """Rotate the phase of a cell's helix by an angle: p' = p cos + q sin, q' = q cos - p sin."""
     c = cos(angle)
     s = sin(angle)
     sine = z[HELIX_SINE]
@@ -264,10 +267,10 @@ def _turn_helix(z, angle):
 
 @compiled(**INLINE_FAST)
 def _fill_jacobian(jacobian, derivatives, z, angle, t):
-    """Fill F = df/dz (n, n) of a step of t [s], given its `Derivatives` and the state z after it.
+    """Fill F = df/dz (n, n) for a step of t [s], from its `Derivatives` and the state z after it.
 
-    The helix has turned by `angle` [rad], whose slope by ln w is the angle. Only entries that may
-    differ from those of the unit matrix are written.
+    The helix has turned by `angle` [rad], whose derivative by ln w is the angle itself. Only
+    entries that may differ from the unit matrix are written.
     """
     _, by_heading, by_u, by_parameters = derivatives
     for row in range(HEADING + 1):  # x, y and the heading
@@ -290,7 +293,10 @@ def _fill_jacobian(jacobian, derivatives, z, angle, t):
 
 @compiled(**INLINE_FAST)
 def _propagate(cov, jacobian, product):
-    """Replace P by F P F', symmetric to the last bit. `product` (n, n) takes F P."""
+    """Replace P by F P F', which is symmetric to the last bit.
+
+    `product` (n, n) is a working array for F P.
+    """
     states = cov.shape[0]
     for j in range(states):
         for k in range(states):
@@ -309,7 +315,7 @@ def _propagate(cov, jacobian, product):
 
 @compiled(**INLINE_FAST)
 def _add_walk(model, i, cov, noise_scale, t):
-    """Add the random walks Q t to the variances; those of the pose are scaled as its noise is."""
+    """Add the random walks Q t to the variances. The walk of the pose is scaled like the noise."""
     for k in range(cov.shape[0]):
         scale = 1.0
         if k <= Y:
@@ -321,7 +327,7 @@ def _add_walk(model, i, cov, noise_scale, t):
 
 @compiled(**INLINE_FAST)
 def _bound_heading(cov):
-    """Limit the variance of the heading to that of an unknown one, and its covariances with it."""
+    """Limit the heading's variance to that of an unknown heading, and scale its covariances."""
     share = math.sqrt(UNKNOWN_HEADING / cov[HEADING, HEADING])
     for k in range(cov.shape[0]):
         cov[HEADING, k] *= share

@@ -1,33 +1,33 @@
-"""What the filters of `tetractl.control.estimation.filter` know and assume about robots.
+"""The data of the filters that learn how robots move: states, arrays, and assumptions.
 
-Nothing here needs the compiler.
+`tetractl.control.estimation.filter` explains the filters. Nothing in this file needs the compiler.
 
-**State.** Of each robot a filter follows the position (x, y) and the heading theta in which it
-travels, its turning rate a and speed v, a turn bias beta, a marker bias m that is added to the
-measured heading, and the flow (f_x, f_y) that carries the robot, or with which it slides. Under a
-direction u
+**State.** For each robot, a filter estimates the position (x, y), the heading theta in which the
+robot travels, its turning rate a, and its speed v. It also estimates a turn bias beta; a marker
+bias m, which is added to the measured heading; and the flow (f_x, f_y), which carries the robot or
+with which it slides. Under a direction u, a robot moves by
 
     dx/dt = v cos theta + f_x,   dy/dt = v sin theta + f_y,   dtheta/dt = a sin(u + beta - theta).
 
-A cell also swims on a helix of the angular frequency w, with a sideways swing of sine p and cosine
-q. (Robots on wheels have none: p = q = 0.)
+A cell also swims on a helix with the angular frequency w. Its sideways swing has the sine part p
+and the cosine part q. (For robots on wheels, p = q = 0.)
 
     dp/dt = w q,   dq/dt = -w p.
 
 All parameters drift as random walks, so that old measurements lose their weight. Robots may turn
-faster to one side, and motors of wheels may saturate: they turn no faster than at some rate
-(`tetractl.model.motion.turn_rate`). Turning rate and speed of wheels approach the commanded ones
-with the time constant T, their lag. Their host predicts the heading in which the robot would come
-to rest, with the lag that it assumes, and the direction acts on that heading (`filter_motion`).
-What a camera measures is in `filter_measure`.
+faster to one side. The motors of wheels may saturate, so that the robot turns no faster than some
+maximum rate (`tetractl.model.motion.turn_rate`). Turning rate and speed of wheels approach the
+commanded values with the time constant T, their lag. The host assumes a lag, with which it predicts
+the heading at which the robot would come to a standstill. The direction acts on that heading
+(`filter_motion`). `filter_measure` explains what a camera measures.
 
-**Arrays.** A robot has the states below, one slot each. All have a variance except the last four.
-Robots on wheels have no helix: their covariance ends before HELIX_SINE, and they leave the helix's
-slots 0. Cells have all states, but their LN_SATURATION stays 0.
+**Arrays.** Each state of a robot has one index, see below. All states have a variance except the
+last four. Robots on wheels have no helix: their covariance ends before HELIX_SINE, and their helix
+states stay 0. Cells have all states, but their LN_SATURATION stays 0.
 
-The arrays of a `Bank` have an entry for each filter b of B, and for each robot i of N. Those of
-hypotheses also have one for each slot s of S: a robot that drives may follow one of some commands
-(all slots but the last), or it is stuck (the last slot).
+The arrays of a `Bank` have an entry for each filter b of B, and for each robot i of N. Arrays of
+hypotheses also have an entry for each slot s of S. In all slots except the last, the robot drives
+and follows one of the recent commands. In the last slot, the robot is stuck.
 """
 
 import math
@@ -137,7 +137,7 @@ OWN_STD_S = 0.06
 
 
 class SentCommands(NamedTuple):
-    """C commands to all robots, in the order of their times."""
+    """The C commands that were sent to all robots, in the order of their times."""
 
     sent_s: Floats
     """(C,) times of sending [s]."""
@@ -146,7 +146,7 @@ class SentCommands(NamedTuple):
 
 
 class PoseFrames(NamedTuple):
-    """F frames of N robots; the first is the one from which the filters start."""
+    """Camera frames with the poses of N robots. The first frame is where the filters start."""
 
     time_s: Floats
     """(F, N) times of the poses [s]."""
@@ -156,7 +156,7 @@ class PoseFrames(NamedTuple):
     """(F, N) which poses may be used."""
 
     def part(self, begin: int, end: int) -> Self:
-        """Return the frames from `begin` on, before `end`."""
+        """Return the frames from index `begin` up to, but not including, `end`."""
         return self._make(column[begin:end] for column in self)
 
 
@@ -192,7 +192,7 @@ class FilterModel(NamedTuple):
 
 
 class Bank(NamedTuple):
-    """B filters of each of N robots, each with its own dead time and S hypotheses."""
+    """B filters for each of N robots, each with its own dead time and S hypotheses."""
 
     state: Floats
     """(B, N, S, STATES)"""
@@ -241,7 +241,7 @@ class Bank(NamedTuple):
         group: NDArray[np.int64],
         follows: int = FOLLOWS,
     ) -> Self:
-        """Return filters of robots that stand still, with one hypothesis each.
+        """Create filters for robots that stand still, with one hypothesis each.
 
         Args:
             dead_time_s: The dead time of each filter (B,) [s].
@@ -249,8 +249,7 @@ class Bank(NamedTuple):
             std: The standard deviations of the states with a variance (N, n).
             group: The group of each filter (B,).
             follows: The number of slots for hypotheses of robots that drive. There is one more
-                slot, for a
-                stuck robot.
+                slot, for a stuck robot.
         """
         robots, states = std.shape
         per_filter = (len(dead_time_s), robots)
@@ -281,20 +280,23 @@ class Bank(NamedTuple):
 
     @classmethod
     def joined(cls, banks: Sequence[Self]) -> Self:
-        """Return the filters of some banks of the same robots, one bank after the other."""
+        """Join several banks of the same robots into one bank."""
         return cls._make(np.concatenate(columns) for columns in zip(*banks, strict=True))
 
     def copied(self) -> Self:
-        """Return the same filters, to be changed."""
+        """Return a copy of the bank, whose arrays can be changed independently."""
         return self._make(column.copy() for column in self)
 
     def part(self, rows: NDArray[np.int64]) -> Self:
-        """Return the filters `rows` (R, N) of each robot."""
+        """Select the filters `rows` (R, N) of each robot."""
         robots = np.arange(rows.shape[1])
         return self._make(column[rows, robots] for column in self)
 
     def padded(self, count: int) -> Self:
-        """Return the filters with room for `count` of each robot; those added are no filters."""
+        """Extend the arrays to `count` filters for each robot.
+
+        The added rows are marked as unused.
+        """
         size, robots = self.dead_time_s.shape
         rows = np.minimum(np.arange(count), size - 1)
         padded = self.part(rows[:, None].repeat(robots, axis=1))
@@ -303,7 +305,10 @@ class Bank(NamedTuple):
 
 
 class Hypotheses(NamedTuple):
-    """What one robot may be doing, by one filter: S hypotheses, named as in a `Bank`."""
+    """The S hypotheses of one filter about what one robot is doing.
+
+    The fields are explained in `Bank`.
+    """
 
     state: Floats
     """(S, STATES)"""
@@ -318,7 +323,7 @@ class Hypotheses(NamedTuple):
 
 
 class FilterScratch(NamedTuple):
-    """Room for the numbers of one prediction and one update of a hypothesis."""
+    """Working arrays for one prediction and one update of a hypothesis."""
 
     jacobian: Floats
     """(n, n) F, the slopes of a step"""
@@ -341,7 +346,10 @@ class FilterScratch(NamedTuple):
 
 
 class CommonTimes(NamedTuple):
-    """T dead times that all N robots may have in common, and how they go with each filter's."""
+    """A grid of T dead times that all robots may share.
+
+    It also contains how well each filter agrees with each of these times.
+    """
 
     near: Floats
     """(T, B, N) density of each time for the other robots, given a filter's dead time [1/s]."""
@@ -350,15 +358,16 @@ class CommonTimes(NamedTuple):
 
     @classmethod
     def of(cls, bank: Bank, prior: Prior) -> Self:
-        """Return the times for the filters of a bank.
+        """Compute the shared dead times for the filters of a bank.
 
-        If filter b of robot i is right, the robot's dead time is tau_b, give or take half the step
-        of its grid, step_s. That of another robot is the same, but for a probability
-        OWN_PROBABILITY, with which it differs by OWN_STD_S or so:
+        If filter b of robot i is right, the robot's dead time is tau_b, with an uncertainty of half
+        the step of its grid, step_s. Another robot has the same dead time, except with a small
+        probability OWN_PROBABILITY; then it differs by about OWN_STD_S. Up to a factor, this gives
+        the density
 
             near = (1 - own) g(t - tau_b, step_s / 2) + own g(t - tau_b, own_s),
 
-        up to a factor, where g(d, s) = exp(-(d/s)^2 / 2) / s.
+        where g(d, s) = exp(-(d/s)^2 / 2) / s.
         """
         times_s = np.arange(0, float(bank.dead_time_s.max()) + FINEST_STEP_S, FINEST_STEP_S / 2)
         gaps_s = times_s[:, None, None] - bank.dead_time_s
@@ -370,7 +379,7 @@ class CommonTimes(NamedTuple):
 
 
 class NextFilters(NamedTuple):
-    """The C filters of each of N robots that go on, filled by `kernels.bank.select`."""
+    """The C filters of each of N robots that continue, filled by `kernels.bank.select`."""
 
     rows: NDArray[np.int64]
     """(C, N) filters of the bank, -1 after the last one."""
@@ -383,7 +392,7 @@ class NextFilters(NamedTuple):
 
     @classmethod
     def room_for(cls, size: int, bank: Bank) -> Self:
-        """Return room for `size` filters of each robot of a bank."""
+        """Create empty arrays for `size` filters of each robot of a bank."""
         step_s = bank.step_s[0].copy()
         shape = (size, len(step_s))
         return cls(
@@ -394,10 +403,10 @@ class NextFilters(NamedTuple):
         )
 
     def taken_from(self, bank: Bank) -> Bank:
-        """Return the bank of these filters, each with its new dead time and score.
+        """Return a bank that consists of these filters, each with its new dead time and score.
 
-        If a robot has fewer filters than others, copies of its last one fill the rest; they do not
-        count as filters.
+        If a robot has fewer filters than others, copies of its last filter fill the rest. They do
+        not count as filters.
         """
         goes_on = self.rows >= 0
         number = goes_on.sum(axis=0)  # of filters of each robot (N,)
@@ -411,10 +420,11 @@ class NextFilters(NamedTuple):
 
 
 class Forecast(NamedTuple):
-    """What the likeliest hypothesis of each of N robots says, filled by `kernels.bank.forecast`.
+    """The prediction of each robot by its likeliest hypothesis, filled by `kernels.bank.forecast`.
 
-    Poses and `directions` are those of the moment when the next command acts on each robot, if it
-    does nothing else before than what it was sent. What has no description is as in `Estimate`.
+    Poses and `directions` are predicted for the moment when the next command acts on each robot,
+    assuming that the robot receives everything that was already sent. Fields without a description
+    here are explained in `Estimate`.
     """
 
     x: Floats
@@ -449,7 +459,7 @@ class Forecast(NamedTuple):
 
     @classmethod
     def room_for(cls, robots: int) -> Self:
-        """Return an empty forecast for some robots, full of NaN."""
+        """Create an empty forecast for this many robots, filled with NaN."""
         arrays: dict[str, Any] = {name: np.full(robots, np.nan) for name in cls._fields}
         arrays["flow"] = np.full((robots, 2), np.nan)
         arrays["misfit"] = np.full((robots, len(INNOVATIONS)), np.nan)
@@ -485,9 +495,10 @@ class Forecast(NamedTuple):
 
 
 def largest_square_sum(blocks: float) -> float:
-    """Return the limit that a sum of squares of standard normal numbers rarely exceeds.
+    """Compute the limit that a sum of squared standard normal numbers rarely exceeds.
 
-    Chance exceeds it once in a thousand times. It is chi-square by Wilson and Hilferty (1931).
+    Chance exceeds the limit once in a thousand times. The limit is a quantile of the chi-square
+    distribution, in the approximation of Wilson and Hilferty (1931).
 
     Args:
         blocks: The number of squares.

@@ -1,4 +1,7 @@
-"""The actuator of m3pi robots: turns the common direction into wheel counts, sent over an XBee."""
+"""The actuator of m3pi robots, which converts the common direction to wheel speeds.
+
+An XBee radio sends the wheel speeds to the robots.
+"""
 
 from collections.abc import Sequence
 
@@ -50,7 +53,7 @@ class M3piActuator(WheeledActuator):
         )
 
     def check(self) -> Health:
-        """Return the radio's questions to the operator."""
+        """Return the questions that the radio module raises for the operator."""
         return Health(questions=self.link.questions)
 
     def _halt(self, emergency: bool) -> int:
@@ -68,7 +71,7 @@ def _signed_gains(wheels: Sequence[WheelSection]) -> list[float]:
 
 
 def drivetrains(robots: Sequence[M3piRobot]) -> Drivetrains:
-    """Return robots' wheels."""
+    """Return the wheels of m3pi robots, with their gains, dead zones and directions."""
     left_wheels = [robot.left for robot in robots]
     right_wheels = [robot.right for robot in robots]
     left_zones = [wheel.dead_zone for wheel in left_wheels]

@@ -1,9 +1,11 @@
-"""Frames of the m3pi's firmware, which has a watchdog: commands to all robots, and their replies.
+"""Encode commands to all m3pi robots in one radio frame, and decode their replies.
 
-The bytes of a command: 0x51, sequence, flags, number of robots, then i8 left and i8 right per
-robot, CRC. The bytes of a reply, sent only when polled: 0x52, id, sequence, status, u16 battery
-[mV], u16 frames received, u16 frames rejected, CRC. All numbers are little-endian;
-`cobs.frame_with_crc` makes the frames. `firmware/m3pi_core.c` is the robot's side.
+The robots' firmware has a watchdog, so they stop if no frame arrives. A command consists of the
+bytes 0x51, sequence, flags, number of robots, then i8 left and i8 right for each robot, and a CRC.
+A robot replies only when it is polled. A reply consists of the bytes 0x52, id, sequence, status,
+u16 battery [mV], u16 frames received, u16 frames rejected, and a CRC. All numbers are
+little-endian; `cobs.frame_with_crc` encodes the frames. `firmware/m3pi_core.c` is the counterpart
+on the robot.
 """
 
 import struct
@@ -31,7 +33,7 @@ _REPLY = struct.Struct("<BBBBHHH")
 
 @dataclass(frozen=True, slots=True)
 class BroadcastCommand:
-    """One frame for all robots.
+    """A command to all m3pi robots, which is sent in one frame.
 
     Robot i drives with the counts `wheels[i]`, or stops if `wheels` has no entry for it.
     """
@@ -42,7 +44,7 @@ class BroadcastCommand:
 
 
 def encode_command(command: BroadcastCommand) -> bytes:
-    """Pack a command, including the closing byte 00."""
+    """Encode a command as a frame, including the closing byte 00."""
     if not 0 <= command.sequence <= 255:
         raise WireError(f"sequence {command.sequence} does not fit into one byte")
     if len(command.wheels) > ROBOTS_MAX:
@@ -59,7 +61,7 @@ def encode_command(command: BroadcastCommand) -> bytes:
 
 
 def decode_command(frame: bytes) -> BroadcastCommand:
-    """Read a command, given without the closing byte 00."""
+    """Decode a command from a frame, which is given without the closing byte 00."""
     payload = cobs.checked_payload(frame)
     if len(payload) < 4 or payload[0] != COMMAND:
         raise WireError("not a command")
@@ -75,7 +77,7 @@ def decode_command(frame: bytes) -> BroadcastCommand:
 
 
 def decode_reply(frame: bytes) -> Reply:
-    """Read a reply, given without the closing byte 00."""
+    """Decode a robot's reply from a frame, which is given without the closing byte 00."""
     robot, sequence, status, *counters = cobs.unpack_fields(_REPLY, REPLY, frame)
     return Reply(robot, sequence, Status(status & 7), *counters)
 
@@ -112,7 +114,12 @@ class Broadcaster:
         return self._link.send(encode_command(BroadcastCommand(self._sequence, flags, wheels)))
 
     def poll(self, timeout_s: float) -> list[Reply | None]:
-        """Poll all robots; a robot without a reply gives None. Ends at once if the link fails."""
+        """Ask all robots for a reply, and return the replies.
+
+        None for a robot that does not answer.
+
+        The function returns at once if the link fails.
+        """
         return polled(self, self._indices, self._clock, timeout_s, REPLY_SLOT_MS)
 
     @property
@@ -131,7 +138,7 @@ class Broadcaster:
         return self._sequence, sent_ns
 
     def hear(self, timeout_s: float) -> Iterator[Reply]:
-        """Wait for replies for at most a time [s]; yield those that have come."""
+        """Wait for replies for at most `timeout_s` seconds, and yield those that arrived."""
         self._link.wait(timeout_s)
         for frame in self._splitter.feed(b"".join(self._link.fetch())):
             with suppress(WireError):

@@ -31,7 +31,7 @@ class WheelSection(Model):
 
 
 class M3piRobot(RobotPart):
-    """A robot's entry in the actuator's section: number in broadcasts and wheels."""
+    """A robot's entry in the actuator's section: its number in broadcasts, and its wheels."""
 
     index: int | None = Field(default=None, ge=0, le=31)
     """Number of the robot in broadcasts, as built into its firmware. Default: the index of its
@@ -68,7 +68,7 @@ class M3piSection(XbeeSection, ActuatorSection):
     """A warning is printed if a robot's battery voltage is below this [V]."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the place and text of each problem with robots, numbers or wheels."""
+        """Yield the field and message of each problem with robots, numbers or wheels."""
         indexed = [
             robot.model_copy(update={"index": self.index(robot.name)}) for robot in self.robots
         ]
@@ -87,7 +87,7 @@ class M3piSection(XbeeSection, ActuatorSection):
         require_port(self.port, "the radio")
 
     def bounds(self) -> dict[str, str]:
-        """Return the radio's port and rate, and the highest limit of wheel counts, for display.
+        """Describe the radio's port and rate, and the maximum wheel counts, for display.
 
         The result maps a name to a text.
         """
@@ -106,7 +106,7 @@ class M3piSection(XbeeSection, ActuatorSection):
         return 1.0, min(limit, entry(self.robots, name).limit)
 
     def measured(self, calibrated: Found) -> dict[str, Any]:
-        """Return a robot's r and wheels."""
+        """Return a robot's fields in this section, with the values that a calibration measured."""
         return {
             "radius_mm": calibrated.radius_mm,
             "left": calibrated.left._asdict(),

@@ -66,6 +66,6 @@ class TwistActuator(WheeledActuator):
         return np.clip(np.rint(np.array([v, 1000 * w])), -limits, limits)
 
     def _wheels(self, twists: Floats) -> Floats:
-        """Return the wheel speeds (2, N) [mm/s] of what was sent."""
+        """Convert speeds and turning rates that were sent back to wheel speeds (2, N) [mm/s]."""
         rim = twists[1] * self.radii / 1000
         return np.array([twists[0] - rim, twists[0] + rim])

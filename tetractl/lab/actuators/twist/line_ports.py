@@ -1,4 +1,4 @@
-"""The ports of robots that take lines: each port sends one line for all its robots."""
+"""The ports of robots that take lines of text: each port sends one line for all its robots."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -79,7 +79,12 @@ class TwistLink(PortGroup):
         return self._send(Flag.EMERGENCY_STOP if emergency else Flag(0), [])
 
     def poll(self, timeout_s: float) -> list[Reply | None]:
-        """Poll all robots; a robot without a reply gives None. Ends at once if a port fails."""
+        """Ask all robots for a reply, and return the replies.
+
+        None for a robot that does not answer.
+
+        The function returns at once if a port fails.
+        """
         return polled(self, self._indices, self._clock, timeout_s, REPLY_SLOT_MS)
 
     def ask(self) -> tuple[int, int]:
@@ -112,7 +117,7 @@ class TwistLink(PortGroup):
         return self.send(lines)
 
     def _taker(self, port: str) -> OnReceived:
-        """Return a function that takes the replies of the robots on a port."""
+        """Create the function that receives the replies of the robots on a port."""
         indices_here = self._indices_at[port]
 
         def take(data: bytes, now: int) -> None:

@@ -1,10 +1,11 @@
-"""Lines of text to robots on two wheels, and their replies.
+"""Encode commands to robots on two wheels as lines of text, and decode their replies.
 
-A command is `T sequence flags {index v w} ...*CRC`, v in mm/s and w in mrad/s, or `W sequence flags
-{index left right} ...*CRC`, the speeds of the wheels in mm/s; a reply is `S index sequence status
-battery_mv received rejected*CRC`. Numbers are decimal, with one space between them; CRC is
-CRC-16/CCITT-FALSE of what is before the *, as four hexadecimal digits; LF ends a line.
-`firmware/twist_core.c` and `firmware/micropython/twist.py` are the robot's side.
+A command is `T sequence flags {index v w} ...*CRC`, with v in mm/s and w in mrad/s. Alternatively,
+it is `W sequence flags {index left right} ...*CRC`, with the speeds of the wheels in mm/s. A reply
+is `S index sequence status battery_mv received rejected*CRC`. Numbers are decimal, with one space
+between them. CRC is the CRC-16/CCITT-FALSE of everything before the *, as four hexadecimal digits.
+LF ends a line. `firmware/twist_core.c` and `firmware/micropython/twist.py` are the counterparts on
+the robot.
 """
 
 from dataclasses import dataclass
@@ -40,7 +41,7 @@ class LineCommand:
 
 
 def encode_command(command: LineCommand) -> bytes:
-    """Return the line of a command, with its end.
+    """Encode a command as a line, including its end.
 
     Raises:
         WireError: If a number is out of range.
@@ -58,7 +59,7 @@ def encode_command(command: LineCommand) -> bytes:
 
 
 def decode_command(line: bytes) -> LineCommand:
-    """Read a command, given without its end.
+    """Decode a command from a line, which is given without its end.
 
     Raises:
         WireError: If the line is not a command.
@@ -82,7 +83,7 @@ def decode_command(line: bytes) -> LineCommand:
 
 
 def decode_reply(line: bytes) -> Reply:
-    """Read a reply, given without its end.
+    """Decode a reply from a line, which is given without its end.
 
     Raises:
         WireError: If the line is not a reply.
@@ -95,7 +96,7 @@ def decode_reply(line: bytes) -> Reply:
 
 
 def _numbers(line: bytes) -> tuple[str, *tuple[int, ...]]:
-    """Return the letter and the numbers of a line.
+    """Split a line into its first letter and its numbers, and check its CRC.
 
     Raises:
         WireError: If its CRC or form is wrong.

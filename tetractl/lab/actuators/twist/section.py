@@ -74,7 +74,7 @@ class TwistSection(ActuatorSection):
     """A warning is printed for a robot below this battery voltage [V]."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the place and text of each problem with robots, numbers, ports or wheels."""
+        """Yield the field and message of each problem with robots, numbers, ports or wheels."""
         from tetractl.lab.udp_port import SCHEME, address_of
 
         indexed = [
@@ -108,11 +108,11 @@ class TwistSection(ActuatorSection):
         }
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
-        """Return a 127th of the largest wheel speed, and `limit` of them [mm/s]."""
+        """Return the wheel speed for a 127th of full speed, and for `limit` of these [mm/s]."""
         return self.speed_max_mm_s / 127, int(self.speed_max_mm_s * limit / 127)
 
     def measured(self, calibrated: Found) -> dict[str, Any]:
-        """Return a robot's r and gains."""
+        """Return a robot's fields in this section, with the values that a calibration measured."""
         return wheel_gains(calibrated, 1.0)
 
     def index(self, name: str) -> int:

@@ -1,1 +1,1 @@
-"""XBee 802.15.4 modules: API frames, and the connection to a module on a serial port."""
+"""XBee radio modules (802.15.4): their API frames, and the connection through a serial port."""

@@ -1,4 +1,4 @@
-"""XBee API frames in escaped mode (AP=2), the only mode in which the PC's module is used.
+"""Encode and decode XBee API frames in escaped mode (AP=2), the only mode that is used here.
 
 A frame consists of 7E, the length as u16, the content, and FF minus the sum of the content, all
 big-endian. After the 7E, each of the bytes 7E 7D 11 13 is replaced by 7D and the byte xor 20. A 7E
@@ -27,12 +27,18 @@ RESPONSE = struct.Struct(">BB2sB")
 
 
 def received(content: bytes) -> bytes:
-    """Return the data from another module in a frame's content. Empty if the frame has none."""
+    """Extract the data that another module has sent from a frame's content.
+
+    Empty if there is none.
+    """
     return content[_BEFORE_DATA[content[0]] :] if content[0] in _BEFORE_DATA else b""
 
 
 def answered(content: bytes) -> tuple[int, bytes, bytes | None] | None:
-    """Return (frame id, command, value) of an answer to a request. None for other frames."""
+    """Extract (frame id, command, value) from a module's answer to a request.
+
+    None for other frames.
+    """
     if content[0] != AT_RESPONSE or len(content) < RESPONSE.size:
         return None
     _, frame_id, command, status = RESPONSE.unpack_from(content)
@@ -58,8 +64,8 @@ def encode(content: bytes) -> bytes:
 class Decoder:
     """Finds frames in a byte stream, which may contain garbage and arrive in chunks of any size.
 
-    Never raises and keeps at most one frame's bytes. It counts bytes that belong to no good frame
-    in `dropped_bytes`.
+    It never raises, and stores at most the bytes of one frame. `dropped_bytes` counts the bytes
+    that belong to no valid frame.
     """
 
     def __init__(self) -> None:
@@ -69,7 +75,7 @@ class Decoder:
         self._escaping = False
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take a chunk of bytes; return the contents of the frames that it completes."""
+        """Add received bytes, and return the contents of the frames that they complete."""
         return [content for byte in data if (content := self._take(byte)) is not None]
 
     def _take(self, byte: int) -> bytes | None:

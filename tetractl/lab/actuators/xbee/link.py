@@ -1,4 +1,4 @@
-"""A connection to the PC's XBee module through a serial port, which checks the module first."""
+"""The connection to the XBee radio module of this computer, with a check of the module."""
 
 from collections import deque
 from collections.abc import Callable
@@ -75,7 +75,7 @@ class Link:
         return self._answers.get(awaited)
 
     def ask_twice(self, command: bytes) -> bytes | None:
-        """Return the value of a parameter, asked for once more if no answer came."""
+        """Request a parameter of the module, and repeat the request once if no answer comes."""
         return self.ask(command) or self.ask(command)
 
     def fetch(self) -> list[bytes]:
@@ -102,10 +102,12 @@ class Link:
                 self._fresh.append(sent)
 
     def _check(self) -> tuple[str, ...]:
-        """Raise AbortError unless an 802.15.4 module with AP=2 and the spec's baud rate answers.
+        """Raise AbortError unless a suitable radio module answers.
 
-        Returns a question for the operator if the module's protocol is not known. A parameter is
-        asked for twice if a module that does not give it is refused (HV, AP), else once (VR, BD).
+        A suitable module has 802.15.4 firmware, AP=2 and the spec's baud rate. If its protocol is
+        not known, the result contains a question for the operator. A missing answer to HV or AP
+        means that the module is refused, so these are requested twice. VR and BD are requested
+        once.
         """
         radio = self.radio
         hardware = self._hardware()
@@ -137,10 +139,11 @@ class Link:
         return questions
 
     def _hardware(self) -> bytes:
-        """Return HV.
+        """Request the hardware version of the module, HV.
 
         Raises:
-            AbortError: If the module is silent. The error gives the rate at which it does answer.
+            AbortError: If the module is silent. The error gives the baud rate at which it does
+                answer.
         """
         radio = self.radio
         # the first request may be lost behind an incomplete frame
@@ -169,7 +172,10 @@ class Link:
         return hardware
 
     def _check_firmware(self, hardware: bytes) -> tuple[str, ...]:
-        """Raise AbortError if the firmware is a wrong one; return a question if it is unknown."""
+        """Raise AbortError if the module has unsuitable firmware.
+
+        Return a question if it is unknown.
+        """
         port = self.radio.port
         version = self.ask(b"VR") or b""
         runs = protocol(hardware, version)

@@ -1,1 +1,1 @@
-"""OptiTrack cameras, received by NatNet, the protocol of Motive."""
+"""OptiTrack cameras, whose frames are received by NatNet, the protocol of the program Motive."""

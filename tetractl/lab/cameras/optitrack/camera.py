@@ -1,9 +1,9 @@
-"""OptiTrack cameras as a `Camera`.
+"""Receive robots' poses from OptiTrack cameras over the network.
 
-It asks the server for its models (MODELDEF), frames and clock when they are due, and checks the
-connection before a run. The receiver's thread continues after any bad datagram or socket error: it
-counts bad datagrams, and stores the last socket error in `error`. It never waits for somebody to
-fetch its frames.
+The class implements the protocol `Camera`. It requests the names of bodies (MODELDEF), the frames
+and the clock from the server when they are due, and checks the connection before a run. The
+receiver's thread continues after any bad datagram or socket error. It counts bad datagrams, and
+stores the last socket error in `error`. It never waits for somebody to fetch its frames.
 """
 
 import select
@@ -86,9 +86,11 @@ class OptitrackCamera:
         return self.stream.counts.bad
 
     def __enter__(self) -> Self:
-        """Connect; return once frames arrive and the server's clock, axes and names are known.
+        """Connect, and return once frames arrive and the server's clock, axes and names are known.
 
-        AbortError names what is missing, what was received instead, and which setting to change.
+        Raises:
+            AbortError: If something is missing. The error names it, says what was received instead,
+                and which setting to change.
         """
         try:
             self.open()
@@ -115,16 +117,20 @@ class OptitrackCamera:
             self._thread.start()
 
     def turn(self) -> None:
-        """Send what is due and read what has come, without waiting; nothing unless open."""
+        """Send the requests that are due and read what has arrived, without waiting.
+
+        If the camera is not open, this does nothing.
+        """
         if self._sockets:
             self._chores()
         for endpoint in self._sockets:
             self._read(endpoint)
 
     def wait_connected(self, timeout_s: float) -> None:
-        """Wait for frames, clock, axes and names, at most `timeout_s` each.
+        """Wait for frames, clock, axes and names, for at most `timeout_s` each.
 
-        AbortError names what is missing and what was received instead.
+        Raises:
+            AbortError: If something is missing. The error says what was received instead.
         """
         stream = self.stream
         if not self._wait(lambda: stream.info is not None, timeout_s):
@@ -153,7 +159,10 @@ class OptitrackCamera:
         return drained(self._fresh)
 
     def __exit__(self, *_: object) -> None:
-        """Disconnect and end the receiver's thread; may be called twice, never raises."""
+        """Disconnect and end the receiver's thread.
+
+        This method can be called twice, and never raises.
+        """
         if self._sockets and not self._closing.is_set():
             self._send(natnet.Bare(natnet.MessageKind.DISCONNECT))
         self._closing.set()
@@ -258,7 +267,7 @@ class OptitrackCamera:
         self._next_ns = min((self._due[what] for what, _, _ in wanted), default=0)
 
     def _requests(self, now: int) -> Iterator[tuple[str, int, natnet.ClientMessage]]:
-        """Yield the requests that are needed now, each with its name and the time to its next [ns].
+        """Yield the requests that are due, each with its name and the time until its next one [ns].
 
         They ask for missing information, for the server's time and, in unicast, keep the stream
         running. Once names are known, the interval between requests for models doubles each time,

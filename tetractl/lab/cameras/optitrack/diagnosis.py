@@ -1,4 +1,4 @@
-"""Diagnoses why robots are not seen: what the camera server sent, and which setting to change."""
+"""Explain why an OptiTrack camera shows no robots, and which setting to change."""
 
 from tetractl.core.errors import AbortError, WireError, printable
 from tetractl.lab.cameras.optitrack import natnet
@@ -97,7 +97,7 @@ def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: f
 
 
 def _reads_as(frame: bytes, stream: Stream) -> str:
-    """Return a protocol version that fits a frame's layout, as text.
+    """Find a protocol version that fits the layout of a frame, and return it as text.
 
     The server's own version is tried first.
     """
@@ -154,7 +154,7 @@ def _body(number: int, name: str | None, streamed: bool) -> str:
 
 
 def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
-    """Describe each robot whose rigid body is not in the newest frame, one line each.
+    """Describe each robot whose rigid body is missing from the newest frame, one line each.
 
     A line states whether the server has the body (if not, the most similar name or id), and which
     bodies the server has. The result is empty before MODELDEF has arrived. `names` are the names of
@@ -189,7 +189,10 @@ def _lacking(stream: Stream, model: natnet.ModelDef, name: str, robot: TrackedRo
 
 
 def not_taken(senders: SenderFilter, stream: Stream) -> list[str]:
-    """Return warnings about dropped datagrams: from other senders, or answers without a request."""
+    """Return warnings about dropped datagrams.
+
+    They came from unknown senders, or were answers without a request.
+    """
     lines: list[str] = []
     if senders.refused:
         sender, _ = senders.refused.most_common(1)[0]

@@ -1,4 +1,4 @@
-"""The contents of NatNet datagrams as values, and a robot's pose computed from its rigid body.
+"""The contents of NatNet messages from OptiTrack cameras, and the pose of a rigid body.
 
 Positions are in metres. Quaternions have norm 1.
 """
@@ -15,7 +15,7 @@ NORM_TOLERANCE = 1e-3  # largest deviation of a quaternion's norm from 1: its nu
 
 
 class Version(NamedTuple):
-    """A protocol version: 2.10 is newer than 2.9."""
+    """A version of the NatNet protocol. 2.10 is newer than 2.9."""
 
     major: int
     minor: int
@@ -27,7 +27,7 @@ class Version(NamedTuple):
 
     @classmethod
     def of(cls, text: str) -> Self:
-        """Return the version written as `major.minor`."""
+        """Parse a version that is written as `major.minor`."""
         major, minor = text.split(".")
         return cls(int(major), int(minor))
 
@@ -78,7 +78,7 @@ class RigidBody:
 
 @dataclass(frozen=True, slots=True)
 class NatNetFrame:
-    """One camera frame.
+    """One camera frame of an OptiTrack server.
 
     `exposure` is the middle of its exposure, in ticks of the server's clock. It is None before
     NatNet 3.0. `ServerInfo.clock_hz` is the number of ticks per second.
@@ -102,10 +102,10 @@ class NatNetFrame:
 
 @dataclass(frozen=True, slots=True)
 class ModelDef:
-    """The rigid bodies a server streams: pairs of a name and the id it has in frames.
+    """The rigid bodies that a server streams, as pairs of a name and the body's id in frames.
 
-    `complete` is False if reading ended early at a data set of unknown layout and size, which is
-    possible before NatNet 4.1: the server may then stream bodies that are missing here.
+    Before NatNet 4.1, a message can contain a data set of unknown layout and size, at which reading
+    has to end. Then `complete` is False, and the server may stream bodies that are missing here.
     """
 
     bodies: tuple[tuple[str, int], ...]
@@ -118,7 +118,7 @@ class ModelDef:
 
 @dataclass(frozen=True, slots=True)
 class Connect:
-    """The client's first message.
+    """The client's first message to an OptiTrack server.
 
     If `version` is `pinned`, servers from NatNet 4.0 on stream in that version. This holds for
     unicast only.
@@ -179,7 +179,7 @@ class EchoResponse:
 
 @dataclass(frozen=True, slots=True)
 class Bare:
-    """A message with a payload that is not read, such as KEEPALIVE, REQUEST_MODELDEF or TEXT."""
+    """A message whose payload is not read, such as KEEPALIVE, REQUEST_MODELDEF or TEXT."""
 
     kind: MessageKind
 

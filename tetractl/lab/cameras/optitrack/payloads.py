@@ -1,14 +1,14 @@
-"""Reads rigid bodies from the payloads of FRAMEOFDATA and MODELDEF, and skips the rest.
+"""Decode the NatNet messages with frames (FRAMEOFDATA) and with names of bodies (MODELDEF).
 
-A frame is: its number, then sections of counted elements, then a suffix of fixed size. From 4.1 on,
-every section also states its size in bytes; in older versions, elements are measured one by one.
-The suffix is read from the end, and a frame is refused if its sections do not end exactly where the
-suffix begins.
+Only rigid bodies are read. A frame consists of its number, sections of counted elements, and a
+suffix of fixed size. Since version 4.1, every section also contains its size in bytes. In older
+versions, the elements are measured one by one. The suffix is read from the end. A frame is refused
+if its sections do not end exactly where the suffix begins.
 
-MODELDEF gives each rigid body's id. From 4.1 on, a data set states its size: only name and id of a
-rigid body are read, and the rest is skipped by that size, since Motive 3.4 sends longer
-descriptions than protocol 4.3 defines. Before 4.1 a data set has to be measured; reading ends at a
-data set of unknown layout, and `ModelDef.complete` is then False.
+MODELDEF contains the id of each rigid body. Since version 4.1, a data set contains its size. Only
+the name and id of a rigid body are read, and the rest is skipped by that size, because Motive 3.4
+sends longer descriptions than protocol 4.3 defines. Before 4.1, a data set has to be measured.
+Reading ends at a data set of unknown layout, and `ModelDef.complete` is then False.
 """
 
 from functools import cache
@@ -179,7 +179,13 @@ class Cursor:
 
 
 def parse_frame(payload: bytes, version: natnet.Version) -> natnet.NatNetFrame:
-    """Read a frame; versions above 4.3 are read as 4.3, WireError if the layout does not fit."""
+    """Decode a frame.
+
+    Versions above 4.3 are read as 4.3.
+
+    Raises:
+        WireError: If the layout does not fit.
+    """
     layout = layout_of(version)
     cursor = Cursor(payload, len(payload) - layout.suffix.size)
     number = cursor.i32()
@@ -192,7 +198,7 @@ def parse_frame(payload: bytes, version: natnet.Version) -> natnet.NatNetFrame:
 
 
 def _read_sized(cursor: Cursor, layout: Layout) -> tuple[natnet.RigidBody, ...]:
-    """Read the sections of a frame from 4.1 on: the rigid bodies, the others by their sizes."""
+    """Read the rigid bodies of a frame since version 4.1, where sections contain their sizes."""
     cursor.skip_sized(MARKER_SET_MIN)
     cursor.skip_sized(MARKER)  # unlabelled markers
     count = cursor.count(BODY)
@@ -267,7 +273,7 @@ SKIPPED = {
 
 
 def parse_modeldef(payload: bytes, version: natnet.Version) -> natnet.ModelDef:
-    """Read the rigid bodies' names and ids; bodies inside skeletons are left out."""
+    """Decode the names and ids of rigid bodies. Bodies inside skeletons are left out."""
     layout = layout_of(version)
     known_kinds = {*SKIPPED} if layout.timed else {MARKER_SET, CAMERA}
     cursor = Cursor(payload)
@@ -310,7 +316,7 @@ def _named(cursor: Cursor) -> tuple[str, int]:
 
 
 def _described(cursor: Cursor, version: natnet.Version) -> tuple[str, int]:
-    """Read a body's complete description, in a version that does not state its size."""
+    """Read a body's complete description, in a version without sizes, and return name and id."""
     named = _named(cursor)
     cursor.skip(POSITION)
     if version < (3, 0):

@@ -17,7 +17,7 @@ Port = Annotated[int, Field(ge=1, le=65_535)]
 
 
 def _version_as_text(value: Any) -> Any:
-    """Return a protocol version that YAML reads as a number, such as 4.1, as text."""
+    """Convert a protocol version that YAML has read as a number, such as 4.1, to text."""
     if value in (2.1, 2.2):
         text = f"must be at least 2.5; if {value}0 is meant, put it in quotes: YAML reads {value}"
         raise ValueError(text)
@@ -33,7 +33,7 @@ VersionText = Annotated[
 
 
 class TrackedRobot(RobotPart):
-    """A robot's entry in the cameras' section."""
+    """A robot's entry in the camera's section: its rigid body."""
 
     body: str | int
     """Name or id of the robot's rigid body in the camera system."""
@@ -77,13 +77,13 @@ class OptitrackSection(CameraSection):
     """One entry for each robot of the spec, with its rigid body."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the place and text of each problem with the robots or the version."""
+        """Yield the field and message of each problem with the robots or the version."""
         yield from mismatches(self.robots, setup.names, ("body",))
         if self.version is not None and self.transport == "multicast":
             yield ("version",), "can only be requested in unicast; leave it out"
 
     def bounds(self) -> dict[str, str]:
-        """Return the server's address for display, under the key `cameras`."""
+        """Describe the address of the camera server for display, under the key `cameras`."""
         return {"cameras": f"{self.server}:{self.command_port}, {self.transport}"}
 
     def heading_offset(self, name: str) -> float:

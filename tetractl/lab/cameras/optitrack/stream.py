@@ -1,11 +1,12 @@
-"""A NatNet connection without its sockets: turns datagrams into camera frames, and counts both.
+"""Turn NatNet datagrams into camera frames, and synchronise the server's clock with the host's.
 
-Echoes give offset and drift of the server's clock against the host's. An echo states that the
-server's clock showed `ticks` at some time between the request's sending and the answer's return;
-the time halfway is the best estimate, with an error of at most half the round trip. Therefore only
-the echoes with the shortest round trips are used, also for the fit of the drift. Any two echoes
-bound the rate of the server's clock between them, even if network or host are slow. If that clock
-gained or lost more than `DRIFT_MAX` [s/s], it was set or runs at a wrong rate, and `fault` says so.
+The code uses no sockets. Echoes of the server's time give offset and drift of its clock against the
+host's clock. An echo states that the server's clock showed `ticks` at some time between the
+request's sending and the answer's return; the time halfway is the best estimate, with an error of
+at most half the round trip. Therefore only the echoes with the shortest round trips are used, also
+for the fit of the drift. Any two echoes bound the rate of the server's clock between them, even if
+network or host are slow. If the server's clock gained or lost more than `DRIFT_MAX` [s/s], it was
+set or runs at a wrong rate, and `fault` contains a message.
 """
 
 import statistics
@@ -26,7 +27,7 @@ DRIFT_MAX = 1e-3  # largest drift between the server's clock and ours [s/s]
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """One exchange of times with the server.
+    """One exchange of times with the server, which compares its clock with the host's.
 
     Attributes:
         host_ns: The host's time halfway between request and answer [ns].
@@ -40,7 +41,10 @@ class Echo:
 
 
 class ClockSync:
-    """Converts ticks of a server's clock to times of the host's clock, after one echo."""
+    """Converts times of a server's clock [ticks] to times of the host's clock [ns].
+
+    It needs one echo before the first conversion.
+    """
 
     def __init__(self, clock_hz: int) -> None:
         self.clock_hz = clock_hz
@@ -132,7 +136,7 @@ EDIT_MODE = "Motive is in edit mode: it streams a recording"
 
 @dataclass(slots=True)
 class StreamCounts:
-    """Counts of the frames received, and of datagrams that were dropped or could not be read."""
+    """Counts of received frames, and of datagrams that were dropped or could not be read."""
 
     frames: int = 0
     bad: int = 0  # datagrams that are not NatNet messages
@@ -142,7 +146,10 @@ class StreamCounts:
 
 
 class OpenRequests:
-    """The requests that a server has not answered yet. Only the last text request is kept."""
+    """The requests to a server that are not answered yet.
+
+    Of text requests, only the last is kept.
+    """
 
     def __init__(self) -> None:
         self._text: str | None = None
@@ -150,7 +157,7 @@ class OpenRequests:
         self._echoes: deque[int] = deque(maxlen=64)  # times in requests for the server's
 
     def add(self, request: natnet.ClientMessage) -> None:
-        """Take a request that was sent."""
+        """Record a request that was sent."""
         match request:
             case natnet.NatNetRequest(text):
                 self._text = text
@@ -189,7 +196,7 @@ class OpenRequests:
 
 
 class Stream:
-    """What an OptiTrack server has reported so far, and its newest frame.
+    """The information that an OptiTrack server has sent so far, and its newest frame.
 
     `feed` never raises, whatever the datagram is. Times are ns on the host's clock.
 
@@ -253,7 +260,10 @@ class Stream:
         self._requests.add(message)
 
     def feed(self, datagram: bytes, received_ns: int) -> natnet.ServerMessage | None:
-        """Take one datagram, and return its message. None if it was dropped and counted."""
+        """Process one datagram, and return its message.
+
+        None if the datagram was dropped and counted.
+        """
         try:
             message = parse(datagram, self.version)
             if not self._requests.close(message):
@@ -348,7 +358,7 @@ class Stream:
         return received_ns
 
     def _twins_in(self, model: natnet.ModelDef) -> str:
-        """Return a message if two bodies have the name of one robot's body, otherwise ""."""
+        """Return a message if two bodies have the same name as one robot's body, otherwise ""."""
         for robot in self.robots:
             ids = [number for name, number in model.bodies if name == robot.body]
             if len(ids) > 1:

@@ -1,4 +1,4 @@
-"""Parses the NatNet datagrams of a camera server, and packs the messages of a client."""
+"""Decode the NatNet datagrams of a camera server, and encode the messages of a client."""
 
 import struct
 from typing import Any
@@ -17,7 +17,7 @@ TEXT_MAX = 256  # longest text in a field of a request or a sender [bytes]
 
 
 def parse(datagram: bytes, version: natnet.Version | None = None) -> natnet.ServerMessage:
-    """Read one datagram of a server.
+    """Decode one datagram from a camera server.
 
     Args:
         datagram: The whole datagram.
@@ -44,7 +44,10 @@ def parse(datagram: bytes, version: natnet.Version | None = None) -> natnet.Serv
 
 
 def _known(version: natnet.Version | None, kind: natnet.MessageKind) -> natnet.Version:
-    """Return the protocol version, which messages of this kind need to be read."""
+    """Return the protocol version, or raise an error if it is unknown.
+
+    Messages of this kind cannot be read without a version.
+    """
     if version is None:
         raise WireError(f"{kind.name} received before the protocol version is known")
     return version

@@ -336,10 +336,7 @@ class MotionCheck(GuardCheck):
             yield fault
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
-        """Report a robot that keeps moving although it should stand still.
-
-        See `GuardCheck.pause`.
-        """
+        """Report a robot that moves although it should stand still; see `GuardCheck.pause`."""
         stood = self._straying.get(robot, TimedPose(now_ns, before))
         fault = self.take_pose(robot, stood.pose, pose)
         if fault is None:

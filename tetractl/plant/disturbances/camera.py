@@ -167,10 +167,7 @@ class FrozenCamera(Disturbance):
         self._last: tuple[Poses, Bools] | None = None  # measurement before the interval
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the measurement or, during an interval, the last one before it.
-
-        See `Disturbance.measured`.
-        """
+        """Return the poses or, in an interval, those before it; see `Disturbance.measured`."""
         frozen = self._repeats and self._spells.include(time_s)
         if self._last is None or not frozen:
             self._last = (poses, valid)

@@ -95,7 +95,13 @@ def stands(u):
 
 @compiled(**INLINE_FAST)
 def parameters_of(model, i, z):
-    """Return a [rad/s], v [length unit/s], side and saturation of robot i in a state."""
+    """Return a [rad/s], v [length unit/s], side and saturation of robot i in a state.
+
+    Args:
+        model: The assumptions about the robots.
+        i: The index of the robot.
+        z: The state (STATES,).
+    """
     a = model.parameters[i, 0] * exp(z[LN_A])
     speed = model.parameters[i, 1] * exp(z[LN_SPEED])
     return a, speed, z[SIDE], exp(min(z[LN_SATURATION], 0.0))

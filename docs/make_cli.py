@@ -1,6 +1,7 @@
 """Write the help of every command into docs/reference/cli.md, below its marker.
 
-Run `python docs/make_cli.py` after a change of a command; a test fails while they differ.
+Run `python docs/make_cli.py` after a change of a command; a test fails while they differ. All
+packages of this checkout must be installed, because the page also has their commands.
 """
 
 import contextlib
@@ -12,6 +13,7 @@ from pathlib import Path
 from unittest import mock
 
 import typer.main
+from installed_packages import require_all_packages
 
 from tetractl.cli.app import app
 
@@ -46,4 +48,5 @@ def page(current: str) -> str:
 
 
 if __name__ == "__main__":
+    require_all_packages()
     PAGE.write_text(page(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -91,7 +91,7 @@ class Disturbance:
         """Change the true poses that the robots have reached.
 
         The change is the one that happened since the last call. It is called just before `varied`,
-        for the same time.
+        for the same time: at every camera frame and every command.
 
         Args:
             poses: Where the motion, and the disturbances before this one, have led.

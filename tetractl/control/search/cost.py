@@ -37,11 +37,11 @@ STRAY = 0.3
 
 @dataclass(frozen=True, slots=True)
 class Costs:
-    """The costs of B sequences, arrays of shape (B,).
+    """The costs of B sequences of signals, computed together. Arrays have the shape (B,).
 
     Attributes:
-        total: J = f + omega_p P.
-        target: f, the part for the distances to the targets.
+        total: The cost J = f + omega_p P that an optimiser minimises.
+        target: f, the part for the distances of robots to their targets.
         obstacle: P, the part for contacts with obstacles.
     """
 
@@ -52,12 +52,12 @@ class Costs:
 
 @dataclass(frozen=True, slots=True)
 class Foreseen:
-    """The predicted path and costs of a sequence with L signals.
+    """What is predicted for one sequence of L signals: the path of all robots, and its costs.
 
     Attributes:
-        path: Predicted poses, shape (L + 1, N, 3), beginning at the start.
-        target: Cost f.
-        obstacle: Cost P.
+        path: Predicted poses, shape (L + 1, N, 3). The first row is the start.
+        target: Cost f for the distances to the targets.
+        obstacle: Cost P for contacts with obstacles.
     """
 
     path: Floats
@@ -66,7 +66,7 @@ class Foreseen:
 
 
 def foresee(problem: Problem, signals: Floats) -> Foreseen:
-    """Predict the path and costs of a sequence of shape (L,).
+    """Predict the path of all robots under a sequence of signals (L,), and what that path costs.
 
     Raises:
         ControlError: If a cost is not finite.
@@ -75,7 +75,7 @@ def foresee(problem: Problem, signals: Floats) -> Foreseen:
 
 
 def foreseen_along(problem: Problem, path: Floats) -> Foreseen:
-    """Compute the costs of a predicted path of shape (L + 1, N, 3).
+    """Compute the costs of a path that is already predicted, shape (L + 1, N, 3).
 
     Raises:
         ControlError: If a cost is not finite.
@@ -85,7 +85,7 @@ def foreseen_along(problem: Problem, path: Floats) -> Foreseen:
 
 
 def predict(problem: Problem, signals: Floats) -> Floats:
-    """Return the poses (L + 1, ..., N, 3), the start first, predicted for sequences (..., L)."""
+    """Predict the poses (L + 1, ..., N, 3) of robots that follow sequences of signals (..., L)."""
     motion: Motion = MOTIONS.load(problem.motion)
     shape = (*signals.shape[:-1], problem.targets.shape[0])
     path = np.empty((signals.shape[-1] + 1, *shape, 3))
@@ -112,7 +112,7 @@ def predict(problem: Problem, signals: Floats) -> Floats:
 
 
 def _rates(heading: Floats, u: Floats, parameters: Floats, seconds: float) -> Floats:
-    """Compute the turning rates a (..., N) of a step, with `turning`, from rows of parameters."""
+    """Compute each robot's turning rate a (..., N) for one step, by the motion's `turning`."""
 
     def rate(c: float, s: float, cu: float, su: float, *robot: float) -> float:
         return turning(c, s, cu, su, robot, seconds)[0]
@@ -123,7 +123,7 @@ def _rates(heading: Floats, u: Floats, parameters: Floats, seconds: float) -> Fl
 
 
 def evaluate(problem: Problem, signals: Floats) -> Costs:
-    """Evaluate the paper's equations (7)-(9) for B sequences, shape (B, L).
+    """Compute the costs of B sequences of signals (B, L), by the paper's equations (7)-(9).
 
     Raises ControlError if a cost is not finite, because only finite costs can be compared.
     """
@@ -131,7 +131,7 @@ def evaluate(problem: Problem, signals: Floats) -> Costs:
 
 
 def costs_along(problem: Problem, path: Floats) -> Costs:
-    """Evaluate equations (7)-(9) along B predicted paths of shape (L + 1, B, N, 3).
+    """Compute the costs of B predicted paths (L + 1, B, N, 3), by the paper's equations (7)-(9).
 
     Raises:
         ControlError: If a cost is not finite.

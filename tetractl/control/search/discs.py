@@ -1,13 +1,14 @@
-"""Robots as discs of one radius: whether they touch something, and how far they are from it.
+"""Robots modelled as discs of one radius: whether they touch anything, and how far away it is.
 
-There are three questions about N robots and O obstacles. Each wall of the arena counts as an
-obstacle.
+The functions answer three questions about N robots and O obstacles. Each wall of the arena counts
+as an obstacle.
 
-    enters            does a disc touch something along a path?
-    enters_if_held    does a disc touch something if robots keep their directions for a time?
+    enters            does a disc touch an obstacle or a disc along a path?
+    enters_if_held    does it, if robots keep their present directions for some time?
     least_clearance   how far are discs from obstacles and from each other, at given positions?
 
-Lengths are in the spec's unit. Margins do not count here: see `tetractl.control.search.margins`.
+Lengths are in the spec's unit. The margins that plans add to obstacles do not count here: see
+`tetractl.control.search.margins`.
 """
 
 from collections.abc import Sequence
@@ -32,7 +33,7 @@ It also tests the straight lines between them.
 
 
 def gaps(obstacles: Obstacles, x: Floats, y: Floats) -> Floats:
-    """Compute the distance of each point to each obstacle, shape (O, P), negative inside.
+    """Compute the distances of P points to O obstacles, shape (O, P), negative inside.
 
     Args:
         obstacles: The obstacles and walls.
@@ -45,7 +46,7 @@ def gaps(obstacles: Obstacles, x: Floats, y: Floats) -> Floats:
 
 
 class Discs:
-    """Discs, such as robots' bodies, among obstacles and walls.
+    """The bodies of robots, as discs of equal size, among obstacles and walls.
 
     Args:
         radius: Radius of each disc [length unit].
@@ -60,14 +61,15 @@ class Discs:
         self._grown = arrays_of(Obstacles.from_shapes(shapes, radius, walls))
 
     def enters(self, path: Floats) -> bool:
-        """Check whether a disc touches an obstacle or another disc along a path (M, N, 3).
+        """Check whether any disc touches an obstacle or another disc along a path (M, N, 3).
 
-        A disc that touches an obstacle at the beginning counts only if it goes deeper.
+        If a disc already touches an obstacle at the beginning, that counts only if the disc goes
+        deeper.
         """
         return clearance.enters(self._grown, self._radius, path)
 
     def enters_if_held(self, problem: Problem, directions: Floats, seconds: float) -> bool:
-        """Check whether a disc touches something while robots keep their directions.
+        """Check whether any disc touches something if robots keep their directions for a time.
 
         Args:
             problem: The problem of the control step.

@@ -1,4 +1,7 @@
-"""Compiled functions for optimisers: J of many sequences at once, and the path of one sequence."""
+"""Compiled counterparts of the functions in `cost`, as optimisers and controllers call them.
+
+They compute the cost J of many sequences of signals at once, or the predicted path of one sequence.
+"""
 
 import math
 from collections.abc import Callable
@@ -13,10 +16,10 @@ from tetractl.core.poses import Floats
 
 
 def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
-    """Return a function that maps `count` sequences, (L, count), to their costs J, (count,).
+    """Return a function that maps `count` sequences of signals (L, count) to costs J (count,).
 
-    It agrees with `tetractl.control.search.cost.evaluate` to 1e-9, and raises ControlError if a
-    cost is not finite.
+    The costs agree with those of `tetractl.control.search.cost.evaluate` to 1e-9. The function
+    raises ControlError if a cost is not finite.
     """
     from tetractl.control.search.kernels.motion import flatten
     from tetractl.control.search.kernels.rollout import costs, rollouts_of
@@ -71,7 +74,7 @@ def compiled_branches(
 
 
 def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
-    """Return the prediction for a sequence (L,), as `cost.foresee` but compiled."""
+    """Predict the path and costs of a sequence of signals (L,): `cost.foresee`, compiled."""
     from tetractl.control.search.kernels.motion import flatten
     from tetractl.control.search.kernels.prediction import costs_along, predict
 

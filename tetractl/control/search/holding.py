@@ -1,13 +1,15 @@
-"""Search for directions that keep robots near their targets if they cannot stand still.
+"""Search for directions that keep robots near their targets when robots cannot stand still.
 
-If a field rotates at a rate W below the robots' lowest turning rate a, each robot stays on a circle
-of radius v / W. If the field is reversed, robots drive back. The search minimises the time that
-robots spend further than `Problem.within` from their targets. It tries rotations first, and then
-adds random normal changes to the best sequence so far: half of the changes are independent from
-signal to signal, half accumulate along the sequence. The changes become smaller in each round.
+This optimiser is for robots that always move, such as cells. If their common field rotates at a
+rate W that is lower than the robots' lowest rate of turning a, each robot stays on a circle of
+radius v / W, with v its speed. If the field is reversed, robots drive back. The search minimises
+the time that robots spend further than `Problem.within` from their targets. It first tries
+rotations of the field. Then, in rounds, it adds random normal changes to the best sequence so far:
+half of the changes are independent from signal to signal, and half accumulate along the sequence.
+The changes become smaller from round to round.
 
-Rotations slightly faster than a are also tried: a robot then falls behind the field and turns in
-jerks.
+Rotations slightly faster than a are also tried, because a robot then falls behind the field and
+turns in jerks.
 """
 
 from typing import ClassVar, Literal
@@ -44,14 +46,14 @@ class CircleSearch(OptimizerSection):
 
     @property
     def iterations_max(self) -> int:
-        """Number of rounds of samples in one search."""
+        """Number of rounds in one search. Each tries random changes of the best sequence."""
         return self.rounds
 
     @property
     def evaluations_min(self) -> int:
-        """Minimum number of cost evaluations of a search.
+        """Minimum number of sequences whose cost a search computes.
 
-        They are needed for all rotations, the previous plan and one round.
+        They are all rotations, the previous plan and the sequences of one round.
         """
         return len(PHASES) * len(RATES) + 1 + self.samples
 
@@ -78,9 +80,9 @@ class CircleSearch(OptimizerSection):
         return progress.search()
 
     def _changes(self, key: int, z: int, length: int, spread: float) -> Floats:
-        """Return the random changes of round z [rad], shape (samples, length).
+        """Draw a round's random changes of the best sequence [rad], shape (samples, length).
 
-        `spread` is their standard deviation.
+        `z` is the number of the round. `spread` is the standard deviation of the changes [rad].
         """
         draws = self.samples * length
         changes = normal(key, z * draws, draws).reshape(-1, length)

@@ -1,7 +1,8 @@
-"""The margin that a plan keeps to each obstacle, and the separation of its robots.
+"""Safety distances of a plan: the margin to each obstacle, and the separation between robots.
 
-Robots deviate from a plan because commands are lost and because what is known of the robots is
-uncertain. While a robot follows a command, it leaves its course by at most (`off_course`)
+Robots deviate from a plan because some commands are lost, and because the robots' speeds and other
+parameters are only known with some uncertainty. While a robot follows a command, it leaves its
+course by at most (`off_course`)
 
     off = lost_way + min(a T, 1) v (l + SIGMAS sigma_l)
           + SIGMAS (v sigma_tau + (v sigma_a / a + sigma_v) (T + tau))
@@ -11,11 +12,11 @@ uncertain. While a robot follows a command, it leaves its course by at most (`of
     r    radius of a robot [length unit]   l    lag of the wheels [s], 0 if there is none
     sigma_v, sigma_a, sigma_tau, sigma_l   standard deviations
 
-The second term is there because wheels that lag roll on with the wrong turn of a lost command: the
-heading is wrong by up to a T, over a distance of v l, and the robot leaves its course by no more
-than this distance.
+The second term accounts for wheels that respond with a lag. After a lost command, such wheels still
+follow the wrong turn: the heading is wrong by up to a T over a distance of v l, so the robot leaves
+its course by no more than this distance.
 
-With the largest off of any robot, a plan should keep (`Margins.applied`)
+With off, the largest such deviation of any robot, a plan should keep (`Margins.applied`)
 
     full margin m       = collision.margin + r + off    between a centre and an obstacle or wall
     full separation s   = collision.separation + 2 off  between two centres; 0 if robots may meet
@@ -85,12 +86,14 @@ def off_course(
 
 
 def fit(margin: float, gap: Floats) -> Floats:
-    """Compute how much of a margin fits into each gap (O,) [length unit]."""
+    """Return the margin that is kept in each gap (O,): all of it, or a part if it does not fit."""
     return np.where(gap > margin, margin, REDUCED * np.maximum(gap, 0.0))
 
 
 class Margins:
-    """The margins that robots keep to obstacles and walls. The object never changes.
+    """The distances that a plan keeps from obstacles and walls, for one task.
+
+    The object never changes.
 
     Args:
         collision: The fields `collision` of the controller.
@@ -117,7 +120,7 @@ class Margins:
     def applied(
         self, problem: Problem, heard_s: float, dead_time_s: float, estimate: Estimate | None
     ) -> Problem:
-        """Grow a problem's obstacles by the margins, and set the separation of its robots.
+        """Return a problem with obstacles grown by their margins, and with a separation of robots.
 
         Args:
             problem: The problem of the control step.
@@ -139,10 +142,10 @@ class Margins:
         )
 
     def grown(self, poses: Poses, margin: float) -> Obstacles:
-        """Grow the obstacles by a margin of at least one radius, or by the margin that fits.
+        """Grow each obstacle by the margin, or by less if the margin does not fit.
 
-        The margin must fit between obstacles and robots. At least the part of a radius that fits
-        between obstacles and targets is always kept.
+        A margin fits if no robot and no target is inside the grown obstacle. At least the part of a
+        radius that fits between obstacles and targets is always kept.
         """
         x = np.array(poses.x)  # a copy: an observation's are read-only, which is another type
         y = np.array(poses.y)
@@ -151,9 +154,9 @@ class Margins:
         return self._obstacles.grown(np.maximum(margins, self._margins_of_bodies))
 
     def separation(self, poses: Poses, wanted: float) -> float:
-        """Return the wanted separation, or what fits between robots and between targets.
+        """Return the distance that two robots keep: the wanted one, or less if they are closer.
 
-        It is 0 if no separation is wanted.
+        Targets that are closer together count likewise. The result is 0 if no separation is wanted.
         """
         present = min(least_apart(poses.x, poses.y), self._targets_apart)
         if wanted <= 0 or present == np.inf:  # a single robot

@@ -1,11 +1,11 @@
-"""Where to steer robots if their targets are so close together that bodies might touch there.
+"""Points to steer to instead of targets that are so close together that robots might touch.
 
-However precisely its motion is known, a robot that misses a command leaves its course by up to
-`lost_way`, and two robots may do so towards each other. Where there is enough space, they keep
+A robot that misses a command leaves its course by up to `lost_way`, however precisely its motion is
+known, and two robots may do so towards each other. Where there is enough space, they keep
 `separation + 2 lost_way` apart (`tetractl.control.search.margins`). Targets that are closer
 together are replaced by points at that distance (`spread_apart`), about equally far from each
-target.
-Robots end there, near their targets, and do not try again and again to reach what they cannot keep.
+target. Robots then end near their targets, instead of trying again and again to reach positions
+that they could not keep.
 """
 
 from tetractl.core import elementwise

@@ -1,8 +1,8 @@
-"""A counter-based random generator: each draw depends only on its key and index.
+"""A random generator without state: each random number depends only on a key and an index.
 
-The generator is SplitMix64 (Steele, Lea and Flood, OOPSLA 2014): draw i of a key is a 64-bit
-mixing of key + (i + 1) * golden ratio. Plans therefore depend on neither threads nor the order
-in which particles are computed, and the compiled kernels draw the same numbers.
+The generator is SplitMix64 (Steele, Lea and Flood, OOPSLA 2014): random number i of a key is a
+64-bit mixing of key + (i + 1) * golden ratio. A plan therefore does not depend on the number of
+threads or on the order in which particles are computed, and compiled code gets the same numbers.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ MASK = 0xFFFF_FFFF_FFFF_FFFF
 
 
 def mix(key: int, index: int) -> int:
-    """Return draw `index` of `key`, 64 random bits, which may also serve as a new key."""
+    """Return random number `index` of `key`: 64 bits, which may also serve as a new key."""
     z = (key + (index + 1) * GOLDEN) & MASK
     z = ((z ^ (z >> 30)) * FACTORS[0]) & MASK
     z = ((z ^ (z >> 27)) * FACTORS[1]) & MASK
@@ -30,12 +30,12 @@ def mix(key: int, index: int) -> int:
 
 
 def bits(key: int, first: int, count: int) -> Bits:
-    """Return `count` consecutive draws of a key, shape (count,).
+    """Return consecutive random numbers of a key, each with 64 random bits, shape (count,).
 
     Args:
         key: The key.
-        first: Index of the first draw.
-        count: Number of draws.
+        first: Index of the first number.
+        count: How many numbers to return.
     """
     with np.errstate(over="ignore"):
         z = np.arange(first + 1, first + count + 1, dtype=np.uint64) * np.uint64(GOLDEN)
@@ -50,19 +50,19 @@ def uniform(key: int, first: int, count: int) -> Floats:
 
     Args:
         key: The key.
-        first: Index of the first draw.
-        count: Number of draws.
+        first: Index of the first number.
+        count: How many numbers to return.
     """
     return (bits(key, first, count) >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 
 def uniform_pair(key: int, first: int, count: int) -> tuple[Floats, Floats]:
-    """Return two independent uniform numbers in [0, 1) from each draw, with 31 random bits each.
+    """Return pairs of independent uniform numbers in [0, 1), with 31 random bits each.
 
     Args:
         key: The key.
-        first: Index of the first draw.
-        count: Number of draws.
+        first: Index of the first pair.
+        count: How many pairs to return.
     """
     z = bits(key, first, count)
     high = z >> np.uint64(33)
@@ -71,15 +71,15 @@ def uniform_pair(key: int, first: int, count: int) -> tuple[Floats, Floats]:
 
 
 def normal(key: int, first: int, count: int) -> Floats:
-    """Return numbers of the standard normal distribution, shape (count,), one from each draw.
+    """Return random numbers of the standard normal distribution, shape (count,).
 
     The method is that of Box and Muller (1958): sqrt(-2 ln r) cos(2 pi phi), with r in (0, 1] and
     phi of 31 bits each. Therefore no number exceeds 6.6.
 
     Args:
         key: The key.
-        first: Index of the first draw.
-        count: Number of draws.
+        first: Index of the first number.
+        count: How many numbers to return.
     """
     high, low = uniform_pair(key, first, count)
     return np.sqrt(-2 * elementwise.log(1 - high)) * elementwise.cos(2 * np.pi * low)

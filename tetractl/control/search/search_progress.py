@@ -1,4 +1,4 @@
-"""The progress of an optimiser's search: best sequence, history and evaluations spent."""
+"""The progress of an optimiser's search: best sequence, history, and evaluations used."""
 
 import numpy as np
 
@@ -7,10 +7,10 @@ from tetractl.core.poses import Floats
 
 
 class Progress:
-    """The best sequence found so far, and the number of evaluations used.
+    """The best sequence that a search has found so far, and the number of evaluations it has used.
 
     `history` holds the lowest cost after each iteration, shape (z + 1,). `ended` is the reason why
-    the search ended, None while it continues.
+    the search ended. It is None while the search continues.
     """
 
     def __init__(self, length: int, limits: Limits) -> None:
@@ -23,7 +23,7 @@ class Progress:
         self.ended: StopReason | None = None
 
     def limit_before(self, evaluations: int) -> StopReason | None:
-        """Return the limit that forbids this many more evaluations. None if no limit does."""
+        """Return which limit forbids a number of further evaluations. None if all are allowed."""
         if not self.limits.allow(self.evaluations + evaluations):
             return StopReason.EVALUATIONS
         if self.limits.expired(self.evaluations):
@@ -31,12 +31,12 @@ class Progress:
         return None
 
     def add(self, signals: Floats, costs: Floats) -> None:
-        """Add an iteration that has evaluated the costs (P,) of sequences (length, P)."""
+        """Record an iteration that has computed the costs (P,) of sequences (length, P)."""
         leader = int(np.argmin(costs))
         self.add_best(signals[:, leader], float(costs[leader]), costs.size)
 
     def add_best(self, signals: Floats, cost: float, evaluations: int) -> None:
-        """Add an iteration.
+        """Record an iteration of which only the best sequence matters.
 
         Args:
             signals: Its best sequence [rad], shape (length,).
@@ -47,14 +47,20 @@ class Progress:
         self.keep(signals, cost)
 
     def keep(self, signals: Floats, cost: float) -> None:
-        """Add an entry to the history; keep the sequence (length,) if it is the best."""
+        """Add the best cost to the history.
+
+        The sequence (length,) becomes the best if it costs less.
+        """
         if cost < self.cost or not self.history:
             self.best = signals.copy()
             self.cost = cost
         self.history.append(self.cost)
 
     def search(self) -> Search:
-        """Return the record of the search. If `ended` is None, all iterations were done."""
+        """Return the record of the finished search.
+
+        If `ended` is None, all iterations were done.
+        """
         return Search(
             length=self.length,
             signals=self.best,

@@ -1,4 +1,4 @@
-"""Criteria that end a search: the paper's equation (20), and others without logarithms."""
+"""Criteria that end an optimiser's search: the paper's equation (20), and simpler ones."""
 
 from typing import Annotated, Literal
 
@@ -15,9 +15,9 @@ WINDOW = 10
 
 
 class PaperStop(Model):
-    """Stop criterion of the paper's equation (20), as printed.
+    """Stop when the search has converged by the paper's equation (20), as printed.
 
-    It compares logarithms of lengths, so it depends on the length unit.
+    The criterion compares logarithms of lengths, so it depends on the length unit.
     """
 
     type: Literal["paper"]
@@ -49,7 +49,7 @@ StopCriterion = Annotated[
 
 
 def reason_to_stop(history: Floats, stop: StopCriterion) -> StopReason | None:
-    """Decide whether to stop after iteration z = len(history) - 1.
+    """Decide whether a search stops after iteration z = len(history) - 1.
 
     Up to z = 10, only the criterion `target` can stop a search.
 
@@ -76,7 +76,7 @@ def reason_to_stop(history: Floats, stop: StopCriterion) -> StopReason | None:
 
 
 def paper_criterion(history: Floats) -> bool:
-    """Evaluate the paper's equation (20) as printed, after iteration z = len(history) - 1.
+    """Check whether a search stops by the paper's (20), after iteration z = len(history) - 1.
 
     C = sum_{m=z-10}^{z} log J(m) / 2;  Delta = sum_{m=z-9}^{z} log(J(m-1) - J(m)); stop if z > 10
     and Delta < C. An iteration without improvement gives log 0 = -inf, hence a stop; J = 0 gives

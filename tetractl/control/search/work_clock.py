@@ -1,8 +1,8 @@
-"""A clock that measures the work of searches, for deadlines in virtual time.
+"""A clock for simulations that measures how much an optimiser has computed, not real time.
 
-A simulation must not depend on the speed of its host. A controller's timer therefore counts the
-evaluations that its searches report, with the processor time that each takes on an ordinary
-computer.
+The result of a simulation must not depend on the speed of the computer. Therefore a controller's
+deadline counts the evaluations that its searches report, each with the processor time that it takes
+on an ordinary computer.
 """
 
 from dataclasses import dataclass
@@ -16,17 +16,17 @@ SEARCH_NS = 600_000  # to lay out a search, and to check its result
 
 
 class WorkClock:
-    """The time [ns] that the searches of the optimisers given to `wrap` have taken."""
+    """The virtual time [ns] that searches have taken, for the optimisers given to `wrap`."""
 
     def __init__(self) -> None:
         self.ns = 0
 
     def __call__(self) -> int:
-        """Return the time [ns]."""
+        """Return the virtual time [ns]."""
         return self.ns
 
     def wrap(self, optimizer: Optimizer) -> Optimizer:
-        """Return an optimiser that counts its searches on this clock while they run."""
+        """Return the same optimiser with its searches counted on this clock while they run."""
         return _Counted(optimizer, self)
 
 
@@ -38,7 +38,7 @@ class _Counted:
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search, and count evaluations before each check of the deadline; see `Optimizer`."""
+        """Search, and set the clock before each check of the deadline; see `Optimizer`."""
         began = self.clock.ns + SEARCH_NS
         evaluation_ns = ROBOT_STEP_NS * length * problem.a.size
 

@@ -1,6 +1,6 @@
-"""Distances of robots from obstacles and from each other, and whether they touch on their way.
+"""Compiled distances of robots from obstacles and from each other, and tests for contact on a path.
 
-This is compiled, because a controller computes it at every control step
+The code is compiled, because a controller needs these numbers at every control step
 (`tetractl.control.search.margins` and `discs`). Distances [length unit] equal those of
 `tetractl.core.obstacles` to the bit. Obstacles are `ObstacleArrays`; obstacle o is a shape or a
 wall. x, y (P,) are points. A path (M, N, 3) holds the x, y and heading of N robots at M moments,
@@ -17,7 +17,7 @@ from tetractl.tools.kernels.kernel_options import ENTRY, INLINE_EXACT
 
 @compiled(**INLINE_EXACT)
 def _distance(obstacles, o, x, y):
-    """Return the distance of (x, y) to obstacle o, negative inside."""
+    """Compute the distance of the point (x, y) to obstacle o. It is negative inside."""
     shapes = obstacles.radii.size
     if o >= shapes:
         return wall_distance(obstacles.walls, o - shapes, x, y)
@@ -36,7 +36,7 @@ def _least_distance(obstacles, x, y):
 
 @compiled(**INLINE_EXACT)
 def crosses(obstacles, x0, y0, x1, y1):
-    """Check whether a segment touches an obstacle.
+    """Check whether a straight segment between two points touches an obstacle or a wall.
 
     Args:
         obstacles: The obstacles and walls.
@@ -139,7 +139,7 @@ def _enters_obstacle(i, grown, path):
 
 @compiled(**INLINE_EXACT)
 def _touches_obstacle(i, grown, path):
-    """Decide whether the centre of body i touches a grown obstacle anywhere on its path."""
+    """Check whether the centre of body i is in a grown obstacle anywhere on its path."""
     for m in range(1, path.shape[0]):
         if crosses(grown, path[m - 1, i, 0], path[m - 1, i, 1], path[m, i, 0], path[m, i, 1]):
             return True

@@ -1,4 +1,7 @@
-"""The functions of `tetractl.core.elementary` for kernels: the same bits as in plain Python."""
+"""The sine, cosine and similar functions of `tetractl.core.elementary`, for use in compiled code.
+
+They give the same result as in plain Python, to the last bit.
+"""
 
 from tetractl.core import elementary
 from tetractl.tools.kernels.kernel_options import exact

@@ -1,11 +1,11 @@
-"""Predict the path of a sequence of signals, and how each signal changes it.
+"""Predict the path of robots under a sequence of signals, and how each signal changes that path.
 
-A signal turns a robot and moves it by d(heading, u), a step. `trace` stores the partial derivatives
-of each step: those of d with respect to the heading and to u, and `keep`, the derivative of the
-next heading with respect to the heading. Because a robot's turn depends only on u - heading, the
-derivative of the next heading with respect to u is 1 - keep. From these, `backward` computes the
-derivatives of one position with respect to all signals before it, with the chain rule backwards in
-time.
+A signal u turns a robot and moves it by a displacement d(heading, u), called a step. `trace` stores
+the partial derivatives of each step: the derivatives of d with respect to the heading and to u, and
+`keep`, the derivative of the next heading with respect to the heading. Because a robot's turn
+depends only on u - heading, the derivative of the next heading with respect to u is 1 - keep. From
+these, `backward` computes the derivatives of one position with respect to all signals before it,
+with the chain rule backwards in time.
 
 Only the headings depend on the step before. They are computed first. Then the steps of a robot are
 independent of each other, and the loop over them becomes vector code. For this purpose, arrays over
@@ -33,9 +33,9 @@ _wrap = inlined(wrap)
 
 
 class Trace(NamedTuple):
-    """The path of N robots under L signals, and the derivatives of its steps, filled by `trace`.
+    """The path of N robots under L signals, with the derivatives of its steps. `trace` fills it.
 
-    Arrays have M = width(L) entries along the signals.
+    Each array has M = width(L) entries along the signals, M >= L, so that loops become vector code.
     """
 
     cos_u: Floats
@@ -63,7 +63,7 @@ class Trace(NamedTuple):
 
     @classmethod
     def room_for(cls, robots: int, length: int) -> "Trace":
-        """Return the arrays for some robots and signals."""
+        """Allocate the arrays of a `Trace` for a number of robots and of signals."""
         across = width(length)
         shape = (robots, across)
         return cls(
@@ -82,13 +82,13 @@ class Trace(NamedTuple):
 
 
 def width(length: int) -> int:
-    """Return the padded length of arrays for `length` signals."""
+    """Return the length of arrays for `length` signals, padded for vector instructions."""
     return -(-length // VECTOR) * VECTOR
 
 
 @compiled(**PART_FAST)
 def trace(u, problem, path):
-    """Predict the path of robots under signals, with the derivatives of its steps.
+    """Predict the path of robots under a sequence of signals, and the derivatives of its steps.
 
     Args:
         u: The signals [rad], shape (L,).
@@ -110,7 +110,7 @@ def trace(u, problem, path):
 
 @compiled(**INLINE_FAST)
 def _turn(length, problem, path):
-    """Fill the headings of all robots before each of the signals."""
+    """Compute the heading of each robot before each of the signals."""
     first = problem.first
     rest = problem.rest
     robots = problem.robots
@@ -137,10 +137,10 @@ def _turn(length, problem, path):
 
 @compiled(**INLINE_FAST)
 def _move(i, robot, problem, path):
-    """Fill the displacement of robot i by each signal, as x and y, and its derivatives.
+    """Compute the displacement of robot i by each signal, in x and y, and its derivatives.
 
-    All signals are computed as if each were held for a whole period, as vector code needs it; then
-    the first again, if it is held for another time.
+    All signals are first computed as if each were held for a whole signal period, because vector
+    code needs equal steps. The first signal is then computed again if it is held for another time.
     """
     first_again = 0 if problem.first_period == problem.period else 1
     all_signals = (problem.period, path.cos.shape[1])
@@ -172,7 +172,7 @@ def _move(i, robot, problem, path):
 
 @compiled(**INLINE_FAST)
 def _add_up(i, length, problem, path):
-    """Add up the displacements of robot i in x and y to positions, including the flow."""
+    """Add up the displacements of robot i, and the flow of the liquid, to its positions."""
     x = path.x
     y = path.y
     flow_x = problem.flow[i, 0]
@@ -186,11 +186,11 @@ def _add_up(i, length, problem, path):
 
 @compiled(**PART_FAST)
 def backward(path, i, signal, east, north, row):
-    """Add the derivatives of a position, projected onto a vector, with respect to each signal.
+    """Add to a row how much each signal moves a robot's later position along a given vector.
 
     Signal j moves the robot in its own step. It also turns the robot, by 1 - keep. `by_heading` is
-    the effect of the heading before step j + 1 on all later steps; it is known when the loop
-    reaches j.
+    the effect of the heading before step j + 1 on all later steps. It is known when the loop
+    reaches j, because the loop runs backwards in time.
 
     Args:
         path: A filled `Trace`.

@@ -1,13 +1,16 @@
-"""Levenberg-Marquardt for one sequence: drives f(u) of (8) to zero and the path out of obstacles.
+"""Levenberg-Marquardt, a least-squares method, for one sequence of control signals.
 
-For a sequence u of L signals, s_i are the predicted final positions of the N robots. d_io is how
-deep the predicted positions of robot i enter obstacle o. d_ik is by how much robots i and k come
-closer than their separation [length unit]. The merit, which bounds f from above, is
+It drives robots' final distances from their targets, f(u) of the paper's equation (8), to zero, and
+pushes the path out of obstacles. For a sequence u of L signals, s_i are the predicted final
+positions of the N robots. d_io is how deep the predicted positions of robot i enter obstacle o.
+d_ik is by how much robots i and k come closer than their separation [length unit]. The merit, which
+bounds f from above, is
 
     m(u) = sqrt(N sum_i |s_i - tar_i|^2) + W (sum_io max(0, d_io) + sum_ik max(0, d_ik))
 
-with W = `DEPTH_WEIGHT`. The R residuals r are the 2N coordinates of the misses and the depths above
-zero. Each is multiplied by its own factor:
+with W = `DEPTH_WEIGHT`. A miss is the vector from a robot's target to its final position. The R
+residuals r are the 2N coordinates of the misses and the depths above zero. Each is multiplied by
+its own factor:
 
     r = c (s_i - tar_i),  c^2 = 1 / sqrt(sum_i |s_i - tar_i|^2 / N);     r = c d,  c^2 = W^2 / d
 
@@ -20,8 +23,8 @@ residuals than signals, so the damped step is computed from an R x R system:
 If a step lowers the merit, it is taken, and lambda falls. Otherwise lambda grows, and the step is
 tried again (Marquardt, SIAM Journal 11, 1963).
 
-`polish` is that loop. `judge` returns the cost J of (7) for the result, which counts obstacles as
-the paper does. Both take a `FlatProblem`, and work in a `Room` for its robots and obstacles.
+`polish` is the loop over such steps. `judge` returns the cost J of (7) for the result, which counts
+obstacles as the paper does. Both take a `FlatProblem`, and use the working arrays of a `Room`.
 """
 
 import math
@@ -56,7 +59,7 @@ FLOOR_LEAST = 1e-9  # the factors c are limited as if misses and depths were no 
 
 
 class PolishSettings(NamedTuple):
-    """When a polish ends, and how far it keeps from obstacles."""
+    """When the improvement of one sequence ends, and how far it keeps the path from obstacles."""
 
     tolerance: float
     """Merit that is good enough [length unit]."""
@@ -79,7 +82,7 @@ POLISH_STATE = np.dtype(
 
 
 class Room(NamedTuple):
-    """The working arrays for polishing one sequence at a time.
+    """The working arrays for improving one sequence (a polish), allocated once and used again.
 
     Sizes: N robots, L signals, O obstacles and walls, at most R residuals, M = width(L).
     """
@@ -103,9 +106,9 @@ class Room(NamedTuple):
 
 
 def room_for(problem: Problem, length: int) -> Room:
-    """Return this thread's arrays for a problem and sequences of `length` signals.
+    """Return the working arrays of this thread for a problem and sequences of `length` signals.
 
-    Problems of the same shape share them.
+    Problems with the same numbers of robots, obstacles and signals share them.
     """
     robots = len(problem.a)
     pairs = robots * (robots - 1) // 2 if problem.separation > 0 else 0
@@ -142,21 +145,22 @@ def _room_for(thread: int, robots: int, obstacles: int, pairs: int, length: int)
 
 @compiled(**PART_FAST)
 def polish(problem, room, u, settings, budget, merits, state, pause):
-    """Improve a sequence in place by Levenberg-Marquardt iterations.
+    """Improve a sequence of signals in place, by iterations of the Levenberg-Marquardt method.
 
-    It ends when the merit is at most the tolerance, when no step helps, when the merit has not
-    fallen to the fraction PROGRESS within `patience` iterations, after `iterations_max` iterations,
-    or before `budget` evaluations are exceeded. Each iteration tries one step. A Jacobian counts as
-    one evaluation for each of its rows.
+    The polish ends when the merit is at most the tolerance, when no step lowers the merit, when the
+    merit has not fallen to the fraction PROGRESS of its value within `patience` iterations, after
+    `iterations_max` iterations, or when the next iteration would exceed `budget` evaluations. Each
+    iteration tries one step. A Jacobian counts as one evaluation for each of its rows.
 
     Args:
         problem: The problem, a `FlatProblem`.
         room: The working arrays.
         u: The sequence [rad], shape (L,).
-        settings: When to end.
+        settings: When the polish ends.
         budget: Maximum number of evaluations.
         merits: merits[z] is filled with the merit after z iterations.
-        state: Where an interrupted polish continues, a `POLISH_STATE`.
+        state: How far the polish has come, a `POLISH_STATE`; an interrupted polish continues from
+            it.
         pause: Number of iterations after which the polish is interrupted.
 
     Returns:
@@ -212,7 +216,9 @@ def polish(problem, room, u, settings, budget, merits, state, pause):
 
 @compiled(**PART_FAST)
 def measure(problem, room, slack):
-    """Compute the merit m of the path, and fill `depths` and `meetings` with d_io and d_ik.
+    """Compute how bad a path is, its merit m, and how deep robots are in obstacles and each other.
+
+    The depths d_io and d_ik are written to `depths` and `meetings` of the room.
 
     Args:
         problem: The problem, a `FlatProblem`.
@@ -234,7 +240,7 @@ def measure(problem, room, slack):
 
 @compiled(**INLINE_FAST)
 def _squared_miss(problem, room, i):
-    """Return |s_i - tar_i|^2."""
+    """Compute |s_i - tar_i|^2: the squared final distance of robot i from its target."""
     last = room.rows.shape[1] - 1
     dx = room.path.x[i, last] - problem.targets[i, 0]
     dy = room.path.y[i, last] - problem.targets[i, 1]
@@ -243,7 +249,7 @@ def _squared_miss(problem, room, i):
 
 @compiled(**INLINE_FAST)
 def _squared_misses(problem, room):
-    """Return sum_i |s_i - tar_i|^2."""
+    """Compute sum_i |s_i - tar_i|^2: the sum of the robots' squared final distances."""
     total = 0.0
     for i in range(len(problem.robots)):
         total += _squared_miss(problem, room, i)
@@ -252,7 +258,10 @@ def _squared_misses(problem, room):
 
 @compiled(**INLINE_FAST)
 def _find_meetings(problem, room):
-    """Fill `meetings` and `nearest` for each pair of robots."""
+    """Find, for each pair of robots, by how much and after which signal they come closest.
+
+    The results are written to `meetings` and `nearest` of the room.
+    """
     path = room.path
     pair = 0
     for i in range(len(problem.robots)):
@@ -273,7 +282,10 @@ def _find_meetings(problem, room):
 
 @compiled(**INLINE_FAST)
 def linearise(problem, room, floor, slack):
-    """Fill `residual` and the Jacobian `rows` for the path of the last `measure`.
+    """Compute the residuals of a path and their derivatives, the rows of the Jacobian.
+
+    They are written to `residual` and `rows` of the room, for the path of the last call of
+    `measure`.
 
     Args:
         problem: The problem, a `FlatProblem`.
@@ -295,7 +307,7 @@ def linearise(problem, room, floor, slack):
 
 @compiled(**INLINE_FAST)
 def _pull_to_targets(problem, room, floor):
-    """Write the 2N residuals of the misses, r = c (s_i - tar_i)."""
+    """Write the residuals that pull robots to their targets: the 2N coordinates c (s_i - tar_i)."""
     path = room.path
     last = room.rows.shape[1] - 1
     root_mean_square = math.sqrt(_squared_misses(problem, room) / len(problem.robots))
@@ -309,7 +321,10 @@ def _pull_to_targets(problem, room, floor):
 
 @compiled(**INLINE_FAST)
 def _push_out_of_obstacles(problem, room, floor, slack, residuals):
-    """Write a residual r = c d for each depth d_io above zero; return the number of residuals."""
+    """Write a residual r = c d for each depth d_io of a robot in an obstacle.
+
+    The number of residuals so far is returned.
+    """
     path = room.path
     r = residuals
     for i in range(len(problem.robots)):
@@ -329,7 +344,7 @@ def _push_out_of_obstacles(problem, room, floor, slack, residuals):
 
 @compiled(**INLINE_FAST)
 def _push_apart(problem, room, floor, slack, residuals):
-    """Write a residual r = c d for each d_ik above zero, and return the number of residuals.
+    """Write a residual r = c d for each pair of robots that come too close to each other.
 
     Such a residual depends on the positions of two robots.
     """
@@ -356,7 +371,7 @@ def _push_apart(problem, room, floor, slack, residuals):
 
 @compiled(**INLINE_FAST)
 def _begin_row(room, r, residual):
-    """Write residual r, and zeros into its row of the Jacobian, to which `backward` adds."""
+    """Write residual r, and set its row of the Jacobian to zero, to which `backward` adds."""
     room.residual[r] = residual
     for j in range(room.rows.shape[1]):
         room.rows[r, j] = 0.0
@@ -364,7 +379,7 @@ def _begin_row(room, r, residual):
 
 @compiled(**INLINE_FAST)
 def _square_jacobian(room, residuals):
-    """Fill `gram` with J J'; return mu, the mean of its diagonal."""
+    """Write the matrix J J' of the Jacobian to `gram`, and return the mean of its diagonal."""
     rows = room.rows
     for p in range(residuals):
         for q in range(p + 1):
@@ -380,7 +395,7 @@ def _square_jacobian(room, residuals):
 
 @compiled(**INLINE_FAST)
 def _solve(room, residuals, damping):
-    """Solve (J J' + damping I) step = residual; return whether the matrix is positive definite."""
+    """Solve (J J' + damping I) step = residual. Return whether the matrix is positive definite."""
     if not _factorise(room, residuals, damping):
         return False
     _substitute(room, residuals)
@@ -389,7 +404,10 @@ def _solve(room, residuals, damping):
 
 @compiled(**INLINE_FAST)
 def _factorise(room, residuals, damping):
-    """Fill `factor` with F of F F' = J J' + damping I (Cholesky). Return whether it exists."""
+    """Compute the Cholesky factor F, F F' = J J' + damping I, into `factor`.
+
+    Return whether it exists.
+    """
     gram = room.gram
     factor = room.factor
     for p in range(residuals):
@@ -409,7 +427,7 @@ def _factorise(room, residuals, damping):
 
 @compiled(**INLINE_FAST)
 def _substitute(room, residuals):
-    """Solve F F' step = residual, F in `factor`: F z = residual, then F' step = z."""
+    """Solve F F' step = residual for F in `factor`: first F z = residual, then F' step = z."""
     factor = room.factor
     step = room.step
     for p in range(residuals):
@@ -426,7 +444,10 @@ def _substitute(room, residuals):
 
 @compiled(**INLINE_FAST)
 def _step(room, u, residuals):
-    """Write u - b J' step to `trial`; b <= 1 keeps every change within LARGEST_STEP."""
+    """Write the sequence after a step, u - b J' step, to `trial`, where b <= 1 limits the step.
+
+    b is so small that no signal changes by more than LARGEST_STEP.
+    """
     largest = 0.0
     for j in range(u.size):
         change = 0.0
@@ -441,7 +462,9 @@ def _step(room, u, residuals):
 
 @compiled(**PART_FAST)
 def judge(problem, room, u):
-    """Wrap a sequence into [-pi, pi] in place, and return J of (7) for its path.
+    """Return the cost J of (7) for a sequence, as optimisers compare it, after a polish.
+
+    The signals are first brought into [-pi, pi], in place.
 
     Args:
         problem: The problem, a `FlatProblem`.
@@ -456,7 +479,7 @@ def judge(problem, room, u):
 
 @compiled(**INLINE_FAST)
 def _sum_of_distances(problem, room):
-    """Return f of (8) of the path."""
+    """Compute f of (8) for the path: the sum of robots' final distances from their targets."""
     total = 0.0
     for i in range(len(problem.robots)):
         total += math.sqrt(_squared_miss(problem, room, i))
@@ -465,7 +488,7 @@ def _sum_of_distances(problem, room):
 
 @compiled(**PART_FAST)
 def _sum_of_hits(problem, room):
-    """Return P of (9) of the path."""
+    """Compute P of (9) for the path: the number of predicted contacts with obstacles and robots."""
     x = room.path.x
     y = room.path.y
     length = room.rows.shape[1]

@@ -1,11 +1,13 @@
-"""A problem as arrays that compiled code can read, and the steps of robots in such code.
+"""Access of compiled code to a control problem and to the robots' motion.
 
-How robots move is a matter of the problem's motion (`tetractl.model.motion`). Its constants have a
-class of their own, which is a type to the compiler: code is compiled for each. `advance`, `turned`
-and `derivatives` are the three ways to ask a motion; Python sees only their names, and the compiler
-takes the function below each that carries its name with an underscore.
+A problem's objects become arrays (`FlatProblem`), which compiled code can read. How robots move is
+defined by the problem's motion (`tetractl.model.motion`). Its constants have a class of their own,
+which is a type to the compiler: code is compiled for each. `advance`, `turned` and `derivatives`
+are the three ways to ask a motion; Python sees only these three names. In place of each, the
+compiler uses the function below it, which has the same name with an underscore.
 
-Directions and headings come as their cos and sin: c, s of the heading, cu, su of the direction u.
+Directions and headings are given by their cosine and sine: c, s of the heading, cu, su of the
+direction u.
 """
 
 from functools import lru_cache
@@ -36,7 +38,7 @@ turns_left = inlined(is_left)
 
 
 class FlatProblem(NamedTuple):
-    """What a `Problem` of N robots says, in arrays and numbers; lengths in the spec's unit."""
+    """The problem of one control step as plain arrays and numbers, lengths in the spec's unit."""
 
     poses: Floats
     """(N, 3) x, y and heading at the start."""
@@ -78,7 +80,10 @@ class FlatProblem(NamedTuple):
 
 @lru_cache(maxsize=2)  # the searches of one control step need the same arrays
 def flatten(problem: Problem) -> FlatProblem:
-    """Return the arrays of a problem. Repeated calls return the same arrays: do not change them."""
+    """Convert a problem to arrays for compiled code.
+
+    Repeated calls share them: do not change them.
+    """
     heading = problem.poses.heading
     robots = all_in_rows(problem)
     count = len(robots)
@@ -115,13 +120,13 @@ def flatten(problem: Problem) -> FlatProblem:
 
 @compiled(**INLINE_FAST)
 def robot_of(robots, i):
-    """Return row i of a problem's parameters (N, 4) as `RobotParameters`."""
+    """Return the parameters of robot i, from row i of a problem's array (N, 4)."""
     return RobotParameters(robots[i, 0], robots[i, 1], robots[i, 2], robots[i, 3])
 
 
 @compiled(**INLINE_FAST)
 def saturates(robot):
-    """Decide whether a robot's motors may turn it more slowly than equation (3)."""
+    """Check whether a robot's motors limit how fast it turns, so that equation (3) may not hold."""
     return robot.saturation < 1
 
 
@@ -137,7 +142,9 @@ def advance(
     robot: Any,
     t: Any,
 ) -> None:
-    """Advance robot i of every particle by one signal.
+    """Move robot i of every particle by one signal.
+
+    A particle is one of many sequences tried at once.
 
     Args:
         lanes: Constants of the motion.

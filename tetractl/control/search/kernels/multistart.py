@@ -1,19 +1,22 @@
-"""A search of `tetractl.control.search.optimizers.multistart`: random sequences, the best polished.
+"""The compiled search of the optimiser `multistart`: try random sequences, and improve the best.
 
-A search has *starts*, sequences that it polishes one after the other, in these stages:
+To polish a sequence of signals is to improve it by the Levenberg-Marquardt method (`levenberg`).
+The sequences that a search polishes, one after the other, are its *starts*. A search passes through
+these stages:
 
-    WARM     the warm start, if there is one, is evaluated as it is, and becomes the first start
-    POLISH   a start is polished, and evaluated
-    SCATTER  no start is left: many random sequences are scattered, which is a *round*, and the best
-             of them become the next starts
+    WARM     the warm start, which is the previous plan, is evaluated as it is; it becomes the first
+             start. A search without a warm start skips this stage
+    POLISH   a start is polished, and the result is evaluated
+    SCATTER  no start is left: many random sequences are generated, which is a *round*. The best of
+             them become the next starts
 
-`search` goes on with a search as far as it is allowed to, and says whether it has ended:
+`search` continues a search as far as the caller allows, and returns whether it has ended:
 
-    UNDER_WAY   not yet: the iterations that were allowed are done
+    UNDER_WAY   not ended: the iterations that were allowed are done
     GOOD        a start costs at most the tolerance
     SPENT       the budget allows no further evaluation
     OVER        all starts of the last round are polished
-    NOT_FINITE  a cost is no finite number
+    NOT_FINITE  a cost is not a finite number
 """
 
 import math
@@ -76,7 +79,7 @@ SEARCH_STATE = np.dtype(
 
 
 class SearchTask(NamedTuple):
-    """What to search, in which arrays, and how far."""
+    """The task of one search: the problem, the working arrays, the settings and the limits."""
 
     problem: FlatProblem
     rollouts: Rollouts
@@ -93,7 +96,7 @@ class SearchTask(NamedTuple):
 
 
 class Rounds(NamedTuple):
-    """A search that polishes up to K of P scattered sequences of L signals in each round."""
+    """The arrays and the state of a search that polishes K of P random sequences in a round."""
 
     scattered: Floats
     """(L, P)"""
@@ -119,7 +122,7 @@ class Rounds(NamedTuple):
     """The `SEARCH_STATE`."""
 
     def begin(self, stage: int, starts: Floats) -> None:
-        """Begin a search at a stage, with up to K sequences of shape (S, L)."""
+        """Set the search to its beginning: a stage, and up to K starts of shape (S, L)."""
         self.starts[: len(starts)] = starts
         self.polish.evaluations = 0
         self.state.stage = stage
@@ -145,7 +148,7 @@ class Rounds(NamedTuple):
 def rounds_for(
     thread: int, count: int, particles: int, knots: int, length: int, steps_max: int, rounds: int
 ) -> Rounds:
-    """Create a thread's arrays for searches of the given sizes.
+    """Allocate the arrays of one thread for searches of the given sizes.
 
     Args:
         thread: Id of the thread.
@@ -173,9 +176,10 @@ def rounds_for(
 
 @compiled(**ENTRY_FAST)
 def search(task, rounds, iterations):
-    """Continue a search for about this many iterations.
+    """Continue a search for about a given number of iterations.
 
-    It pauses between two iterations of a polish, or when a start is done.
+    The search pauses between two iterations of a polish, or when a start is done, so that the
+    caller can check the deadline.
 
     Args:
         task: What to search.
@@ -220,14 +224,18 @@ def search(task, rounds, iterations):
 
 
 def finish(task: SearchTask, rounds: Rounds) -> int:
-    """End the start under way as it is, or the first one; return whether the search has ended."""
+    """End the polish of the present start, or of the first one, as it is.
+
+    Returns:
+        Whether the search has ended.
+    """
     settings = task.settings._replace(iterations_max=0)
     return search(task._replace(settings=settings), rounds, 1)
 
 
 @compiled(**PART_FAST)
 def _scatter(task, rounds):
-    """Scatter the sequences of the next round; the best become the starts.
+    """Generate the random sequences of the next round, and take the best of them as starts.
 
     Returns:
         Whether the search has ended instead.
@@ -257,11 +265,11 @@ def _scatter(task, rounds):
 
 @compiled(**PART_FAST)
 def _draw_sequences(task, key, rounds):
-    """Fill `scattered` with random sequences.
+    """Fill `scattered` with random sequences that change smoothly.
 
-    Each sequence is linear between knots, directions drawn uniformly within UPPER of the bearing of
-    the targets. With a warm start, every second sequence is the warm start plus such a curve within
-    NEAR_WARM of 0.
+    Each sequence interpolates linearly between a few random directions, its knots, which are
+    uniform within UPPER of the mean direction to the targets. With a warm start, every second
+    sequence is the warm start plus such a curve within NEAR_WARM of 0.
     """
     draws = rounds.draws
     signals = rounds.scattered
@@ -289,7 +297,7 @@ def _draw_sequences(task, key, rounds):
 
 @compiled(**PART_FAST)
 def _take_start(rounds):
-    """Begin with the next start."""
+    """Take the next start as the sequence to polish."""
     rounds.polish.iterations = 0
     u = rounds.signals
     for j in range(u.size):
@@ -298,7 +306,7 @@ def _take_start(rounds):
 
 @compiled(**PART_FAST)
 def _end_start(task, rounds):
-    """Evaluate the result of a start, and keep it if it is the best.
+    """Compute the cost of a polished start, and keep its sequence if it is the best so far.
 
     Returns:
         Whether the search has ended with it.
@@ -322,10 +330,7 @@ def _end_start(task, rounds):
 
 @compiled(**PART_FAST)
 def _note_merits(rounds, cost):
-    """Add the merits of a polish to the history if it has found a better sequence.
-
-    They are limited to the range between the best cost so far and the new cost.
-    """
+    """Add the merits of a polish to the history if the polish has found a better sequence."""
     best_cost = rounds.state.best_cost
     if cost < best_cost:
         for z in range(rounds.polish.iterations):
@@ -334,7 +339,7 @@ def _note_merits(rounds, cost):
 
 @compiled(**PART_FAST)
 def _keep(rounds, u, cost):
-    """Keep the sequence u (L,) if it has the lowest cost, and add that cost to the history."""
+    """Keep the sequence u (L,) if it costs the least so far, and add its cost to the history."""
     if cost < rounds.state.best_cost:
         rounds.state.best_cost = cost
         for j in range(u.size):
@@ -344,14 +349,14 @@ def _keep(rounds, u, cost):
 
 @compiled(**PART_FAST)
 def _note(rounds, cost):
-    """Add an entry to the history."""
+    """Add a cost to the search's history."""
     rounds.history[rounds.state.history_entries] = cost
     rounds.state.history_entries += 1
 
 
 @compiled(**INLINE_FAST)
 def _bearing(problem):
-    """Return the mean direction from the robots to their targets [rad]."""
+    """Compute the mean direction from the robots to their targets [rad]."""
     east = 0.0
     north = 0.0
     for i in range(len(problem.robots)):
@@ -362,10 +367,10 @@ def _bearing(problem):
 
 @compiled(**PART_FAST)
 def _sort(scattered_costs, order):
-    """Fill `order` (K,) with the indices of the lowest costs, in ascending order.
+    """Find the K lowest costs, and fill `order` (K,) with their indices in ascending order of cost.
 
-    Of equal costs, the first comes first. The function inserts each cost into those sorted before,
-    and returns their number.
+    Of equal costs, the first comes first. The function inserts each cost into those already sorted.
+    It returns their number.
     """
     count = 0
     for n in range(scattered_costs.size):

@@ -1,4 +1,4 @@
-"""Checks whether robots are in obstacles, and how deep.
+"""Compiled tests of whether robots are in obstacles, and how deep.
 
 The geometry of segments is that of `tetractl.core.shape`, compiled. Kernels take obstacles as
 `ObstacleArrays`. Obstacle o is shape o if o < M, and otherwise wall o - M; the walls are LEFT,
@@ -41,7 +41,7 @@ class ObstacleArrays(NamedTuple):
 
 
 def arrays_of(obstacles: Obstacles) -> ObstacleArrays:
-    """Return the arrays of obstacles, which are shared."""
+    """Convert obstacles to arrays for compiled code. Repeated calls share the arrays."""
     return ObstacleArrays(
         corners=obstacles.corners,
         corner_counts=obstacles.corner_counts,
@@ -142,7 +142,9 @@ def nearest(corners, count, radius, x, y):
 
 @compiled(**PART_FAST)
 def count_hits(problem, x, y, i, room):
-    """Add 1 to hits[i, n] of the room if robot i of particle n has touched an obstacle.
+    """Count where robot i has touched an obstacle: add 1 to hits[i, n] of the room.
+
+    Particle n is one of P sequences of signals that are simulated at once.
 
     Args:
         problem: The problem, a `FlatProblem`.
@@ -277,7 +279,7 @@ def wall_distance(walls, w, x, y):
 
 @compiled(**INLINE_FAST)
 def outward(obstacles, o, x, y):
-    """Compute the unit vector that leads from a point out of an obstacle.
+    """Compute the unit vector along which a point leaves an obstacle by the shortest way.
 
     Args:
         obstacles: The obstacles and walls.

@@ -54,7 +54,7 @@ def predict(u, problem, start):
 
 @compiled(**ENTRY_FAST)
 def drive(towards, seconds, problem):
-    """Predict the poses of robots that each follow their own direction.
+    """Predict the poses of robots that each keep a direction of their own.
 
     Args:
         towards: Direction of each robot [rad], shape (N,). NaN if a robot stands still.
@@ -101,7 +101,7 @@ def _moved(problem, i, pose, u, t):
 
 @compiled(**ENTRY_FAST)
 def costs_along(problem, path):
-    """Return f of (8) and P of (9) of a path (L + 1, N, 3) that begins at the start."""
+    """Compute f of (8) and P of (9) for a predicted path (L + 1, N, 3), the start first."""
     last = path.shape[0] - 1
     missed = 0.0
     touched = 0.0
@@ -116,10 +116,10 @@ def costs_along(problem, path):
 
 @compiled(**INLINE_FAST)
 def _number_of_touches(problem, before, after):
-    """Count the robots that touch an obstacle, and the pairs that are too close to each other.
+    """Count the contacts of one step: robots in an obstacle, and pairs that are too close.
 
-    Both are counted at the poses `after` a signal. If paths are `swept`, robots also count if they
-    touch an obstacle on the way from their poses `before` it.
+    Both are counted at the poses `after` a signal. If paths are `swept`, a robot also counts if it
+    touches an obstacle on its way from its pose `before` the signal.
     """
     begin = before if problem.swept else after
     number = 0.0

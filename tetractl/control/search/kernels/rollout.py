@@ -1,7 +1,8 @@
-"""The cost J of (7) of many sequences at once: `tetractl.control.search.cost.evaluate`, compiled.
+"""The cost J of (7) for many sequences of signals at once, compiled for speed.
 
-Each of P sequences, a particle, moves N robots of its own. All particles are simulated together,
-signal by signal, so that the loops over them are vector code.
+It gives the same numbers as `tetractl.control.search.cost.evaluate`. Each of P sequences, called a
+particle, moves N simulated robots of its own. All particles are simulated together, signal by
+signal, so that the loops over them are vector code.
 """
 
 import math
@@ -27,7 +28,7 @@ _sincos = inlined(sincos)
 
 
 class Rollouts(NamedTuple):
-    """The working arrays of the rollouts of P particles with N robots each."""
+    """Working arrays to simulate P sequences of signals, each with N robots of its own."""
 
     x: Floats
     """(N, P) [length unit]."""
@@ -59,7 +60,7 @@ class Rollouts(NamedTuple):
 
 @lru_cache(maxsize=64)
 def rollouts_of(thread: int, robots: int, particles: int) -> Rollouts:
-    """Create a thread's arrays for this many robots and particles.
+    """Allocate the arrays of one thread for a number of robots and of particles.
 
     Args:
         thread: Id of the thread.
@@ -72,7 +73,10 @@ def rollouts_of(thread: int, robots: int, particles: int) -> Rollouts:
 
 
 def _aligned(shape: tuple[int, ...]) -> Floats:
-    """Return an array aligned to cache lines: a vector across two lines takes twice the time."""
+    """Allocate an array that begins at a cache line.
+
+    A vector across two lines takes twice the time.
+    """
     size = math.prod(shape)
     raw = np.empty(size + VECTOR)
     first = -raw.ctypes.data // raw.itemsize % VECTOR
@@ -81,7 +85,7 @@ def _aligned(shape: tuple[int, ...]) -> Floats:
 
 @compiled(**ENTRY_FAST)
 def costs(problem, rollouts, signals, total):
-    """Compute the cost J of many sequences.
+    """Compute the cost J of many sequences of signals.
 
     Arrays are taken out of the problem and the rollouts before the loops, because inside them each
     access to a field would take as long as a dozen steps.
@@ -148,7 +152,7 @@ def costs(problem, rollouts, signals, total):
 
 @compiled(**PART_FAST)
 def count_meetings(x, y, separation, hits):
-    """Count the robots that are too close to each other.
+    """Count how often robot i is too close to a robot before it, separately for each particle.
 
     Args:
         x: x of the robots, shape (N, P).
@@ -168,7 +172,7 @@ def count_meetings(x, y, separation, hits):
 
 @compiled(**INLINE_FAST)
 def _add_up(problem, rollouts, total):
-    """Write (7) of each particle to total (P,); return whether all are finite."""
+    """Compute the cost J of each particle from f and P by (7). Return whether all are finite."""
     x = rollouts.x
     y = rollouts.y
     hits = rollouts.hits

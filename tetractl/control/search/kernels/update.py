@@ -1,4 +1,4 @@
-"""The compiled move of particles, (14)-(17), including the draws of its random numbers."""
+"""The compiled move of a particle swarm, the paper's (14)-(17), with its random numbers."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ LOW_31 = np.uint64(0x7FFF_FFFF)  # mask of the lower 31 bits
 
 @compiled(**INLINE_FAST)
 def drawn(key, index):
-    """Return draw `index` of a key, 64 random bits; see `tetractl.control.search.rng`."""
+    """Return the 64 random bits of a key and an index; see `tetractl.control.search.rng`."""
     z = key + np.uint64(index + 1) * STEP
     z = (z ^ (z >> S30)) * MIX_1
     z = (z ^ (z >> S27)) * MIX_2
@@ -29,10 +29,10 @@ def drawn(key, index):
 
 @compiled(**ENTRY_FAST)
 def move(u, v, u_lb, u_gb, key, z, inertia, cognitive, social):
-    """Apply (14)-(17) to the positions and velocities of a swarm, in place.
+    """Move all particles of a swarm by the paper's equations (14)-(17), in place.
 
-    r1 and r2 are the upper and the lower 31 bits of one draw. The scale 2^-31 that brings them into
-    [0, 1) is part of the weights c1 and c2.
+    The random factors r1 and r2 are the upper and the lower 31 bits of one random number. The scale
+    2^-31 that brings them into [0, 1) is part of the weights c1 and c2.
 
     Args:
         u: Positions [rad], shape (L, P).
@@ -42,8 +42,8 @@ def move(u, v, u_lb, u_gb, key, z, inertia, cognitive, social):
         key: Key of the random numbers.
         z: Index of the iteration.
         inertia: Weight of the velocity.
-        cognitive: Weight c1 of the way to the particle's best.
-        social: Weight c2 of the way to the best of all.
+        cognitive: Weight c1 of the pull to the particle's best position.
+        social: Weight c2 of the pull to the best position of all.
     """
     length, particles = u.shape
     c1 = cognitive * 2.0**-31

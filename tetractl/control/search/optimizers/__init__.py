@@ -1,1 +1,4 @@
-"""The optimisers; each has a file with its section of the spec and its search."""
+"""The optimisers that search for a plan.
+
+Each has a file with its fields of the spec and its search.
+"""

@@ -1,12 +1,13 @@
-"""The recommended optimiser: Levenberg-Marquardt polishes the best of many random starts.
+"""The recommended optimiser `multistart`: try many random plans, and improve the best of them.
 
-A particle swarm needs some ten thousand rollouts because it uses only the cost of a rollout. The
-cost, equation (8) of the paper, is smooth, its gradient costs about as much as a rollout, and there
-are far fewer misses (two coordinates per robot) than signals: Levenberg-Marquardt
-(`tetractl.control.search.kernels.levenberg`) reaches the targets from about every third smooth
-random sequence, in a few dozen steps. Global decisions, such as the side on which to pass an
-obstacle, are made by random starts and selection: each round draws many smooth sequences, evaluates
-them in one vectorised rollout and polishes only the best.
+A rollout is the simulation of one sequence of signals. The paper's particle swarm needs some ten
+thousand rollouts, because it uses only their costs. The cost, equation (8) of the paper, is smooth,
+its gradient costs about as much as a rollout, and there are far fewer misses (two coordinates per
+robot) than signals. Therefore the Levenberg-Marquardt method
+(`tetractl.control.search.kernels.levenberg`) improves ("polishes") about every third smooth random
+sequence until it reaches the targets, in a few dozen steps. Global decisions, such as the side on
+which to pass an obstacle, are made by random starts and selection: each round draws many smooth
+sequences, evaluates them in one vectorised rollout and polishes only the best.
 """
 
 from threading import get_ident
@@ -64,12 +65,12 @@ class Multistart(OptimizerSection):
 
     @property
     def iterations_max(self) -> int:
-        """Maximum number of Levenberg-Marquardt iterations for one start and up to three robots."""
+        """Maximum number of Levenberg-Marquardt iterations per start, for up to three robots."""
         return self.steps
 
     @property
     def evaluations_min(self) -> int:
-        """Minimum number of cost evaluations of a search: one round and a warm start."""
+        """Minimum number of cost evaluations that a search needs: one round and the warm start."""
         return self.particles + 1
 
     @property
@@ -78,17 +79,21 @@ class Multistart(OptimizerSection):
         return self.tolerance
 
     def growth(self, problem: Problem) -> float:
-        """Return the factor for `knots`, `steps` and `patience`."""
+        """Return the factor by which settings grow with the number of robots.
+
+        The settings are `knots`, `steps` and `patience`.
+        """
         return max(1.0, np.square(len(problem.a) / 3)) if self.grows else 1.0
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search from `warm` or from random starts; see `Optimizer.search`.
+        """Search from the previous plan `warm`, or from random sequences; see `Optimizer.search`.
 
-        A warm start is polished first. If that fails, one round is scattered, half of it around the
-        warm start. The history holds J before and after each polish and, in between, the merit of
-        its steps: f of the paper's equation (8) plus the depths inside obstacles.
+        The previous plan, called the warm start, is polished first. If that fails, one round is
+        scattered, half of it around the warm start. The history holds J before and after each
+        polish and, in between, the merit of its steps: f of the paper's equation (8) plus the
+        depths inside obstacles.
         """
         from tetractl.control.search.kernels import levenberg, motion, multistart, rollout
 
@@ -140,7 +145,7 @@ class Multistart(OptimizerSection):
         )
 
     def _rounds(self, problem: Problem, length: int) -> int:
-        """Return `rounds`, but 1 if the targets are out of reach even along straight lines."""
+        """Return the number of rounds: 1 if the targets are out of reach even on straight lines."""
         gaps = problem.poses.distances(problem.targets)
         reach = problem.speed * problem.seconds(length)
         beyond = float(np.maximum(gaps - reach, 0.0).sum())
@@ -150,10 +155,10 @@ class Multistart(OptimizerSection):
 def _stopped_in_time(
     task: "SearchTask", rounds: "Rounds", iterations: int, limits: Limits
 ) -> StopReason:
-    """Search until the search ends or its time is over, and return why it ended.
+    """Run a search until it ends or its deadline has come, and return why it ended.
 
     The clock is checked after every `iterations`. At the deadline, the polish under way ends as it
-    is; if it is the first one, it may end before it has improved its start. The reason is then the
+    is. If it is the first one, it may end before it has improved its start. The reason is then the
     deadline, even if the result is good enough.
     """
     from tetractl.control.search.kernels import multistart
@@ -171,7 +176,7 @@ def _stopped_in_time(
 
 
 def _reason(end: int) -> StopReason:
-    """Convert the kernel's code for the end of a search to a reason.
+    """Convert the code with which a compiled search ends to a reason.
 
     Raises:
         ControlError: If a cost is not finite.

@@ -41,7 +41,7 @@ KEY_OF_MOVES = 1
 
 
 class Pso(OptimizerSection):
-    """Particle swarm of the paper's Algorithm 1, equations (14)-(19)."""
+    """The paper's optimiser: a particle swarm, Algorithm 1 with equations (14)-(19)."""
 
     type: Literal["pso"] = "pso"
     particles: int = Field(default=100, ge=1, le=1_000_000)
@@ -59,23 +59,23 @@ class Pso(OptimizerSection):
 
     @property
     def iterations_max(self) -> int:
-        """Largest number of iterations of one search, z_max."""
+        """Maximum number of iterations of one search, the paper's z_max."""
         return self.iterations
 
     @property
     def evaluations_min(self) -> int:
-        """Minimum number of cost evaluations of a search: all particles and a warm start."""
+        """Minimum number of cost evaluations: one of each particle, and one of a warm start."""
         return self.particles + 1
 
     @property
     def evaluations_max(self) -> int:
-        """Largest number of cost evaluations of a search: all iterations and a warm start."""
+        """Maximum number of cost evaluations of a search: all iterations, and a warm start."""
         return (self.iterations + 1) * self.particles + 1
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search with the paper's Algorithm 1, pso(u_gb^0); see `Optimizer.search`.
+        """Search by the paper's Algorithm 1, pso(u_gb^0); see `Optimizer.search`.
 
         u_gb^0 is the warm start, or NULL if it is None. The line numbers in comments are the
         paper's.
@@ -95,7 +95,7 @@ class Pso(OptimizerSection):
         return progress.search()  # line 13
 
     def swarm(self, problem: Problem, length: int, warm: Floats | None, key: int) -> "Swarm":
-        """Return the swarm with which Algorithm 1 begins, lines 1-6.
+        """Create the swarm with which Algorithm 1 begins, lines 1-6.
 
         Its u_gb is `warm` or, without a warm start, the best of all u_lb,n. A warm start is not
         compared with the u_lb,n before the first iteration.
@@ -119,7 +119,7 @@ class Pso(OptimizerSection):
 
 @dataclass(frozen=True, slots=True)
 class Best:
-    """A sequence (L,) [rad] and its cost J [length unit]."""
+    """The best sequence of signals (L,) [rad] met so far, with its cost J [length unit]."""
 
     signals: Floats
     cost: float
@@ -127,9 +127,10 @@ class Best:
 
 @dataclass(slots=True)
 class Swarm:
-    """P particles in L dimensions; `scattered` makes a swarm, `iterate` moves it.
+    """A particle swarm: P sequences of L signals that move towards the best sequences met so far.
 
-    `costs_of` maps sequences (L, P) to their costs J (P,). All random numbers come from `key`.
+    `scattered` creates a swarm, and `iterate` moves it. `costs_of` maps sequences (L, P) to their
+    costs J (P,). All random numbers are determined by `key`.
     """
 
     section: Pso
@@ -152,7 +153,7 @@ class Swarm:
     def scattered(
         cls, section: Pso, length: int, key: int, costs_of: Callable[[Floats], Floats]
     ) -> "Swarm":
-        """Return a swarm at random positions.
+        """Create a swarm with random positions and velocities.
 
         u_n, v_n and u_lb,n are uniform in their search spaces (line 1), and u_gb is the best of the
         u_lb,n (line 3).
@@ -180,7 +181,7 @@ class Swarm:
         )
 
     def iterate(self) -> None:
-        """Move all particles, then update the local and the global best: line 8."""
+        """Move all particles, then update the best sequences: line 8 of Algorithm 1."""
         self._move()
         costs = self.costs_of(self.u)
         self.u_lb = np.where(costs < self.local_costs, self.u, self.u_lb)  # (18)
@@ -191,7 +192,7 @@ class Swarm:
         self.z += 1
 
     def _move(self) -> None:
-        """Change u and v in place by equations (14)-(17), which the kernel has."""
+        """Move all particles in place by equations (14)-(17), which are compiled."""
         from tetractl.control.search.kernels.update import (
             move,  # late: reading a spec compiles nothing
         )

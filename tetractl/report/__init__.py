@@ -1,1 +1,1 @@
-"""The report: one HTML file that shows trials and their statistics without a network."""
+"""The report of experiments: one HTML file that shows trials and statistics, without a network."""

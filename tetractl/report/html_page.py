@@ -1,6 +1,7 @@
-"""An HTML page that needs no network and no other file.
+"""The frame of every HTML page that tetractl writes, which needs no network and no other file.
 
-This is the frame of the report, the player and the game: style, scripts and security policy.
+The frame consists of the style, the scripts and the security policy. The report, the player of
+trials and the game use it.
 """
 
 import hashlib
@@ -20,9 +21,9 @@ SCRIPT_NESTED = "<\u2028\u2029"
 
 @dataclass(frozen=True, slots=True)
 class FramedPage:
-    """A page of its own, which a notebook shows in a frame.
+    """A complete HTML page, which a notebook shows in a frame of its own.
 
-    The frame is a sandbox, so nothing in a log or a spec can reach the rest of the notebook.
+    The frame is a sandbox, so that no script in a log or a spec can reach the rest of the notebook.
 
     Attributes:
         page: The whole page as HTML.
@@ -40,21 +41,21 @@ class FramedPage:
 
 
 def asset(name: str) -> str:
-    """Read a file of the pages' style, frames or scripts."""
+    """Return the contents of a file in `assets`: a style, a frame of a page, or a script."""
     return (ASSETS / name).read_text("utf-8")
 
 
 def script_json(text: str) -> str:
-    """Escape a JSON text so that it can stand inside an HTML script element."""
+    """Escape a JSON text so that it can be placed inside an HTML script element."""
     for unsafe in SCRIPT_NESTED:
         text = text.replace(unsafe, f"\\u{ord(unsafe):04x}")
     return text
 
 
 def html_page(title: str, body: str, scripts: Sequence[str]) -> str:
-    """Put a page together.
+    """Create an HTML page from its body and scripts, with tetractl's style.
 
-    Its security policy allows these scripts only, and nothing from outside the page.
+    The page's security policy allows only these scripts, and nothing from outside the page.
 
     Args:
         title: The page's title, as text.

@@ -1,7 +1,7 @@
-"""Makes the report of logs: one HTML file that needs no network and no other file.
+"""Creates the report of recorded trials: one HTML file that needs no network and no other file.
 
-`report` reads the logs, and puts the parts of the page together in their order: header,
-player of the trials, errors over time, statistics, figures of the first trial, its provenance.
+`report` reads the logs, and puts the parts of the page together in their order: header, player of
+the trials, errors over time, statistics, figures of the first trial, its provenance.
 """
 
 import json
@@ -68,7 +68,7 @@ SCRIPTS = ("data.js", "clock.js", "legend.js", "scene.js", "chart.js", "player.j
 
 @dataclass(frozen=True, slots=True)
 class _CarriedTrial:
-    """A trial that the page carries: the path of its log, its name in the player, and its data."""
+    """A trial whose data is in the page: its log's path, its name in the player, and the data."""
 
     path: str
     name: str
@@ -78,10 +78,11 @@ class _CarriedTrial:
 def report(
     paths: Sequence[Path], title: str | None, progress: Callable[[int, int], None]
 ) -> tuple[str, list[str]]:
-    """Return the HTML page of trials, and what is wrong with logs.
+    """Create the report of trials, an HTML page, and list the faults found in their logs.
 
-    Each folder and each arm of a study is a batch. Logs given one by one are one batch together.
-    Trials of a study without a log are only in the tables.
+    Each folder and each arm of a study (one combination of its settings) is a batch. Logs that are
+    given one by one form one batch together. Trials of a study without a log are only in the
+    tables.
 
     Args:
         paths: Logs, folders or patterns.
@@ -121,7 +122,10 @@ def report(
 
 
 def player(logs: Sequence[TrialLog]) -> FramedPage:
-    """Return the player of trials. More than MANY are shown without plans and searches."""
+    """Create a page that plays recorded trials.
+
+    More than MANY are shown without plans and searches.
+    """
     title = f"{logs[0].experiment.name}: {logs[0].origin}"
     header = f"<header><h1>{escape(title)}</h1>{THEME}</header>"
     trials: list[_CarriedTrial] = []
@@ -138,10 +142,10 @@ def player(logs: Sequence[TrialLog]) -> FramedPage:
 
 
 class _Carried:
-    """The logs of its batches that the page contains, all of them if `complete`.
+    """The logs that the page contains, which are all logs of its batches if `complete`.
 
-    They are the `trials`, the figures of their `errors` over time, and the `first` trial. `unread`
-    is what is wrong with logs.
+    `trials` are the trials to play, `errors` the figures of the errors over time, and `first` is
+    the first trial. `unread` lists the faults found in logs.
     """
 
     def __init__(self, complete: bool) -> None:
@@ -152,7 +156,7 @@ class _Carried:
         self.unread: list[str] = []
 
     def add(self, group: BatchStatistics, groups: int) -> None:
-        """Read the logs of a batch, one of `groups`."""
+        """Read the logs of one batch, and add their data. The page has `groups` batches."""
         logs: list[TrialLog] = []
         for path in group.batch.logs if self._complete else logs_to_carry(group, groups):
             try:
@@ -172,10 +176,10 @@ class _Carried:
 
 
 def logs_to_carry(group: BatchStatistics, groups: int) -> list[Path]:
-    """Select the logs of a batch for a page that cannot contain all.
+    """Select which logs of a batch go into a page that cannot contain all of them.
 
     They are trials at evenly spaced ranks of the total error, from the best to the worst, and some
-    that do not count, in the order of the trials. The batch is one of `groups`.
+    that do not count, in the order of the trials. The page has `groups` batches.
     """
     logs = set(group.batch.logs)
     logged = [trial for trial in group.batch.trials if Path(trial.log) in logs]
@@ -195,10 +199,10 @@ def logs_to_carry(group: BatchStatistics, groups: int) -> list[Path]:
 def _batches(
     paths: Sequence[Path], progress: Callable[[int, int], None]
 ) -> tuple[list[BatchStatistics], list[str]]:
-    """Read a batch for each folder, and one for all single logs.
+    """Read the logs: those of each folder as a batch, and all single logs as one more batch.
 
     Returns:
-        Their statistics, and what is wrong with logs.
+        The statistics of the batches, and the faults found in logs.
 
     Raises:
         LogError: If no log can be read.
@@ -228,7 +232,7 @@ def _batches(
 
 
 def _header(title: str, compared: BatchComparison, numbers: Mapping[str, int]) -> str:
-    """Return the HTML of the title, each batch's result, the verdicts, and every total error."""
+    """Return the HTML of the page's head: title, results, verdicts, and a figure of all errors."""
     groups = compared.groups
     about = escape(groups[0].experiment.description)
     top = [_overview(groups)]
@@ -272,7 +276,7 @@ def _overview(groups: Sequence[BatchStatistics]) -> Table:
 
 
 def _player(trials: Sequence[_CarriedTrial], unit: str, note: str = "") -> str:
-    """Return the HTML of the player, with the data of its trials."""
+    """Return the HTML of the part of the page that plays trials, with the data of these."""
     options: list[str] = []
     data: list[str] = []
     for index, trial in enumerate(trials):
@@ -287,7 +291,7 @@ def _player(trials: Sequence[_CarriedTrial], unit: str, note: str = "") -> str:
 
 
 def _statistics(compared: BatchComparison, numbers: Mapping[str, int]) -> str:
-    """Return the tables of each batch and of their comparison, and the same data as JSON."""
+    """Return the HTML of the tables of statistics, and the same data as JSON."""
     links = {str(number): f"#trial-{number}" for number in numbers.values()}
     parts: list[str] = []
     for group in compared.groups:
@@ -311,13 +315,13 @@ def _statistics(compared: BatchComparison, numbers: Mapping[str, int]) -> str:
 
 
 def _tables(listed: Sequence[Table]) -> str:
-    """Return the HTML of tables, side by side where there is room."""
+    """Return tables as HTML, side by side where there is room."""
     cells = [f"<div>{html([table])}</div>" for table in listed]
     return f'<div class="tables">{"".join(cells)}</div>'
 
 
 def _provenance(log: TrialLog) -> str:
-    """Return the section of the spec, the host and the versions of the first trial."""
+    """Return the HTML that shows how the first trial was made: spec, host and versions."""
     start = log.start
     facts = [f"<dt>{escape(key)}</dt><dd>{escape(fact)}</dd>" for key, fact in log.facts.items()]
     spec_name = escape(start.spec_name)
@@ -335,12 +339,12 @@ def _provenance(log: TrialLog) -> str:
 
 
 def lean(log: TrialLog) -> TrialLog:
-    """Return the trial with what `errors_over_time` draws alone, so that many fit into memory."""
+    """Return a trial with only the data that `errors_over_time` draws, to save memory."""
     return replace(log, steps=log.steps[:1], truth=None, notes=())
 
 
 def figures_of_trial(log: TrialLog) -> str:
-    """Draw the figures of a trial. Empty if its log has no control step or no camera frame."""
+    """Return the HTML of a trial's figures. Empty if its log has no control step or no frame."""
     if not (log.steps and len(log.mocap_ns)):
         return ""
     name = Path(log.log).name
@@ -349,7 +353,7 @@ def figures_of_trial(log: TrialLog) -> str:
 
 
 def errors_over_time(name: str, logs: Sequence[TrialLog]) -> str:
-    """Return the figure of a batch called `name`, "" for less than two trials with frames."""
+    """Return the figure of a batch's errors. Empty for fewer than two trials with frames."""
     with_frames = [log for log in logs if len(log.mocap_ns)]
     if len(with_frames) < 2:
         return ""
@@ -378,7 +382,7 @@ def total_errors(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) 
 
 
 def _figure(kind: str, logs: Sequence[TrialLog], text: str) -> str:
-    """Return the figure of a kind as a picture with a caption."""
+    """Draw a figure of the given kind, and return its HTML, with a caption."""
     from tetractl.view.figures.draw import draw
     from tetractl.view.style import svg
 
@@ -389,10 +393,10 @@ def _figure(kind: str, logs: Sequence[TrialLog], text: str) -> str:
 
 
 def _captioned(picture: str, text: str) -> str:
-    """Return a picture with its caption."""
+    """Return the HTML of an image with its caption."""
     return f"<figure>{picture}<figcaption>{escape(text)}</figcaption></figure>"
 
 
 def _side_by_side(figures: Sequence[str]) -> str:
-    """Return figures on white paper, in a dark page too."""
+    """Return the HTML of figures next to each other, on a white background also in a dark page."""
     return f'<div class="paper">{"".join(figures)}</div>'

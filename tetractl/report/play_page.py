@@ -1,7 +1,7 @@
-"""Makes the game in a browser: one HTML file in which anybody steers the robots of a spec.
+"""Creates the game in a browser: one HTML file in which a person steers the robots of a spec.
 
 The page moves the robots by the spec's own model (`assets/motion.js`), without disturbances. It
-carries one trial of the spec's controller, which it plays after the person's.
+contains one trial of the spec's controller, which it plays after the person's, for comparison.
 """
 
 import json
@@ -32,7 +32,7 @@ FRAME_PX = 1000
 
 
 def play_page(spec: LoadedSpec, log: TrialLog) -> FramedPage:
-    """Put the page of a spec together.
+    """Create the page on which a person steers the robots of a spec.
 
     Args:
         spec: A spec without disturbances, by `undisturbed_spec`, whose motion the page knows.
@@ -65,7 +65,7 @@ def refuse_unknown_motion(spec: LoadedSpec) -> None:
 
 
 def _controllers_trial(log: TrialLog) -> dict[str, Any]:
-    """Return the controller's trial as the player has it, with its plans if there is room."""
+    """Return the data of the controller's trial for the page, with its plans if there is room."""
     data = trial_data(log, log.origin) | {"history": None}
     if len(packed(data)) > TRIAL_MAX:
         data["plan"] = None
@@ -73,7 +73,7 @@ def _controllers_trial(log: TrialLog) -> dict[str, Any]:
 
 
 def _world(spec: LoadedSpec) -> dict[str, Any]:
-    """Return the page's data of the experiment, with lengths in its unit."""
+    """Return the experiment as data for the page, with lengths in its unit."""
     experiment = spec.experiment
     plant = experiment.plant
     assert isinstance(plant, SimSection), "a spec without disturbances is simulated"
@@ -97,7 +97,7 @@ def _world(spec: LoadedSpec) -> dict[str, Any]:
 
 
 def _robots(setup: Setup) -> list[dict[str, Any]]:
-    """Return each robot's name, colour, start pose, target, turning rate and speed."""
+    """Return each robot as data for the page: name, colour, start, target, turning rate, speed."""
     colors = robot_colors(setup.names, setup.colors)
     starts = setup.starts.array().tolist()
     return [
@@ -115,7 +115,7 @@ def _robots(setup: Setup) -> list[dict[str, Any]]:
 
 
 def _task(setup: Setup) -> str:
-    """Say what the person is to do."""
+    """Describe in words what the person has to do."""
     around = ""
     if setup.obstacles:
         around = f", around the yellow {plural('obstacle', len(setup.obstacles))}"

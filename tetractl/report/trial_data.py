@@ -1,6 +1,6 @@
-"""The data of one trial for the page's player: compressed JSON, in which null stands for NaN.
+"""The data of one trial for the player in an HTML page: compressed JSON, with null for NaN.
 
-assets/data.js unpacks it.
+The script assets/data.js unpacks it in the browser.
 """
 
 import base64
@@ -30,14 +30,14 @@ The error is at most a thousandth of the arena.
 
 
 def packed(trial: dict[str, Any]) -> str:
-    """Return a trial as base64 of its JSON, compressed by zlib."""
+    """Compress the data of a trial by zlib, and return it as base64 text."""
     text = json.dumps(trial, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     compressed = zlib.compress(text.encode(), 9)
     return base64.b64encode(compressed).decode()
 
 
 def rounded(values: ArrayLike, decimals: int = 3) -> list[Any]:
-    """Return an array as lists, with None in place of values that are not finite."""
+    """Round an array, and return it as lists, with None in place of values that are not finite."""
     numbers = np.asarray(values, dtype=float)
     items = np.round(numbers, decimals).astype(object)
     items[~np.isfinite(numbers)] = None
@@ -45,13 +45,13 @@ def rounded(values: ArrayLike, decimals: int = 3) -> list[Any]:
 
 
 def significant(values: ArrayLike) -> list[float | None]:
-    """Return values (n,) with four significant digits, with None for those not finite."""
+    """Round values (n,) to four significant digits, with None for those that are not finite."""
     numbers = np.asarray(values, dtype=float).tolist()
     return [float(f"{number:.4g}") if math.isfinite(number) else None for number in numbers]
 
 
 def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
-    """Return a trial of N robots for the player.
+    """Return the data of a trial of N robots that the player of an HTML page shows.
 
     Lengths are in `unit`, times [s] count from the first direction sent. `frames.xy` (M, N, 2) and
     `frames.heading` (M, N) are measured poses, thinned to `SHOWN_HZ`. For each of K control steps,
@@ -93,7 +93,7 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
 
 
 def _robots(log: TrialLog) -> list[dict[str, Any]]:
-    """Return each robot's name, colour, start, target, and way-points."""
+    """Return each robot as data: its name, colour, start, target, and way-points."""
     setup = log.start.setup
     colors = robot_colors(setup.names, setup.colors)
     starts = first_seen(log.positions, setup.starts.xy).tolist()
@@ -111,7 +111,7 @@ def _robots(log: TrialLog) -> list[dict[str, Any]]:
 
 
 def _frames(log: TrialLog, until_ns: int, decimals: int) -> dict[str, Any]:
-    """Return times and measured poses of the frames shown."""
+    """Return the measured poses that the player shows, with the times of their frames."""
     frames = _thinned(log, until_ns)
     valid = log.valid[frames]
     heading = np.where(valid, log.mocap[frames, :, 2], np.nan)
@@ -123,7 +123,10 @@ def _frames(log: TrialLog, until_ns: int, decimals: int) -> dict[str, Any]:
 
 
 def _steps(log: TrialLog) -> dict[str, Any]:
-    """Return the page's data of each control step. Plans of standing robots have no cost."""
+    """Return the data of each control step for the player.
+
+    Plans of standing robots have no cost.
+    """
     steps = log.steps
     plans = [step.plan for step in steps]
     return {
@@ -138,7 +141,7 @@ def _steps(log: TrialLog) -> dict[str, Any]:
 
 
 def _final(log: TrialLog, decimals: int) -> dict[str, Any] | None:
-    """Return the poses and errors of the result. None if the log ends early."""
+    """Return the final poses and errors, from the trial's result. None if the log ends early."""
     result = log.result
     if result is None:
         return None
@@ -150,19 +153,19 @@ def _final(log: TrialLog, decimals: int) -> dict[str, Any] | None:
 
 
 def _plans(log: TrialLog, decimals: int) -> list[Any]:
-    """Return the positions that each step predicted."""
+    """Return the positions that the plan of each control step predicted."""
     return [rounded(step.plan.path[..., :2], decimals - COARSER) for step in log.steps]
 
 
 def _events(log: TrialLog) -> list[dict[str, Any]]:
-    """Return the trial's events."""
+    """Return the events of the trial as data for the player."""
     return [{"t": event.time_s, "level": event.level, "text": event.text} for event in log.events]
 
 
 def _thinned(log: TrialLog, until_ns: int) -> NDArray[np.intp]:
-    """Return the indices of the frames to show, at most `SHOWN_HZ` per second.
+    """Select the frames to show, at most `SHOWN_HZ` per second, and return their indices.
 
-    None is more than one control period before the first direction, or later than `until_ns`.
+    No frame is more than one control period before the first direction, or later than `until_ns`.
     """
     before_end = log.mocap_ns <= until_ns
     times_ns = log.mocap_ns[before_end]
@@ -176,7 +179,7 @@ def _thinned(log: TrialLog, until_ns: int) -> NDArray[np.intp]:
 
 
 def _dish(log: TrialLog) -> dict[str, Any] | None:
-    """Return a microscope's images as JPEG, with times and corners. None if there are none."""
+    """Return a microscope's images as JPEG, with times and corners. None if the log has none."""
     pictures = DishPictures(log, PICTURES_MAX)
     if not pictures.times:
         return None

@@ -1,1 +1,1 @@
-"""A live WebSocket for the log viewers Foxglove and Lichtblick."""
+"""A live stream of running trials over a WebSocket, for the log viewers Foxglove and Lichtblick."""

@@ -1,4 +1,4 @@
-"""The messages of the protocol `foxglove.sdk.v1` that show a trial.
+"""The messages of the protocol `foxglove.sdk.v1`, by which the viewer Foxglove receives a trial.
 
 https://github.com/foxglove/ws-protocol specifies them. Topics, schemas and messages are those of a
 log.
@@ -27,7 +27,7 @@ _SESSION_BYTES = 8
 
 
 def greeting(name: str) -> list[str]:
-    """Return the first messages to a client.
+    """Return the first messages that a new viewer receives.
 
     They are the server's description, and the topics with their schemas.
     """
@@ -42,7 +42,7 @@ def greeting(name: str) -> list[str]:
 
 
 def _channel(number: int, topic: str) -> dict[str, object]:
-    """Return the description of a topic."""
+    """Describe a topic as the protocol requires: its name, its encoding and its schema."""
     schema = protobuf_schema(CHANNELS[topic])
     return {
         "id": number,
@@ -55,7 +55,7 @@ def _channel(number: int, topic: str) -> dict[str, object]:
 
 
 def subscription(number: int) -> bytes:
-    """Return the bytes of a client's subscription number for `message`.
+    """Convert a viewer's number of a subscription to the bytes with which its messages begin.
 
     Raises:
         OverflowError: If the number is invalid.
@@ -64,12 +64,12 @@ def subscription(number: int) -> bytes:
 
 
 def message(subscription: bytes, entry: Entry) -> bytes:
-    """Return a log's message as sent for one of a client's subscriptions."""
+    """Return a message of the log in the form that a viewer receives for its subscription."""
     kind = bytes([_MESSAGE])
     time_ns = struct.pack("<Q", entry.log_ns)
     return kind + subscription + time_ns + entry.data
 
 
 def time(time_ns: int) -> bytes:
-    """Return the message that sets a viewer's time [Unix ns]."""
+    """Return the message that sets the time which a viewer shows [Unix ns]."""
     return struct.pack("<BQ", _TIME, time_ns)

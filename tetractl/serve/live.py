@@ -1,4 +1,4 @@
-"""Serves running trials to the log viewers Foxglove and Lichtblick.
+"""Streams running trials to the log viewers Foxglove and Lichtblick, over WebSockets.
 
 `websockets` (the extra `serve`) implements each connection. No trial waits for a viewer: each has a
 queue of at most `BACKLOG` messages and a thread that sends them; when the queue is full, the oldest
@@ -32,7 +32,7 @@ CLOSE_S = 0.5
 
 
 class Viewers(RecordSink):
-    """Sends trials called `name` to viewers."""
+    """All connected viewers of a run; its trials are sent to them under the name `name`."""
 
     def __init__(self, name: str) -> None:
         self._greeting = foxglove_protocol.greeting(name)
@@ -44,24 +44,27 @@ class Viewers(RecordSink):
 
     @property
     def watched(self) -> bool:
-        """Whether a viewer has subscribed to a topic."""
+        """Whether any viewer has subscribed to a topic."""
         with self._lock:
             return any(client.subscriptions for client in self._clients)
 
     def add(self, record: Record) -> None:
-        """Send a message, preceded by its log time, and no attachment; never waits."""
+        """Send a message to the viewers, preceded by its log time.
+
+        It never waits, and skips attachments.
+        """
         if isinstance(record, Entry):
             with self._lock:
                 self._publish(record)
 
     def jump(self, time_ns: int) -> None:
-        """Jump to another time [Unix ns], at which no message has been sent yet."""
+        """Set the viewers to another time [Unix ns], for which no message has been sent yet."""
         with self._lock:
             self._newest.clear()
             self._go_to(time_ns)
 
     def close(self) -> None:
-        """End the connections; waits for at most `CLOSE_S`."""
+        """End the connections to all viewers. It waits for at most `CLOSE_S`."""
         with self._lock:
             clients = list(self._clients)
         for client in clients:
@@ -71,7 +74,10 @@ class Viewers(RecordSink):
             client.leave(until)
 
     def converse(self, link: Connection) -> None:
-        """Serve a viewer until its connection ends; an invalid message ends only its own."""
+        """Serve one viewer until its connection ends.
+
+        An invalid message ends only this connection.
+        """
         client = _Client(link)
         with self._lock:
             for message in self._greeting:
@@ -91,7 +97,10 @@ class Viewers(RecordSink):
             client.leave(monotonic())
 
     def _obey(self, client: "_Client", request: str | bytes) -> None:
-        """Do what a viewer asks for, a subscription or its end; other requests mean nothing."""
+        """Carry out a viewer's request: to subscribe, or to end a subscription.
+
+        Others are ignored.
+        """
         items: dict[str, Any] = json.loads(request)
         with self._lock:
             if items["op"] == "subscribe":
@@ -102,7 +111,7 @@ class Viewers(RecordSink):
                     client.unsubscribe(foxglove_protocol.subscription(number))
 
     def _subscribe(self, client: "_Client", channel: int, number: int) -> None:
-        """Send a viewer a topic's messages from now on, and the newest one at once."""
+        """Send a viewer the messages of a topic from now on, beginning with the newest one."""
         topic = foxglove_protocol.TOPICS[channel]
         client.subscriptions[topic] = foxglove_protocol.subscription(number)
         # otherwise a viewer would show an operator message twice
@@ -110,7 +119,7 @@ class Viewers(RecordSink):
             client.message(self._newest[topic])
 
     def _publish(self, entry: Entry) -> None:
-        """Send a message, after its time if that is later than the viewers'."""
+        """Send a message to the viewers, and before it its time, if that is later than theirs."""
         self._newest[entry.topic] = entry
         if entry.log_ns > self._time_ns:
             self._go_to(entry.log_ns)
@@ -118,7 +127,7 @@ class Viewers(RecordSink):
             client.message(entry)
 
     def _go_to(self, time_ns: int) -> None:
-        """Set the viewers' time."""
+        """Set the time that the viewers show."""
         self._time_ns = time_ns
         message = foxglove_protocol.time(time_ns)
         for client in self._clients:
@@ -126,7 +135,7 @@ class Viewers(RecordSink):
 
 
 class _Client:
-    """The subscriptions of one viewer, an id per topic, and its queued messages."""
+    """One viewer: its subscriptions, an id per topic, and the messages that wait to be sent."""
 
     def __init__(self, link: Connection) -> None:
         self.subscriptions: dict[str, bytes] = {}
@@ -138,7 +147,7 @@ class _Client:
         self._sender.start()
 
     def message(self, entry: Entry) -> None:
-        """Queue a message if its topic is subscribed to."""
+        """Queue a message for this viewer if it has subscribed to the message's topic."""
         subscription = self.subscriptions.get(entry.topic)
         if subscription is not None:
             self.put(foxglove_protocol.message(subscription, entry))
@@ -150,7 +159,7 @@ class _Client:
                 del self.subscriptions[topic]
 
     def put(self, message: str | bytes) -> None:
-        """Queue a message; if BACKLOG messages wait already, the oldest is dropped."""
+        """Queue a message for this viewer. If BACKLOG messages already wait, drop the oldest."""
         with self._changed:
             self._waiting.append(message)
             self._changed.notify()
@@ -162,14 +171,17 @@ class _Client:
             self._changed.notify()
 
     def leave(self, until: float) -> None:
-        """Wait for the end until a time of `monotonic`, then cut the connection."""
+        """Wait until the connection has ended, at most until a time of `monotonic`; then cut it."""
         self._sender.join(max(until - monotonic(), 0))
         with suppress(OSError):
             self._link.socket.shutdown(socket.SHUT_RDWR)
         self._sender.join()
 
     def _send(self) -> None:
-        """Send messages until the end, and close the connection."""
+        """Send queued messages until the end, then close the connection.
+
+        A thread of its own runs this.
+        """
         with suppress(OSError, ConnectionClosed):
             message = self._next()
             while message is not None:
@@ -178,14 +190,14 @@ class _Client:
             self._link.close()
 
     def _next(self) -> str | bytes | None:
-        """Wait for the next message. None at the end."""
+        """Wait for the next queued message, and return it. None at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._ending)
             return self._waiting.popleft() if self._waiting else None
 
 
 class ServedRun(Encoder):
-    """An observer that sends the messages that a log would contain, for one trial after another.
+    """An observer of trials that sends viewers the same messages as a log would contain.
 
     A trial in virtual time is slowed down to the wall clock `wall`, so that people can watch it.
     """
@@ -196,14 +208,17 @@ class ServedRun(Encoder):
         self._wall = wall
 
     def on_start(self, start: Start) -> None:
-        """Send the scene of a new trial, and set the viewers' time to its start."""
+        """Send the scene of a new trial to the viewers, and set their time to its start."""
         self._paced = start.plant.virtual
         self._began_ns = self._wall.now()
         self._viewers.jump(start.start_unix_ns)
         super().on_start(start)
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
-        """Send camera frames; without a viewer, keep only the newest for later viewers."""
+        """Send camera frames to the viewers.
+
+        If there are none, keep the newest for later viewers.
+        """
         wanted = samples if self._viewers.watched else samples[-1:]
         for sample in wanted:
             if self._paced:

@@ -1,8 +1,9 @@
-"""The server on the loopback address: a live WebSocket for log viewers.
+"""A server for log viewers on the same computer: a live WebSocket on the loopback address.
 
-Its path is a random token, which keeps other users of this machine out: they can reach the port but
-do not know the link. Requests whose `Host` is another site's name for this machine (DNS rebinding)
-are refused, and so are those whose `Origin` is a page of another site in the operator's browser.
+The path of its address is a random token, which keeps other users of this machine out: they can
+reach the port but do not know the link. Requests whose `Host` is another site's name for this
+machine (DNS rebinding) are refused, and so are those whose `Origin` is a page of another site in
+the operator's browser.
 """
 
 import hmac
@@ -43,9 +44,10 @@ _QUIET.propagate = False
 
 
 class LoopbackServer:
-    """Streams `live` over WebSockets at the address `url`; a context manager.
+    """A server that streams the trials of `live` over WebSockets at the address `url`.
 
-    It runs in its own threads, from construction to `close`. Port 0 takes any free port.
+    It is a context manager, and runs in its own threads from construction to `close`. Port 0 takes
+    any free port.
 
     Raises:
         UsageError: If the port cannot be used.
@@ -97,7 +99,7 @@ class LoopbackServer:
         self.close()
 
     def _refusal(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Return the refusal of a request that lacks this server's `Host` or token.
+        """Return the refusal of a request without this server's `Host` or token. None to accept it.
 
         The token is compared in constant time.
         """

@@ -1,1 +1,1 @@
-"""Views of a trial: live view and player in a terminal, and figures."""
+"""Views of a trial for people: a live view and a player in a terminal, figures, and videos."""

@@ -1,7 +1,7 @@
-"""What a notebook shows of results: the tables of `stats`, and pictures.
+"""The HTML that a notebook shows for results of tetractl: tables of statistics, and images.
 
-`shown` has a function for each kind of result. All is in the output itself: no script, nothing from
-a network, and every text is escaped.
+`shown` has a function for each kind of result. The HTML contains no script and nothing from a
+network, and every text is escaped.
 """
 
 import io
@@ -40,7 +40,10 @@ PICTURE_PX = 440
 
 
 def html(value: object) -> str:
-    """Return the HTML of a result for a notebook. If it cannot be shown, return the reason."""
+    """Return the HTML that a notebook shows for a result.
+
+    If it cannot be shown, return the reason.
+    """
     try:
         return shown(value)
     except TetractlError as error:
@@ -49,7 +52,7 @@ def html(value: object) -> str:
 
 @singledispatch
 def shown(value: object) -> str:
-    """Return the view of a result, by its type."""
+    """Return the HTML for a result, according to its type."""
     raise NotImplementedError(type(value))
 
 
@@ -147,7 +150,7 @@ def _(verification: Verification) -> str:
 
 
 def _output(lines: Sequence[str], tables: Sequence[Table] = (), png: bytes = b"") -> str:
-    """Return the HTML of lines, a picture and tables."""
+    """Return HTML that consists of lines, an image and tables."""
     picture = ""
     if png:
         source = f"data:image/png;base64,{b64encode(png).decode()}"
@@ -157,7 +160,7 @@ def _output(lines: Sequence[str], tables: Sequence[Table] = (), png: bytes = b""
 
 
 def _paths(trial: TrialLog) -> bytes:
-    """Return a PNG of the robots' paths; b"" for a log that has none."""
+    """Draw the robots' paths as a PNG. Empty (b"") for a log that has none."""
     try:
         figure = draw("trajectory", [trial])
     except TetractlError:
@@ -166,12 +169,12 @@ def _paths(trial: TrialLog) -> bytes:
 
 
 def _place(xy: Sequence[float]) -> str:
-    """Return a place as text."""
+    """Return a position as text."""
     return ", ".join(f"{length:.4g}" for length in xy)
 
 
 def _arena(setup: Setup) -> bytes:
-    """Return a PNG of the arena with the robots at their starts."""
+    """Draw the arena with the robots at their starts, as a PNG."""
     file = io.BytesIO()
     Image.fromarray(arena_picture(setup, setup.starts.xy[None])).save(file, "PNG")
     return file.getvalue()

@@ -1,11 +1,11 @@
-"""Words for what a plan says: what robots do by it, and why its search ended."""
+"""Words that describe a plan to people: what robots do under it, and why its search ended."""
 
 from tetractl.core.commands import FieldOff
 from tetractl.core.plan import Plan, Search, State, StopReason
 
 
 def doing(plan: Plan) -> str:
-    """Return words for what the robots do."""
+    """Describe in words what the robots do under a plan."""
     if isinstance(plan.instead, FieldOff):
         return "field off"
     if plan.state in (State.RESTING, State.STUCK):
@@ -16,5 +16,5 @@ def doing(plan: Plan) -> str:
 
 
 def search_end(search: Search) -> str:
-    """Return words for why a search ended."""
+    """Describe in words why an optimiser's search ended."""
     return "no search" if search.stopped == StopReason.FIXED else str(search.stopped)

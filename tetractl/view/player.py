@@ -1,4 +1,4 @@
-"""A recorded trial as a sequence of instants, and a player controlled by keys."""
+"""A player of recorded trials, controlled by keys, and the state of a trial at an instant."""
 
 import math
 from bisect import bisect_right
@@ -18,9 +18,9 @@ from tetractl.log.read.trial_log import Event, TrialLog
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A trial of N robots at one instant, after M frames and K control steps.
+    """All that a view shows of a trial of N robots at one instant.
 
-    Lengths are in the trial's unit.
+    M frames and K control steps have come before the instant. Lengths are in the trial's unit.
 
     Attributes:
         setup: The constants of the experiment.
@@ -50,16 +50,16 @@ class Moment:
 
     @property
     def distances(self) -> Floats:
-        """Distance of each robot to its target, shape (N,). At the end, it is the result's."""
+        """Distance of each robot to its target, shape (N,). At the end, those of the result."""
         if self.result is not None:
             return np.array(self.result.robot_errors)
         return self.setup.distances(self.poses[:, :2])
 
 
 def first_seen(trail: Floats, starts: Floats) -> Floats:
-    """Return the first measured position of each robot in a trail (M, N, 2), shape (N, 2).
+    """Return where each robot was first measured in a trail (M, N, 2), as an array (N, 2).
 
-    For a robot that was never seen, it is the spec's start in `starts` (N, 2). Cells start where
+    A robot that was never seen gets its start in the spec, from `starts` (N, 2). Cells start where
     they are found.
     """
     positions = np.concatenate([trail, starts[None]])
@@ -68,7 +68,7 @@ def first_seen(trail: Floats, starts: Floats) -> Floats:
 
 
 def end_ns(log: TrialLog) -> int:
-    """Return when a recorded trial ends [ns].
+    """Return the time at which a recorded trial ends for its viewers [ns].
 
     A simulated trial ends with its stop, after which its robots stand still in its last frames. In
     a lab, it ends with the last frame that shows the poses of its result; cells that swim on leave
@@ -91,7 +91,7 @@ def end_ns(log: TrialLog) -> int:
 
 
 class Recording:
-    """A recorded trial; `at` returns its state at any time.
+    """A recorded trial, of which `at` returns the state at any time.
 
     Times [ns] are on the trial's clock. A control step begins when its command is sent; `event_ns`
     are the times of events. Users are shown times since the first direction: `log.elapsed_s`.
@@ -133,7 +133,7 @@ class Recording:
 
 
 def _held(mocap: Floats, valid: NDArray[np.bool_], first: Floats) -> Floats:
-    """Return poses (M + 1, N, 3) that hold each robot's last tracked pose.
+    """Return each robot's last tracked pose after every frame, shape (M + 1, N, 3).
 
     Row m holds the poses after m frames. A robot that was not tracked yet has its pose in `first`
     (N, 3).
@@ -153,7 +153,7 @@ RATE_MAX = 64.0
 
 
 class Playback(StrEnum):
-    """The state of a player."""
+    """The state of a player: playing, paused, or finished."""
 
     PLAYING = "playing"
     PAUSED = "paused"
@@ -162,7 +162,7 @@ class Playback(StrEnum):
 
 
 class Player:
-    """Plays a span of a recording, controlled by keys.
+    """A player that shows a span of a recording, controlled by keys.
 
     Call `update` before reading `now`, and `press` with the name of each key: "space" pauses and
     resumes, and at the end plays again from the start. "left" and "right" seek 1 s back and
@@ -202,7 +202,7 @@ class Player:
 
     @property
     def now(self) -> int:
-        """Time of the trial [ns], within the span played."""
+        """The time of the trial that the player shows [ns], within the span to play."""
         passed_ns = 0
         if not self._paused:
             passed_ns = round(self.rate * (self._wall.now() - self._anchor_wall_ns))
@@ -210,7 +210,7 @@ class Player:
 
     @property
     def state(self) -> Playback:
-        """The state of the player."""
+        """Whether the player plays, is paused, or has finished."""
         if self._quit:
             return Playback.QUIT
         if not self._paused:
@@ -218,7 +218,10 @@ class Player:
         return Playback.ENDED if self.now == self.until_ns else Playback.PAUSED
 
     def update(self) -> None:
-        """If the end of the span is reached, pause or, with `loop`, begin again."""
+        """At the end of the span, pause or, with `loop`, begin again.
+
+        Before the end, do nothing.
+        """
         if self.now == self.until_ns and not self._paused:
             if self._loop:
                 self._seek(self.start_ns)
@@ -226,7 +229,7 @@ class Player:
                 self._pause()
 
     def press(self, key: str) -> None:
-        """Act on a key; unknown keys are ignored."""
+        """Carry out the function of a key. Unknown keys are ignored."""
         match key:
             case "space":
                 if self.state is Playback.ENDED:

@@ -1,4 +1,4 @@
-"""The style of every figure (marks, lines, sizes of type and paper), and the saving of figures.
+"""The common style of all figures (marks, lines, sizes of type and paper), and their saving.
 
 `core/colors.py` explains what the colours mean.
 """
@@ -86,7 +86,7 @@ _METADATA: dict[str, dict[str, Any]] = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Apply this style to figures drawn inside the block, then restore matplotlib's settings."""
+    """Apply the common style to figures drawn in the block, then restore matplotlib's settings."""
     with style.context(RC, after_reset=True):
         yield
 
@@ -95,18 +95,18 @@ class ShownFigure(Figure):
     """A figure that a notebook shows, without pyplot and without `%matplotlib inline`."""
 
     def _repr_png_(self) -> tuple[bytes, dict[str, int]]:
-        """Return a PNG, and the width at which it is shown: that on paper."""
+        """Return the figure as PNG for a notebook, with the width at which it is shown on paper."""
         width_px = round(self.get_figwidth() * SCREEN_PX_PER_IN)
         return picture(self, "png", SCREEN_DPI), {"width": width_px}
 
 
 def figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure of a size in inches; it needs no display."""
+    """Create an empty figure of a size in inches. No display is needed."""
     return ShownFigure(figsize=(width_in, height_in), layout="constrained")
 
 
 def headline(drawing: Figure, text: str, alarm: str = "") -> None:
-    """Write a line at the top of a figure and, below it, a warning.
+    """Write a headline at the top of a figure and, below it, a warning.
 
     The figure becomes taller by these lines, and its axes keep their size.
 
@@ -153,13 +153,13 @@ def _lower_legends(drawing: Figure, fraction: float) -> float:
 
 
 def grid_of_heights(axes: Axes) -> None:
-    """Draw a line through each tick of the y axis, behind everything else."""
+    """Draw a grid line through each tick of the y axis, behind everything else."""
     axes.grid(axis="y", color=FAINT, linewidth=GRID_LW)
     axes.set_axisbelow(True)
 
 
 def batch_look(number: int) -> dict[str, Any]:
-    """Return colour and line of batch `number`: the shades in turn, then the next line."""
+    """Return colour and line style of batch `number`: all colours in turn, then the next line."""
     turn, shade = divmod(number, len(SLATES))
     return {"color": SLATES[shade], "ls": _DASHES[turn % len(_DASHES)]}
 
@@ -179,7 +179,7 @@ def panel(axes: Axes, letter: str, title: str, x: str = "", y: str = "") -> None
 
 
 def sign(label: str, **look: Any) -> Line2D:
-    """Return an entry of a legend: by default a grey marker without a line."""
+    """Create an entry of a legend, by default a grey marker without a line."""
     whole_look: dict[str, Any] = {"color": GREY, "ls": "none", "label": label, **look}
     return Line2D([], [], **whole_look)
 
@@ -197,7 +197,7 @@ def legend(drawing: Figure, signs: Sequence[Artist], columns: int = 3, **look: A
 
 
 def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "picture") -> str:
-    """Return the format of a file, which is the ending of its name.
+    """Return the format of a file to write, from the ending of its name.
 
     Args:
         path: The file.
@@ -223,7 +223,7 @@ def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "pictu
 
 
 def save(drawing: Figure, path: Path, dpi: float = PRINT_DPI) -> None:
-    """Write a figure. The same figure gives the same bytes.
+    """Write a figure to a file. The same figure always gives the same bytes.
 
     Args:
         drawing: The figure.
@@ -234,7 +234,7 @@ def save(drawing: Figure, path: Path, dpi: float = PRINT_DPI) -> None:
 
 
 def picture(drawing: Figure, wanted: str, dpi: float = PRINT_DPI) -> bytes:
-    """Return a figure as the contents of a file. The same figure gives the same bytes.
+    """Return a figure as the bytes of an image file. The same figure always gives the same bytes.
 
     Args:
         drawing: The figure.
@@ -248,5 +248,5 @@ def picture(drawing: Figure, wanted: str, dpi: float = PRINT_DPI) -> bytes:
 
 
 def svg(drawing: Figure) -> bytes:
-    """Return a figure as SVG."""
+    """Return a figure as an image in the format SVG."""
     return picture(drawing, "svg")

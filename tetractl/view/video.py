@@ -1,7 +1,7 @@
-"""Videos of a trial: the arena with the robots, the error over time, and numbers.
+"""Videos of a recorded trial: the arena with the robots, the error over time, and numbers.
 
-The static part is drawn once, and each image adds the moving parts. ffmpeg, if installed, writes
-MP4. Pillow writes GIF and animated WebP.
+What does not move is drawn once. Each image of the video adds the moving parts. ffmpeg, if
+installed, writes MP4. Pillow writes GIF and animated WebP.
 """
 
 import shutil
@@ -71,7 +71,7 @@ Picture = NDArray[np.uint8]
 
 
 def check_file(path: Path) -> str:
-    """Return the format of a video, which the ending of its name states.
+    """Return the format of a video to write, from the ending of the file's name.
 
     Raises UsageError for another ending, for a missing folder, and for MP4 without ffmpeg.
     """
@@ -135,7 +135,7 @@ def write_video(
 
 @dataclass(frozen=True, slots=True)
 class Video:
-    """A video of a trial, as the bytes of a file of `format`; a notebook plays it."""
+    """A video of a trial, as the bytes of a file in the format `format`. A notebook plays it."""
 
     format: str
     data: bytes = field(repr=False)
@@ -160,13 +160,16 @@ def video(log: TrialLog, path: Path | None) -> Video:
 
 
 def _speed(duration_s: float) -> int:
-    """Return the first of 1, 2, 5, 10, 20 ... at which a trial plays in at most LONGEST_S."""
+    """Return how many times faster a video plays, so that it lasts at most LONGEST_S.
+
+    The result is the first of 1, 2, 5, 10, 20 and so on that is large enough.
+    """
     speeds = (digit * 10**power for power in count() for digit in (1, 2, 5))
     return next(speed for speed in speeds if duration_s / speed <= LONGEST_S)
 
 
 def _animation(path: Path, pictures: Iterator[Picture], count: int, rate: int, hold: int) -> None:
-    """Write a GIF or a WebP; the last picture is shown `hold` times as long."""
+    """Write the images of a video as GIF or WebP. The last one is shown `hold` times as long."""
     milliseconds = round(1000 / rate)
     durations = [milliseconds] * (count - 1) + [milliseconds * (1 + hold)]
     images = map(Image.fromarray, pictures)
@@ -182,7 +185,7 @@ def _animation(path: Path, pictures: Iterator[Picture], count: int, rate: int, h
 
 
 def _mp4(path: Path, pictures: Iterator[Picture], rate: int, hold: int) -> None:
-    """Write an MP4; the last picture is repeated `hold` times."""
+    """Write the images of a video as MP4. The last one is repeated `hold` times."""
     last = next(pictures)
     command = [
         "ffmpeg", "-y", "-loglevel", "error",
@@ -203,10 +206,10 @@ def _mp4(path: Path, pictures: Iterator[Picture], rate: int, hold: int) -> None:
 
 
 def _empty_picture(arena: Bounds, width_px: int) -> tuple[Figure, Axes, Axes, Axes]:
-    """Return an empty image for an arena, with its axes.
+    """Create an empty image of the video for an arena, with its axes.
 
-    The axes are for the scene on the left and, to its right, for the curve of the error above the
-    words. Width and height are even numbers [px], as MP4 requires.
+    The three axes are for the scene on the left, for the curve of the error at the upper right, and
+    for the numbers below it. Width and height are even numbers [px], as MP4 requires.
     """
     scale = min(SCENE_WIDTH_IN / arena.width, SCENE_HEIGHT_IN / arena.height)
     scene_width = scale * arena.width
@@ -218,7 +221,7 @@ def _empty_picture(arena: Bounds, width_px: int) -> tuple[Figure, Axes, Axes, Ax
     figure = Figure((width, height), dpi)
 
     def axes_at(left: float, low: float, axes_width: float, axes_height: float) -> Axes:
-        """Add axes in a rectangle.
+        """Add axes in a rectangle of the image.
 
         Args:
             left: Its left edge [in].
@@ -239,7 +242,7 @@ def _empty_picture(arena: Bounds, width_px: int) -> tuple[Figure, Axes, Axes, Ax
 
 
 class _Scene:
-    """The robots in their arena, each with its plan and its trail."""
+    """The part of the video that shows the robots in their arena, with their plan and trails."""
 
     def __init__(self, axes: Axes, log: TrialLog, colors: list[str]) -> None:
         setup = log.start.setup
@@ -261,7 +264,7 @@ class _Scene:
             self.artists += [plan, trail, body]
 
     def show(self, moment: Moment) -> None:
-        """Move the robots to where they are at a moment."""
+        """Move the robots to their poses at an instant of the trial."""
         step = _followed(moment)
         trail = moment.trail[:: max(1, len(moment.trail) // TRAIL_POINTS)]
         for robot, (x, y, heading) in enumerate(moment.poses):
@@ -272,7 +275,7 @@ class _Scene:
 
 
 class _ErrorCurve:
-    """The total error over time: the whole course in grey, up to a moment in colour."""
+    """The curve of the total error in the video: all of it in grey, up to the instant in colour."""
 
     def __init__(self, axes: Axes, recording: Recording) -> None:
         self._times_s = (recording.step_ns - recording.log.began_ns) / SECOND
@@ -284,7 +287,7 @@ class _ErrorCurve:
         (self.line,) = axes.plot([], [], color=style.WHOLE, lw=1.5)
 
     def show(self, moment: Moment) -> None:
-        """Draw the curve up to a moment."""
+        """Draw the coloured part of the curve, up to an instant of the trial."""
         times_s = self._times_s[: len(moment.totals)]
         self.line.set_data(
             np.append(times_s, moment.time_s), np.append(moment.totals, _total_error(moment))
@@ -292,7 +295,7 @@ class _ErrorCurve:
 
 
 class _Words:
-    """The numbers of a moment in words: time, plan and error, then the error of each robot.
+    """The text of the video: time, plan and error at an instant, then the error of each robot.
 
     The direction u is shown as an arrow.
     """
@@ -317,7 +320,7 @@ class _Words:
         (self.arrow,) = dial.plot([], [], color=style.WHOLE, lw=1.4, clip_on=False)
 
     def show(self, moment: Moment) -> None:
-        """Write the numbers of a moment, and turn the arrow."""
+        """Write the numbers of an instant of the trial, and turn the arrow."""
         step = _followed(moment)
         direction = None if step is None else step.plan.direction
         arrow = np.zeros(0) if direction is None else ARROW * np.exp(1j * direction)
@@ -326,7 +329,7 @@ class _Words:
             line.set_text(words)
 
     def _written(self, moment: Moment) -> list[str]:
-        """Return the text of each line."""
+        """Return the text of each line at an instant of the trial."""
         unit = unit_of(moment.setup.unit)
         step = moment.step
         time = f"{moment.time_s:.1f} s"
@@ -344,17 +347,20 @@ class _Words:
 
 
 def _followed(moment: Moment) -> Step | None:
-    """Return the control step whose plan robots follow. None before the first and at the end."""
+    """Return the control step whose plan robots follow.
+
+    None before the first step and at the end.
+    """
     return None if moment.result else moment.step
 
 
 def _total_error(moment: Moment) -> float:
-    """Return the sum of the distances that are known [length unit]."""
+    """Return the sum of the robots' distances to their targets that are known [length unit]."""
     return float(np.nansum(moment.distances))
 
 
 class VideoFrames:
-    """Draws the images of a video of a trial, arrays (height, width, 3).
+    """The images of a video of a trial, drawn as arrays of pixels (height, width, 3).
 
     Height and width are even.
 
@@ -382,12 +388,12 @@ class VideoFrames:
         self._draw_still()
 
     def _draw_still(self) -> None:
-        """Draw what does not move, and keep it."""
+        """Draw and keep the parts of the image that do not move."""
         self._canvas.draw()
         self._still = self._canvas.copy_from_bbox(self._canvas.figure.bbox)
 
     def at(self, elapsed_s: float) -> Picture:
-        """Return the picture at `elapsed_s` [s] after the first direction sent."""
+        """Draw the image at `elapsed_s` [s] after the first direction was sent."""
         time_ns = self.recording.log.began_ns + round(elapsed_s * SECOND)
         moment = self.recording.at(time_ns)
         for part in self._parts:
@@ -402,7 +408,7 @@ class VideoFrames:
 
 
 def _heading(log: TrialLog) -> str:
-    """Describe the trial, and what its log lacks."""
+    """Return the heading of the video, which names the trial and states gaps in its log."""
     heading = f"{log.start.setup.name}, trial {log.start.trial}: {log.origin.value}"
     lacks = unfinished(log)
     if lacks:

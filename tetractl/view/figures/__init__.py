@@ -1,4 +1,6 @@
-"""The figures of trials. Each is a file here, with a function that draws logs.
+"""The figures of trials that `tetractl plot` draws.
+
+Each is a file here, with a function that draws logs.
 
 To add one, write its file, such as `apart.py` for `plot --kind apart`; a line in FIGURES of
 `core/registries.py`; and one in the help of `cli/plot.py` and in docs/how-to/replay-and-plot.md.

@@ -41,13 +41,13 @@ SMALL_NAME_PT = 4
 
 
 def positive(values: Floats) -> Floats:
-    """Return values with NaN in place of values that are not positive and finite."""
+    """Return the values that a logarithmic axis can show; all others become NaN."""
     values = np.asarray(values, dtype=float)
     return np.where(np.isfinite(values) & (values > 0), values, np.nan)
 
 
 def log_axis(axes: Axes, values: Floats, below: float, above: float) -> None:
-    """Make the y axis logarithmic, to show positive values (others may be NaN).
+    """Make the y axis of a figure logarithmic, with limits and ticks that suit some values.
 
     The ticks are even if the limits have a ratio below 5, at 1, 2 and 5 of each decade below 1000,
     otherwise at each decade. All have the same format: decimal if the limits lie between 0.001 and
@@ -77,7 +77,10 @@ def log_axis(axes: Axes, values: Floats, below: float, above: float) -> None:
 
 
 def _log_limits(values: Floats, below: float, above: float) -> tuple[float, float]:
-    """Return the limits of a logarithmic axis: beyond the values by fractions of their range."""
+    """Return the limits of a logarithmic axis, which extends beyond the values by fractions.
+
+    The fractions `below` and `above` refer to the values' range.
+    """
     finite = values[np.isfinite(values)]
     low, high = NO_VALUES
     if len(finite):
@@ -99,7 +102,7 @@ def spans_orders(errors: Floats) -> bool:
 
 
 def name_categories(axes: Axes, names: Sequence[str], width_in: float) -> None:
-    """Label the x axis with the names of categories, and make the figure taller by the labels.
+    """Label the x axis with the names of categories, and make the figure taller by these labels.
 
     The names are horizontal, with a line for each field of an arm, or vertical if these lines are
     too long.

@@ -1,7 +1,7 @@
 """The errors of batches of trials: a dot for each trial, the means, and the distributions.
 
-The band of a distribution is Dvoretzky, Kiefer and Wolfowitz's with Massart's constant (Ann.
-Probab. 18, 1990): with the half width sqrt(ln(2 / 0.05) / 2n), it contains the whole true
+Each distribution has a confidence band, Dvoretzky, Kiefer and Wolfowitz's with Massart's constant
+(Ann. Probab. 18, 1990): with the half width sqrt(ln(2 / 0.05) / 2n), it contains the whole true
 distribution function with at least 95 % probability.
 """
 
@@ -58,7 +58,7 @@ NARROW_IN = 4.2
 
 @dataclass(frozen=True, slots=True)
 class BatchErrors:
-    """The total errors of a batch's counted trials.
+    """The total errors of those trials of a batch that count in its statistics.
 
     Attributes:
         name: Name of the batch.
@@ -74,7 +74,7 @@ class BatchErrors:
 
     @property
     def label(self) -> str:
-        """The number of trials, and what distinguishes them, in lines."""
+        """The batch's label in the figure: the number of trials, and what distinguishes them."""
         lines = [f"n = {len(self.totals)}"]
         if self.given_directions:
             lines.append(GIVEN_DIRECTIONS)
@@ -82,7 +82,7 @@ class BatchErrors:
 
 
 def figure_of_logs(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the final total errors of each folder's trials; only complete trials count."""
+    """Draw the final total errors of the complete trials in each folder."""
     batches: list[BatchErrors] = []
     for name, trials in by_folder(logs).items():
         errors = [(log.log, log.result.total_error) for log in trials if log.result is not None]
@@ -98,7 +98,7 @@ def batch_figure(
     links: Mapping[str, str] | None = None,
     narrow: bool = False,
 ) -> Figure:
-    """Draw the total errors of the counted trials of every batch, with a headline for the plants.
+    """Draw the total errors of every batch, one dot for each trial that counts.
 
     Args:
         groups: The batches.
@@ -124,7 +124,7 @@ def batch_figure(
 def _drawn(
     batches: Sequence[BatchErrors], experiment: Experiment, links: Mapping[str, str], narrow: bool
 ) -> Figure:
-    """Draw the batches that have an error.
+    """Draw those batches that have at least one error.
 
     Raises:
         LogError: If no batch has one.
@@ -179,7 +179,7 @@ def _share_log_axis(panel: Axes, dots: Axes) -> None:
 
 
 def _legend(figure: Figure, curves: Sequence[Artist], columns: int) -> None:
-    """Say what the signs of both panels mean, and which curve is which batch's."""
+    """Add a legend that explains the signs of both panels, and which curve is which batch's."""
     signs = [
         style.sign("one trial", marker="o", ms=4, alpha=0.7),
         style.sign("mean and its 95 % interval", ls="-", lw=4, marker="o", mfc="white"),
@@ -190,9 +190,9 @@ def _legend(figure: Figure, curves: Sequence[Artist], columns: int) -> None:
 
 
 def _categories(axes: Axes, batches: Sequence[BatchErrors], links: Mapping[str, str]) -> list[str]:
-    """Draw a category of the x axis for each batch, and return their labels.
+    """Draw the errors of each batch at its place on the x axis. Return the places' labels.
 
-    Values are drawn to the left of the category's centre, their mean to the right.
+    Values are drawn to the left of the place, and their mean to the right.
     """
     labels: list[str] = []
     for place, batch in enumerate(batches):
@@ -212,7 +212,10 @@ def _dots(
     color: str,
     links: Mapping[str, str],
 ) -> None:
-    """Draw a dot per trial around a place of the x axis. Dots of similar errors stand apart."""
+    """Draw a dot for each trial around a place on the x axis.
+
+    Dots of similar errors stand apart.
+    """
     rank = np.argsort(np.argsort(batch.totals, kind="stable"))
     dots = axes.scatter(
         place + DOTS_WIDTH * (rank * GOLDEN % 1 - 0.5),
@@ -230,7 +233,7 @@ def _dots(
 
 
 def _mean(axes: Axes, place: float, errors: Distribution, color: str) -> None:
-    """Draw a mean with two lines around it.
+    """Draw the mean of errors, with two vertical lines around it.
 
     The thin line is +- one standard deviation, the thick line the mean's 95 % interval.
     """
@@ -254,7 +257,7 @@ def _mean(axes: Axes, place: float, errors: Distribution, color: str) -> None:
 
 
 def band(n: int) -> float:
-    """Return half the height of the band for n values, as a fraction of all trials."""
+    """Return half the height of the confidence band for n values, as a fraction of all trials."""
     return math.sqrt(math.log(2 / (1 - CONFIDENCE)) / (2 * n))
 
 

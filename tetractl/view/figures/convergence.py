@@ -43,7 +43,7 @@ def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _draw_searches(axes: Axes, step: Step) -> None:
-    """Draw the searches of a step, with the chosen one in front and a note where it stopped."""
+    """Draw a control step's searches, the chosen one in front, with a note where it stopped."""
     chosen = step.plan.search
     others = [search for search in step.plan.searches if search is not chosen]
     for search in others:

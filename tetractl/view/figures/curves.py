@@ -1,4 +1,4 @@
-"""Named curves over time, one for each robot or one for all, for `errors` and `over_time`."""
+"""Named curves over time, one for each robot or one for all, as several figures draw them."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -25,9 +25,10 @@ SINCE = "time since the first command [s]"
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """Values (M,) over time, with a `band` of two rows (2, M), from low to high, unless it is None.
+    """One curve of a figure: values (M,) over time, with a name and a colour.
 
-    `name` is written next to the axes; `key` is the curve's entry in a legend.
+    `band` are the lower and the upper edge of a shaded band around the curve, shape (2, M), or
+    None. `name` is written next to the axes. `key` is the curve's entry in a legend.
     """
 
     values: Floats
@@ -76,7 +77,7 @@ def robot_curves(
     band: Floats | None = None,
     show: Callable[[float], str] | None = None,
 ) -> list[Curve]:
-    """Return a curve for each of N robots.
+    """Create a curve for each of N robots, in the colour and with the name of the robot.
 
     A curve is named after its robot, followed by the last value if `show` formats it.
 
@@ -101,5 +102,5 @@ def robot_curves(
 
 
 def end_s(log: TrialLog) -> float:
-    """Return the time from the first command to the end of the trial [s], above 0."""
+    """Return the time from the first command of a trial to its end [s], above 0."""
     return max((end_ns(log) - log.began_ns) / SECOND, 1e-9)

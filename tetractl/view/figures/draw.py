@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def check_kind(kind: str) -> None:
-    """Raise UsageError if no figure has this name."""
+    """Check that a figure of this name exists. UsageError is raised if not."""
     if kind not in FIGURES:
         lack = not_installed(FIGURES.group, kind)
         if lack is not None:
@@ -25,9 +25,10 @@ def check_kind(kind: str) -> None:
 
 
 def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
-    """Draw the figure named `kind`; its headline names the plants and counts the incomplete trials.
+    """Draw the figure named `kind` of trials, with a headline.
 
-    Of the built-in figures, only `trajectory`, `errors` and `batch` show several trials.
+    The headline names the plants, which are the simulated or real robots, and counts the incomplete
+    trials. Of the built-in figures, only `trajectory`, `errors` and `batch` show several trials.
     """
     from tetractl.view.style import headline
 
@@ -39,7 +40,7 @@ def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
 
 
 def _broken_off(logs: "Sequence[TrialLog]") -> str:
-    """Return a figure's note on the number of incomplete trials, "" for none."""
+    """Return a figure's note on the number of incomplete trials. Empty if there are none."""
     from tetractl.view.figures.trials import unfinished
 
     if len(logs) == 1:

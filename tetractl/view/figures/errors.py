@@ -1,4 +1,4 @@
-"""Figures of the error over time, for one trial or for the trials of several folders."""
+"""Figures of the robots' distances to their targets over time, for one trial or several folders."""
 
 from collections.abc import Sequence
 
@@ -62,7 +62,7 @@ def errors_at(log: TrialLog, time_s: Floats) -> Floats:
 
 @style.styled()
 def errors_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the error over time of one trial or several.
+    """Draw the error, robots' distances to their targets, over time, of one trial or several.
 
     For one trial, the figure shows the error of each robot. For several, it has two panels for each
     folder: the total error of every trial, and the median of each robot's error. Bands contain the
@@ -93,7 +93,7 @@ def errors_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _of_trial(log: TrialLog) -> Figure:
-    """Draw the total error, and below it the distance of each robot to its target, over time."""
+    """Draw one trial: the total error, and below it the distance of each robot to its target."""
     need_frames(log)
     time_s = log.frames_s
     setup = log.start.setup
@@ -123,7 +123,7 @@ def _of_trial(log: TrialLog) -> Figure:
 
 
 def _draw_from_zero(axes: Axes, time_s: Floats, curves: Sequence[Curve], values: Floats) -> None:
-    """Draw curves, with space for the values since the first command.
+    """Draw curves on axes that begin at 0, with room for the values since the first command.
 
     The last row of `values` is not drawn.
     """
@@ -134,9 +134,9 @@ def _draw_from_zero(axes: Axes, time_s: Floats, curves: Sequence[Curve], values:
 
 
 def _by_panel(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
-    """Return the trials of each folder, for a panel each; a single folder has the name "".
+    """Group trials by folder, as each folder has its own panels. A single folder has the name "".
 
-    Raises UsageError for too many folders, and for trials of unlike robots in a folder.
+    Raises UsageError for too many folders, and for trials of different robots in a folder.
     """
     folders = by_folder(logs, complete=False)
     if len(folders) > PANELS_MAX:
@@ -151,7 +151,7 @@ def _by_panel(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
 
 
 def _draw_errors(of_total: Axes, of_robots: Axes, logs: Sequence[TrialLog], time_s: Floats) -> None:
-    """Draw the errors of one folder's trials, and their named medians."""
+    """Draw the errors of the trials of one folder, and their medians, with names."""
     setup = logs[0].start.setup
     errors = np.array([errors_at(log, time_s) for log in logs])  # (trials, M, N)
     completed = np.array([not unfinished(log) for log in logs])
@@ -171,7 +171,7 @@ def _draw_errors(of_total: Axes, of_robots: Axes, logs: Sequence[TrialLog], time
 
 
 def _draw_signs(of_total: Axes, logs: Sequence[TrialLog]) -> list[Artist]:
-    """Draw the published mean if there is one, and return the signs of the legend."""
+    """Draw the published mean if there is one, and return the entries of the legend."""
     signs: list[Artist] = [
         style.sign("one trial", ls="-", lw=0.5),
         *of_total.get_legend_handles_labels()[0],
@@ -189,7 +189,7 @@ def _draw_signs(of_total: Axes, logs: Sequence[TrialLog]) -> list[Artist]:
 
 
 def _quartiles(values: Floats) -> tuple[Floats, Floats]:
-    """Return the median over the first axis, and the first and third quartiles (2, ...)."""
+    """Compute the median over the first axis, and the first and third quartiles (2, ...)."""
     low, middle, high = np.nanpercentile(values, (25, 50, 75), axis=0)
     return middle, np.stack([low, high])
 
@@ -197,7 +197,7 @@ def _quartiles(values: Floats) -> tuple[Floats, Floats]:
 def _panels(
     setups: Sequence[Setup], total_in: float, least_in: float, end_s: float
 ) -> tuple[Figure, np.ndarray]:
-    """Return a figure and its axes (batches, 2).
+    """Create a figure with two panels for each of several batches: axes of shape (batches, 2).
 
     The axes show the total error and, below, the robots' errors. All go from 0 to `end_s` [s] and
     have the same scale.
@@ -214,7 +214,7 @@ def _panels(
 
 
 def _mark_steps(axes: Axes, log: TrialLog) -> None:
-    """Mark the times of the control steps on the axes' lower edge.
+    """Mark the times of control steps by ticks on the lower edge of the axes.
 
     Steps that missed the deadline look different.
     """

@@ -1,7 +1,7 @@
-"""The figure of a trial over time.
+"""The figure of one trial over time: directions sent, solve times, and estimates.
 
-It shows the signal, the solve times, and the controller's estimates of each robot's values and of
-the dead time.
+The solve time is how long the search for a plan took. The estimates are those of the controller, of
+each robot's parameters and of the dead time, the time from a command to its effect.
 """
 
 import json
@@ -49,10 +49,10 @@ OUTLIERS = (1, 99)
 
 @dataclass(frozen=True, slots=True)
 class _Quantity:
-    """An estimated quantity.
+    """A quantity that the controller estimated during a trial, as one panel of the figure shows it.
 
-    If the spec also states the quantity, the difference from the spec's value is drawn, with a
-    dotted line at the true value of a simulation.
+    If the spec also states the quantity, the panel shows the difference from the spec's value, with
+    a dotted line at the true value of a simulation.
 
     Attributes:
         title: Title of its axes.
@@ -75,7 +75,7 @@ class _Quantity:
 
 @style.styled()
 def over_time_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw a trial over time: the direction sent, the solve times, and the estimates.
+    """Draw one trial over time: the direction sent, the solve times, and the estimates.
 
     Solve times are shown next to the control period. Each estimated quantity has a panel, with a
     band of +- one standard deviation: turning rate a and speed as differences from the spec's
@@ -115,7 +115,7 @@ def over_time_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _draw_signal(axes: Axes, log: TrialLog, time_s: Floats) -> None:
-    """Draw the direction at the control steps, held until the next step.
+    """Draw the direction sent at each control step, as a line that holds until the next step.
 
     `time_s` (K,) are the times of the steps. Steps without a direction, in which robots stand
     still, leave a gap.
@@ -130,7 +130,7 @@ def _draw_signal(axes: Axes, log: TrialLog, time_s: Floats) -> None:
 
 
 def _held(time_s: Floats, values: Floats, breaks: np.ndarray) -> tuple[Floats, Floats]:
-    """Return x and y of a line that holds each value until the next time.
+    """Return x and y of a line that holds each value until the time of the next one.
 
     The line is interrupted after a value where `breaks` is True.
     """
@@ -141,10 +141,10 @@ def _held(time_s: Floats, values: Floats, breaks: np.ndarray) -> tuple[Floats, F
 
 
 def _draw_solve_times(axes: Axes, log: TrialLog, time_s: Floats) -> None:
-    """Draw the solve times next to the control period.
+    """Draw how long each plan took to compute, next to the control period.
 
-    The title states the percentiles of those that must be in time: of plans made while robots
-    drove.
+    The title states percentiles of the times that had to be short enough: those of plans made while
+    robots drove.
     """
     period_ms = 1e3 * log.start.setup.period_s
     solve_ms = np.array([step.solve_ns for step in log.steps]) / MILLISECOND
@@ -170,7 +170,7 @@ def _draw_solve_times(axes: Axes, log: TrialLog, time_s: Floats) -> None:
 
 
 def _quantities(log: TrialLog) -> list[_Quantity]:
-    """Return the quantities that the controller's last estimate contains."""
+    """Return the quantities to draw, which are those of the controller's last estimate."""
     setup = log.start.setup
     estimates = [step.plan.estimate for step in log.steps if step.plan.estimate is not None]
     difference = "difference from the spec [%]"
@@ -230,7 +230,7 @@ def _quantities(log: TrialLog) -> list[_Quantity]:
 
 
 def _draw_estimates(axes: Axes, quantity: _Quantity, time_s: Floats, setup: Setup) -> None:
-    """Draw a quantity at the times (K,) of its estimates; the curves of robots are named.
+    """Draw the estimates of a quantity over their times (K,), one named curve for each robot.
 
     The axis shows the range between OUTLIERS and every last value.
     """
@@ -265,7 +265,7 @@ def _draw_estimates(axes: Axes, quantity: _Quantity, time_s: Floats, setup: Setu
 
 
 def _named(curves: Sequence[Curve], texts: Sequence[str]) -> list[Curve]:
-    """Return curves with a text each added to their names."""
+    """Return copies of curves, with a text added to the name of each."""
     return [
         replace(curve, name=f"{curve.name} {text}")
         for curve, text in zip(curves, texts, strict=True)
@@ -273,16 +273,16 @@ def _named(curves: Sequence[Curve], texts: Sequence[str]) -> list[Curve]:
 
 
 def _stack(values: Sequence[Floats | float | None]) -> Floats:
-    """Return the values of all estimates as an array, with NaN where an estimate lacks them.
+    """Convert the values of all estimates to one array, with NaN where an estimate lacks them.
 
-    The last estimate has them.
+    The last estimate must have them.
     """
     unknown = np.full_like(values[-1], np.nan, dtype=np.float64)
     return np.array([unknown if value is None else value for value in values], dtype=np.float64)
 
 
 def _true(log: TrialLog, what: str) -> Floats | None:
-    """Return the true turning rates or speeds (N,) of a simulation, None if the log lacks them.
+    """Return the true turning rates or speeds (N,) of a simulation. None if the log lacks them.
 
     Raises LogError for a fact that no simulation states.
     """

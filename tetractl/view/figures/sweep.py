@@ -1,4 +1,7 @@
-"""Total errors against a swept field: the mean with its 95 % interval, a dot for each trial."""
+"""The figure of a study: total errors against the values of a field that the study varies.
+
+It shows the mean with its 95 % interval, and a dot for each trial.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -33,7 +36,7 @@ TICKS_MAX = 8
 def errors_by(
     curves: Mapping[str, Sequence[ArmErrors]], field: str, unit: str, only: bool = True
 ) -> Figure:
-    """Draw errors against the values of a field, in the colours of the curves.
+    """Draw the errors of a study against the values of one of its fields, as coloured curves.
 
     A line connects numbers if arms at neighbouring values differ only in the field: if it is the
     only one that is swept, or if each value stands for several arms, always the same number.
@@ -80,7 +83,7 @@ def errors_by(
 
 
 def _look(axes: Axes, color: str, aside_in: float) -> dict[str, Any]:
-    """Return the look of what is drawn at a distance from its place on the x axis [in]."""
+    """Return the style of marks that are drawn slightly beside their place on the x axis [in]."""
     figure = axes.get_figure(root=True)
     assert figure is not None
     shift = ScaledTranslation(aside_in, 0, figure.dpi_scale_trans)
@@ -88,7 +91,7 @@ def _look(axes: Axes, color: str, aside_in: float) -> dict[str, Any]:
 
 
 def _places(axes: Axes, arms: Sequence[ArmErrors]) -> dict[str, float]:
-    """Return the position of each value on the x axis, and label the axis."""
+    """Return the position of each value on the x axis, and label the axis with the values."""
     if not numeric(arms):
         labels = {repr(arm.value): arm.label for arm in arms}
         texts = [label[:LABEL_LENGTH] for label in labels.values()]
@@ -108,7 +111,7 @@ def _places(axes: Axes, arms: Sequence[ArmErrors]) -> dict[str, float]:
 def _draw_intervals(
     axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors], look: dict[str, Any]
 ) -> None:
-    """Draw the 95 % intervals of the means."""
+    """Draw the 95 % interval of each arm's mean as a vertical line."""
     places: list[float] = []
     intervals: list[Interval] = []
     for place, arm in zip(x, arms, strict=True):
@@ -125,14 +128,14 @@ def _draw_intervals(
 def _draw_trials(
     axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors], look: dict[str, Any]
 ) -> None:
-    """Draw a dot for each trial."""
+    """Draw a dot for each trial of a curve."""
     errors = np.concatenate([arm.errors for arm in arms])
     places = np.repeat(x, [len(arm.errors) for arm in arms])
     axes.plot(places, errors, "o", markersize=2.5, mew=0, alpha=0.5, gid="trials", **look)
 
 
 def _show_all(axes: Axes, x: Sequence[float], arms: Sequence[ArmErrors]) -> None:
-    """Set the limits such that they contain a curve. Shifted curves do not do this themselves."""
+    """Set the limits of the axes so that a curve fits. Curves shifted sideways do not do so."""
     points: list[tuple[float, float]] = []
     for place, arm in zip(x, arms, strict=True):
         points += [(place, error) for error in arm.errors]

@@ -1,6 +1,6 @@
 """Draws the paths of the robots in one or more trials (the paper's Figure 5).
 
-For a dish, they are drawn over the microscope's image.
+The paths of cells in a dish are drawn over the microscope's image.
 
 `trajectory_figure` draws the scene (`draw_scene`), the paths (`_draw_one` or `_draw_several`),
 their ends, and a legend of robots above and of signs below.
@@ -186,7 +186,7 @@ def draw_scene(
 def _number(
     axes: Axes, robot: int, color: str, place: Floats, aside_pt: tuple[float, float]
 ) -> None:
-    """Write a robot's number, from 1, aside of a place."""
+    """Write the number of a robot, counted from 1, beside a place."""
     axes.annotate(
         str(robot + 1), tuple(place), aside_pt, textcoords="offset points", ha="center",
         va="center", fontsize=4.5, color=color, path_effects=HALO, zorder=7,
@@ -194,7 +194,7 @@ def _number(
 
 
 class DishGround:
-    """Shows a microscope's pictures behind the axes of a trial; nothing if its log has none."""
+    """The background of a figure of cells in a dish: the microscope's images, if there are any."""
 
     def __init__(self, axes: Axes, log: TrialLog) -> None:
         self._pictures = DishPictures(log)
@@ -212,7 +212,7 @@ class DishGround:
         axes.axis(limits)
 
     def show(self, when_ns: int) -> bool:
-        """Show the last image taken up to a time of the trial's clock [ns].
+        """Show the last image that was taken up to a time of the trial's clock [ns].
 
         Returns:
             Whether the image that is shown has changed.
@@ -227,9 +227,9 @@ class DishGround:
 
 
 def _set_limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
-    """Show the whole arena and all paths, as far as FAR.
+    """Set the limits of the axes to show the whole arena and all paths, up to the distance FAR.
 
-    If a path leaves the arena, its edge is dashed, and the result is True.
+    If a path leaves the arena, the arena's edge is dashed, and the result is True.
     """
     corners = np.array([[arena.left, arena.bottom], [arena.right, arena.top]])
     points = np.concatenate([path.reshape(-1, 2) for path in paths])
@@ -252,7 +252,7 @@ def _set_limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
 
 
 def _draw_several(axes: Axes, trails: Sequence[Floats], colors: list[str]) -> None:
-    """Draw the trails of several trials, the fainter the more there are."""
+    """Draw the paths of several trials, in fainter colours the more there are."""
     alpha = max(0.75 / len(trails) ** 0.25, 0.1)
     for trail in trails:
         for robot, color in enumerate(colors):
@@ -260,10 +260,10 @@ def _draw_several(axes: Axes, trails: Sequence[Floats], colors: list[str]) -> No
 
 
 def _draw_one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None) -> None:
-    """Draw the trails of a trial over its last image.
+    """Draw the measured paths of one trial over its last image.
 
-    They have times and headings, and the errors at the end. The `truth` (M, N, 2) is drawn if it is
-    given.
+    They are marked with times and headings, and with the errors at the end. The true paths `truth`
+    (M, N, 2) are drawn if they are given.
     """
     setup = log.start.setup
     trail = log.positions
@@ -282,13 +282,13 @@ def _draw_one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None
 
 
 def _shows_error(log: TrialLog) -> Bools:
-    """Return of which robots (N,) the signs of end and target leave a line between them free."""
+    """Return for which robots (N,) a line fits between the marks of their end and target."""
     errors = np.linalg.norm(final_poses(log)[:, :2] - log.start.setup.targets, axis=1)
     return np.asarray(errors > ERROR_SEEN * log.start.setup.arena.longer_side)
 
 
 def _mark_time(axes: Axes, log: TrialLog, robot: int, color: str, time_s: float) -> None:
-    """Draw a tick along a robot's heading at a time since the first direction.
+    """Mark a time since the first direction on a robot's path, by a tick along its heading.
 
     If there are fewer than NUMBERED robots, the time is written to the left of it. Nothing is drawn
     where the robot was not seen.
@@ -326,7 +326,7 @@ def _visible_truth(log: TrialLog) -> Floats | None:
 
 
 def _marked_times(log: TrialLog) -> list[float]:
-    """Return at most TIMES_MOST times to mark [s since the first direction].
+    """Select at most TIMES_MOST round times to mark on the paths [s since the first direction].
 
     They are multiples of 1, 2 or 5 times 10^n.
     """
@@ -341,10 +341,10 @@ def _marked_times(log: TrialLog) -> list[float]:
 
 
 def _titled_figure(arena: Bounds, title: str, entries: list[str], colors: list[str]) -> Figure:
-    """Return an empty figure for axes with the shape of the arena.
+    """Create an empty figure with a title, for axes with the shape of the arena.
 
-    Above the axes are a title and, in as many columns as fit, an entry for each robot. There may be
-    no entries.
+    Below the title are the `entries`, one for each robot, in as many columns as fit. There may be
+    none.
     """
     longest = max((len(entry) for entry in entries), default=0)
     fit = int((72 * WIDTH_IN + 1) // (LETTER_PT * longest + SIGN_PT))
@@ -363,7 +363,7 @@ def _titled_figure(arena: Bounds, title: str, entries: list[str], colors: list[s
 
 
 def _heading(logs: Sequence[TrialLog], ends: Floats) -> tuple[str, list[str]]:
-    """Return the title of trials, and an entry for each robot: its name, with its error.
+    """Return the title of a figure of trials, and an entry for each robot: its name and error.
 
     The trials end at `ends` (T, N, 2). Means over several trials leave out incomplete ones. Trials
     of several folders have no means, and more than NAMED_MOST robots no entries.
@@ -395,7 +395,7 @@ def _with_errors(names: list[str], errors: list[str]) -> list[str]:
 
 
 def _mean_and_std(errors: Floats) -> str:
-    """Return the mean as text, and the standard deviation (n - 1) of two or more errors."""
+    """Return the mean of errors as text, with the standard deviation (n - 1) of several."""
     mean = float(errors.mean())
     digits = 2
     if mean >= 10:
@@ -411,10 +411,10 @@ def _mean_and_std(errors: Floats) -> str:
 def _name_signs(
     figure: Figure, logs: Sequence[TrialLog], leaves: bool, truth: bool, far: bool
 ) -> None:
-    """Draw the legend of the markers below the axes.
+    """Draw a legend below the axes that explains the markers in the figure.
 
     `leaves` tells whether a path leaves the arena, `truth` whether true paths are drawn, `far`
-    whether an error is.
+    whether the line of an error is drawn.
     """
     alone = len(logs) == 1
     setup = logs[0].start.setup
@@ -465,7 +465,7 @@ def arena_picture(setup: Setup, ways: Floats) -> NDArray[np.uint8]:
 
 
 def _nice_step(length: float, parts_max: int) -> float:
-    """Return the smallest number 1, 2 or 5 times 10^n that divides a length into few parts.
+    """Return the smallest round number, 1, 2 or 5 times 10^n, that divides a length into few parts.
 
     There are at most `parts_max` parts.
     """

@@ -1,4 +1,4 @@
-"""The trials of a figure: which it draws, how their robots are called, and where these ended."""
+"""The trials that a figure draws: their selection, their robots' names, and the final poses."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ NAME_LENGTH = 16
 
 
 def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
-    """Return the only log.
+    """Return the only log, for a figure that shows a single trial.
 
     Raises:
         UsageError: If there are several.
@@ -30,7 +30,7 @@ def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
 
 
 def by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list[TrialLog]]:
-    """Group trials by folder, only the complete ones or all.
+    """Group trials by folder: all trials, or only the complete ones.
 
     The key is the folder's name, or its path if two folders have the same name.
 
@@ -55,7 +55,7 @@ def by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list
 
 
 def check_alike(logs: Sequence[TrialLog]) -> None:
-    """Check that logs have the same arena, obstacles, units and robots.
+    """Check that one figure can show several logs: same arena, obstacles, units and robots.
 
     Robots that each trial chose by the same rule count as the same.
 
@@ -76,19 +76,19 @@ def check_alike(logs: Sequence[TrialLog]) -> None:
 
 
 def need_steps(log: TrialLog) -> None:
-    """Raise LogError for a log without control steps."""
+    """Check that a log has control steps. LogError is raised if not."""
     if not log.steps:
         raise LogError(f"{log.log}: contains no control steps to plot")
 
 
 def need_frames(log: TrialLog) -> None:
-    """Raise LogError for a log without camera frames."""
+    """Check that a log has camera frames. LogError is raised if not."""
     if not len(log.mocap_ns):
         raise LogError(f"{log.log}: contains no camera frames to plot")
 
 
 def unfinished(log: TrialLog) -> str:
-    """Describe how a trial ended that was not completed, and why. Empty for a complete one."""
+    """Describe how and why an incomplete trial ended. Empty for a complete trial."""
     if log.result is None:
         return "the log breaks off before the end of the trial"
     if log.result.outcome.complete:
@@ -97,7 +97,7 @@ def unfinished(log: TrialLog) -> str:
 
 
 def final_poses(log: TrialLog) -> Floats:
-    """Return the final poses (N, 3) of the result or, without a result, the last measured poses."""
+    """Return the final poses (N, 3) of the result or, without one, the last measured poses."""
     if log.result is not None:
         return log.result.verdict.final.array()
     poses = log.start.setup.starts.array()
@@ -111,7 +111,7 @@ def final_poses(log: TrialLog) -> Floats:
 def robot_labels(names: Sequence[str]) -> list[str]:
     """Return the robots' names for a figure.
 
-    They are shortened, and numbered if there are NUMBERED or more.
+    Long names are shortened. Names are numbered if there are NUMBERED or more.
     """
     short = [name if len(name) <= NAME_LENGTH else f"{name[: NAME_LENGTH - 1]}…" for name in names]
     if len(names) < NUMBERED:

@@ -1,1 +1,1 @@
-"""Views in a terminal."""
+"""Views in a terminal: the live view of running trials, the player of logs, and progress bars."""

@@ -1,4 +1,4 @@
-"""The arena in a terminal: a canvas of braille dots, to scale, with the robots as arrows."""
+"""Draws the arena in a terminal: a canvas of braille dots, to scale, with robots as arrows."""
 
 import math
 from collections.abc import Iterable
@@ -35,7 +35,10 @@ BORDER_STYLE = Style(dim=True)
 
 @dataclass(frozen=True, slots=True)
 class Projection:
-    """Maps the arena to `width` x `height` character cells; a dot is `scale` length units wide."""
+    """The scale by which the arena is drawn on a canvas of `width` x `height` character cells.
+
+    A dot of the canvas is `scale` length units wide.
+    """
 
     arena: Bounds
     width: int
@@ -44,7 +47,7 @@ class Projection:
 
     @classmethod
     def fit(cls, arena: Bounds, width: int, height: int) -> "Projection":
-        """Return the projection that shows the arena as large as the terminal allows.
+        """Create the projection that shows the arena as large as the terminal allows.
 
         Args:
             arena: The arena.
@@ -59,7 +62,7 @@ class Projection:
         return cls(arena, math.ceil(columns / ACROSS), math.ceil(rows / DOWN), scale)
 
     def dots(self, xy: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the columns and rows of the dots at positions (..., 2).
+        """Return the columns and rows of the canvas dots at positions (..., 2) of the arena.
 
         They count from (0, 0) at the top left. Positions with NaN are left out. A position outside
         the arena may give a dot outside the canvas.
@@ -73,7 +76,7 @@ class Projection:
         )
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
-        """Return the column and row of the cell at a position, or of the nearest cell.
+        """Return the column and row of the character cell at a position, or of the nearest cell.
 
         For an unknown position (NaN), it is the lower left cell.
         """
@@ -89,7 +92,7 @@ class Projection:
 
 
 class Canvas:
-    """Character cells of braille dots with one style each: the style of the newest dots."""
+    """A canvas of character cells, each with 2 x 4 braille dots in the style of the newest dot."""
 
     def __init__(self, width: int, height: int) -> None:
         self.width = width
@@ -100,7 +103,7 @@ class Canvas:
         self._chars = np.full((height, width), " ")
 
     def dots(self, columns: NDArray[np.int64], rows: NDArray[np.int64], style: Style) -> None:
-        """Draw dots. Those outside the canvas are left out.
+        """Draw dots in a style. Those outside the canvas are left out.
 
         Args:
             columns: Their columns.
@@ -116,7 +119,7 @@ class Canvas:
         self._style[cells] = self._index(style)
 
     def put(self, column: int, row: int, char: str, style: Style) -> None:
-        """Replace a cell's dots by a character. Outside the canvas, nothing is drawn.
+        """Replace the dots of a cell by a character. Outside the canvas, nothing is drawn.
 
         Args:
             column: Column of the cell.
@@ -136,7 +139,7 @@ class Canvas:
         return ["".join(row) for row in chars]
 
     def segments(self) -> list[list[Segment]]:
-        """Return the rows, each split into segments of one style."""
+        """Return the rows of the canvas, each split into segments of one style."""
         rows = []
         for text, styles in zip(self.text(), self._style, strict=True):
             cuts = [0, *(np.flatnonzero(np.diff(styles)) + 1), self.width]
@@ -198,10 +201,10 @@ def framed(canvas: Canvas, label: str) -> Iterable[list[Segment]]:
 
 
 def _filling(shape: Shape, view: Projection) -> Floats:
-    """Return the points (M, 2) that draw a filled shape.
+    """Return points (M, 2) whose dots fill a shape.
 
-    There is one for each dot inside it, and the points of its outline. A shape smaller than a dot
-    has only outline points.
+    There is one point for each dot inside the shape, and more along its outline. A shape smaller
+    than a dot has only outline points.
     """
     arena = view.arena
     outline = shape.outline()

@@ -1,4 +1,4 @@
-"""The dashboard: one instant of a trial on the whole terminal, as the library rich prints it.
+"""The dashboard: a view of one instant of a trial that fills the terminal, printed by rich.
 
     +--------------+  heading and time
     |              |  distance of each robot
@@ -9,8 +9,8 @@
     events, the newest at the bottom
     footer: what the keys do, and how far it is
 
-`live_screen` shows it of running trials, `replay_screen` of logs. Widths and heights are in columns
-and lines of the terminal.
+`live_screen` shows the dashboard of running trials, and `replay_screen` that of logs. Widths and
+heights are in columns and lines of the terminal.
 """
 
 import math
@@ -67,7 +67,11 @@ EVENTS_SHOWN = ((36, 6), (24, 2), (16, 1))
 
 @dataclass(frozen=True, slots=True)
 class Footer:
-    """The lowest line: text `before` a bar, the bar, text `after` it, and the `hints` that fit."""
+    """The lowest line of the dashboard: a progress bar between two texts, and hints about keys.
+
+    `before` is the text before the bar, and `after` the text behind it. As many `hints` are shown
+    as fit.
+    """
 
     before: str
     fraction: float
@@ -75,7 +79,10 @@ class Footer:
     hints: tuple[str, ...] = ()
 
     def text(self, width: int) -> Text:
-        """Return the line; if it is too long, hints are left out, then the bar is shortened."""
+        """Return the line for a width.
+
+        If it is too long, hints are left out, then the bar is shortened.
+        """
         words = len(self.before) + len(self.after) + 2
         hints = list(self.hints)
         while hints and words + BAR_WANTED + _width_of_hints(hints) > width:
@@ -94,12 +101,12 @@ def _width_of_hints(hints: list[str]) -> int:
 
 
 def _is_given(step: Step) -> bool:
-    """Decide whether robots follow a given direction, without a search."""
+    """Check whether robots follow a given direction in a step, so that there was no search."""
     return not step.plan.pauses and step.plan.search.stopped == StopReason.FIXED
 
 
 class Dashboard:
-    """Shows a trial at one instant, on all the space available.
+    """A view of a trial at one instant, which uses all the space available.
 
     Args:
         moment: The instant.
@@ -148,7 +155,7 @@ class Dashboard:
         yield from printed(rows, width)
 
     def _arena(self, width: int, height: int) -> list[list[Segment]]:
-        """Return exactly `height` rows of equal width: the arena in its frame, then blanks."""
+        """Return the arena in its frame, then blanks, as exactly `height` rows of equal width."""
         arena = self._moment.setup.arena
         left_by_share = width - GAP - round(ARENA_SHARE * width)
         numbers_width = min(max(left_by_share, NUMBERS_LEAST), NUMBERS_WANTED)
@@ -163,7 +170,7 @@ class Dashboard:
         return rows[:height]
 
     def _numbers(self, width: int, height: int) -> list[Text]:
-        """Return the numbers in at most `height` lines.
+        """Return the part with the trial's numbers, in at most `height` lines.
 
         The blocks that fit are shown, with an empty line between them as long as there are lines
         left.
@@ -189,7 +196,7 @@ class Dashboard:
         return lines[:height]
 
     def _head(self) -> list[Text]:
-        """Describe the trial, the time, the control step and the direction sent."""
+        """Return lines that describe the trial, the time, the control step and the direction."""
         moment = self._moment
         step = moment.step
         until = "" if moment.end_s is None else f" / {moment.end_s:.1f}"
@@ -219,7 +226,7 @@ class Dashboard:
         return lines
 
     def _robots(self, width: int, height: int) -> list[Text]:
-        """Return a title, then each robot's distance to its target as a number and a bar.
+        """Return a title, then a line for each robot: its distance to its target, with a bar.
 
         If not all robots fit, a line describes the others.
         """
@@ -238,7 +245,7 @@ class Dashboard:
         return lines
 
     def _robot_lines(self, width: int, count: int) -> Iterator[Text]:
-        """Yield the lines of the first robots, `MARK NAME VALUE BAR`.
+        """Yield a line for each of the first robots: `MARK NAME VALUE BAR`.
 
         Names are cut before values are, and bars get what is left. A full bar is the maximum
         distance at the start, which has four digits: 854.0 mm.
@@ -271,14 +278,14 @@ class Dashboard:
             yield line
 
     def _standing(self) -> list[str]:
-        """Return the names of the robots that stand by the newest plan's estimate."""
+        """Return the names of the robots that stand still, as estimated with the newest plan."""
         step = self._moment.step
         if step is None or not step.plan.estimate:
             return []
         return step.plan.estimate.standing(self._moment.setup.names)
 
     def _total(self, width: int) -> list[Text]:
-        """Return the total error, and how it went."""
+        """Return lines with the total error, and with a small curve of it so far."""
         moment = self._moment
         total = _number(float(moment.distances.sum()))
         line_width = min(width, SPARKLINE_MOST)
@@ -288,7 +295,10 @@ class Dashboard:
         ]
 
     def _plan(self, width: int) -> list[Text]:
-        """Return the cost of the newest plan before and after its search, and the iterations."""
+        """Return lines with the cost of the newest plan before and after its search.
+
+        They also state the search's iterations.
+        """
         setup = self._moment.setup
         step = self._moment.step
         if step is None or step.plan.pauses:
@@ -309,7 +319,7 @@ class Dashboard:
         ]
 
     def _effort(self) -> list[Text]:
-        """Describe how long the newest search took, and its evaluations."""
+        """Return lines that state how long the newest search took, and how many evaluations."""
         step = self._moment.step
         if step is None or self._plain or _is_given(step):
             return []
@@ -320,7 +330,7 @@ class Dashboard:
         return [solve, _row("evaluations", evaluations)]
 
     def _warnings_and_end(self, width: int) -> list[Text]:
-        """Return the notes, the text aside and, at the end, the result."""
+        """Return the notes, the text `aside` and, at the end, lines with the trial's result."""
         lines = [Text(note, "bold red", no_wrap=True) for note in self._notes]
         aside = textwrap.wrap(self._aside, width, break_on_hyphens=False)  # links stay whole
         lines += [Text(line, "dim", no_wrap=True) for line in aside]
@@ -330,7 +340,7 @@ class Dashboard:
         return lines
 
     def _events(self, height: int) -> list[Text]:
-        """Return the newest events that a terminal of `height` lines shows.
+        """Return the newest events, as many as a terminal of `height` lines shows.
 
         Above them are empty lines for future events. Before the first event, the result is empty.
         """
@@ -350,7 +360,7 @@ class Dashboard:
 
 
 def fitted(console: Console, text: Text, width: int) -> list[Segment]:
-    """Return a line of text as segments that fit a width.
+    """Return a line of text as segments that fit a given width.
 
     If the text is cut, its last sign is an ellipsis, so that no number looks like a shorter one.
 
@@ -365,7 +375,7 @@ def fitted(console: Console, text: Text, width: int) -> list[Segment]:
 
 
 def printed(rows: Sequence[list[Segment]], width: int) -> RenderResult:
-    """Yield rows for rich, each exactly as wide as the screen."""
+    """Yield rows for the library rich, each exactly as wide as the screen."""
     for number, row in enumerate(rows):
         if number:
             yield Segment.line()
@@ -373,7 +383,7 @@ def printed(rows: Sequence[list[Segment]], width: int) -> RenderResult:
 
 
 def _end_lines(result: Result, width: int) -> list[Text]:
-    """Describe in lines how a trial ended, and why."""
+    """Return lines that describe how a trial ended, and why."""
     alarm = "bold red" if result.outcome is Outcome.ABORTED else ""
     lines = [Text(f"ended: {result.outcome}", "bold", no_wrap=True)]
     lines += [Text(line, alarm, no_wrap=True) for line in textwrap.wrap(result.reason, width)]
@@ -383,12 +393,12 @@ def _end_lines(result: Result, width: int) -> list[Text]:
 
 
 def _row(label: str, value: str) -> Text:
-    """Return a row of a label and a value."""
+    """Return a line of the dashboard, with a label and a value."""
     return Text.assemble((f"{label:<11} ", "dim"), value, no_wrap=True)
 
 
 def _number(value: float) -> str:
-    """Format a length.
+    """Format a length for the dashboard.
 
     It has no decimals from 100 on, one decimal from 1 on, and three significant digits below 1.
     """

@@ -1,4 +1,4 @@
-"""Prints the result of a preflight as text or JSON."""
+"""Prints the result of a preflight, the check of a lab before a run, as text or JSON."""
 
 from collections.abc import Callable
 from typing import Any
@@ -15,12 +15,12 @@ def _or(unknown: str, form: str) -> Callable[[Any], str]:
 
 
 def print_findings(preflight: Preflight, latency_stated: bool) -> None:
-    """Print the findings of a preflight.
+    """Print the findings of a preflight, the check of a lab before a run.
 
-    They are a table of the robots (how far they are from their starts, whether they are tracked,
-    their batteries, and whether they answer), the camera's rates and delays, warnings and problems.
-    With `latency_stated`, the age of frames comes from the spec's lab.camera.latency, and is not
-    measured.
+    The output is a table of the robots (how far they are from their starts, whether they are
+    tracked, their batteries, and whether they answer), the camera's rates and delays, warnings and
+    problems. With `latency_stated`, the age of frames is not measured, but comes from the spec's
+    lab.camera.latency.
     """
     console = open_console()
     robots = preflight.robots

@@ -1,4 +1,4 @@
-"""The signs of the terminal views: arrows, bars, and curves of characters."""
+"""Small drawings made of characters, for views in a terminal: arrows, bars, and curves."""
 
 import math
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ LEAST = 1e-12
 
 
 def arrow(angle: float) -> str:
-    """Return the arrow nearest to an angle [rad]. For an unknown angle, it points along +x."""
+    """Return the arrow character nearest to an angle [rad]. It points along +x if it is unknown."""
     if not math.isfinite(angle):
         return ARROWS[0]
     return ARROWS[round(math.remainder(angle, math.tau) / (math.pi / 4)) % len(ARROWS)]
@@ -49,7 +49,7 @@ def sparkline(
     total: int = 0,
     log: bool = False,
 ) -> Text:
-    """Return a line of small bars that show values, with dots for values still to come.
+    """Return a curve of values as a line of small bars, with dots for values still to come.
 
     Args:
         values: The values.
@@ -74,7 +74,7 @@ def sparkline(
 
 
 def _levels(y: Floats, log: bool) -> list[int]:
-    """Return the index of each value in SPARKS: the highest for a value that is unknown."""
+    """Return the height of each value as an index into SPARKS, the highest for unknown values."""
     if log:
         y = np.log(np.maximum(y, LEAST))
     low = np.nanmin(y) if log else 0.0

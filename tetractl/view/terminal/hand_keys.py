@@ -1,4 +1,4 @@
-"""What a person asks the robots to do by keys and the mouse, or by a file of keys.
+"""Steering by hand: reads what a person wants robots to do, from keys and mouse or from a file.
 
     arrows        the robots turn to the right, up, to the left, down
     the mouse     drag anywhere: they turn to the direction of the drag
@@ -65,7 +65,7 @@ MOUSE_OFF = "\x1b[?1006l\x1b[?1002l"
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What the person who steers wants.
+    """What the person who steers wants at present: a direction, a stop, or a pause.
 
     Attributes:
         direction: The direction [rad]. None before the first key.
@@ -82,13 +82,13 @@ class Wish:
 
     @property
     def answer(self) -> float | None:
-        """The direction [rad], None to stop."""
+        """The direction that the person wants [rad], None to stop."""
         return None if self.stops else self.direction
 
     def after(self, key: str) -> "Wish":
-        """Return the person's wish after a key or a movement of the mouse.
+        """Return the person's new wish after a key or a movement of the mouse.
 
-        Other keys change nothing.
+        Keys without a function do not change it.
         """
         if key in ARROWS:
             return replace(self, direction=ARROWS[key])
@@ -113,11 +113,11 @@ class Wish:
 
 
 class HandKeys:
-    """Reads what a person wants from the keys and the mouse of a terminal; a context manager.
+    """Reads what a person wants from keys and mouse of a terminal. It is a context manager.
 
-    Only a simulation `can_pause`. Threads: the thread of the keys calls `press`, and replaces the
-    wish as a whole. The thread of the trial calls `ask`, which reads it. The same holds for the
-    answer and `await_answer`.
+    Only a simulation `can_pause`. Two threads use this object. The thread of the keys calls
+    `press`, and replaces the wish as a whole. The thread of the trial calls `ask`, which reads it.
+    The same holds for the answer and `await_answer`.
     """
 
     def __init__(self, has_ended: Callable[[], bool], can_pause: bool = False) -> None:
@@ -127,7 +127,7 @@ class HandKeys:
         self._can_pause = can_pause
 
     def press(self, key: str) -> None:
-        """Take a key, given by its name."""
+        """Take a key that was pressed, given by its name, and change the person's wish."""
         name = key.lower() if len(key) == 1 else key  # P is p
         if name != PAUSE or self._can_pause:
             self._wish = self._wish.after(name)
@@ -135,18 +135,18 @@ class HandKeys:
             self._answer = name
 
     def stop(self) -> None:
-        """Stop, as by the space bar, and leave."""
+        """Stop the robots, as by the space bar, and leave."""
         self._wish = replace(self._wish, stops=True)
         self._answer = LEAVE
 
     def forget(self) -> None:
-        """Let `await_answer` wait for a key that is pressed from now on."""
+        """Forget earlier answers, so that `await_answer` waits for a key pressed from now on."""
         self._answer = ""
 
     def await_answer(self) -> str:
-        """Wait for GO_ON, AGAIN or LEAVE, and return it.
+        """Wait for the person's answer after a trial, GO_ON, AGAIN or LEAVE, and return it.
 
-        It is LEAVE if the trial ended for another reason.
+        The answer is LEAVE if the trial ended for another reason.
         """
         while not self._answer and not self._has_ended():
             time.sleep(WAIT_S)
@@ -163,11 +163,11 @@ class HandKeys:
 
     @property
     def pauses(self) -> bool:
-        """Whether a pause is wanted."""
+        """Whether the person wants a pause."""
         return self._wish.pauses and not (self._wish.stops or self._has_ended())
 
     def await_end_of_pause(self, show: Callable[[float], None]) -> None:
-        """Return once no pause is wanted; until then `show` each direction that is tried [rad]."""
+        """Wait until the person ends the pause. Until then, `show` each direction tried [rad]."""
         shown: float | None = None
         while self.pauses:
             direction = self._wish.direction
@@ -188,7 +188,7 @@ class HandKeys:
 
 
 def task(setup: Setup, disturbed: bool) -> str:
-    """Describe the person's task, and how the robots differ."""
+    """Describe to the person who steers what to do, and how the robots differ."""
     by_rate = [setup.names[robot] for robot in np.argsort(-setup.a)]
     rates = f" ({by_rate[0]} fastest, {by_rate[-1]} slowest)" if len(by_rate) > 1 else ""
     dots = "about where that leads" if disturbed else "where that leads"
@@ -202,13 +202,16 @@ def task(setup: Setup, disturbed: bool) -> str:
 
 
 class KeyScript:
-    """The keys that a file asks for, in order, each with its time [s] after the first one."""
+    """The keys in a file that steers in place of a person, each with its time [s].
+
+    Times count from the first key.
+    """
 
     def __init__(self, keys: list[tuple[float, str]]) -> None:
         self._keys = keys
 
     def ask(self, time_s: float) -> float | None:
-        """Return the direction [rad] at a time after the first key [s], None to stop."""
+        """Return the direction [rad] at a time after the first key [s]. None to stop."""
         wish = Wish()
         for pressed_s, key in self._keys:
             if pressed_s <= time_s:
@@ -217,7 +220,7 @@ class KeyScript:
 
 
 def read_script(path: Path) -> KeyScript:
-    """Read a file of keys.
+    """Read a file of keys that steers instead of a person.
 
     Raises:
         UsageError: With file and line, if it is wrong.
@@ -248,7 +251,7 @@ def read_script(path: Path) -> KeyScript:
 
 
 def _seconds(word: str, where: str) -> float:
-    """Return a time [s] of a script.
+    """Convert a word of a file of keys to a time [s].
 
     Raises:
         UsageError: If it is not a time.

@@ -1,4 +1,4 @@
-"""Reads keys of a terminal, and restores the terminal's settings at the end.
+"""Reads single keys from a terminal, and restores the terminal's settings at the end.
 
 The player, the operator's emergency stop, and a person who steers by hand use it.
 """
@@ -63,7 +63,7 @@ def decode(data: bytes) -> tuple[list[str], bytes]:
 
 
 class _Unbuffered:
-    """The terminal's input without buffer and echo, until `restore`."""
+    """A terminal's input in a mode without buffer and echo, until `restore`."""
 
     def __init__(self) -> None:
         import termios  # not on Windows
@@ -73,21 +73,21 @@ class _Unbuffered:
         self.set()
 
     def set(self) -> None:
-        """Set the terminal so; TCSANOW does not wait for pending output."""
+        """Turn off the input's buffer and echo. TCSANOW does not wait for pending output."""
         import termios
         import tty
 
         tty.setcbreak(self.fd, termios.TCSANOW)
 
     def restore(self) -> None:
-        """Set the terminal as it was; does nothing if it was closed."""
+        """Restore the former mode of the terminal. Do nothing if it was closed."""
         import termios
 
         with suppress(termios.error):
             termios.tcsetattr(self.fd, termios.TCSANOW, self._before)
 
     def wait(self, timeout_s: float, count: int) -> bytes | None:
-        """Return the bytes that arrive within `timeout_s`, at most `count`.
+        """Wait for input, and return the bytes that arrive within `timeout_s`, at most `count`.
 
         None if there are none, and b"" if the terminal was closed.
         """
@@ -99,7 +99,7 @@ class _Unbuffered:
 
 
 class Keyboard:
-    """Reads each key when it is pressed, without echo; a context manager.
+    """Reads each key as soon as it is pressed, without echo. It is a context manager.
 
     Ctrl-C and other STOP_SIGNALS raise no exception, so that no operation is cut short: they set
     `interrupted`, and `read` returns ["q"]. On Ctrl-Z, `leave` is called, the terminal is restored,
@@ -125,7 +125,7 @@ class Keyboard:
             signal.signal(number, handler)
 
     def read(self, timeout_s: float) -> list[str]:
-        """Wait for keys, at most `timeout_s`, and return their names.
+        """Wait for keys for at most `timeout_s`, and return the names of those that were pressed.
 
         After an interrupt, or if the terminal was closed, the result is ["q"].
         """
@@ -162,9 +162,9 @@ NO_KEY = "no terminal: there is no key to stop the robots"
 
 
 class StopKey:
-    """Calls a function on space, Esc, or when the terminal is closed; a context manager.
+    """Stops robots on space or Esc, or if the terminal is closed, by calling a function.
 
-    It works only if stdin is a terminal: then `listening` is True.
+    It is a context manager, and works only if stdin is a terminal; then `listening` is True.
 
     Args:
         stop: Called to stop.

@@ -1,10 +1,10 @@
-"""The live view of running trials: the dashboard, drawn while the loop runs.
+"""The live view of running trials: the dashboard, drawn while the control loop runs.
 
     events of the trial -> TrialSoFar.moment --+
                                                +-> Dashboard -> Screen
     events of the batch -> footer, Tally ------+
 
-In the lab it also prints notes, a line per trial, and where to place robots.
+In the lab, this module also prints notes, a line for each trial, and where to place robots.
 """
 
 import threading
@@ -37,9 +37,9 @@ LEAST_S = 1 / 12
 
 
 class TrialSoFar:
-    """What was observed of a trial so far; `moment` is its newest instant.
+    """What has been observed of a running trial so far. `moment` is its newest instant.
 
-    It is to a trial that runs what `Recording` is to a log.
+    For a running trial, it has the role that `Recording` has for a log.
     """
 
     def __init__(self, start: Start) -> None:
@@ -55,7 +55,7 @@ class TrialSoFar:
         self._first_direction_ns: int | None = None
 
     def on_samples(self, samples: list[Sample]) -> None:
-        """Add camera frames to the trails."""
+        """Add the robots' positions in new camera frames to their trails."""
         for sample in samples:
             observation = sample.observation
             poses = observation.poses.array()
@@ -66,7 +66,7 @@ class TrialSoFar:
             self._now_ns = observation.sampled_ns
 
     def on_step(self, step: Step) -> None:
-        """Store the control step and the total error at it."""
+        """Store a new control step, and the total error at its time."""
         self.on_command(step.command)
         self._step = step
         self._now_ns = max(self._now_ns, step.command.sent_ns)
@@ -74,29 +74,29 @@ class TrialSoFar:
         self._totals.append(float(distances.sum()))
 
     def on_command(self, command: Command) -> None:
-        """Store the time of the first direction; the command's effect shows in the trails."""
+        """Store the time of the first direction. Other commands show only by their effect."""
         if self._first_direction_ns is None and not command.stops:
             self._first_direction_ns = command.sent_ns
 
     def preview(self, plan: Plan, direction: float) -> None:
-        """Show a direction that is not sent, and its plan, in place of the newest step's."""
+        """Show the plan of a direction that is not sent, in place of the newest step's."""
         if self._step is not None:
             command = replace(self._step.command, action=Steer(direction))
             self._step = replace(self._step, plan=plan, command=command)
 
     def on_note(self, note: Note) -> None:
-        """Store the note."""
+        """Store an event of the trial."""
         self._notes.append(note)
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Store the result."""
+        """Store the result of the trial."""
         self._result = result
 
     def warnings(self) -> tuple[str, ...]:
-        """Describe which robots have failed the trial.
+        """Describe which robots have failed the trial, and why.
 
-        They were in an obstacle or outside the arena. For those that are outside now, the text says
-        where.
+        A robot fails if it was in an obstacle or outside the arena. For robots that are outside
+        now, the text says where.
         """
         setup = self.start.setup
         verdict = self._path.verdict(Poses.from_array(self._poses))
@@ -109,7 +109,7 @@ class TrialSoFar:
         return (*entered, *left)
 
     def _way_out(self, robot: int) -> str:
-        """Describe how far and where a robot is outside the arena, or that it was outside."""
+        """Describe where and how far outside the arena a robot is, or that it has been outside."""
         arena = self.start.setup.arena
         x, y = self._poses[robot, :2]
         beyond = {
@@ -124,7 +124,7 @@ class TrialSoFar:
         return f"is outside: lost, {beyond[direction]:.4g} {self.start.setup.unit} {direction}"
 
     def moment(self) -> Moment:
-        """Return the newest instant."""
+        """Return all that a view shows of the trial now."""
         setup = self.start.setup
         began_ns = self._first_direction_ns
         if began_ns is None:
@@ -148,10 +148,10 @@ class TrialSoFar:
 
 
 class LiveView(Observer):
-    """Shows one trial after another on the terminal; a context manager.
+    """A view of running trials, one after another, on the terminal. It is a context manager.
 
-    It is an `Observer` of each trial and a `RunObserver`. It draws at most 12 images per second,
-    and nothing while its screen is closed.
+    The view is an `Observer` of each trial and a `RunObserver`. It draws at most 12 images per
+    second, and nothing while its screen is closed.
 
     Args:
         console: The terminal.
@@ -188,54 +188,54 @@ class LiveView(Observer):
         self._screen.close()
 
     def trial_started(self, task: Task) -> None:
-        """Store the trial's number and the number of trials."""
+        """Take note of the number of the trial that begins, and of the number of trials."""
         if self._task is None:
             self._tally.began_s = self._wall()
         self._task = task
 
     def trial_ended(self, ending: Ending) -> None:
-        """Add the trial to the counts."""
+        """Add the trial that has ended to the counts."""
         if ending.result:
             self._tally.add(ending.result)
 
     def on_start(self, start: Start) -> None:
-        """Show a new trial."""
+        """Show the start of a new trial."""
         self._trial = TrialSoFar(start)
         self._draw()
 
     def on_samples(self, samples: list[Sample]) -> None:
-        """Add camera frames to the trails."""
+        """Add the robots' positions in new camera frames to the view."""
         self._of_trial.on_samples(samples)
         self._draw_in_time()
 
     def on_step(self, step: Step) -> None:
-        """Show the control step."""
+        """Show a new control step."""
         self._of_trial.on_step(step)
         self._draw_in_time()
 
     def on_command(self, command: Command) -> None:
-        """Pass the command on; its effect shows in the trails."""
+        """Pass a command on to the trial's state. It shows only by its effect on the robots."""
         self._of_trial.on_command(command)
 
     def on_note(self, note: Note) -> None:
-        """Show the note in the list of events."""
+        """Show a new event of the trial in the list of events."""
         self._of_trial.on_note(note)
         self._draw_in_time()
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Show the outcome."""
+        """Show the outcome of the trial."""
         self._of_trial.on_stop(stop, result)
         self._draw()
 
     def say(self, aside: str, *hints: str) -> None:
-        """Show the newest picture, plain, with another text aside and other hints."""
+        """Show the last image again in the plain style, with another text aside and other hints."""
         self._aside = aside
         self._hints = hints
         self._plain = True
         self._draw()
 
     def preview(self, plan: Plan, direction: float) -> None:
-        """Show where a direction [rad] leads that is not sent."""
+        """Show where robots would go in a direction [rad] that is not sent."""
         self._of_trial.preview(plan, direction)
         self._draw()
 
@@ -266,7 +266,7 @@ class LiveView(Observer):
         )
 
     def _footer(self, hints: tuple[str, ...]) -> Footer:
-        """Return the number of the trial, and how long the others will take."""
+        """Return the lowest line: the number of the trial, and how long the others will take."""
         ended = len(self._tally.errors)
         count = 1 if self._task is None else self._task.count
         number = 1 if self._task is None else self._task.trial + 1
@@ -278,7 +278,10 @@ class LiveView(Observer):
 
 
 class TerminalPrompt:
-    """A `PlacementPrompt` at the terminal: prints where robots must stand, and waits for Enter."""
+    """Asks a person at the terminal to place robots: prints where they must stand.
+
+    It then waits until the person presses Enter.
+    """
 
     def __init__(self, console: Console, entered: threading.Event) -> None:
         self._console = console
@@ -286,7 +289,7 @@ class TerminalPrompt:
         self._shown: tuple[Sequence[str], Sequence[str]] | None = None
 
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
-        """Print the lines and questions if they differ from those last printed."""
+        """Print where robots must stand, with questions, unless the text is the same as before."""
         if (lines, questions) != self._shown:
             self._shown = lines, questions
             self._entered.clear()
@@ -296,7 +299,7 @@ class TerminalPrompt:
                 self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def go(self) -> bool:
-        """Decide whether Enter was pressed since the lines were last printed."""
+        """Return whether the person has pressed Enter since the last text was printed."""
         if not self._entered.is_set():
             return False
         self._entered.clear()
@@ -305,7 +308,7 @@ class TerminalPrompt:
 
 
 class LabWatch(LiveView):
-    """Shows a batch in the lab: a line per trial and, if wanted, a live view of each trial.
+    """A view of a batch in the lab: a line for each trial and, if wanted, a live view of it.
 
     Between trials, while robots are placed, the live view is closed. It opens when a trial starts.
 
@@ -350,13 +353,16 @@ class LabWatch(LiveView):
             console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def on_start(self, start: Start) -> None:
-        """Open the live view."""
+        """Open the live view of a new trial."""
         if self._wanted:
             self._screen.open()
         super().on_start(start)
 
     def on_note(self, note: Note) -> None:
-        """Print a note, or keep it until the live view is closed; leave out calls."""
+        """Print an event, or keep it until the live view is closed.
+
+        Calls of devices are left out.
+        """
         if note.level == "debug":
             return
         self._unprinted.append(note)
@@ -366,7 +372,7 @@ class LabWatch(LiveView):
             self._print_notes()
 
     def _show_lines(self) -> None:
-        """Close the live view, and print the notes of its trial."""
+        """Close the live view, and print the events of its trial."""
         self._screen.close()
         self._print_notes()
 

@@ -20,7 +20,10 @@ BAR_PAUSE_S = 0.2  # least time between two changes of a notebook's bar [s]
 
 
 class Tally:
-    """Counts of the trials of a batch so far; `began_s` is when its first one began [s]."""
+    """Counts of a batch's trials so far, by outcome.
+
+    `began_s` is when its first trial began [s].
+    """
 
     def __init__(self) -> None:
         self.began_s = 0.0
@@ -29,13 +32,13 @@ class Tally:
         self.entered = 0
 
     def add(self, result: Result) -> None:
-        """Count a finished trial."""
+        """Add a finished trial to the counts."""
         self.errors.append(result.total_error)
         self.aborted += result.outcome == "aborted"
         self.entered += result.entered_obstacle
 
     def summary(self, unit: str) -> str:
-        """Return the counts as text."""
+        """Describe the counts in one line of text."""
         if not self.errors:
             return ""
         words = [f"mean total error {sum(self.errors) / len(self.errors):.1f} {unit}"]
@@ -47,7 +50,7 @@ class Tally:
 
 
 class _TrialsBar(RunObserver):
-    """A progress bar, shown on a terminal unless `quiet`; a context manager."""
+    """A progress bar of trials, shown on a terminal unless `quiet`. It is a context manager."""
 
     def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
         self._console = console
@@ -78,9 +81,9 @@ class _TrialsBar(RunObserver):
 
 
 class BatchProgress(_TrialsBar):
-    """A `RunObserver` of a batch that shows a bar with the errors so far.
+    """The progress of a batch: a bar that also shows the errors of the trials so far.
 
-    Without a terminal, it prints a line for each trial.
+    It is a `RunObserver`. Without a terminal, it prints a line for each trial.
 
     Args:
         console: Where to print.
@@ -103,9 +106,9 @@ class BatchProgress(_TrialsBar):
 
 
 class StudyProgress(_TrialsBar):
-    """A `RunObserver` of a study that prints failures and the expected duration.
+    """The progress of a study: a bar, the failures of trials, and the expected duration.
 
-    Without a terminal, it also prints a line after each tenth of the trials.
+    It is a `RunObserver`. Without a terminal, it prints a line after each tenth of the trials.
 
     Args:
         console: Where to print.
@@ -138,12 +141,12 @@ class StudyProgress(_TrialsBar):
             self._say(", ".join(filter(None, words)))
 
     def _lines(self) -> int:
-        """Return how many of the LINES are due after the finished trials."""
+        """Return how many of the LINES should have been printed after the trials so far."""
         return self._done * LINES // self._total
 
 
 def progress_of_script(total: int) -> RunObserver:
-    """Return the progress view of a script or, in a notebook, of a cell."""
+    """Create the progress display for a script or, in a notebook, for a cell."""
     if "IPython" in sys.modules:
         shell = resolve_name("IPython:get_ipython")()
         if hasattr(shell, "kernel"):  # a terminal's shell has none
@@ -152,10 +155,10 @@ def progress_of_script(total: int) -> RunObserver:
 
 
 class ScriptProgress(RunObserver):
-    """A `RunObserver` for scripts that prints the progress to stderr.
+    """The progress of trials in a script, printed to stderr as lines.
 
-    At most every PAUSE_S, it prints how many of `total` trials have ended and how long the others
-    will take. `now_s` returns the time [s].
+    It is a `RunObserver`. At most every PAUSE_S, it prints how many of `total` trials have ended
+    and how long the others will take. `now_s` returns the time [s].
     """
 
     def __init__(self, total: int, now_s: Callable[[], float] = time.monotonic) -> None:
@@ -165,7 +168,7 @@ class ScriptProgress(RunObserver):
         self._said_s = now_s()
 
     def trial_ended(self, ending: Ending) -> None:
-        """Count the trial; print a line if the last one was PAUSE_S ago."""
+        """Count a trial that has ended, and print a line if the last one was PAUSE_S ago."""
         self._done += 1
         now_s = self._now_s()
         if now_s - self._said_s < PAUSE_S:
@@ -176,7 +179,7 @@ class ScriptProgress(RunObserver):
 
 
 class NotebookProgress(RunObserver):
-    """A `RunObserver` for notebooks: one output of the cell, a bar that grows as trials end.
+    """The progress of trials in a notebook: one output of the cell, a bar that grows.
 
     Args:
         total: Number of trials.
@@ -198,7 +201,10 @@ class NotebookProgress(RunObserver):
         self._output = display(self, display_id=True)
 
     def trial_ended(self, ending: Ending) -> None:
-        """Count the trial; change the bar if it was changed BAR_PAUSE_S ago, or all have ended."""
+        """Count a trial that has ended, and change the bar.
+
+        The bar changes at most every BAR_PAUSE_S, and when all trials have ended.
+        """
         self._done += 1
         self._left = _left(ending)
         now_s = self._now_s()
@@ -217,7 +223,7 @@ class NotebookProgress(RunObserver):
 
 
 def _left(ending: Ending) -> str:
-    """Estimate how long the other trials will take, as text. Empty if that is unknown."""
+    """Estimate, as text, how long the remaining trials will take. Empty if that is unknown."""
     return "" if ending.left_s is None else f"{duration(ending.left_s)} left"
 
 

@@ -83,7 +83,7 @@ def play_trials(
 
 
 def dashboard(player: Player, index: int = 0, count: int = 1) -> Dashboard:
-    """Return the dashboard at the player's time.
+    """Create the dashboard that shows a recorded trial at the player's present time.
 
     Args:
         player: The player.
@@ -102,7 +102,7 @@ def dashboard(player: Player, index: int = 0, count: int = 1) -> Dashboard:
 
 
 def _footer(player: Player, has_next: bool) -> Footer:
-    """Return the rate, how far the trial is, and what keys do, the most useful first."""
+    """Return the lowest line: the playing speed, the time, and the keys, the most useful first."""
     recording = player.recording
     sign = "▶" if player.state is Playback.PLAYING else "‖"
     now_s = recording.log.elapsed_s(player.now)
@@ -121,7 +121,7 @@ def _footer(player: Player, has_next: bool) -> Footer:
 
 
 class Help:
-    """Shows the list of keys, on all the space available; the library rich prints it."""
+    """A list of the player's keys, which fills the space available; the library rich prints it."""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         width = options.max_width
@@ -171,7 +171,7 @@ def print_lines(
 
 
 def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[tuple[int, str]]:
-    """Return the lines to print, each after its time [ns], in the order of time.
+    """Return the lines to print for steps and events, each after its time [ns], in order.
 
     At the same time, a step comes before events, and the result comes last.
     """
@@ -190,7 +190,7 @@ def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[tuple[int
 
 
 def result_line(recording: Recording) -> str:
-    """Return the end of the trial, and its final error, as a line of text."""
+    """Return a line of text that says how a trial ended, with its final error."""
     end = recording.at(recording.end_ns)
     result = recording.log.result
     assert result is not None, "the caller has checked this"
@@ -201,7 +201,7 @@ def result_line(recording: Recording) -> str:
 
 
 def step_line(recording: Recording, index: int) -> str:
-    """Return one control step as a line of text."""
+    """Return a line of text about one control step of a recording."""
     setup = recording.log.start.setup
     step = recording.log.steps[index]
     plan = step.plan

@@ -1,4 +1,4 @@
-"""The terminal's alternate screen, on which a dashboard of a running trial or of a log is shown."""
+"""A full-screen display in the terminal, on which the dashboard of a trial is shown."""
 
 from typing import Self
 
@@ -7,12 +7,12 @@ from rich.live import Live
 
 
 def shows_pictures(console: Console) -> bool:
-    """Decide whether a console can show changing screens: it moves its cursor and has UTF-8."""
+    """Check whether a console can show changing screens: it moves its cursor and has UTF-8."""
     return console.is_terminal and not (console.is_dumb_terminal or console.options.ascii_only)
 
 
 class Screen:
-    """Shows one image at a time, and restores the terminal when it is closed; a context manager.
+    """A display that fills the terminal, and restores it when it is closed; a context manager.
 
     Text printed to the console's own stream in the meantime appears above the image. Text for the
     other stream goes to that stream.
@@ -37,20 +37,20 @@ class Screen:
 
     @property
     def is_open(self) -> bool:
-        """Whether pictures are shown."""
+        """Whether the display fills the terminal now."""
         return self._live.is_started
 
     def open(self) -> None:
-        """Take over the whole terminal, and show the last screen again if there is one."""
+        """Take over the whole terminal, and show the last image again if there is one."""
         self._live.start()
         if self._shown:
             self._live.refresh()
 
     def close(self) -> None:
-        """Give the terminal back, as it was before."""
+        """Restore the terminal as it was before."""
         self._live.stop()
 
     def show(self, picture: RenderableType) -> None:
-        """Show a screen instead of the last one."""
+        """Show an image in place of the last one."""
         self._shown = True
         self._live.update(picture, refresh=True)

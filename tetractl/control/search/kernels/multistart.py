@@ -330,7 +330,10 @@ def _end_start(task, rounds):
 
 @compiled(**PART_FAST)
 def _note_merits(rounds, cost):
-    """Add the merits of a polish to the history if the polish has found a better sequence."""
+    """Add the merits of a polish to the history if the polish has found a better sequence.
+
+    They are limited to the range between the best cost so far and the new cost.
+    """
     best_cost = rounds.state.best_cost
     if cost < best_cost:
         for z in range(rounds.polish.iterations):

@@ -1,4 +1,4 @@
-"""The command line: one module per command, which reads the options and prints results."""
+"""The command line of tetractl: one module per command, which reads options and prints results."""
 
 ADDRESSES_NEEDED = 1e9
 """Minimum address space of a process [bytes]; with less, OpenBLAS asks for memory forever."""
@@ -42,7 +42,7 @@ def main() -> None:
 
 
 def _address_limit() -> float:
-    """Return the largest address space that the process may use [bytes]."""
+    """Return how much address space the process may use [bytes]."""
     try:
         import resource
     except ImportError:  # Windows does not have this module

@@ -69,7 +69,7 @@ def analyze(
 
 
 def _simulate(loaded: "LoadedSpec", folder: Path, jobs: int, interrupt: "Interrupt") -> "Report":
-    """Run all trials of a spec with logs in a folder. Progress is shown only on a terminal."""
+    """Run all trials of a spec, with their logs in a folder. Show progress only on a terminal."""
     from tetractl.run.batch import OnFailure, run_batch
     from tetractl.run.store import Store
     from tetractl.run.task import batch_tasks

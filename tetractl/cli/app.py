@@ -50,7 +50,7 @@ _BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")
 
 
 def _without_types_of_switches(params: list[Any]) -> list[Any]:
-    """Let the help show no type next to a switch."""
+    """Change the parameters of a command so that its help shows no type next to a switch."""
     for param in params:
         if isinstance(param, TyperOption) and param.is_flag:
             param.metavar = ""
@@ -58,14 +58,14 @@ def _without_types_of_switches(params: list[Any]) -> list[Any]:
 
 
 class _Command(TyperCommand):
-    """A command whose help shows no type next to a switch."""
+    """A command of typer whose help shows no type next to a switch, an option without a value."""
 
     def get_params(self, ctx: Any) -> Any:
         return _without_types_of_switches(super().get_params(ctx))
 
 
 class _Group(TyperGroup):
-    """The commands of `tetractl` or `tetractl lab`, each imported when it is needed."""
+    """The commands of `tetractl` or of `tetractl lab`. Each is imported when it is needed."""
 
     def __init__(self, **attrs: Any) -> None:
         super().__init__(**attrs)
@@ -79,7 +79,7 @@ class _Group(TyperGroup):
         return _without_types_of_switches(super().get_params(ctx))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return the command with this name. None if there is none.
+        """Return the command with the name `cmd_name`. None if there is none.
 
         Raises:
             UsageError: If its package is not installed.
@@ -96,9 +96,9 @@ class _Group(TyperGroup):
 
 
 def _command(registry: Registry, name: str) -> Any:
-    """Return the command for a registry's function.
+    """Return the command for a function that is registered in a registry.
 
-    If the function of another package cannot be used, the command says why.
+    If the function of another package cannot be used, the command that is returned reports why.
     """
     panel = None if registry is LAB_COMMANDS else PANEL_OF.get(name, OTHERS)
     try:
@@ -128,7 +128,7 @@ def _command(registry: Registry, name: str) -> Any:
 def _typer_command(
     name: str, function: Callable[..., object], panel: str | None, **settings: Any
 ) -> Any:
-    """Return typer's command of a function, listed in a panel of the help."""
+    """Create typer's command for a function, listed in a panel of the help."""
     app_of_one = typer.Typer(add_completion=False)
     app_of_one.command(name, cls=_Command, rich_help_panel=panel, **settings)(function)
     return typer.main.get_command(app_of_one)
@@ -169,10 +169,10 @@ app.add_typer(lab, rich_help_panel="Robots and cells")
 
 
 def run_app() -> int:
-    """Run the command that the arguments name; return one of the codes of `Exit`.
+    """Run the command that the program's arguments name, and return one of the codes of `Exit`.
 
-    A command returns its code, or raises what `_complain_of` has a line for; other exceptions are
-    defects, and pass.
+    A command returns its code, or raises an error that `_complain_of` can explain to the user.
+    Other exceptions are defects of the program, and are not caught.
     """
     if "" in sys.argv[1:]:  # as a path, it would be the present folder
         return complain(Exit.USAGE, "an argument is empty", "is a variable of the shell not set?")
@@ -188,10 +188,10 @@ def run_app() -> int:
 
 
 def _complain_of(error: BaseException) -> Exit | None:
-    """Print what is wrong and what helps, and return the exit code.
+    """Print an error with a hint on what helps, and return the exit code.
 
-    None for an error that no user can cause. The first case that fits is used: OSError comes after
-    its subclasses.
+    The result is None for an error that no user can cause. The first case that fits is used:
+    OSError comes after its subclasses.
     """
     match error:
         case PluginTrialError() if sys.flags.dev_mode:
@@ -219,7 +219,10 @@ def _complain_of(error: BaseException) -> Exit | None:
 
 
 def _complain_of_module(module: str) -> Exit | None:
-    """Print how to get a module that is not installed. Ignores modules that always are."""
+    """Print how to install a module that is missing.
+
+    Modules that belong to tetractl are ignored.
+    """
     if module in UNIX_MODULES:
         problem = f"this does not run on Windows: Python has no '{module}' here"
         return complain(Exit.USAGE, problem, "simulations, tables and reports need none of it")
@@ -231,7 +234,7 @@ def _complain_of_module(module: str) -> Exit | None:
 
 
 def _usage_hint(error: TyperException) -> str | None:
-    """Say how the wrong argument is written, or where the options are listed."""
+    """Return a hint on how to write a wrong argument, or where the options are listed."""
     context = getattr(error, "ctx", None)  # of typer's UsageError, which has no public name
     if context is None:
         return None
@@ -239,7 +242,7 @@ def _usage_hint(error: TyperException) -> str | None:
 
 
 def _without_equals_sign() -> str | None:
-    """Return how a `--set PATH VALUE` among the arguments should be written. None without one."""
+    """Return how to write a `--set PATH VALUE` that lacks its equals sign. None if none does."""
     words = sys.argv[1:]
     for option, path, value in zip(words, words[1:], words[2:], strict=False):
         if option == "--set" and "=" not in path:
@@ -248,7 +251,9 @@ def _without_equals_sign() -> str | None:
 
 
 def complain(code: Exit, message: str, hint: str | None = None) -> Exit:
-    """Print `error: MESSAGE` and `hint: HINT` to stderr, and return the exit code.
+    """Print an error message and a hint to stderr, and return the exit code.
+
+    The lines begin with `error: ` and `hint: `.
 
     Args:
         code: The exit code.

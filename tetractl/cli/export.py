@@ -60,7 +60,7 @@ def export(
 
 
 def _table_paths(out: Path, table: str | None) -> dict[str, Path]:
-    """Return the file of each table to write: in the folder `out`, or of one table `out` itself."""
+    """Return the file of each table to write: in the folder `out`, or `out` for one table."""
     from tetractl.statistics.trial_tables import TABLES
 
     if table is not None and table not in TABLES:

@@ -69,7 +69,7 @@ def _lines(log: "Overview") -> Iterator[str]:
 
 
 def _digests(log: "Overview") -> dict[str, str]:
-    """Compare the content digest that the log states with that of its records."""
+    """Compare the content digest that a log states with the digest of its records."""
     if log.stated_digest is None:
         return {"computed": log.digest}
     if log.stated_digest == log.digest:
@@ -78,7 +78,7 @@ def _digests(log: "Overview") -> dict[str, str]:
 
 
 def _section(title: str, lines: Iterable[str]) -> Iterator[str]:
-    """Yield a section's lines; nothing if it has none."""
+    """Yield the lines of a section with its title. A section without lines is left out."""
     for number, line in enumerate(lines):
         if not number:
             yield from ("", title)
@@ -113,7 +113,7 @@ def _result(log: "Overview") -> dict[str, str]:
 
 
 def _estimate(log: "Overview") -> dict[str, str]:
-    """Return the last estimate, one line per robot, each value with its standard deviation."""
+    """Return the last estimate of the motion, a line per robot, with standard deviations."""
     from tetractl.core.motion_estimate import OF_PLACES, OF_TURNING
     from tetractl.run.model_changes import describe_turning
 
@@ -150,7 +150,7 @@ def _estimate(log: "Overview") -> dict[str, str]:
 
 
 def _deviating(value: float, std: float) -> str:
-    """Return "VALUE +- DEVIATION", rounded to two significant digits of the deviation."""
+    """Format a value with its standard deviation, both rounded to two digits of the deviation."""
     digits = 1 - math.floor(math.log10(std)) if 0 < std < math.inf else 3
     digits = min(max(digits, 0), 9)
     return f"{value:.{digits}f} +- {std:.{digits}f}"

@@ -60,9 +60,9 @@ def kinds(
 
 @dataclass(frozen=True, slots=True)
 class _ListedKind:
-    """A line of the list: a kind, and what is wrong with it.
+    """A line of the list: a kind, which is one choice for a section of the spec, and its problem.
 
-    `lacks` names a module that the kind needs and that is not installed; `broken` says why an
+    `lacks` names a module that the kind needs and that is not installed. `broken` says why an
     installed kind cannot be used at all.
     """
 
@@ -73,12 +73,12 @@ class _ListedKind:
 
     @property
     def problem(self) -> str:
-        """The problem. Empty if there is none."""
+        """The problem of the kind in words. Empty if there is none."""
         return f"needs {self.lacks}, which is not installed" if self.lacks else self.broken
 
 
 def _list(as_json: bool) -> int:
-    """Print all kinds; return the exit code."""
+    """Print the list of all kinds, and return the exit code."""
 
     registries = all_registries()
     listed = [_loaded(registry, kind) for registry in registries for kind in registry.kinds()]
@@ -96,9 +96,10 @@ def _list(as_json: bool) -> int:
 
 
 def _loaded(registry: "Registry", kind: "Kind") -> _ListedKind:
-    """Load a kind, and return it with what is wrong with it.
+    """Load the code of a kind, and return the kind with its problem, if it has one.
 
-    That a module is not installed is no error in a package of ours; in another's, each problem is.
+    A module that is not installed is no error for a kind of tetractl's own packages. For a kind of
+    another package, every problem is an error.
     """
 
     try:
@@ -115,7 +116,7 @@ def _loaded(registry: "Registry", kind: "Kind") -> _ListedKind:
 
 
 def _items(row: _ListedKind) -> dict[str, str | None]:
-    """Return a kind as data for JSON."""
+    """Return a kind as data for the JSON output."""
     kind = row.kind
     return {
         "seam": row.registry.what,
@@ -128,7 +129,7 @@ def _items(row: _ListedKind) -> dict[str, str | None]:
 
 
 def _line(row: _ListedKind) -> str:
-    """Return a kind as a line of the list."""
+    """Return a kind as a line of the printed list."""
     kind = row.kind
     package = f"{kind.package} {kind.version}" if kind.package else _home(kind)
     line = _columns(row.registry, kind.name, package, kind.code)
@@ -140,7 +141,7 @@ def _columns(registry: "Registry", name: str, package: str, columns: str) -> str
 
 
 def _home(kind: "Kind") -> str:
-    """Return where a kind without a package entry is: in tetractl, or in one of its packages."""
+    """Return the package of a kind that names none: tetractl, or one of its own packages."""
     top = kind.code.partition(".")[0]
     return "built in" if top == "tetractl" else f"built in {top.replace('_', '-')}"
 
@@ -149,7 +150,7 @@ def _home(kind: "Kind") -> str:
 
 
 def _kind_check() -> Callable[[str, Mapping[str, Any], "Setup"], Sequence[Any]]:
-    """Return the function that checks a kind.
+    """Return the function that checks a kind that a user has written.
 
     Raises:
         UsageError: If no installed package brings it.
@@ -163,7 +164,7 @@ def _kind_check() -> Callable[[str, Mapping[str, Any], "Setup"], Sequence[Any]]:
 
 
 def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
-    """Check the kind that `code` names, and print each finding; return the exit code."""
+    """Check the kind that `code` names, print each finding, and return the exit code."""
     check_kind = _kind_check()
     sys.path.append("")  # modules in this folder, but in place of no other
     fields = _fields(sets)
@@ -186,7 +187,7 @@ def _check(code: str, spec: Path | None, sets: list[str], as_json: bool) -> int:
 
 
 def _fields(sets: list[str]) -> dict[str, Any]:
-    """Return the fields that --set gives, keyed by name."""
+    """Return the fields of a kind that --set gives, by name."""
     from tetractl.spec.base import with_tuples
     from tetractl.spec.yaml.document import parse_value
 
@@ -200,7 +201,7 @@ def _fields(sets: list[str]) -> dict[str, Any]:
 
 
 def _experiment(spec: Path | None) -> "Experiment":
-    """Return the experiment with the robots and arena for a check: a spec's, or that of `init`."""
+    """Return the experiment whose robots and arena a check uses: a spec's, or that of `init`."""
     from tetractl.spec.load import parse_spec
 
     if spec is not None:
@@ -209,7 +210,7 @@ def _experiment(spec: Path | None) -> "Experiment":
 
 
 def _fields_of_lab(experiment: "Experiment", code: str) -> dict[str, Any]:
-    """Return the fields of the lab's camera or actuator if `code` names its kind, else none."""
+    """Return the fields of the lab's camera or actuator if `code` names its kind, or none."""
     lab = experiment.lab
     if lab is not None:
         for section in (lab.camera, lab.actuator):

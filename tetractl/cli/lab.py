@@ -125,7 +125,7 @@ def stop(
 def _stops(
     spec: Path | None, sets: list[str] | None, port: str | None, baud: int
 ) -> Callable[..., str]:
-    """Return a function that stops every robot and describes the result in a line.
+    """Return a function that stops every robot of a lab and describes the result in a line.
 
     It uses the actuator of a spec's lab, or an m3pi radio on a port.
     """
@@ -141,8 +141,8 @@ def _stops(
 def _stops_of_spec(spec: Path, sets: list[str]) -> Callable[..., str]:
     """Return a function that stops every robot of a spec's real lab, without its calibration.
 
-    If another part of the spec is wrong, its actuator alone stops them, and the errors are
-    warnings.
+    If another part of the spec is wrong, the robots are stopped by its actuator alone, and the
+    errors are printed as warnings.
     """
     from tetractl.spec.actuator_alone import actuator_alone
     from tetractl.spec.load import load_document
@@ -210,7 +210,7 @@ def calibrate(
 
 
 def _calibrated(experiment: "Experiment", names: Sequence[str], limit: int) -> "Measured":
-    """Move the named robots, and return what was measured.
+    """Move the named robots in small motions, and return what was measured.
 
     A signal, or the terminal's space bar or Esc, stops them.
     """
@@ -233,9 +233,10 @@ def _calibrated(experiment: "Experiment", names: Sequence[str], limit: int) -> "
 
 @contextmanager
 def watched_by_operator(supervision: "LabSupervision", real_robots: bool) -> Iterator[None]:
-    """Make the terminal's space bar or Esc the emergency stop, and let a signal end the work.
+    """Let the operator stop all robots by the space bar or Esc, and let a signal end the work.
 
-    This is printed; or, if real robots move without a terminal, that there is no such key.
+    These keys are printed. If real robots move without a terminal, a line says that there is no
+    such key.
     """
     stop_key = StopKey(supervision.emergency.set, lambda: None)
     with hung_up_unread(), interrupted_once(robots=True), stop_key as key:
@@ -247,7 +248,10 @@ def watched_by_operator(supervision: "LabSupervision", real_robots: bool) -> Ite
 
 
 def save_calibration(out: Path, measured: "Measured") -> int:
-    """Write a file for `lab.calibration`, and print what was measured; return the exit code."""
+    """Write what was measured to a file for `lab.calibration`, and print it.
+
+    The exit code is returned.
+    """
     from tetractl.spec.plants import Calibration
     from tetractl.spec.yaml.core_yaml import dump
 
@@ -269,7 +273,7 @@ def save_calibration(out: Path, measured: "Measured") -> int:
 
 
 def _loaded_on(spec: Path, sets: list[str] | None, plant: str) -> "LoadedSpec":
-    """Return a spec in its lab, real or, as `plant` says, emulated."""
+    """Load a spec for its lab, which is real or, if `plant` says so, emulated by software."""
     from tetractl.spec.load import load_document
     from tetractl.spec.plants import on_plant, settings_on
     from tetractl.spec.yaml.document import read_document
@@ -280,7 +284,7 @@ def _loaded_on(spec: Path, sets: list[str] | None, plant: str) -> "LoadedSpec":
 
 
 def _xbee(port: str, baud: int) -> "XbeeSection":
-    """Return the radio that --port and --baud describe.
+    """Return the section of the XBee radio that the options --port and --baud describe.
 
     Raises:
         UsageError: If a value is wrong.

@@ -36,5 +36,5 @@ def bundle(
 
 
 def printable_lines(text: str) -> str:
-    """Return a text whose lines are safe to print."""
+    """Return a text of several lines that is safe to print on a terminal."""
     return "".join(printable(line) + "\n" for line in text.splitlines())

@@ -59,7 +59,9 @@ def guard(
 
 
 def _limits(log: "TrialLog", sets: list[str]) -> "LabLimits":
-    """Return the limits of a log's lab, or the defaults if it has none, with the given changes.
+    """Return the limits of the guard in a log's lab, with the given changes.
+
+    If the log has no lab, the default limits are used.
 
     Raises:
         UsageError: If something else than a limit is to be changed, or a value is wrong.
@@ -99,7 +101,7 @@ def _seconds(seen: "GuardReport", it: "Intervention") -> float:
 
 
 def _events(name: str, seen: "GuardReport", rows_max: int) -> Table:
-    """Return a row for each of the first `rows_max` interventions in a log."""
+    """Return a table of the first `rows_max` interventions of the guard in a log."""
     shown = seen.interventions[:rows_max]
     columns = (
         Column("time s", [f"{_seconds(seen, it):.2f}" for it in shown]),
@@ -116,7 +118,7 @@ def _events(name: str, seen: "GuardReport", rows_max: int) -> Table:
 
 
 def _number(it: "Intervention", which: str) -> str:
-    """Return the value or the limit of an intervention with its unit."""
+    """Return the value of an intervention, or the limit that it exceeded, with its unit."""
     if it.excess is None:
         return ""
     value = it.excess.value if which == "value" else it.excess.limit
@@ -124,7 +126,7 @@ def _number(it: "Intervention", which: str) -> str:
 
 
 def _counts(seen: "list[GuardReport]") -> list[dict[str, Any]]:
-    """Return the numbers of interventions by check, with the hours for which it watched."""
+    """Count the interventions of each check, and sum the hours for which the check was active."""
     from tetractl.lab.guard_observer import Act
     from tetractl.verification.guard_replay import KERNEL_CHECKS, WHEEL_CHECKS
 
@@ -147,7 +149,7 @@ def _counts(seen: "list[GuardReport]") -> list[dict[str, Any]]:
 
 
 def _totals(counts: list[dict[str, Any]], logs: int) -> Table:
-    """Return a table of how often each check would have acted in a number of logs."""
+    """Return a table of how often each check of the guard would have acted in a number of logs."""
     columns = (
         Column("check", [row["check"] for row in counts], words=True),
         Column("poses refused", [row["poses_refused"] for row in counts]),

@@ -1,7 +1,7 @@
-"""Options of commands, as typer's `Annotated` types.
+"""Options of the command line, declared as `Annotated` types for the library typer.
 
-They are options that several commands have, and short ways to declare others. Commands of other
-packages also use them.
+The module contains options that several commands have, and short ways to declare others. Commands
+of other packages also use them.
 """
 
 from pathlib import Path
@@ -13,14 +13,14 @@ from tetractl.core.registries import PLANTS
 
 
 def argument(metavar: str, text: str) -> Any:
-    """Return typer's declaration of an argument, shown as `metavar`."""
+    """Declare an argument of a command for typer, which the help shows as `metavar`."""
     return typer.Argument(metavar=metavar, help=_plain(text))
 
 
 def option(
     metavar: str, text: str, *names: str, min: float | None = None, max: float | None = None
 ) -> Any:
-    """Declare an option for typer.
+    """Declare an option of a command for typer.
 
     Args:
         metavar: How its value is shown in the help.
@@ -33,7 +33,7 @@ def option(
 
 
 def switch(text: str, *names: str) -> Any:
-    """Return typer's declaration of an option without a value.
+    """Declare an option without a value for typer.
 
     Without `names`, it is named after its parameter, and has a second form with --no-.
     """
@@ -41,17 +41,17 @@ def switch(text: str, *names: str) -> Any:
 
 
 def out_option(metavar: str, text: str) -> Any:
-    """Return typer's declaration of -o."""
+    """Declare the option -o, for the file or folder to write."""
     return option(metavar, text, "-o", "--out")
 
 
 def tcp_port(text: str) -> Any:
-    """Return typer's declaration of the number of a port of TCP or UDP."""
+    """Declare an option for the number of a TCP or UDP port."""
     return option("N", text, min=0, max=65535)
 
 
 def plant_option(text: str) -> Any:
-    """Return typer's declaration of --plant, which a shell completes."""
+    """Declare the option --plant, whose values a shell completes."""
     return typer.Option(metavar="sim|lab|emulated", help=_plain(text), autocompletion=PLANTS.names)
 
 

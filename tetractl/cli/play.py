@@ -143,7 +143,7 @@ def play(
 
 
 def _write_page(spec: "LoadedSpec", file: Path) -> int:
-    """Write the game as a web page."""
+    """Write the game as a web page, and return the exit code."""
     from tetractl.api.drawings import play_page
 
     play_page(spec, file=file)
@@ -214,7 +214,7 @@ class Game:
     def supervision(
         self, emergency: threading.Event, prompt: "PlacementPrompt | None" = None
     ) -> "LabSupervision":
-        """Return the supervision of a lab by the person who plays."""
+        """Return how the person who plays supervises the robots of a lab; see `LabSupervision`."""
         from tetractl.core.protocols import LabSupervision
 
         return LabSupervision(
@@ -225,7 +225,7 @@ class Game:
         )
 
     def control(self, observers: "Sequence[Observer]" = ()) -> None:
-        """Run the controller's trial."""
+        """Run the trial in which the spec's controller steers."""
         from tetractl.run.spec_trial import run_logged
         from tetractl.tools.files import make_folder
 
@@ -245,7 +245,7 @@ class Game:
         return self.folder / ("you" if number == 1 else f"you-{number}")
 
     def _note_end(self, result: "Result", lost: bool) -> None:
-        """Note how a trial ended; if it was aborted and the game is `lost`, that is an error."""
+        """Note how a trial ended. If it was aborted and the game is `lost`, the end is an error."""
         if lost and _was_stopped(result):
             self.over = True
             self.error = result.reason
@@ -257,7 +257,7 @@ class Game:
 
 
 def _in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
-    """Steer the robots of a lab once by the terminal's keys."""
+    """Let a person steer the robots of a lab once, by keys of the terminal."""
     from tetractl.view.terminal.hand_keys import LAB_HINTS, HandKeys, task
     from tetractl.view.terminal.keys import StopKey
     from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
@@ -283,7 +283,7 @@ def _in_lab(game: Game, console: "Console", ask_to_place: bool) -> None:
 
 
 def _on_terminal(game: Game, console: "Console", speed: float) -> None:
-    """Steer by the terminal's keys, as often as is wanted; the controller does once."""
+    """Let a person steer simulated robots by keys, repeatedly, and the controller once."""
     from tetractl.view.terminal.hand_keys import AGAIN, GO_ON
 
     answer = _you_steer(game, console, speed)
@@ -297,7 +297,7 @@ def _on_terminal(game: Game, console: "Console", speed: float) -> None:
 
 
 def _you_steer(game: Game, console: "Console", speed: float) -> str:
-    """Show a trial that the person steers; return the key that was pressed at its end."""
+    """Run and show a trial that the person steers. Return the key that was pressed at its end."""
     from tetractl.view.terminal.hand_keys import HINTS, LAB_HINTS, PAUSED, WHY, HandKeys, task
     from tetractl.view.terminal.live_screen import LiveView
 
@@ -332,7 +332,7 @@ def _you_steer(game: Game, console: "Console", speed: float) -> str:
 
 
 def _controller_steers(game: Game, console: "Console", speed: float) -> str:
-    """Show the controller's trial; return the key that was pressed at its end."""
+    """Run and show the controller's trial. Return the key that was pressed at its end."""
     from tetractl.view.terminal.hand_keys import HandKeys
     from tetractl.view.terminal.live_screen import LiveView
 
@@ -354,7 +354,7 @@ def _controller_steers(game: Game, console: "Console", speed: float) -> str:
 
 @contextmanager
 def _keyed_screen(keys: "HandKeys", view: "LiveView", stop: Callable[[], None]) -> "Iterator[None]":
-    """Show a view on the terminal during the `with` block, and read the keys.
+    """Show a view on the terminal during the `with` block, and read keys for the person who steers.
 
     Esc and a closed terminal call `stop`.
     """
@@ -367,7 +367,7 @@ def _keyed_screen(keys: "HandKeys", view: "LiveView", stop: Callable[[], None]) 
 def _paced(
     view: "LiveView", keys: "HandKeys", speed: float, say_at_end: "Callable[[Result], None]"
 ) -> "Sequence[Observer]":
-    """Return the view of a trial at `speed` times the wall clock, which reports its end."""
+    """Return observers that show a trial at `speed` times the wall clock, and report its end."""
     from tetractl.run.hand import AtEnd, WallPace
 
     def at_end(result: "Result") -> None:
@@ -381,7 +381,7 @@ def _paced(
 
 
 def _conclude(game: Game) -> int:
-    """Print how the trials ended; return the exit code."""
+    """Print how the trials of the game ended, and return the exit code."""
     if game.yours:
         print(_line(game), flush=True)
         if game.theirs is not None:
@@ -402,7 +402,7 @@ def _conclude(game: Game) -> int:
 
 
 def _harder(experiment: "Experiment") -> list[str]:
-    """Return lines on a spec with disturbances, if this one simulates none."""
+    """Return lines that suggest a spec with disturbances, if this one simulates none."""
     from tetractl.spec.examples import FOLDER
 
     if experiment.plant.disturbed or not experiment.plant.simulated:
@@ -417,7 +417,7 @@ def _harder(experiment: "Experiment") -> list[str]:
 
 
 def _line(game: Game) -> str:
-    """Describe in one line how well all trials ended."""
+    """Describe in one line how well the person's and the controller's trials ended."""
     first, *others = [_how_well(result, game.experiment) for result in game.yours]
     parts = [f"you {first}", *(f"again {other}" for other in others)]
     if game.theirs is not None:
@@ -426,18 +426,18 @@ def _line(game: Game) -> str:
 
 
 def _was_stopped(result: "Result") -> bool:
-    """Decide whether a guard or a fault ended a trial."""
+    """Check whether a trial was ended by a guard or a fault."""
     return result.outcome == "aborted"
 
 
 def _best(results: "Sequence[Result]") -> "Result":
-    """Return the result with the smallest error, with lost robots only if all have some."""
+    """Return the result with the smallest error. Results with lost robots come last."""
     not_lost = [r for r in results if not (r.entered_obstacle or r.left_arena or _was_stopped(r))]
     return min(not_lost or results, key=lambda result: result.total_error)
 
 
 def _how_well(result: "Result", experiment: "Experiment") -> str:
-    """Describe the total error and the time of a trial, and where robots must not have been.
+    """Describe a trial's total error and time, and which robots were where they must not be.
 
     For an aborted trial, describe when and why the robots were stopped.
     """
@@ -449,7 +449,7 @@ def _how_well(result: "Result", experiment: "Experiment") -> str:
 
 
 def _error(result: "Result", experiment: "Experiment") -> str:
-    """Return the total error and the time of a trial."""
+    """Describe the total error and the time of a trial."""
     total = result.total_error
     # a hundredth of a millimetre in an arena of 1 m to 10 m: less is no distance of robots
     least = 10.0 ** (math.floor(math.log10(experiment.setup.arena.width)) - 5)

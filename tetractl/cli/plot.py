@@ -61,7 +61,7 @@ def plot(
 
 
 def _video(logs: list[Path], out: Path | None) -> int:
-    """Write the video of one trial, and print the name of its file; return the exit code."""
+    """Write the video of one trial, print the name of its file, and return the exit code."""
     from tetractl.view.video import check_file, write_video
 
     if len(logs) > 1:
@@ -78,7 +78,7 @@ def _video(logs: list[Path], out: Path | None) -> int:
 
 
 def _default_name(logs: list[Path], kind: str) -> Path:
-    """Return the picture's name: after the log, or after the folder that all logs are in."""
+    """Return the name of the image file: that of the log, or of the folder with all the logs."""
     common = Path(commonpath([log.absolute().parent for log in logs]))
     name = logs[0].name if len(logs) == 1 else common.name or "trials"
     return Path(f"{name.partition('.mcap')[0]}-{kind}.png")

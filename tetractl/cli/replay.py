@@ -73,7 +73,7 @@ def replay(
 
 
 class Playlist:
-    """The logs to play.
+    """The logs that `tetractl replay` plays, one after another.
 
     The first log that is shown is played from `start_s` to `until_s`, and the others are played
     whole. Without a terminal, no key can turn to another log, and each is printed from `start_s` to
@@ -104,7 +104,10 @@ class Playlist:
         self._wall = MonotonicClock()
 
     def play(self, console: "Console", paused: bool) -> bool:
-        """Play on the terminal's screen until q is pressed; return whether a signal ended it."""
+        """Play the logs on the terminal's screen until q is pressed.
+
+        Return whether a signal ended it.
+        """
         from tetractl.view.player import Player, span
         from tetractl.view.terminal.replay_screen import play_trials
 
@@ -120,7 +123,7 @@ class Playlist:
         return play_trials(console, player, len(self._paths), self._turn_to)
 
     def print_all(self) -> None:
-        """Print each log as lines."""
+        """Print the steps and events of each log as lines."""
         from tetractl.view.player import span
         from tetractl.view.terminal.replay_screen import print_lines
 
@@ -132,7 +135,7 @@ class Playlist:
             print_lines(recording, self._wall, times_ns, rate=self._rate, loop=self._loop)
 
     def _turn_to(self, index: int, player: "Player") -> "Player":
-        """Return a player of another log, with the rate of `player` and paused like it."""
+        """Return a player of another log, with the speed of `player`, and paused if that is."""
         from tetractl.view.player import Playback, Player
 
         recording = self._open(self._paths[index], on_screen=True)
@@ -146,7 +149,10 @@ class Playlist:
         )
 
     def _open(self, path: Path, on_screen: bool = False) -> "Recording":
-        """Read a log; its damage is printed, unless the screen is open, which shows it."""
+        """Read a log.
+
+        Its damage is printed unless the screen is open, because the screen shows it.
+        """
         from tetractl.log.read.reader import read_trial
         from tetractl.view.player import Recording
 

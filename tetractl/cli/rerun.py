@@ -1,6 +1,6 @@
 """`tetractl rerun`: runs a recorded trial again, optionally with values replaced.
 
-It uses the spec and the seed in the log.
+The spec and the seed come from the log.
 """
 
 from dataclasses import replace
@@ -80,9 +80,10 @@ def rerun(
 
 
 def _on_plant(spec: "LoadedSpec", plant: str) -> "LoadedSpec":
-    """Return the spec of a log, changed to the given plant.
+    """Return the spec of a log for another plant: simulated robots, or a real or emulated lab.
 
-    No calibration file is read of a log of the lab: its spec has the calibration's values.
+    No calibration file is read for a log of a lab, because the spec in the log already has the
+    calibration's values.
     """
     from tetractl.spec.lab_section import LabSection
     from tetractl.spec.plants import lab_as, on_plant
@@ -98,7 +99,7 @@ def _on_plant(spec: "LoadedSpec", plant: str) -> "LoadedSpec":
 
 
 def _tell_errors(raw: "RawLog", raw_again: "RawLog") -> None:
-    """Print the total errors of the trials of two logs with different specs."""
+    """Print the total errors of two logged trials whose specs differ."""
     from tetractl.log.read.reader import result_of
 
     error = result_of(raw).result.total_error
@@ -111,7 +112,7 @@ def _tell_errors(raw: "RawLog", raw_again: "RawLog") -> None:
 
 
 def _compare(raw: "RawLog", trial: "TrialLog", raw_again: "RawLog") -> int:
-    """Print whether two logs of a trial have the same content; return FAILED if they differ."""
+    """Print whether two logs of a trial have the same content. Return FAILED if they differ."""
     from tetractl.log.format.channels import RESOLVED_SPEC
     from tetractl.log.read.reader import result_of
     from tetractl.verification.log_comparison import log_differences

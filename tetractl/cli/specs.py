@@ -58,7 +58,7 @@ def example_files(name: str) -> dict[str, str]:
 
 
 def _no_example(name: str, examples: Sequence[str]) -> UsageError:
-    """Return the error that says which examples there are, or which package would bring it."""
+    """Return the error for an unknown example. It lists examples, or the package to install."""
 
     folders = sorted({f"{example.partition('/')[0]}/" for example in examples if "/" in example})
     group = name.partition("/")[0]
@@ -141,7 +141,7 @@ def _example(name: str) -> int:
 
 
 def _write(path: Path, text: str, hint: str) -> None:
-    """Write a file that does not exist yet, and print its name."""
+    """Write a file that must not exist yet, and print its name."""
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
@@ -157,7 +157,7 @@ def _write(path: Path, text: str, hint: str) -> None:
 def template(
     name: str, file: str, lab: bool = False, camera: str | None = None, robots: str | None = None
 ) -> str:
-    """Return a commented spec of an experiment.
+    """Return the text of a commented spec that can be run, as `tetractl init` writes it.
 
     Args:
         name: Name of the experiment.
@@ -210,14 +210,14 @@ def validate(
 
 @dataclass(frozen=True, slots=True)
 class _Checked:
-    """The findings about a checked file: as items of JSON, and as lines of text."""
+    """The findings about a file that was checked: as items for JSON, and as lines of text."""
 
     fields: dict[str, Any]
     lines: list[str]
 
 
 def _check(path: Path, sets: list[str]) -> _Checked:
-    """Check a spec, or a study and the specs of its arms; print its warnings."""
+    """Check a spec, or a study and the specs of its arms, and print the warnings."""
     from tetractl.spec.load import is_study, load_document
     from tetractl.spec.yaml.document import read_document
 
@@ -234,7 +234,7 @@ def _check(path: Path, sets: list[str]) -> _Checked:
 
 
 def _valid(file: str, loaded: "LoadedSpec", warnings: "Sequence[PlacedWarning]") -> _Checked:
-    """Return the line about a valid spec."""
+    """Return the findings about a valid spec."""
     from tetractl.model.bounds import least_total_error
     from tetractl.reach.reach import reach
 
@@ -266,7 +266,7 @@ def _valid(file: str, loaded: "LoadedSpec", warnings: "Sequence[PlacedWarning]")
 
 
 def _check_study(path: Path, sets: list[str], file: str) -> _Checked:
-    """Check a study and the spec of each arm; each warning is printed once."""
+    """Check a study and the spec of each arm. Each warning is printed once."""
     from tetractl.run.plausibility import find_warnings
     from tetractl.study.load_study import load_study
 
@@ -328,7 +328,7 @@ def warm(
 
 
 def _print_compile_times() -> None:
-    """Print which functions were compiled, the slowest first."""
+    """Print which functions were compiled, with their times, the slowest first."""
     from tetractl.tools.kernels.kernel_cache import compile_times
 
     times = sorted(compile_times().items(), key=lambda item: -item[1].own_s)
@@ -341,7 +341,7 @@ def _print_compile_times() -> None:
 
 
 def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
-    """Yield the experiments to compile for.
+    """Yield the experiments for which `tetractl warm` compiles code.
 
     They are the specs, one arm for each controller of each study or, without files, the spec that
     `tetractl init` writes.

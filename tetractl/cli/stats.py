@@ -87,7 +87,7 @@ def stats(
 
 
 def show(comparison: "BatchComparison", form: str, full: bool = False) -> None:
-    """Print batches and their comparisons to stdout.
+    """Print the statistics of batches, and of their comparisons, to stdout.
 
     Args:
         comparison: The batches.
@@ -109,7 +109,7 @@ def show(comparison: "BatchComparison", form: str, full: bool = False) -> None:
 
 
 def _described(batches: "Sequence[Source]") -> "list[BatchStatistics]":
-    """Read and describe batches; print damaged logs and rows on stderr."""
+    """Read batches, and compute their statistics. Damaged logs and rows are reported on stderr."""
     from tetractl.statistics.describe import describe
 
     described: list[BatchStatistics] = []

@@ -86,7 +86,7 @@ def study(
 
 
 def _tell_of_outdated(outdated: Mapping[str, int]) -> None:
-    """Print how many trials of each arm are kept although another version of the code ran them."""
+    """Print how many trials of each arm are kept although an older version of the code ran them."""
     if not outdated:
         return
     names = [f"{arm} ({count})" for arm, count in outdated.items()]
@@ -107,7 +107,10 @@ def _run_tasks(
     fail_fast: bool,
     quiet: bool,
 ) -> bool:
-    """Run trials with their progress on stderr; return whether a signal asked to stop."""
+    """Run the trials of a study with their progress on stderr.
+
+    Return whether a signal stopped them.
+    """
     from tetractl.run.batch import OnFailure, run_batch
     from tetractl.run.cluster import Cluster
     from tetractl.run.executors import on_this_machine

@@ -1,8 +1,8 @@
 """Runs, displays and stops the trials of `run` and `rerun`, the commands that run an experiment.
 
-`run_command` is the whole of it: check the options, then in one `with` block serve the trials to
-viewers, lock the folder of logs, listen to signals and run; at the end print the statistics and how
-the run ended.
+`run_command` does all of this. It checks the options. Then, in one `with` block, it serves the
+trials to viewers, locks the folder of logs, listens to signals and runs the trials. At the end, it
+prints the statistics and how the run ended.
 """
 
 import gc
@@ -42,7 +42,7 @@ PORT = 8765
 
 
 def new_log_folder(name: str) -> Path:
-    """Return the folder in which an experiment begun now is logged by default."""
+    """Return the folder in which an experiment that begins now is logged by default."""
     return Path("logs") / f"{name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
 
 
@@ -53,7 +53,7 @@ def load_to_run(
     values: "Sequence[FieldValue]" = (),
     strict: bool = False,
 ) -> "LoadedSpec":
-    """Load a spec with the values of options, on the plant that will be run.
+    """Load a spec for a run, with the values of options, and for the plant that will be run.
 
     Its warnings are printed.
 
@@ -111,7 +111,7 @@ class RunOptions:
 
 
 def wanted_port(serve: bool, port: int | None) -> int | None:
-    """Return the port to serve at. None without --serve.
+    """Return the port at which viewers can watch the trials. None without --serve.
 
     Raises:
         UsageError: If a port is given without --serve.
@@ -170,12 +170,12 @@ def run_command(
 
 
 def _planned(store: "Store", only: int | None) -> list[int]:
-    """Return the numbers of the trials to run."""
+    """Return the numbers of the trials that are to be run."""
     return store.lacking if only is None else [only]
 
 
 def _print_plan(loaded: "LoadedSpec", folder: Path, planned: list[int]) -> None:
-    """Print what a run would do: the resolved spec, then the rest in YAML comments.
+    """Print what a run would do: the complete spec, then further facts as YAML comments.
 
     The whole text is therefore a valid spec.
     """
@@ -198,7 +198,7 @@ def _print_plan(loaded: "LoadedSpec", folder: Path, planned: list[int]) -> None:
 
 
 def _limits(experiment: "Experiment") -> dict[str, str]:
-    """Return the limits of a trial by name, as text."""
+    """Return the limits of a trial as text, by name."""
     control = experiment.controller
     unit = experiment.units.length
     longest = control.time_limit
@@ -216,7 +216,7 @@ def _limits(experiment: "Experiment") -> dict[str, str]:
 
 @contextmanager
 def _served(name: str, port: int | None) -> "Iterator[Sequence[Observer]]":
-    """Yield the observers that send the trials of a `with` block to viewers.
+    """Yield observers that stream the trials of a `with` block to log viewers.
 
     There are none if `port` is None.
     """
@@ -236,7 +236,7 @@ def _served(name: str, port: int | None) -> "Iterator[Sequence[Observer]]":
 def stoppable(
     loaded: "LoadedSpec", options: RunOptions, by_keys: bool = False
 ) -> "Iterator[Interrupt]":
-    """Compile the controller, and let signals stop the run during the `with` block.
+    """Compile the controller, then let signals request the end of the run in the `with` block.
 
     Each signal counts as a request to stop. In the lab, unless `unattended`, SIGHUP is sent once no
     process reads the output.
@@ -266,7 +266,7 @@ def _run_trials(
     interrupt: Interrupt,
     viewers: "Sequence[Observer]",
 ) -> "Report":
-    """Run trials with their display, and with `viewers` as observers, until one ends the batch.
+    """Run trials, display them, and report them to `viewers`, until one ends the batch.
 
     Trials of the lab are shown by `_in_lab`, one after another on a terminal by `_on_screen`, and
     all others by `in_lines`.
@@ -302,7 +302,7 @@ def _in_lab(
     interrupt: Interrupt,
     viewers: "Sequence[Observer]",
 ) -> "Iterator[tuple[Executor, RunObserver]]":
-    """Run trials of the lab: yield what runs them and what shows them.
+    """Prepare trials in the lab: yield the object that runs them and the one that shows them.
 
     The terminal's space bar and Esc stop the robots at any time, and a person there starts each
     trial, unless `yes`. If `unattended`, a closed terminal does not stop the robots.
@@ -329,7 +329,7 @@ def _in_lab(
 def _on_screen(
     console: "Console", interrupt: Interrupt, viewers: "Sequence[Observer]"
 ) -> "Iterator[tuple[Executor, RunObserver]]":
-    """Run trials in this process: yield what runs them, and a live view of each."""
+    """Prepare trials in this process: yield the object that runs them, and a live view of each."""
     from tetractl.run.executors import Here
     from tetractl.view.terminal.live_screen import LiveView
 
@@ -346,7 +346,7 @@ def in_lines(
     interrupt: Interrupt,
     viewers: "Sequence[Observer]",
 ) -> "Iterator[tuple[Executor, RunObserver]]":
-    """Prepare trials that print a line each.
+    """Prepare trials whose progress is printed as one line each.
 
     Args:
         console: The console.
@@ -357,7 +357,7 @@ def in_lines(
         viewers: Observers that send the trials to viewers.
 
     Yields:
-        What runs the trials, and what prints the lines.
+        The object that runs the trials, and the object that prints the lines.
     """
     from tetractl.run.executors import Here, on_this_machine
     from tetractl.view.terminal.progress import BatchProgress
@@ -380,9 +380,10 @@ def _conclude(
     store: "Store",
     as_json: bool,
 ) -> int:
-    """Print the statistics of the whole folder, then how the run ended; return the exit code.
+    """Print the statistics of the whole folder and how the run ended, and return the exit code.
 
-    Raises the error of a trial without a result; without any result nothing is printed before.
+    The error of a trial without a result is raised. If no trial has a result, nothing is printed
+    before that.
     """
     from tetractl.run.spec_trial import log_path
 
@@ -430,7 +431,7 @@ def _conclude(
 
 
 def _print_statistics(folder: Path, as_json: bool, logs_may_lack: bool) -> OSError | None:
-    """Print the statistics of a folder's logs on stdout; return why they could not be written.
+    """Print the statistics of a folder's logs on stdout. Return why they could not be written.
 
     They are left out at a signal, and where the reader of stdout has ended. With `logs_may_lack`,
     logs that cannot be described are no error: an aborted trial may leave none, or one without

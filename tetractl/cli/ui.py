@@ -1,4 +1,4 @@
-"""Functions for several commands.
+"""Functions that several commands of the command line share.
 
 They load specs and logs, print messages and results, and ask before robots move.
 """
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 
 
 def load(path: Path, sets: Sequence[str] | None) -> "LoadedSpec":
-    """Load a spec by its path, with `--set` applied."""
+    """Load a spec from a file, with the values of `--set` applied."""
     from tetractl.spec.load import load_spec
 
     return load_spec(path, sets or [])
 
 
 def warn(loaded: "LoadedSpec", strict: bool = False) -> "tuple[PlacedWarning, ...]":
-    """Print the warnings of a spec, and return them.
+    """Print the warnings about a spec, and return them.
 
     Raises:
         UsageError: If there are any, and `strict` is True.
@@ -56,7 +56,7 @@ def warn(loaded: "LoadedSpec", strict: bool = False) -> "tuple[PlacedWarning, ..
 
 
 def open_trial(path: Path) -> "TrialLog":
-    """Return the trial of a log; print its damage on stderr."""
+    """Read the trial of a log, and print the log's damage on stderr."""
     from tetractl.log.read.reader import read_trial
 
     log = read_trial(path)
@@ -65,7 +65,7 @@ def open_trial(path: Path) -> "TrialLog":
 
 
 def warn_of_damage(path: str, damage: "Damage | None") -> None:
-    """Print a damaged log's problems and losses to stderr."""
+    """Print the problems and losses of a damaged log to stderr."""
     if damage:
         tell(*(f"damaged: {path}: {problem}" for problem in damage.problems))
         tell(*(f"lost: {path}: {lost}" for lost in damage.lost))
@@ -75,13 +75,13 @@ def warn_of_damage(path: str, damage: "Damage | None") -> None:
 
 
 def tell(*lines: str) -> None:
-    """Print lines to stderr, safe for a terminal."""
+    """Print lines to stderr, after characters that are unsafe for a terminal are escaped."""
     for line in lines:
         print(printable(line), file=sys.stderr, flush=True)
 
 
 def show(as_json: bool, items: object, tables: "Sequence[Table]") -> None:
-    """Print results to stdout.
+    """Print the results of a command to stdout, as tables or as JSON.
 
     Args:
         as_json: Whether to print one JSON object instead of tables.
@@ -96,9 +96,9 @@ def show(as_json: bool, items: object, tables: "Sequence[Table]") -> None:
 
 @contextmanager
 def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
-    """Show a progress bar on a terminal.
+    """Show a progress bar on a terminal during the `with` block.
 
-    It yields the function that updates the bar, called with the number done and the total.
+    The block gets the function that updates the bar, called with the number done and the total.
     """
     from rich.progress import Progress
 
@@ -109,7 +109,7 @@ def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
 
 
 def announce_compiling(quiet: bool, text: str) -> None:
-    """Print on stderr that code is being compiled. With `quiet`, only if stderr is a terminal."""
+    """Print on stderr that code is being compiled. If `quiet`, only where stderr is a terminal."""
     if not quiet or is_terminal(sys.stderr):
         tell(text)
 
@@ -118,7 +118,7 @@ def announce_compiling(quiet: bool, text: str) -> None:
 
 
 def refuse_existing(out: Path | None) -> None:
-    """Check that an output file does not exist yet, but its folder does.
+    """Check that an output file does not exist yet, and that its folder does.
 
     Raises:
         UsageError: If not.
@@ -143,7 +143,7 @@ def refuse_filled(folder: Path | None) -> None:
 
 
 def require_folder_of(out: Path) -> None:
-    """Check, before the work, that an output file can be written.
+    """Check, before any work is done, that an output file can be written.
 
     Raises:
         UsageError: If the folder is missing, or if the name belongs to a folder.
@@ -158,7 +158,7 @@ def require_folder_of(out: Path) -> None:
 
 
 def rig_section(experiment: "Experiment") -> "RigSection":
-    """Return the experiment's plant, which must be a lab, real or emulated."""
+    """Return the section of the experiment's plant, which must be a lab, real or emulated."""
     from tetractl.plant.lab_plant import RigSection
 
     lab = experiment.plant
@@ -170,7 +170,7 @@ def rig_section(experiment: "Experiment") -> "RigSection":
 
 
 def rig_of(experiment: "Experiment", supervision: "LabSupervision | None" = None) -> "Rig":
-    """Return the rig of an experiment's lab, real or emulated, for a command without a trial."""
+    """Return a lab's rig, its camera and actuator, for a command that runs no trial."""
     from numpy.random import SeedSequence
 
     lab = rig_section(experiment)
@@ -179,7 +179,7 @@ def rig_of(experiment: "Experiment", supervision: "LabSupervision | None" = None
 
 
 def require_yes_or_terminal(yes: bool) -> None:
-    """Check that somebody can confirm that robots may move.
+    """Check that a person can confirm that robots may move, or has done so by --yes.
 
     Raises:
         UsageError: If there is neither `yes` nor a terminal.
@@ -192,7 +192,7 @@ def require_yes_or_terminal(yes: bool) -> None:
 
 
 def require_consent(yes: bool, what: str) -> None:
-    """Ask on stderr whether robots may move, unless `yes`.
+    """Ask the user on stderr whether robots may move, unless `yes` is given.
 
     The question says `what` will happen. An error is raised if they may not, or if there is no
     terminal to ask.

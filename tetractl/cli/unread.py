@@ -1,9 +1,10 @@
-"""Sets up stdout and stderr, so that a reader that is slow or gone holds up no robot.
+"""Sets up stdout and stderr so that a slow or missing reader of the output delays no robot.
 
-No message raises, and no signal waits for a reader.
+Printing a message raises no error, and handling a signal does not wait for a reader.
 
-Text waits for the reader of its stream, as in any program. In real time, that holds up the thread
-of the observers only (`run.observer_relay`): if it lasts, the trial ends and robots stop.
+Printed text waits for the reader of its stream, as in any program. In real time, this delays only
+the thread of the observers (`run.observer_relay`). If the delay lasts, the trial ends and robots
+stop.
 """
 
 import io
@@ -29,7 +30,9 @@ GONE = sum(getattr(select, name, 0) for name in ("POLLERR", "POLLHUP", "POLLNVAL
 
 
 class Messages(io.FileIO):
-    """Writes to stderr; what cannot be written, as on a closed terminal or a full disk, is lost.
+    """The stream stderr, to which writing never fails.
+
+    Text that cannot be written, as on a closed terminal or a full disk, is lost.
 
     It has no buffer, because the lock of one would keep a thread from handling signals while
     another thread waits for a reader.
@@ -39,7 +42,7 @@ class Messages(io.FileIO):
         super().__init__(STDERR, "w", closefd=False)
 
     def write(self, data: "ReadableBuffer", /) -> int:
-        """Write bytes, waiting for the reader; return their number, as if all were written."""
+        """Write bytes, wait for the reader, and return their number, as if all were written."""
         piece = bytes(data)
         rest = piece
         with suppress(OSError):
@@ -85,16 +88,16 @@ def close_stdout() -> None:
 
 
 def say_at_once(text: bytes) -> None:
-    """Write a short line to stderr if it takes it now: safe in a signal handler."""
+    """Write a short line to stderr if it accepts text now. This is safe in a signal handler."""
     if _accepts(STDERR):
         with suppress(OSError):
             os.write(STDERR, text)
 
 
 def notice_of_signals(text: bytes) -> Callable[[int], None]:
-    """Return the `notice` of an `Interrupt`.
+    """Return the function by which an `Interrupt` reports signals to the user.
 
-    It prints `text` at the first signal, and lets no signal wait for a reader.
+    The function prints `text` at the first signal, and never waits for a reader.
     """
 
     def notice(count: int) -> None:
@@ -106,9 +109,9 @@ def notice_of_signals(text: bytes) -> Callable[[int], None]:
 
 
 def give_up_unread() -> None:
-    """Lose all that is printed from now on to a standard stream that accepts nothing now.
+    """Discard all further output to those standard streams that accept nothing now.
 
-    Threads that wait for its reader go on; main thread only.
+    Threads that wait for such a stream's reader then go on. Call this in the main thread only.
     """
     stuck = [stream for stream in (STDOUT, STDERR) if not _accepts(stream)]
     for stream in stuck:
@@ -121,7 +124,7 @@ def give_up_unread() -> None:
 
 
 def _accepts(stream: int) -> bool:
-    """Decide whether a stream takes a line, or fails, without making us wait."""
+    """Check, without waiting, whether a stream accepts a line or fails at once."""
     if not hasattr(select, "poll"):  # Windows
         return True
     poll = select.poll()
@@ -130,7 +133,7 @@ def _accepts(stream: int) -> bool:
 
 
 def _lose(stream: int) -> None:
-    """Connect a standard stream to the null device."""
+    """Connect a standard stream to the null device, so that its output is discarded."""
     null = os.open(os.devnull, os.O_WRONLY)
     os.dup2(null, stream)
     os.close(null)
@@ -138,7 +141,9 @@ def _lose(stream: int) -> None:
 
 @contextmanager
 def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[None]:
-    """If `robots` move, send this process SIGHUP once neither stdout nor stderr has a reader.
+    """While robots move, send SIGHUP to this process once nobody reads its output.
+
+    The signal is sent if `robots` is True, once neither stdout nor stderr has a reader.
 
     Only a pipe, a socket or a terminal has a reader: if both streams are files, no signal is sent.
     If `unattended`, SIGHUP is ignored instead, as by `nohup`. To be called in the main thread,

@@ -1,9 +1,9 @@
 """`tetractl play`: steer the robots of a spec by hand, and see what its controller does.
 
-_on_terminal    a simulation: you, as often as you want, and the controller once
-_in_lab         the robots of a lab: you, once
+    _on_terminal    a simulation: you steer as often as you want, and the controller once
+    _in_lab         the robots of a lab: you steer once
 
-With a file of keys, you steer once, then the controller does.
+With a file of keys, you steer once, and then the controller does.
 """
 
 import math

@@ -1,10 +1,11 @@
 """Create tables of batches and their comparisons, which `stats` and the report page show.
 
-summary        `stats`, and the end of a run: the errors, the verdict and unusual findings tables
-`stats --full`: every table trials_listed  the trials of a batch, on the report page and in a
-notebook
+    summary         `stats`, and the end of a run: the errors, the verdict and unusual findings
+    tables          `stats --full`: every table
+    trials_listed   a row for each trial of a batch, on the report page and in a notebook
 
-`as_json` returns the same numbers for other programs, in JSON and CSV.
+`as_json` returns the same numbers for other programs, in JSON and CSV. The CSV table has a row for
+each trial of a batch (`trial_tables.trials_table`).
 """
 
 import math

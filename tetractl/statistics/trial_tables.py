@@ -1,9 +1,10 @@
 """Create the tables that `tetractl export` writes: trials, steps, poses, estimates and events.
 
-They have one row for each trial or, within one trial, for each control step, pose, estimate or
-event. The unit of a column is in its name: s, ms, rad, rad/s, or the length unit of the experiment,
-such as mm and mm/s. Times count from the first direction sent. Every table has the columns `log`
-(the log's file) and `trial`, so that tables can be joined.
+`tetractl stats --format csv` of one batch prints the table of trials, too. Tables have one row for
+each trial or, within one trial, for each control step, pose, estimate or event. The unit of a
+column is in its name: s, ms, rad, rad/s, or the length unit of the experiment, such as mm and mm/s.
+Times count from the first direction sent. Every table has the columns `log` (the log's file) and
+`trial`, so that tables can be joined.
 """
 
 from collections.abc import Callable, Container, Mapping, Sequence

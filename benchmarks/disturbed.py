@@ -2,6 +2,7 @@
 
     python benchmarks/disturbed.py --part ablation --seed 59301             what each part brings
     python benchmarks/disturbed.py --part knowledge --trials 40 --seed 60101    wrong assumptions
+    python benchmarks/disturbed.py --part given --seed 20261130             after calibration
     python benchmarks/disturbed.py --part hurting --seed 60201              what hurts
     python benchmarks/disturbed.py --part accept --trials 40 --seed 60101   time against error
 
@@ -29,6 +30,11 @@ def _bench(*settings: str) -> str:
     return " --set ".join(["bench", *settings])
 
 
+TRUE_VALUES = (TOLD, "wheels.lag=0.04")
+WRONG_VALUES = ("controller.dead_time=0.11", "wheels.lag=0.1")
+OTHER_BATTERIES = ("plant.speed_error=0.15", "plant.a_error=0.15")
+
+
 PARTS = {
     "ablation": {
         "whole": _bench(),
@@ -40,6 +46,17 @@ PARTS = {
             NOT_IDENTIFIED, *NOT_SAFE, TOLD
         ),
         "the paper's, 5 Hz": "paper-on-bench",
+    },
+    "given": {
+        "nothing given": _bench(),
+        "given": _bench(*TRUE_VALUES),
+        "given, without identification": _bench(NOT_IDENTIFIED, *TRUE_VALUES),
+        "given, other batteries": _bench(*TRUE_VALUES, *OTHER_BATTERIES),
+        "given, other batteries, without identification": _bench(
+            NOT_IDENTIFIED, *TRUE_VALUES, *OTHER_BATTERIES
+        ),
+        "given wrongly": _bench(*WRONG_VALUES),
+        "given wrongly, without identification": _bench(NOT_IDENTIFIED, *WRONG_VALUES),
     },
     "knowledge": {
         "dead time given": _bench(TOLD),

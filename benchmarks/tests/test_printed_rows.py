@@ -70,6 +70,7 @@ def run(*words: str) -> str:
 
 ROWS = [
     ("ablation", "whole", "59301"),
+    ("given", "given", "20261130"),
     ("knowledge", "dead time given", "60101"),
     ("hurting", "none of these", "60201"),
     ("accept", "accept 30 mm", "60101"),

@@ -1,14 +1,15 @@
-"""What the apriltag camera promises, measured: `python benchmarks/apriltag.py [PART]...`.
+"""Measures the accuracy of the AprilTag camera: `python benchmarks/apriltag.py [PART]...`.
 
     poses       error against the emulated truth, 640x480 and 1280x720
     corners     error of corners refined by us and by OpenCV
-    tilt        what an unknown focal length costs as the camera looks straighter down
-    blur        share of tags found as the lens blurs
+    tilt        extra error without a known focal length, the straighter down the camera looks
+    blur        fraction of tags found as the lens blurs
 
-All parts by default. Prints the figures of packages/tetractl-microscope/docs/apriltag.md. The
-arena is 1.6 x 1.8 m with three robots, tags of 80 mm at 90 mm above the floor, and four floor tags
-of 120 mm at its corners, seen from the side at 20 degrees from the vertical by a lens of 63
-degrees. `--scale 0.1` does a tenth of the work.
+By default, all parts run. The output is the figures of
+packages/tetractl-microscope/docs/apriltag.md. The arena is 1.6 x 1.8 m. It has three robots with
+tags of 80 mm at 90 mm above the floor, and four floor tags of 120 mm at its corners. The camera
+looks at it from the side, 20 degrees from the vertical, through a lens of 63 degrees. `--scale 0.1`
+does a tenth of the work.
 """
 
 import argparse
@@ -51,7 +52,7 @@ def renderer(size: tuple[int, int], tilt: float = 0.35, **optics: object) -> Ren
 
 
 def sent(picture: Grey) -> Grey:
-    """The picture after a JPEG."""
+    """Return an image after JPEG compression."""
     _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE).astype(np.uint8)
 
@@ -68,7 +69,7 @@ def table(*titles: str) -> None:
 def errors(
     tracker: Tracker, drawn: Renderer, pictures: int, moving: bool = False
 ) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """Errors [mm] and [mrad], the share of robots found, the smallest tag [px]."""
+    """Measure pose errors [mm] and [mrad], the fraction of robots found, and the smallest tag."""
     rng = np.random.default_rng(2)
     off = []
     turned = []
@@ -94,7 +95,7 @@ def errors(
 
 
 def poses(scale: float) -> None:
-    """Errors of poses under several conditions."""
+    """Print errors of poses under several conditions."""
     table("picture", "case", "found", "mm, 95 %", "mrad, 95 %", "tag px")
     for size in SIZES:
         bent = renderer(size, distortion=BENT)
@@ -124,7 +125,7 @@ def told(size: tuple[int, int]) -> str:
 
 
 def corners(scale: float) -> None:
-    """Corners by several methods against the truth."""
+    """Print errors of corners by several methods against the truth."""
     table("picture", "corners by", "error, rms px")
     family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     for size in SIZES:
@@ -159,7 +160,9 @@ def corners(scale: float) -> None:
 
 
 def tilt(scale: float) -> None:
-    """Error and doubt by tilt, without the lens in the spec and with it."""
+    """Print pose errors and their estimated uncertainty by camera tilt, with and without a known
+    lens.
+    """
     table("picture", "tilt, rad", "mm, median", "doubt_mm", "with the focal length: mm, median")
     for size in SIZES:
         for angle in (0.0, 0.1, 0.2):
@@ -173,7 +176,7 @@ def tilt(scale: float) -> None:
 
 
 def blur(scale: float) -> None:
-    """Share of robots found by blur of the lens."""
+    """Print the fraction of robots found by blur of the lens."""
     table("picture", "blur, px", "found")
     for size in SIZES:
         for sigma in (0.9, 1.1, 1.5):

@@ -1,10 +1,10 @@
-"""The simulated bench and the emulated lab: the same trials, and whether they differ.
+"""Compares the same trials on the simulated bench and in the emulated lab.
 
     python benchmarks/bench.py [--trials N]
 
-The emulated lab's radio, robots, firmware and our side of it run in virtual time here, so that a
-loaded host changes nothing; see tests/testkit/emulator/bench_agreement.py for what both have
-alike. Prints Markdown.
+The emulated lab, with its radio, robots, firmware and our program, runs in virtual time, so that a
+busy computer does not change the result. tests/testkit/emulator/bench_agreement.py lists what both
+have in common. The output is Markdown.
 """
 
 import argparse
@@ -20,7 +20,7 @@ from testkit.emulator.bench_agreement import bench_spec, bench_trial, lab_spec, 
 
 
 def main() -> None:
-    """Run both and compare."""
+    """Run both kinds of trials, and compare them."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--trials", type=int, default=20, metavar="N")
     trials = range(parser.parse_args().trials)

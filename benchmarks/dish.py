@@ -1,10 +1,10 @@
-"""Three cells that a trial finds in the emulated dish, steered through pictures.
+"""Steers three cells that a trial finds in the emulated dish by means of images.
 
     python benchmarks/dish.py --count 20
 
-prints the figures of "Distinguished and steered" in cells-explained.md. Everything is emulated, in
-virtual time; pictures are synthetic. Seeds from 9000 on are those of the published figures; smaller
-ones were used in development.
+The output is the figures of "Distinguished and steered" in cells-explained.md. Everything is
+emulated, in virtual time, with synthetic images. The published figures use seeds from 9000. Smaller
+seeds were used in development.
 """
 
 import argparse
@@ -27,7 +27,7 @@ FIRST_SEED = 9000
 
 
 class Witness:
-    """Which true cell each robot is at each control step, by its place; an observer."""
+    """An observer that records which true cell each robot is at each control step."""
 
     def __init__(self, dish: VirtualLab) -> None:
         self.dish = dish
@@ -45,7 +45,9 @@ class Witness:
 
 
 def trials(count: int) -> None:
-    """A trial counts as swapped where a robot is another cell at its end than at its beginning."""
+    """Run trials, and count those in which a robot is another cell at the end than at the
+    beginning.
+    """
     errors = []
     swapped = 0
     failed = []

@@ -1,12 +1,12 @@
-"""Measure the closed loop under disturbance: tables of docs/reference/measured.md.
+"""Measures the closed loop under disturbances: tables of docs/reference/measured.md.
 
-    python benchmarks/disturbed.py --part ablation --seed 59301             what each part brings
+    python benchmarks/disturbed.py --part ablation --seed 59301             the gain from each part
     python benchmarks/disturbed.py --part knowledge --trials 40 --seed 60101    wrong assumptions
     python benchmarks/disturbed.py --part given --seed 20261130             after calibration
-    python benchmarks/disturbed.py --part hurting --seed 60201              what hurts
+    python benchmarks/disturbed.py --part hurting --seed 60201              harmful disturbances
     python benchmarks/disturbed.py --part accept --trials 40 --seed 60101   time against error
 
-All rows of a part have the same seeds; `benchmarks/worlds` has their plants.
+All rows of a part have the same seeds. Their plants come from `benchmarks/worlds`.
 """
 
 import argparse
@@ -26,7 +26,7 @@ NOT_SAFE = (
 
 
 def _bench(*settings: str) -> str:
-    """Return the place of a trial on the bench with some settings."""
+    """Return the name of a trial on the bench with some settings."""
     return " --set ".join(["bench", *settings])
 
 

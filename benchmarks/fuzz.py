@@ -1,10 +1,11 @@
-"""Hostile input for as long as you like: `python benchmarks/fuzz.py [--target T]... [--seconds S]`.
+"""Feeds hostile input to every parser: `python benchmarks/fuzz.py [--target T]... [--seconds S]`.
 
-Feeds each parser of what comes from outside (see tests/testkit/targets.py) for S seconds, 30 by
-default: with atheris, which looks for inputs that reach new code (`pip install -e '.[dev,fuzz]'`),
-and without it with random mutations of real packets and files from a seed. Prints Markdown. A
-crash is any exception that the parser does not document, any number it must not give, or an input
-that takes more than two minutes; the input is kept in the folder `--keep`.
+The targets are all parsers of data from outside (see tests/testkit/targets.py). Each is fuzzed for
+S seconds, 30 by default. With atheris (`pip install -e '.[dev,fuzz]'`), the inputs are chosen to
+reach new code. Without it, they are random mutations of real packets and files. The output is
+Markdown. Three results count as a crash: an exception that the parser does not document, a number
+that it must not return, or an input that takes more than two minutes. The input is kept in the
+folder `--keep`.
 """
 
 import argparse
@@ -38,7 +39,7 @@ FUZZED = [
 
 
 def known() -> dict[str, Any]:
-    """The parsers of the core and of the packages that are installed."""
+    """Return the parsers of the core and of the installed packages."""
     from testkit import targets
     from testkit.emulator import wire_targets
 
@@ -51,7 +52,7 @@ def known() -> dict[str, Any]:
 
 
 class Fuzz:
-    """Runs one target on inputs until its time is over, and counts."""
+    """Feeds inputs to one target until its time is over, and counts them."""
 
     def __init__(self, run: Any, seconds: float, keep: Path) -> None:
         self.runs = 0
@@ -84,7 +85,7 @@ class Fuzz:
             traceback.print_exception(error)
 
     def finish(self) -> None:
-        """Tell the parent and end at once, since libFuzzer would not let go."""
+        """Report to the parent process and exit immediately, because libFuzzer would continue."""
         print(json.dumps({"runs": self.runs, "crashes": self.crashes}), flush=True)
         os._exit(0)
 
@@ -116,7 +117,7 @@ def child(name: str, seconds: float, seed: int, keep: Path) -> None:
 
 
 def fuzzed(name: str, seconds: float, seed: int, keep: Path) -> subprocess.CompletedProcess[str]:
-    """Fuzz a target in a process of its own, with a folder of its own for files."""
+    """Fuzz a target in a process of its own, with its own folder for files."""
     words = ["--target", name, "--seconds", str(seconds), "--seed", str(seed), "--keep", str(keep)]
     with tempfile.TemporaryDirectory() as scratch:
         return subprocess.run(

@@ -1,20 +1,21 @@
-"""How soon the guard stops robots that a camera shows elsewhere than they are; all emulated.
+"""Measures how soon the guard stops robots that a camera shows at false poses, all emulated.
 
-    python benchmarks/guard.py                    what a camera may show, in two plays each
-    python benchmarks/guard.py --rate 30          frames as seldom as an AprilTag camera's
-    python benchmarks/guard.py slow --plays 3     poses that leave slowly
+    python benchmarks/guard.py                    every kind of false pose, two runs each
+    python benchmarks/guard.py --rate 30          frames as rare as an AprilTag camera's
+    python benchmarks/guard.py slow --plays 3     poses that drift away slowly
     python benchmarks/guard.py slip --plays 6     a pose that turns only while its robot drives
-    python benchmarks/guard.py culprits           what the reasons name
-    python benchmarks/guard.py alarms --first 0 --plays 1000    the same trials with nothing wrong
+    python benchmarks/guard.py culprits           the causes that the reasons name
+    python benchmarks/guard.py alarms --first 0 --plays 1000    the same trials without faults
 
-prints the figures of docs/reference/faults.md. Three m3pi robots drive by model predictive control
-in the emulated lab, in virtual time, before a camera with noise of 0.3 mm and 4 mrad; each wheel is
-up to 10 % off, and 5 % of the packets are lost. What a camera shows is that of the emulator's
+The output is the figures of docs/reference/faults.md. Three m3pi robots drive with model predictive
+control in the emulated lab, in virtual time. The camera has noise of 0.3 mm and 4 mrad, each wheel
+is up to 10 % off, and 5 % of the packets are lost. The false poses come from the emulator's
 `tests/testkit/emulator/ghosts.py`.
 
-Worst of the plays: how far off its robot the pose shown was when that robot was commanded to stop
-[mm], how long after the fault that was and all robots stood [s], how far one drove until then
-[mm], and how many frames later the pose was accepted after all.
+The table has the worst of all runs: the distance of the shown pose from its robot when this robot
+was commanded to stop [mm], the time from the fault until then and until all robots stood still [s],
+the distance that a robot drove in this time [mm], and the number of frames after which the false
+pose was accepted after all.
 """
 
 import argparse
@@ -75,8 +76,11 @@ def in_turn(plays: int) -> list[float]:
 
 @dataclass(frozen=True)
 class Shown:
-    """A row: what is shown, of whom (None: each robot in turn), and from when on [s after the first
-    command]. A play is ended after `limit_s` [s]."""
+    """A row of the table: a kind of false pose, its robot, and the time at which it begins.
+
+    The time counts from the first command [s]. If no robot is named, each has the false pose in
+    turn. A run ends after `limit_s` [s] at the latest.
+    """
 
     what: str
     kind: str
@@ -86,7 +90,7 @@ class Shown:
     limit_s: float = 60.0
 
     def line(self, plays: int, rate_hz: float) -> str:
-        """Return the row of a table, after its plays."""
+        """Run the row's trials, and return its line of the table."""
         ended = Counter[str]()
         named = Counter[str]()
         ghosts = []
@@ -109,7 +113,7 @@ class Shown:
         return f"| {' | '.join(cells)} |"
 
     def _reason(self, ghost: Ghost, trial: int, rate_hz: float) -> str:
-        """Run a trial; return why it was aborted, did not start or ended by itself."""
+        """Run a trial, and return why it was aborted or refused, or that it ended by itself."""
         is_radio = self.kind == "radio"
         haunt = partial(slow_radio, delay_s=self.size) if is_radio else ghost.haunt
         try:
@@ -120,7 +124,7 @@ class Shown:
 
 
 def _first(patterns: dict[str, str], reason: str) -> str:
-    """Return the first name whose pattern is in a reason, else how the trial ended."""
+    """Return the first name whose pattern matches a reason, or else how the trial ended."""
     matching = [name for name, pattern in patterns.items() if re.search(pattern, reason)]
     return (matching or [reason if reason in ("refused", "complete") else "other"])[0]
 
@@ -185,13 +189,14 @@ PARTS = {
 
 
 def alarms(first: int, trials: int, rate_hz: float) -> None:
-    """Print each trial that did not end by itself or in which a pose was refused, and counts with
-    the greatest statistic of the drift check.
+    """Print each trial with a false alarm, and the maximum statistic of the drift check.
+
+    A false alarm is a trial that did not end by itself, or in which a pose was refused.
 
     Args:
-        first: Index of the first trial, which determines its random draws.
+        first: Index of the first trial, which determines its random numbers.
         trials: Number of trials.
-        rate_hz: Camera frames a second.
+        rate_hz: Camera frames per second.
     """
     peak = 0.0
     labs: list[VirtualLab] = []

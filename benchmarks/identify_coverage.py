@@ -1,13 +1,14 @@
-"""How often the 95 % intervals of `tetractl identify` hold the truth, on simulated logs.
+"""Measures how often the 95 % intervals of `tetractl identify` contain the truth, on simulated
+logs.
 
     nice python benchmarks/identify_coverage.py --logs 40 --first 9100 --trials 20
     nice python benchmarks/identify_coverage.py --logs 40 --first 20263300 --bench
 
-prints the table of docs/how-to/identify.md. Each log is of a trial in which the controller steers
-three robots to their targets at the rate --trials. a, speeds and a dead time are drawn for each;
-there is camera noise, a random walk of the headings, and 5 % of the commands are lost. With --bench
-the logs are of trials of experiments/three_m3pi_bench.yaml: true is the a that a robot's gains and
-wheel base make of the spec's, and the radio's dead time.
+The output is the table of docs/how-to/identify.md. In each log, the controller steers three robots
+to their targets at the rate --trials. Turning rates a, speeds and a dead time are sampled for each
+log. There is camera noise and a random walk of the headings, and 5 % of the commands are lost. With
+--bench, the logs come from trials of experiments/three_m3pi_bench.yaml. The true a then follows
+from the spec's a and a robot's gains and wheel base, and the true dead time is the radio's.
 """
 
 import argparse
@@ -40,7 +41,7 @@ NOISE = [
 
 
 def _hits(identified, truths):
-    """Return whether each interval holds the truth, by the name of the quantity."""
+    """Check for each quantity whether its interval contains the truth, by name."""
     hits = defaultdict(list)
     for i, robot in enumerate(identified.robots):
         for name, truth in truths.items():
@@ -50,8 +51,9 @@ def _hits(identified, truths):
 
 
 def coverage(number: int, rate: float):
-    """Return which intervals of the log of a trial with control steps at a rate [Hz] hold the
-    truth."""
+    """Simulate a log with a rate of control steps [Hz], and check which intervals contain the
+    truth.
+    """
     dead_time = float(np.random.default_rng([number, 2]).uniform(0.02, 0.15))
     sets = ["plant.a_error=0.2", "plant.speed_error=0.1", "plant.lost_commands=0.05"]
     sets += [f"plant.dead_time={dead_time}", f"controller.period={1 / rate}"]
@@ -79,7 +81,7 @@ def coverage(number: int, rate: float):
 
 
 def bench_coverage(number: int):
-    """Return which intervals of the log of a trial of the bench hold the truth."""
+    """Simulate a log of the bench, and check which intervals contain the truth."""
     spec = tetractl.load_spec(BENCH, f"trials.seed={number}")
     with TemporaryDirectory() as folder:
         log = tetractl.run_trial(spec, folder=folder)

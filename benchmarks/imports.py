@@ -1,12 +1,13 @@
-"""Count the modules and lines of tetractl that one trial imports.
+"""Counts the modules and lines of tetractl that one trial imports.
 
     python benchmarks/imports.py
     python benchmarks/imports.py experiments/five_robots.yaml --list
 
-Simulates trial 0 of a spec by `tetractl.run_trial`, in a process of its own, and counts the modules
-of tetractl that are loaded at the end, with the lines of their files. Without a spec, it counts the
-paper's experiment, and the paper's lab, emulated and run by `tetractl run`. `--list` names the
-modules, longest first.
+The script simulates trial 0 of a spec with `tetractl.run_trial` in a separate process. It counts
+the modules of tetractl that are loaded at the end, and the lines of their files. Without a spec, it
+counts
+twice: for the paper's experiment, and for the paper's lab, emulated with `tetractl run`. `--list`
+names the modules, longest first.
 """
 
 import json
@@ -50,7 +51,7 @@ def imported(program: str, spec: Path) -> dict[str, int]:
 
 
 def report(title: str, lines: dict[str, int], named: bool) -> None:
-    """Print how many modules and lines there are, of each package; and, if `named`, all of them."""
+    """Print the number of modules and lines of each package. If `named`, also list the modules."""
     print(title)
     modules = Counter[str]()
     total = Counter[str]()
@@ -66,7 +67,7 @@ def report(title: str, lines: dict[str, int], named: bool) -> None:
 
 
 def main() -> None:
-    """Count what a spec's trial imports, or the trials of the paper and of its lab."""
+    """Count the imports of a spec's trial, or of the paper's trial and the paper's lab."""
     parser = ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("spec", nargs="?", type=Path)
     parser.add_argument("--list", action="store_true", help="name the modules, longest first")

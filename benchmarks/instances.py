@@ -1,20 +1,20 @@
-"""Run every controller on every instance of experiments/benchmark, with the same seeds.
+"""Runs every controller on every instance of experiments/benchmark, with the same seeds.
 
     python benchmarks/instances.py                      100 trials each, into logs/benchmark
     python benchmarks/instances.py --trials 20 --only paper,cells
-    python benchmarks/instances.py --ours               the recommended controller alone
-    python benchmarks/instances.py --report             print the page of what there is
+    python benchmarks/instances.py --ours               only the recommended controller
+    python benchmarks/instances.py --report             print the page of the results so far
 
-For each instance it writes a study and runs `tetractl study`, so it goes on where it was stopped.
-The seed is the day of the last commit as a number, such as 20261130, unless --seed states another:
-nobody chooses it, and no rule of the controller was chosen with it. A folder keeps its seed.
+For each instance, the script writes a study and runs `tetractl study`, so an interrupted run can be
+continued. Without --seed, the seed is the date of the last commit as a number, such as 20261130.
+Nobody chooses this seed, and no rule of the controller was tuned with it. A folder keeps its seed.
 
-Everything is simulated. The rows are those of docs/reference/benchmark.md; `tetractl stats` says
-more of each folder.
+Everything is simulated. The rows appear in docs/reference/benchmark.md. `tetractl stats` prints
+more about each folder.
 
-Above each table is the plainest lower bound of a trial's time: the robot that needs most drives
-straight to the accepted error at its speed. It is by the spec's starts and speeds; disturbances
-change both, so that a trial may take less. The column after the time is its ratio to this.
+Above each table is a simple lower bound of a trial's time: the time in which the slowest robot
+drives straight to the accepted error. The bound uses the spec's starts and speeds. Disturbances
+change both, so a trial may take less time. The column after the time is its ratio to the bound.
 """
 
 import argparse
@@ -42,7 +42,7 @@ OURS = "recommended"
 
 
 def controllers(name: str) -> dict[str, SETTING]:
-    """Return the arms of an instance; the first is the one in its spec."""
+    """Return the arms of an instance. The first arm is the controller in its spec."""
     spec = instance(name)
     limit = 5 * spec.controller.time_limit
     settings_of: dict[str, SETTING] = {OURS: {}, "published": published(name)}
@@ -54,10 +54,10 @@ def controllers(name: str) -> dict[str, SETTING]:
 
 
 def published(name: str) -> SETTING:
-    """Return the arm of the controller exactly as published, in the place of an instance's.
+    """Return the arm with the controller exactly as published, for an instance.
 
-    Its period, longest sequence, weight of obstacles and time limit are the instance's, and k_max
-    is the last step within this limit.
+    Period, longest sequence, weight of obstacles and time limit come from the instance. k_max is
+    the last step within this limit.
     """
     ours = instance(name).controller
     assert isinstance(ours, RecommendedMpc)
@@ -76,8 +76,11 @@ def instance(name: str) -> Experiment:
 
 
 def bound_s(spec: Experiment) -> float:
-    """Return the least time [s] in which each robot of a spec could come as near to its target as
-    is accepted of all, on a straight line from its start, if starts and speeds are the spec's."""
+    """Compute a lower bound of a trial's time [s].
+
+    Each robot drives on a straight line from its start in the spec, at the speed in the spec, until
+    it is as near to its target as the accepted total error of all robots.
+    """
     setup = spec.setup
     accept = getattr(spec.controller, "accept_error", 0.0)
     gaps = np.linalg.norm(setup.targets - setup.starts.xy, axis=1)
@@ -85,14 +88,14 @@ def bound_s(spec: Experiment) -> float:
 
 
 def seed_of_last_commit() -> int:
-    """Return the day of the repository's last commit as a number, such as 20261130."""
+    """Return the date of the repository's last commit as a number, such as 20261130."""
     command = ["git", "log", "-1", "--format=%cd", "--date=format:%Y%m%d"]
     folder = Path(__file__).parent
     return int(subprocess.run(command, cwd=folder, check=True, capture_output=True).stdout)
 
 
 def study_text(name: str, title: str, arms: Mapping[str, SETTING], trials: int, seed: int) -> str:
-    """Return the YAML text of an instance's study."""
+    """Create the YAML text of an instance's study."""
     study = {
         "name": title,
         "base": str(EXPERIMENTS / "benchmark" / f"{name}.yaml"),
@@ -105,9 +108,9 @@ def study_text(name: str, title: str, arms: Mapping[str, SETTING], trials: int, 
 def run(
     name: str, out: Path, arms: Mapping[str, SETTING], trials: int, jobs: int, seed: int | None
 ) -> int:
-    """Write the study of an instance and run what it lacks; return its exit code.
+    """Write the study of an instance, run its missing trials, and return the exit code.
 
-    Without a `seed`, a study that was begun keeps its own.
+    Without a `seed`, a study that was already begun keeps its own.
     """
     study = out.with_name(f"{out.name}.yaml")
     if seed is None:
@@ -118,7 +121,7 @@ def run(
 
 
 def seed_of(study: Path) -> int:
-    """Return the seed of a study that was written."""
+    """Return the seed in the file of a study."""
     return yaml.safe_load(study.read_text(encoding="utf-8"))["trials"]["seed"]
 
 
@@ -127,7 +130,7 @@ Row = dict[str, str]
 
 
 def trials_by_arm(folder: Path) -> dict[str, list[Row]]:
-    """Return the trials that count of each arm of a study's folder."""
+    """Read the valid trials of each arm from a study's folder."""
     rows: dict[str, list[Row]] = {}
     with (folder / "trials.csv").open(newline="") as file:
         for row in csv.DictReader(file):
@@ -149,7 +152,7 @@ HEAD = (
 
 
 def table(rows_of: Mapping[str, Sequence[Row]], least_s: float) -> list[str]:
-    """Return the lines of an instance's table; `least_s` is that of `bound_s`."""
+    """Create the lines of an instance's table. `least_s` is the lower bound from `bound_s`."""
     column = next(key for key in rows_of[OURS][0] if key.startswith("total_error_"))
     ours = _errors(rows_of[OURS], column)
     lines = [f"| {' | '.join(HEAD)} |", f"|{'---|' * len(HEAD)}"]
@@ -174,7 +177,7 @@ def table(rows_of: Mapping[str, Sequence[Row]], least_s: float) -> list[str]:
 
 
 def _errors(rows: Sequence[Row], column: str) -> dict[int, float]:
-    """Return the values of a column by the number of the trial."""
+    """Return the values of a column, by the trial's index."""
     return {int(row["trial"]): float(row[column]) for row in rows}
 
 

@@ -1,12 +1,12 @@
-"""Measure how often the 95 % intervals of `tetractl stats` hold what they should hold.
+"""Measures how often the 95 % intervals of `tetractl stats` contain the true value.
 
-    python benchmarks/intervals.py                some minutes
+    python benchmarks/intervals.py                a few minutes
     python benchmarks/intervals.py --sets 500
 
-Draws many sets of n errors from distributions whose mean is known, and prints as Markdown the
-figures of docs/reference/statistics.md, in percent: how many intervals hold one mean, by Student's
-t and the BCa bootstrap, too, and the difference of two; and how many rank tests find a difference
-where there is none. The seed is fixed.
+The script samples many sets of n errors from distributions with known means, and prints the figures
+of docs/reference/statistics.md as Markdown, in percent. It counts how many intervals contain a
+single mean, with Student's t and with the BCa bootstrap, and how many contain the difference of two
+means. It also counts how many rank tests find a difference where there is none. The seed is fixed.
 """
 
 import argparse
@@ -83,7 +83,7 @@ def main() -> None:
 
 
 def _one_mean(errors: Errors, n: int, sets: int) -> str:
-    """Return the cells of one row: coverage of a mean."""
+    """Return the cells of one row: how often intervals contain a mean."""
     rows = errors.draw(np.random.default_rng([n, 1]), (sets, n))
     ours = [distribution.ci95 for distribution in distributions(rows)]
     half = scipy.stats.t.ppf(0.975, n - 1) * rows.std(axis=1, ddof=1) / np.sqrt(n)
@@ -94,7 +94,7 @@ def _one_mean(errors: Errors, n: int, sets: int) -> str:
 
 
 def _bca(rows: Floats) -> list[Interval]:
-    """Return BCa bootstrap intervals, each with a seed of its own."""
+    """Compute BCa bootstrap intervals, each with its own seed."""
     bca_intervals = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", scipy.stats.DegenerateDataWarning)
@@ -108,10 +108,10 @@ def _bca(rows: Floats) -> list[Interval]:
 
 
 def _two_means(errors: Errors, n: int, sets: int) -> str:
-    """Return the cells of one row: coverage of the difference of two means.
+    """Return the cells of one row: how often intervals contain the difference of two means.
 
-    Errors are alike on both sides, or four times as large on the other; for pairs both have half
-    of their error in common.
+    Errors are equally large on both sides, or four times as large on one side. In pairs, both
+    trials share half of their error.
     """
     rng = np.random.default_rng([n, 2])
     ours, theirs, common = (errors.draw(rng, (sets, n)) for _ in range(3))
@@ -128,10 +128,10 @@ def _two_means(errors: Errors, n: int, sets: int) -> str:
 
 
 def _false_alarms(errors: Errors, n: int, sets: int) -> str:
-    """Return the cells of one row: false alarms of the tests of ranks.
+    """Return the cells of one row: how often rank tests give a false alarm.
 
-    The tests are of two batches alike, in pairs and not, and of two with one mean, of which one
-    varies four times as much.
+    The tests compare two equal batches, paired and unpaired, and two batches with the same mean, of
+    which one varies four times as much.
     """
     rng = np.random.default_rng([n, 3])
     ours, theirs = (errors.draw(rng, (sets, n)) for _ in range(2))

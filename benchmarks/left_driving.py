@@ -1,12 +1,12 @@
-"""Prints whether robots of the emulated lab are left driving after a trial or an abort.
+"""Checks whether robots of the emulated lab are left driving after a trial or an abort.
 
     python benchmarks/left_driving.py [--seed 1] [--only NUMBER]
 
-Each schedule is a trial of three m3pi robots in virtual time, in which another program drives the
-robots, the radio delivers old packets, or robots start again: during the trial, just after the
-stop, in a pause, after an abort, or before the run. The observer of the rehearsals, which shares no
-code with the guard, says how fast robots drive when the run has ended, and whether the run has
-named them.
+Each row is a trial of three m3pi robots in virtual time with a disturbance: another program drives
+the robots, the radio delivers old packets, or robots restart. It happens during the trial, just
+after the stop, in a pause, after an abort, or before the run. The observer of the rehearsals, which
+shares no code with the guard, reports how fast robots drive when the run has ended, and whether the
+run named them.
 """
 
 import argparse
@@ -31,7 +31,7 @@ EMERGENCY = {"fault": "emergency", "at": 1.0}
 
 
 def sender(left: int, right: int, at_s: float, since: str = "stop", **more: Any) -> dict[str, Any]:
-    """Return the fault of another program that drives all robots by two counts."""
+    """Create the fault of another program that drives all robots with two counts."""
     return {
         "fault": "driven_elsewhere",
         "counts": [left, right],
@@ -42,12 +42,12 @@ def sender(left: int, right: int, at_s: float, since: str = "stop", **more: Any)
 
 
 def late(by_s: float, at_s: float = 0.0) -> dict[str, Any]:
-    """Return the fault of a radio that delivers packets late by up to a time."""
+    """Create the fault of a radio that delivers packets late, by up to a given time."""
     return {"fault": "overtaken_packets", "by": by_s, "at": at_s}
 
 
 def reboots(robot: str, by_s: float, at_s: float, since: str = "run") -> dict[str, Any]:
-    """Return the fault of a robot that starts again, and then obeys late."""
+    """Create the fault of a robot that restarts, and then obeys commands late."""
     return {"fault": "reboots", "robot": robot, "by": by_s, "at": at_s, "since": since}
 
 
@@ -82,7 +82,9 @@ SCHEDULES: tuple[tuple[str, Sequence[Mapping[str, Any]]], ...] = (
 
 
 def row(what: str, faults: Sequence[Mapping[str, Any]], seed: int) -> tuple[str, bool]:
-    """Return the row of a schedule, and whether robots drive on or the observer objects."""
+    """Run a row. Return its line, and whether robots were left driving or an invariant was
+    violated.
+    """
     sets = (SHORT, "controller.deadline=60")
     drawn = [{"kind": fault["fault"], "right": ".", **fault} for fault in faults]
     experiment = on_plant(load_spec(SPEC, sets), "emulated").experiment
@@ -104,7 +106,7 @@ def row(what: str, faults: Sequence[Mapping[str, Any]], seed: int) -> tuple[str,
 
 
 def main() -> int:
-    """Print the table; exit with 1 if robots are left driving, or the observer objects."""
+    """Print the table. The exit code is 1 if robots are left driving or an invariant fails."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", type=int)

@@ -1,9 +1,10 @@
-"""What logs promise, measured: `python benchmarks/log.py [PART]...`, all parts by default.
+"""Measures how well logs survive damage: `python benchmarks/log.py [PART]...`, by default all
+parts.
 
-    torn        10,000 truncations and 10,000 changed bytes: chunks recovered of those complete
-    tampering   each field of each channel, record and attachment changed: how many it notices
+    torn        10,000 truncations and 10,000 changed bytes: how many complete chunks are recovered
+    tampering   each field of each channel, record and attachment changed: how many are noticed
 
-Prints the figures of docs/reference/durability.md. `--scale 0.1` does a tenth of the work.
+The output is the figures of docs/reference/durability.md. `--scale 0.1` does a tenth of the work.
 """
 
 import argparse
@@ -55,7 +56,7 @@ def torn(folder: Path, scale: float) -> None:
 
 
 def tampering(folder: Path, scale: float) -> None:
-    """Print how many changes of each field are noticed, by channel."""
+    """Print how many changes of each channel's fields are noticed."""
     count = max(1, round(6 * scale))
     logs_of = {"simulation": sim_log, "emulated lab": lab_log, "emulated microscope": dish_log}
     for name, log_of in logs_of.items():

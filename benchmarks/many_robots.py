@@ -1,8 +1,9 @@
-"""First plans for many robots, without disturbances: "Many robots" of docs/reference/measured.md.
+"""Searches first plans for many robots without disturbances, for docs/reference/measured.md.
 
     python benchmarks/many_robots.py
 
-With *grows*, knots of a start and iterations of a polish grow with the number of robots.
+The output is the section "Many robots". In rows with *grows*, the number of knots of a start and
+the number of iterations of a polish grow with the number of robots.
 """
 
 import argparse
@@ -19,7 +20,10 @@ from tetractl.core.poses import Poses
 
 
 def many(robots: int, seed: int) -> Problem:
-    """Robots anywhere in 2 x 2 m; 1 m in one direction for all, and each 0.2 m or so by itself."""
+    """Create a problem with robots anywhere in 2 x 2 m.
+
+    The targets are 1 m away in one common direction, and about 0.2 m further in random directions.
+    """
     rng = np.random.default_rng([robots, seed])
     speed = rng.uniform(150, 200, robots)
     starts = rng.uniform(0, 2000, (robots, 2))
@@ -40,12 +44,12 @@ def many(robots: int, seed: int) -> Problem:
 
 
 def good(search: Search) -> bool:
-    """Whether a sequence ends at the targets."""
+    """Check whether a sequence ends at the targets."""
     return search.cost <= Multistart().tolerance
 
 
 def first_plans(trials: int) -> None:
-    """First plans for many robots, each an instance of its own, up to 80 s long."""
+    """Search first plans of up to 80 s for many robots, each for its own instance."""
     print("| robots | optimiser | solved to 1 mm | signals, median | first plan [s], p50 / p95 |")
     print("|---|---|---|---|---|")
     for robots in (3, 5, 8, 12, 16):

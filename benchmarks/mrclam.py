@@ -1,11 +1,11 @@
-"""How real robots on two wheels follow their commands: the runs of a copy of the UTIAS MRCLAM data.
-
-Data: Leung, Halpern, Barfoot, Liu, "The UTIAS multi-robot cooperative localization and mapping
-dataset", International Journal of Robotics Research 30(8), 2011. Five iRobot Create under Vicon,
-commands (v, w) as sent. Each set is a folder with RobotN_Odometry.dat and RobotN_Groundtruth.dat,
-N from 1 to 5.
+"""Measures how real robots on two wheels follow their commands, with the UTIAS MRCLAM data.
 
     .venv/bin/python benchmarks/mrclam.py MRCLAM_Dataset6 MRCLAM_Dataset7
+
+The data come from Leung, Halpern, Barfoot, Liu, "The UTIAS multi-robot cooperative localization and
+mapping dataset", International Journal of Robotics Research 30(8), 2011. Five iRobot Create robots
+drove under Vicon cameras, with known commands (v, w). Each set is a folder with RobotN_Odometry.dat
+and RobotN_Groundtruth.dat, with N from 1 to 5.
 """
 
 import argparse
@@ -26,8 +26,7 @@ from tetractl.tools.table.terminal_table import print_tables
 
 
 def recorded(folder: Path, robot: int) -> tuple[Floats, Floats]:
-    """Return a robot's poses (M, 4) of time, x, y, heading and commands (K, 3) of time, v, w, with
-    the times of the files."""
+    """Read a robot's poses (M, 4) of time, x, y, heading, and its commands (K, 3) of time, v, w."""
     poses = np.loadtxt(folder / f"Robot{robot}_Groundtruth.dat", ndmin=2)
     sent = np.loadtxt(folder / f"Robot{robot}_Odometry.dat", ndmin=2)
     sent = sent[np.diff(sent[:, 0], prepend=-np.inf) > 0]  # some rows are twice in the files
@@ -35,7 +34,7 @@ def recorded(folder: Path, robot: int) -> tuple[Floats, Floats]:
 
 
 def create(folder: Path, robot: int) -> tuple[Floats, Floats]:
-    """Return a run's poses and commands as `recorded`; times count from the first command."""
+    """Read a run's poses and commands as `recorded` does. Times count from the first command."""
     poses, sent = recorded(folder, robot)
     poses[:, 0] -= sent[0, 0]
     sent[:, 0] -= sent[0, 0]
@@ -43,7 +42,7 @@ def create(folder: Path, robot: int) -> tuple[Floats, Floats]:
 
 
 def track(folder: Path, robot: int) -> Track:
-    """Return one robot's run; lengths in metres."""
+    """Read one robot's run as a track, with lengths in metres."""
     poses, sent = create(folder, robot)
     name = f"{folder.name[-1]}.{robot}"
     return Track(
@@ -62,7 +61,7 @@ def track(folder: Path, robot: int) -> Track:
 
 
 def _mean(values: Floats) -> SampleInterval:
-    """Return the mean of the runs' values with its 95 % interval."""
+    """Compute the mean of the runs' values with its 95 % interval."""
     n = len(values)
     mean = values.mean()
     half = t_quantile(n - 1) * values.std(ddof=1) / n**0.5
@@ -70,7 +69,7 @@ def _mean(values: Floats) -> SampleInterval:
 
 
 def main(folders: list[Path]) -> None:
-    """Print a row per quantity: of the runs, mean with its interval, deviation and extremes."""
+    """Print a row per quantity: its mean over the runs with interval, deviation and extremes."""
     runs = [
         (folder, k) for folder in folders for k in range(1, 6) if list(folder.glob(f"Robot{k}_*"))
     ]

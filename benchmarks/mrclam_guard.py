@@ -1,16 +1,16 @@
-"""Real robots before the guard: turns recordings of the UTIAS MRCLAM data into logs.
+"""Converts recordings of real robots (the UTIAS MRCLAM data) to logs that the guard can watch.
 
-Data: as for `benchmarks/mrclam.py`. Each set becomes the log of a lab with five robots, which
-`tetractl lab guard` shows to the guard. As far as is known, nobody pushed a robot and no camera
+For the data, see `benchmarks/mrclam.py`. Each set becomes the log of a lab with five robots, which
+`tetractl lab guard` passes to the guard. As far as is known, nobody pushed a robot and no camera
 failed, so every run that the guard would have ended is a false abort.
 
     python benchmarks/mrclam_guard.py SETS/MRCLAM_Dataset6 SETS/MRCLAM_Dataset7 --out logs/mrclam
     tetractl lab guard logs/mrclam/MRCLAM_Dataset6.mcap --most 0
 
-The robots were steered one by one. Their odometry files state the speeds that each was sent, up to
-0.086 m/s and 0.57 rad/s. An iRobot Create has no watchdog: while no row comes, the last speeds
-hold. Vicon showed each robot at about 60 Hz. A frame of the log has the robots with a row within
-FRAME_S after the first one; the others count as not seen in it.
+Each robot was steered on its own. The odometry files contain the speeds sent to each robot, up to
+0.086 m/s and 0.57 rad/s. An iRobot Create has no watchdog: until the next row, it keeps the last
+speeds. Vicon recorded each robot at about 60 Hz. A frame of the log contains the robots with a row
+within FRAME_S after the first one. The other robots count as unseen in this frame.
 """
 
 import argparse
@@ -48,7 +48,7 @@ REPEAT_S = 0.05
 
 
 def spec_of(starts: Floats) -> LoadedSpec:
-    """Return the spec of a lab in which the robots drive: `starts` (5, 3) are their first poses."""
+    """Create the spec of a lab in which the robots drive. `starts` (5, 3) are their first poses."""
     robots = "\n".join(
         f"  - {{name: r{k}, start: [{x}, {y}], heading: {heading}, target: [{k}, 0], "
         f"a: {TURNING}, speed: {SPEED_M_S}}}"
@@ -74,7 +74,7 @@ trials: {{count: 1, seed: 1}}
 
 
 def frames_of(poses: list[Floats]) -> tuple[Floats, Floats]:
-    """Return frames of all robots: times (M,) [s] and poses (M, N, 3), NaN of those not shown."""
+    """Join poses to frames of all robots: times (M,) [s] and poses (M, N, 3), NaN if missing."""
     rows = np.concatenate([np.column_stack([p, np.full(len(p), i)]) for i, p in enumerate(poses)])
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     starts = [0]
@@ -92,7 +92,7 @@ def frames_of(poses: list[Floats]) -> tuple[Floats, Floats]:
 
 
 def commands_of(sent: list[Floats], until_s: float) -> list[Command]:
-    """Return the speeds that were sent, whenever one changes, and after REPEAT_S."""
+    """Create the commands: one for each change of a speed, and repetitions every REPEAT_S."""
     rows = np.concatenate([np.column_stack([s, np.full(len(s), i)]) for i, s in enumerate(sent)])
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     rows = rows[rows[:, 0] < until_s]
@@ -118,7 +118,7 @@ def commands_of(sent: list[Floats], until_s: float) -> list[Command]:
 
 
 def convert(folder: Path, out: Path, longest_s: float = math.inf) -> Path:
-    """Write the log of a set, or of its first `longest_s` [s]; return its file."""
+    """Write the log of a set, or of its first `longest_s` [s], and return the log's file."""
     raw = [recorded(folder, k) for k in ROBOTS]
     zero_s = max(sent[0, 0] for _, sent in raw)  # when the last robot began to be sent speeds
     until_s = min(longest_s, min(poses[-1, 0] for poses, _ in raw) - zero_s)
@@ -150,7 +150,7 @@ def convert(folder: Path, out: Path, longest_s: float = math.inf) -> Path:
 
 
 def ended(spec: LoadedSpec, final: Poses, duration_s: float) -> Result:
-    """Return the result of a recording: only that it ended."""
+    """Create the result of a recording, which only says that it ended."""
     setup = spec.experiment.setup
     robots = len(ROBOTS)
     return Result.from_verdict(
@@ -166,7 +166,7 @@ def ended(spec: LoadedSpec, final: Poses, duration_s: float) -> Result:
 
 
 def main() -> None:
-    """Convert each set, and print where its log is."""
+    """Convert each set, and print the name of its log."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("folders", metavar="SET", nargs="+", type=Path)
     parser.add_argument("--out", type=Path, required=True, help="folder for the logs")

@@ -1,9 +1,10 @@
-"""Compare every optimiser that is installed on step 0 of the reference experiment.
+"""Compares every installed optimiser on step 0 of the reference experiment.
 
-    python benchmarks/optimizers.py              20 seeds each, some ten seconds an optimiser
+    python benchmarks/optimizers.py              20 seeds, about ten seconds for each optimiser
     python benchmarks/optimizers.py --seeds 3
 
-Each searches 44 signals once, with its defaults and without a warm start; J in mm.
+Each optimiser searches 44 signals once, with its default settings and without a warm start. J is in
+mm.
 """
 
 import argparse

@@ -1,22 +1,22 @@
-"""How well the live tracker follows real cells, in a film of which no truth is known.
+"""Measures how well the live tracker follows real cells, in a film without a known truth.
 
     python benchmarks/real_films.py FILM --scale UM_PER_PIXEL --organism NAME
 
-The camera `cells` steers by what its tracker sees. Here the tracker sees the images of a film, and
-two measures judge it without a truth:
+The camera `cells` steers with the positions from its tracker. Here the tracker sees the images of a
+film. Two measures judge it without a truth:
 
-- **No body**: the fraction of positions that have no body within NEAR_PX. Bodies are where an
-  image, blurred, differs from the film's median by more than a threshold. Positions in a blob that
-  several cells share are not counted.
-- **Contradicted**: a cell's position and its position LINK images later are a link. The tracker
-  also sees the film backwards. The cell that it shows at the second position must be at the first
-  one, too. A link is contradicted if that cell is elsewhere, by ELSEWHERE_PX or more. Either
-  direction may be wrong, so this is an upper bound. A link is sure if the tracker gives both of its
-  ends a probability at which the lab steers the cell (`identity_watch.SURE`).
+- **No body**: the fraction of positions that have no body within NEAR_PX. Bodies are places where
+  an image, blurred, differs from the film's median by more than a threshold. Positions in a blob
+  that several cells share are not counted.
+- **Contradicted**: a cell's position and its position LINK images later form a link. The tracker
+  also sees the film backwards. The cell that it shows at the second position must also be at the
+  first position. A link is contradicted if this cell is elsewhere, by ELSEWHERE_PX or more. Either
+  direction may be wrong, so the result is an upper bound. A link is sure if the tracker gives both
+  of its ends a probability at which the lab steers the cell (`identity_watch.SURE`).
 
-The detection of bodies shares no code with the tracker's. A body that rests for most of the film is
-part of the median, and so is none. The background is learned from the first seconds of the film, in
-each direction, as the camera learns it.
+The detection of bodies shares no code with the tracker's detection. A body that rests for most of
+the film is part of the median, and is therefore not detected. The background is learned from the
+first seconds of the film, in each direction, as the camera learns it.
 """
 
 import argparse
@@ -52,7 +52,7 @@ IMAGE, NUMBER, COLUMN, ROW, IS_SURE, IS_FOUND = range(6)
 
 
 def read_film(path: Path, rate_hz: float | None) -> tuple[list[np.ndarray], float]:
-    """Return the images of a film as grey levels, and their rate [Hz]."""
+    """Read the images of a film as grey levels, and its rate [Hz]."""
     source = FileSource(type="file", path=str(path), rate=rate_hz)
     feed = source.open(VirtualClock(), 1.0)
     images = []
@@ -67,7 +67,7 @@ def read_film(path: Path, rate_hz: float | None) -> tuple[list[np.ndarray], floa
 def followed(
     images: Sequence[np.ndarray], rate_hz: float, um_px: float, organism: Organism
 ) -> np.ndarray:
-    """Return the positions, shape (N, 6), at which the live tracker sees cells."""
+    """Run the live tracker, and return the positions at which it sees cells, shape (N, 6)."""
     tracker = CellTracker(um_px, field_known=False, organism=organism)
     first = images[: max(LEARNED, round(LEARNING_S * rate_hz))]
     tracker.finder.learn(list(first[:: max(1, len(first) // LEARNED)]))
@@ -82,8 +82,9 @@ def followed(
 
 
 def body_masks(images: Sequence[np.ndarray], threshold: float) -> list[np.ndarray]:
-    """Return where each image shows bodies: below the median by a `threshold` [grey levels], or
-    above it if that is negative.
+    """Find the bodies in each image.
+
+    They are darker than the median by a `threshold` [grey levels], or brighter if it is negative.
     """
     step = max(1, len(images) // MEDIAN_OF)
     background = np.median(np.array(images[::step]), axis=0)
@@ -98,7 +99,7 @@ def body_masks(images: Sequence[np.ndarray], threshold: float) -> list[np.ndarra
 
 
 def no_body(rows: np.ndarray, bodies: Sequence[np.ndarray]) -> tuple[int, int]:
-    """Count the found positions that have no body near, or are outside the image; and all."""
+    """Count the positions without a near body or outside the image, and all positions."""
     found = rows[rows[:, IS_FOUND] > 0]
     without = 0
     for number in np.unique(found[:, IMAGE]).astype(int).tolist():
@@ -112,8 +113,9 @@ def no_body(rows: np.ndarray, bodies: Sequence[np.ndarray]) -> tuple[int, int]:
 
 
 def contradicted(forwards: np.ndarray, backwards: np.ndarray, count: int) -> tuple[int, int]:
-    """Count the sure links of a film of `count` images that its reverse contradicts, and those of
-    which the reverse shows both ends.
+    """Count the sure links of a film that its reverse contradicts, and all that it can check.
+
+    The film has `count` images. A link can be checked if the reverse shows both of its ends.
     """
     turned = backwards.copy()
     turned[:, IMAGE] = count - 1 - turned[:, IMAGE]
@@ -139,7 +141,7 @@ def contradicted(forwards: np.ndarray, backwards: np.ndarray, count: int) -> tup
 
 
 def _by_number(rows: np.ndarray) -> dict[float, dict[int, np.ndarray]]:
-    """Return the rows of each cell by image."""
+    """Group the rows of each cell by image."""
     by_number: dict[float, dict[int, np.ndarray]] = {}
     for row in rows:
         by_number.setdefault(row[NUMBER], {})[int(row[IMAGE])] = row
@@ -151,7 +153,7 @@ def _apart(row: np.ndarray, other: np.ndarray) -> float:
 
 
 def share(hits: int, count: int) -> str:
-    """Return a fraction with its 95 % interval."""
+    """Format a fraction with its 95 % interval."""
     if not count:
         return "none"
     ends = proportion_interval(hits, count)

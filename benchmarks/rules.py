@@ -1,14 +1,15 @@
-"""Ask every rule of the controller what it brings: pairs of trials with it, and without it.
+"""Measures what each rule of the controller gains, with pairs of trials with and without it.
 
     python benchmarks/rules.py --out logs/rules                    every rule, 6 pairs a world
     python benchmarks/rules.py --rule slack tree --trials 20 --seed 90512 --out logs/rules
-    python benchmarks/rules.py --trials 0 --out logs/rules         the table of what there is
+    python benchmarks/rules.py --trials 0 --out logs/rules         the table of existing trials
 
-prints "Every rule, asked" of docs/reference/measured.md. A rule is taken out by a replacement of a
-function or a constant of the controller, in each world of `benchmarks/worlds` where it should
-help, and in those of `COMMON`, where it should not. --out keeps a CSV for each rule, to which
-trials are added. Differences are those of trials without the rule from trials with it, with
-bootstrap intervals (95 %). A trial touches if a body is over an edge, in an obstacle or at another.
+The output is "Every rule, asked" of docs/reference/measured.md. A rule is disabled by replacing a
+function or a constant of the controller. It is tested in each world of `benchmarks/worlds` in which
+it should help, and in the worlds of `COMMON`, in which it should not. --out keeps a CSV file for
+each rule, to which further trials are added. A difference is the value without the rule minus the
+value with it, with its 95 % bootstrap interval. A trial counts as touching if a body overlaps an
+edge, an obstacle or another body.
 """
 
 import argparse
@@ -47,15 +48,18 @@ WHOLE = "whole"  # the controller with all its rules
 
 @dataclass(frozen=True)
 class Rule:
-    """A rule, as the `parts` (owner, name of an attribute, replacement) that take it out; `helps`
-    names each world where it should help, and `assumed` are values of the filter's kernels."""
+    """A rule of the controller, and how to disable it.
+
+    `parts` (owner, name of an attribute, replacement) disable it. `helps` names the worlds in which
+    it should help. `assumed` are values of the filter's kernels.
+    """
 
     parts: tuple[tuple[Any, str, Any], ...] = ()
     helps: tuple[str, ...] = ()
     assumed: tuple[tuple[str, float], ...] = ()
 
     def take_out(self) -> None:
-        """Take it out of this process."""
+        """Disable the rule in this process."""
         for owner, name, replacement in self.parts:
             patch.object(owner, name, replacement).start()
         if self.assumed:
@@ -83,7 +87,7 @@ def _returns(owner: Any, name: str, value: Any) -> tuple[Any, str, Any]:
 
 
 def _value(**changes: Any) -> tuple[Any, str, Any]:
-    """Return the part by which plans are valued as if the words `changes` were true of each."""
+    """Create the replacement with which plans are valued as if `changes` held for each of them."""
     plan = CandidateValues.plan
 
     def changed(
@@ -122,7 +126,7 @@ def _bee_lines(problem: Any, grid: Any) -> Any:
 
 
 def _alone(bank: Any, prior: Any) -> Any:
-    """Return times of which the other robots say nothing: the prior of each filter's dead time."""
+    """Return the prior of each filter's dead time, as if the other robots gave no information."""
     common = _common(bank, prior)
     deviations = (bank.dead_time_s - prior.dead_time) / (prior.dead_time_std or 1.0)
     likely = np.exp(-(deviations**2) / 2)
@@ -231,13 +235,13 @@ RULES = {
 
 
 def begin_without(name: str) -> None:
-    """Begin a process without a rule."""
+    """Start a process without a rule."""
     if name != WHOLE:
         RULES[name].take_out()
 
 
 def trials_of(name: str, tasks: Sequence[Task], folder: Path) -> dict[Task, Row]:
-    """Return all trials without a rule, after those of `tasks` that its CSV lacks."""
+    """Run the trials without a rule that its CSV file lacks, and return all of them."""
     # code compiled with other values of a kernel is kept apart from that of the user
     with tempfile.TemporaryDirectory() as cache:
         if name != WHOLE and RULES[name].assumed:

@@ -1,11 +1,11 @@
-"""Measure the solver against its peers, and print the tables of docs/reference/measured.md.
+"""Compares the solver with other solvers, and prints the tables of docs/reference/measured.md.
 
-    python benchmarks/solver.py                     everything, some 20 minutes
-    python benchmarks/solver.py --quick             every row once, in seconds; figures mean little
+    python benchmarks/solver.py                     everything, about 20 minutes python
+    benchmarks/solver.py --quick             every row once, in seconds; for a first look only
     python benchmarks/solver.py --only a            one part
 
-Peers come with `pip install '.[bench]' ./benchmarks/tetractl-ipopt`; those that are missing are
-named and skipped.
+The other solvers are installed with `pip install '.[bench]' ./benchmarks/tetractl-ipopt`. Solvers
+that are missing are named and skipped.
 """
 
 import argparse

@@ -1,10 +1,11 @@
-"""How often the intervals of `tetractl track` hold: speeds and turning rates of simulated cells.
+"""Measures how often the intervals of `tetractl track` contain the truth, for simulated cells.
 
     python benchmarks/track_intervals.py --cells 60 --seed 1
 
-Cells swim on helices for 10 s, with the spread of a culture, while the field turns at random times.
-Their tracks have the cells' true names and places with normally distributed errors, so that only
-the fit is judged. The model of a swimming cell is the one of which the fit is an approximation.
+The intervals are those of speeds and turning rates. Cells swim on helices for 10 s, with the spread
+of a culture, while the field turns at random times. Their tracks have the cells' true identities,
+and their positions have normal errors, so that only the fit is judged. The fit approximates the
+model of a swimming cell that is simulated.
 """
 
 import argparse
@@ -29,7 +30,7 @@ ROWS = ((30, 2.0), (30, 0.5), (10, 2.0))
 def simulated(
     count: int, rate_hz: int, noise_um: float, rng: np.random.Generator
 ) -> tuple[Swimmers, list[CellPath], FieldRecord]:
-    """Return cells, their tracks, and the field."""
+    """Simulate cells, their tracks, and the field."""
     cells = Swimmers.drawn(rng, count)
     since = np.sort(rng.uniform(0.0, SECONDS, TURNS))
     since[0] = 0.0
@@ -48,7 +49,7 @@ def simulated(
 
 
 def held(name: str, fits: tuple[CellSummary, ...], truth: np.ndarray, unit: str) -> str:
-    """Return how many intervals hold the truth, and how wide they are."""
+    """Describe how many intervals contain the truth, and how wide they are."""
     intervals = [getattr(fit, name) for fit in fits]
     hits = sum(ci.low <= true <= ci.high for ci, true in zip(intervals, truth, strict=True))
     ends = proportion_interval(hits, len(fits))

@@ -1,11 +1,11 @@
-"""Measure the closed loop where the controller's model may lack something.
+"""Measures the closed loop in plants with effects that the controller's model lacks.
 
     python benchmarks/unmodelled.py --world sides later-5hz --trials 30 --jobs 2 --out new.csv
     python benchmarks/unmodelled.py --trials 0 --out new.csv --against old.csv
 
-prints "Where the model lacks something" of docs/reference/measured.md, for each world of
-`benchmarks/worlds`. --out keeps a CSV, to which trials are added; --against prints the differences
-from the same trials of another version.
+The output is "Where the model lacks something" of docs/reference/measured.md, for each world of
+`benchmarks/worlds`. --out keeps a CSV file, to which trials are added. --against prints the
+differences from the same trials of another version.
 """
 
 import argparse

@@ -1,11 +1,12 @@
-"""Plays rehearsed days with planted defects until an invariant finds them.
+"""Runs rehearsals with planted defects until an invariant finds each defect.
 
     python benchmarks/mutants/play.py 01 02 ... --days 336 1600 [--seed 3] [--set KEY=VALUE ...]
         [--out mutants]
 
-Applies NN.patch to a copy of the sources. Each day is played without a defect first: a violation
-that it has then too finds nothing. Prints by which invariant each defect is found, on which day:
-further days are not played. `--out` keeps the days, which are not played again.
+The script applies NN.patch to a copy of the sources, and runs test days one after another. Each day
+also runs without the defect: a violation that occurs there too does not count. The output says
+which invariant finds each defect, and on which day. Later days are not run. `--out` keeps the days,
+which are then not run again.
 """
 
 import argparse
@@ -24,7 +25,7 @@ PARTS = ("tetractl", f"{EMULATOR}/tetractl_emulator", "firmware")
 
 
 def play(folder, args):
-    """Play days with the sources that are first in PYTHONPATH."""
+    """Run test days with the sources that come first in PYTHONPATH."""
     from tetractl_emulator.lab_rehearse import rehearsed
 
     from tetractl.control.methods.build import warm_up
@@ -41,8 +42,7 @@ def play(folder, args):
 
 
 def found(folder, day):
-    """Return what a day has broken with the defect of a folder, and not without: the names of the
-    invariants, and what was found."""
+    """Return the invariants that a day violates only with a folder's defect, and the findings."""
     with_defect, without = (
         {name: what for name, _, what in json.loads((of / f"{day}.json").read_text())["violations"]}
         for of in (folder, folder.with_name("00"))
@@ -80,7 +80,7 @@ def main():
 
 
 def finding(folder, days):
-    """Return on which day a defect was found, and by which invariant."""
+    """Return the day on which a defect was found, and the invariant that found it."""
     for day in days:
         new = found(folder, day)
         if new:

@@ -1,4 +1,4 @@
-"""(b) closed loop, and the time of its steps."""
+"""Part (b): the error in closed loop, and the computing time of its steps."""
 
 import numpy as np
 
@@ -36,7 +36,7 @@ def _times(results: list[Result]) -> list[str]:
 
 
 def closed(settings: Settings) -> Report:
-    """Final error and step times on the undisturbed continuous plant."""
+    """Measure the final error and step times on the undisturbed continuous plant."""
     report = Report("(b) Closed loop and control step")
     ours = experiment(OURS)
     contestants = [("paper, as published", experiment(PAPER)), ("**ours**", ours)]

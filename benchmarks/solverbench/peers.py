@@ -1,7 +1,7 @@
-"""Other people's optimisers on our problems, each with the best settings we found for it.
+"""Other people's optimisers on our problems, each with the best settings that we found.
 
-All but IPOPT evaluate J with our compiled kernel: what is compared is the search alone.
-Each runs, restarting where it gets stuck, until the meter says that J <= GOOD or that time is up.
+All except IPOPT evaluate J with our compiled kernel, so that only the search is compared. Each
+optimiser restarts when it gets stuck, until J <= GOOD or the time is over.
 """
 
 import importlib.util
@@ -31,16 +31,16 @@ Peer = Callable[["Meter", int], NoReturn]
 
 
 def available(module: str) -> bool:
-    """Whether a peer is installed."""
+    """Check whether another solver is installed."""
     return importlib.util.find_spec(module) is not None
 
 
 class Over(Exception):  # noqa: N818 - the end of a race is no error
-    """J <= GOOD, or time is up."""
+    """Raised when a solver has reached J <= GOOD, or when its time is over."""
 
 
 class Meter:
-    """Evaluates J of one problem and length, and ends the race."""
+    """Evaluates J for one problem and plan length, and ends the race between solvers."""
 
     def __init__(self, problem: Problem, length: int, cap_s: float) -> None:
         self.problem = problem
@@ -50,13 +50,13 @@ class Meter:
         self.end = self.begin + cap_s
 
     def of_columns(self, signals: Floats) -> Floats:
-        """J of signals (L, P)."""
+        """Evaluate J of signals (L, P)."""
         total = compiled_costs(self.problem, signals.shape[1])(signals)
         self.note(float(total.min()))
         return total
 
     def of_rows(self, signals: Floats) -> Floats:
-        """J of signals (P, L)."""
+        """Evaluate J of signals (P, L)."""
         return self.of_columns(signals.T)
 
     def note(self, cost: float) -> None:
@@ -69,7 +69,7 @@ class Meter:
 
 
 def race(peer: Peer, problem: Problem, length: int, seed: int, cap_s: float) -> tuple[float, float]:
-    """Run a peer; return (processor time [s], best J)."""
+    """Run a solver, and return its processor time [s] and its best J."""
     meter = Meter(problem, length, cap_s)
     with suppress(Over):
         peer(meter, seed)
@@ -97,13 +97,13 @@ our_pso = _ours(_SWARM)
 
 
 def compile_for(problem: Problem, length: int) -> None:
-    """Compile what our searches of a problem run, so that no race counts it, however short."""
+    """Compile our searches of a problem in advance, so that compilation is never timed."""
     for optimizer in (_MULTISTART, _SWARM):
         optimizer.search(problem, length, np.zeros(length), 0, Limits())
 
 
 def reference(meter: Meter, seed: int) -> NoReturn:
-    """Our particle swarm, with J by the NumPy reference."""
+    """Run our particle swarm, with J from the NumPy reference."""
 
     def numpy_costs(signals: np.ndarray) -> np.ndarray:
         return evaluate(meter.problem, signals.T).total
@@ -130,7 +130,7 @@ OPTIONS = {"w": 0.7, "c1": 1.5, "c2": 1.5}
 
 
 def pycma(meter: Meter, seed: int) -> NoReturn:
-    """Without bounds, since J is periodic in each direction; a diagonal covariance did best."""
+    """Run CMA-ES without bounds, because J is periodic; a diagonal covariance was best."""
     import cma
 
     rng = np.random.default_rng(seed)
@@ -168,7 +168,7 @@ def scipy_de(meter: Meter, seed: int) -> NoReturn:
 
 
 def smooth_start(problem: Problem, length: int, rng: np.random.Generator) -> Floats:
-    """A random curve through a few directions around the bearing of the targets."""
+    """Sample a smooth curve through a few directions near the bearing of the targets."""
     gaps = problem.targets - problem.poses.xy
     bearing = np.arctan2(gaps[:, 1].sum(), gaps[:, 0].sum())
     knots = rng.uniform(-np.pi / 2, np.pi / 2, 6)

@@ -1,4 +1,4 @@
-"""The problems everybody has to solve."""
+"""The problems that all solvers have to solve."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,7 +29,7 @@ def experiment(name: str, *settings: str) -> Experiment:
 def played(
     spec: Experiment, trial: int, observers: Sequence[Observer] = ()
 ) -> tuple[Result, Plant]:
-    """Run a trial in virtual time without any log; return its result, and its plant."""
+    """Run a trial in virtual time without a log, and return its result and its plant."""
     key, seed = trial_seeds(spec.trials.seed, trial)
     clock = VirtualClock()
     plant = spec.plant.build(spec.setup, clock, seed, LabSupervision())
@@ -40,7 +40,7 @@ def played(
 
 
 def run(spec: Experiment, trials: int) -> list[Result]:
-    """Run trials in virtual time without any log; return their results."""
+    """Run trials in virtual time without logs, and return their results."""
     return [played(spec, trial)[0] for trial in range(trials)]
 
 
@@ -50,10 +50,10 @@ def _problem(name: str) -> Problem:
 
 
 def printed() -> Problem:
-    """Step 0 of the reference experiment as printed: Euler, obstacle tested at the samples."""
+    """Return step 0 of the reference experiment as printed: Euler, obstacles at the samples."""
     return _problem(PAPER)
 
 
 def recommended() -> Problem:
-    """The same as we recommend it: exact motion, obstacle and walls swept, with a margin."""
+    """Return step 0 as we recommend it: exact motion, obstacles and walls swept, with a margin."""
     return _problem(OURS)

@@ -1,4 +1,4 @@
-"""How thorough a run is, and what it prints as Markdown tables."""
+"""How thorough a run is, and the Markdown tables that it prints."""
 
 import os
 import sys
@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How thorough a run is: `seeds` and `trials` to average over."""
+    """How thorough a run is: the numbers of `seeds` and `trials` to average over."""
 
     seeds: int
     peer_seeds: int
@@ -27,7 +27,7 @@ class Settings:
 
 @dataclass(slots=True)
 class Report:
-    """What one part prints."""
+    """The output of one part."""
 
     title: str
     lines: list[str] = field(default_factory=list)
@@ -45,7 +45,7 @@ def _row(cells: Sequence[str]) -> str:
 
 
 def load() -> str:
-    """How busy the machine is: the load average over the last minute."""
+    """Describe how busy the computer is: the load average over the last minute."""
     return f"load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
 
 
@@ -54,7 +54,7 @@ def progress(text: str) -> None:
 
 
 def spread(times: Sequence[float] | np.ndarray) -> str:
-    """p50 / p99 / max of some times [s], in ms."""
+    """Format p50 / p99 / max of some times [s], in ms."""
     values = np.asarray(times) * 1e3
     p50 = np.median(values)
     p99 = np.quantile(values, 0.99)

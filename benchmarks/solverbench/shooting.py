@@ -1,4 +1,4 @@
-"""IPOPT by multiple shooting, the package benchmarks/tetractl-ipopt: raced, and in the loop."""
+"""IPOPT with multiple shooting (benchmarks/tetractl-ipopt), in the race and in closed loop."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar, NoReturn
@@ -21,7 +21,7 @@ ITERATIONS = 300
 
 
 def ipopt(cap_s: float) -> Callable[[Meter, int], NoReturn]:
-    """Return the peer of a race that lasts `cap_s`."""
+    """Create the solver for a race that lasts `cap_s`."""
 
     def run(meter: Meter, seed: int) -> NoReturn:
         from tetractl_ipopt import promising
@@ -38,8 +38,7 @@ def ipopt(cap_s: float) -> Callable[[Meter, int], NoReturn]:
 
 
 class ShrinkingSection(RecommendedMpc):
-    """The fields of `Shrinking`: those of the recommended problem, and the steps that Algorithm 2
-    counts."""
+    """The fields of `Shrinking`: the recommended problem, and the steps that Algorithm 2 counts."""
 
     steps_max: int = LENGTH
     """A trial ends with its sequence, one step a signal, and so before this step."""
@@ -48,8 +47,11 @@ class ShrinkingSection(RecommendedMpc):
 
 
 def shrinking(spec: Experiment, optimizer: OptimizerSection) -> Experiment:
-    """Return a spec with `Shrinking` in place of its recommended controller, whose control period
-    must be that of its signals: Algorithm 2 drops a signal in each step."""
+    """Return a spec with `Shrinking` instead of its recommended controller.
+
+    Its control period must equal the period of its signals, because Algorithm 2 drops a signal in
+    each step.
+    """
     recommended = spec.controller
     assert isinstance(recommended, RecommendedMpc)
     assert recommended.signal_periods == 1
@@ -58,21 +60,21 @@ def shrinking(spec: Experiment, optimizer: OptimizerSection) -> Experiment:
 
 
 class Shrinking(Algorithm2):
-    """Model predictive control by IPOPT: one length at step 0, then what is left of the plan."""
+    """Model predictive control with IPOPT: one length at step 0, and then the rest of the plan."""
 
     def _starts(self) -> list[tuple[int, Floats | None]]:
         return [(LENGTH, None) if self.warm is None else (len(self.warm), self.warm)]
 
 
 def shooter(problem: Problem, length: int, cap_s: float) -> Any:
-    """Return the programme for a length; building it is not timed."""
+    """Return the optimisation problem for a length. Building it is not timed."""
     import tetractl_ipopt
 
     return tetractl_ipopt.shooter(problem, length, ITERATIONS, max(cap_s, 0.01))
 
 
 def build_all(problem: Problem, shortest: int) -> None:
-    """Build the programmes a closed loop needs, outside its time."""
+    """Build the optimisation problems that a closed loop needs, before its time counts."""
     import tetractl_ipopt
 
     tetractl_ipopt.shooter(problem, LENGTH, tetractl_ipopt.ITERATIONS)

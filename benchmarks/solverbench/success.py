@@ -1,4 +1,4 @@
-"""(a) share of seeds on which step 0 is solved to 1 mm, and how long that takes."""
+"""Part (a): the fraction of seeds with which step 0 is solved to 1 mm, and the time needed."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from .report import Report, Settings, load, progress
 
 
 def _optimisers(cap_s: float) -> tuple[list[tuple[str, Peer]], list[str]]:
-    """Return who takes part, and who is not installed."""
+    """Return the optimisers that take part, and those that are not installed."""
     rows = [
         ("**ours (multistart)**", peers.ours),
         ("our compiled PSO, restarted", peers.our_pso),
@@ -32,7 +32,7 @@ def _optimisers(cap_s: float) -> tuple[list[tuple[str, Peer]], list[str]]:
 
 
 def _row(name: str, times: Sequence[float], best: Sequence[float]) -> list[str]:
-    """Share solved, median and largest time; a cap counts as its time."""
+    """Format the fraction solved, and the median and largest time. A timeout counts as its time."""
     solved = np.array(best) <= GOOD
     t = np.array(times) * 1e3
     return [
@@ -51,7 +51,7 @@ def _is_named(who: str, names: Sequence[str]) -> bool:
 
 
 def step_0(settings: Settings, only: Sequence[str] = ()) -> Report:
-    """Every optimiser on the printed and on the recommended problem, or those with such names."""
+    """Run every optimiser, or those with such names, on the printed and the recommended problem."""
     report = Report("(a) Step 0 solved to a total error of 1 mm")
     everybody, missing = _optimisers(settings.cap_s)
     if only:

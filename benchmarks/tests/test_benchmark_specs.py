@@ -1,4 +1,4 @@
-"""The benchmark's instances: each is valid, and README tells of it."""
+"""Tests that each instance of the benchmark is valid and named in README."""
 
 import pytest
 import yaml

@@ -1,4 +1,4 @@
-"""The benchmarks that print the tables of the docs run, at their smallest size."""
+"""Tests that the benchmarks which print tables of the docs run, at their smallest size."""
 
 import subprocess
 import sys

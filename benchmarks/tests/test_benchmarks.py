@@ -1,4 +1,4 @@
-"""Every benchmark starts: none is left behind by a change of what it measures."""
+"""Tests that every benchmark still starts after changes of the code that it measures."""
 
 import runpy
 import sys

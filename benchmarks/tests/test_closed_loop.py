@@ -1,4 +1,4 @@
-"""The peer of the solver's closed loop, without CasADi."""
+"""Tests of the other solver in the solver's closed loop, without CasADi."""
 
 import pytest
 from solverbench import loop, shooting

@@ -1,4 +1,4 @@
-"""The package of IPOPT, with a played programme in place of CasADi's."""
+"""Tests of the package for IPOPT, with a fake instead of CasADi."""
 
 import sys
 

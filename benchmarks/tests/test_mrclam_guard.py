@@ -1,4 +1,4 @@
-"""Recordings of real robots become a log, which the guard watches."""
+"""Tests that recordings of real robots become a log that the guard can watch."""
 
 import mrclam_guard
 import numpy as np

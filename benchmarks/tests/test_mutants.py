@@ -1,4 +1,4 @@
-"""Planted defects: the patches for rehearsals fit the sources, and random ones are well-formed."""
+"""Tests of planted defects: patches for rehearsals fit the sources, random ones are valid."""
 
 import ast
 import subprocess

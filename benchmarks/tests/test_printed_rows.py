@@ -1,10 +1,10 @@
-"""A row of each printed table of a page is what its command prints now.
+"""Tests that a row of each printed table on a page agrees with what its command prints now.
 
-README, and the pages with `console` blocks, are compared by tests/cli/test_docs.py to the last
-digit. The tables here take too long for that: a row is run with 20 of its trials, or fewer
-instances of the benchmark, and its mean is compared with that of the page by their intervals. So a
-table of an earlier plant or controller is noticed if its error differs by more than 20 trials leave
-to chance.
+tests/cli/test_docs.py compares README and the pages with `console` blocks to the last digit. The
+tables here take too long for this. A row is therefore run with 20 of its trials, or with fewer
+instances of the benchmark. Its mean is compared with the mean on the page, with their intervals.
+This notices a table from an earlier plant or controller if its error differs by more than the
+chance in 20 trials.
 """
 
 import re

@@ -1,4 +1,4 @@
-"""Each rule that `rules.py` asks can be taken out of the controller."""
+"""Tests that each rule in `rules.py` can be disabled in the controller."""
 
 from unittest.mock import patch
 

@@ -1,16 +1,18 @@
 """`optimizer: {type: ipopt}`: multiple shooting, solved by IPOPT through CasADi.
 
-States and directions are the variables, the motion is a constraint between neighbours in time, and
+The variables are states and directions. The motion is a constraint between successive states, and
 the cost is the sum of the squared distances to the targets. Obstacles are constraints at the
-samples: smooth curves round their bounds, since IPOPT differentiates twice. A shape that no robot
-can get round in time is a wall: bounds of the places.
+samples. They are smooth curves around their bounds, because IPOPT needs second derivatives. A shape
+that no robot can drive around in time is a wall, which limits the positions.
 
-A programme depends on numbers alone that seldom change: of robots, signals and boxes. All else,
-what is estimated of the robots too, is a parameter, so that programmes are built once.
+A nonlinear programme depends only on numbers that seldom change: of robots, signals and boxes. All
+other values, including the estimates of the robots, are parameters, so that programmes are built
+once.
 
-There are two for each size, for what was measured to converge. From a random start IPOPT
-approximates the Hessian by BFGS: with exact ones few starts converge. From a warm start, which is
-near a solution, it takes exact Hessians and a barrier that begins small: a third of the iterations.
+There are two programmes for each size, because measurements showed that both are needed to
+converge. From a random start, IPOPT approximates the Hessian by BFGS, because few starts converge
+with exact Hessians. From a warm start, which is near a solution, it uses exact Hessians and a
+barrier that begins small, and needs a third of the iterations.
 """
 
 from collections.abc import Mapping, Sequence
@@ -65,25 +67,27 @@ class Ipopt(OptimizerSection):
 
     @property
     def iterations_max(self) -> int:
-        """The best random start as it is, and each start solved twice."""
+        """Maximum number of iterations: the best random start as it is, and each start solved
+        twice.
+        """
         return 2 * STARTS + 1
 
     @property
     def evaluations_min(self) -> int:
-        """That of the warm start."""
+        """Minimum number of evaluations: the evaluation of the warm start."""
         return 1
 
     @property
     def good_enough(self) -> float:
-        """The tolerance."""
+        """The tolerance: a cost that is good enough."""
         return self.tolerance
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Solve from the warm start unless it is good enough; without one from random curves.
+        """Solve from the warm start unless it is good enough, or from random curves without one.
 
-        J (7) of what IPOPT returns decides. The time of one solution is not limited.
+        The cost J (7) of IPOPT's result decides. The time of a single solution is not limited.
         """
         solutions = _Solutions(problem, length, limits, self.tolerance)
         if warm is not None:
@@ -101,7 +105,7 @@ class Ipopt(OptimizerSection):
 
 
 class _Solutions(Progress):
-    """The progress of a search, and the iterations of IPOPT that are left to it."""
+    """The progress of a search, and the number of IPOPT iterations that remain."""
 
     def __init__(self, problem: Problem, length: int, limits: Limits, tolerance: float) -> None:
         super().__init__(length, limits)
@@ -110,13 +114,13 @@ class _Solutions(Progress):
         self.left = ITERATIONS_ALL
 
     def note(self, signals: Floats) -> None:
-        """Evaluate one sequence; the search is over where it is good enough."""
+        """Evaluate one sequence. The search is over if it is good enough."""
         self.add(signals[:, None], evaluate(self.problem, signals[None]).total)
         if self.cost <= self.tolerance:
             self.ended = StopReason.TARGET
 
     def solve(self, guess: Floats, iterations: int, warm: bool) -> Floats | None:
-        """Solve from a guess and return what was found; None where the search is over."""
+        """Solve from a guess, and return the result. None if the search is over."""
         if self.ended is None:
             self.ended = self.limit_before(1)
         if self.ended is not None or self.left <= 0:
@@ -131,7 +135,7 @@ class _Solutions(Progress):
 def promising(
     problem: Problem, length: int, rng: np.random.Generator, count: int
 ) -> Sequence[Floats]:
-    """Return those `count` of many random curves (length,) that cost least, best first."""
+    """Return the `count` best of many random curves (length,), best first."""
     knots_max = max(LEAST_KNOTS, KNOTS * problem.a.size)
     size = min(knots_max, length), max(SCATTERED, count)
     x, y = (problem.targets - problem.poses.xy).T
@@ -145,14 +149,16 @@ def promising(
 
 
 def unit_of(problem: Problem) -> float:
-    """Return the unit of length of a programme: five seconds' way of the fastest robot."""
+    """Return the length unit of a programme: the distance of the fastest robot in five seconds."""
     return 5.0 * float(problem.speed.max())
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What is in the way of robots, in a programme's unit: boxes (left, bottom, right, top), and a
-    `field` of the same form that robots are to keep to; its infinite sides are open.
+    """Obstacles for robots, in a programme's unit.
+
+    `boxes` are (left, bottom, right, top). Robots must stay within the `field`, which has the same
+    form. Infinite sides are open.
     """
 
     boxes: Sequence[Floats]
@@ -160,10 +166,10 @@ class Scene:
 
     @classmethod
     def of(cls, problem: Problem, length: int) -> Self:
-        """Return what robots can meet in a sequence of `length` signals.
+        """Return the obstacles that robots can reach in a sequence of `length` signals.
 
-        A box that spans all they can reach, with all robots and targets on the same side, is a
-        wall, which is not grown: it has no corners.
+        A box that spans everything within reach, with all robots and targets on the same side, is a
+        wall. It is not grown, because it has no corners.
         """
         unit = unit_of(problem)
         xy = np.vstack([problem.poses.xy, problem.targets]) / unit
@@ -196,9 +202,10 @@ class Scene:
 
 
 def _side(box: Floats, xy: Floats, low: Floats, high: Floats) -> int | None:
-    """Return which side of the field a box is beyond as a wall, None where it is no wall.
+    """Return the side of the field beyond which a box is a wall. None if it is no wall.
 
-    Sides count as in `field`; xy (M, 2) are on one side of a wall, and it spans `low` to `high`.
+    Sides count as in `field`. The positions xy (M, 2) are on one side of a wall, and the wall must
+    span `low` to `high`.
     """
     for axis in (0, 1):
         across = 1 - axis
@@ -211,10 +218,10 @@ def _side(box: Floats, xy: Floats, low: Floats, high: Floats) -> int | None:
 
 
 class Shooter:
-    """The programme for sequences of one length; everything but counts is its parameter.
+    """The nonlinear programme for sequences of one length. All but counts are its parameters.
 
-    Lengths are in `unit_of` the problem, so that variables are near 1. `near` weighs the change of
-    the directions; `options` are IPOPT's. `iterations` are those of the last solution.
+    Lengths are in the unit from `unit_of`, so that variables are near 1. `near` is the weight of
+    changes of the directions. `options` are IPOPT's. `iterations` are those of the last solution.
     """
 
     def __init__(
@@ -260,9 +267,10 @@ class Shooter:
         self.solver = ca.nlpsol("shoot", "ipopt", programme, settings)
 
     def solve(self, problem: Problem, guess: Floats) -> Floats:
-        """Return the directions (L,) found from a guess (L,).
+        """Compute the directions (L,) from a guess (L,).
 
-        A robot that starts, or is to end, within a curve round an obstacle may come as near to it.
+        A robot that starts or should end within the curve around an obstacle may come as near to
+        the obstacle.
         """
         unit = unit_of(problem)
         length = self.length
@@ -304,9 +312,9 @@ class Shooter:
 def shooter(
     problem: Problem, length: int, iterations: int, cap_s: float = ENDLESS, warm: bool = False
 ) -> Shooter:
-    """Return the programme for a length, from random starts or warm ones, built once in a process.
+    """Return the programme for a length, from random or warm starts. It is built once in a process.
 
-    A solution ends after so many iterations or `cap_s` [s].
+    A solution ends after a number of iterations, or after `cap_s` [s].
     """
     counts = problem.a.size, length, len(Scene.of(problem, length).boxes)
     return _built(problem.motion, *counts, iterations, cap_s, warm)
@@ -323,7 +331,7 @@ def _built(
 
 @cache
 def _step(motion: str) -> Any:
-    """Return one step of one robot, a function of (state, u, (a, speed), T)."""
+    """Return one step of one robot as a function of (state, u, (a, speed), T)."""
     import casadi as ca
 
     s = ca.SX.sym("s", 3)
@@ -356,9 +364,10 @@ def _step(motion: str) -> Any:
 
 @cache
 def _outside() -> Any:
-    """Return a function of a place and a box, >= 0 outside of it, and near the distance, in units,
-    where it is 0. It is a smooth maximum of the distances to the sides: 0 at the corners, and
-    within BEND of the sides.
+    """Return a function of a position and a box that is at least 0 outside of the box.
+
+    Near its zero, the function is about the distance in units. It is a smooth maximum of the
+    distances to the sides: 0 at the corners, and within BEND of the sides.
     """
     import casadi as ca
 

@@ -1,8 +1,9 @@
-"""In which plants and layouts the controller is measured: specs of experiments/ with disturbances.
+"""The plants and layouts (*worlds*) in which the controller is measured.
 
-Unless a world says otherwise, robots are those of three_m3pi.yaml at 20 Hz in the plant `HURT`:
-dead time 0.11 s, a +-20 %, speed +-10 %, heading walk 0.03 rad/sqrt(s), 8 % of the commands lost,
-camera 0.3 mm and 4 mrad at 120 Hz. To these a world adds one thing.
+A world is a spec of experiments/ with disturbances. Unless it says otherwise, it has the robots of
+three_m3pi.yaml at 20 Hz in the plant `HURT`: dead time 0.11 s, a +-20 %, speed +-10 %, heading walk
+0.03 rad/sqrt(s), 8 % of the commands lost, and a camera with 0.3 mm and 4 mrad at 120 Hz. Each
+world adds one effect.
 """
 
 import json
@@ -35,8 +36,11 @@ LONG = ("controller.horizon_max=200", "controller.time_limit=160.05")
 
 @dataclass(frozen=True)
 class World:
-    """Settings of a spec of experiments/, `more` disturbances, each as name and size in KINDS, and
-    what `layout` draws of each trial's spec. `plant` names the spec whose plant it has instead."""
+    """Settings of a spec of experiments/, with further disturbances.
+
+    `more` lists disturbances, each as name and size in KINDS. `layout` samples a part of each
+    trial's spec. `plant` names another spec whose plant is used.
+    """
 
     settings: tuple[str, ...] = HURT
     more: tuple[tuple[str, float], ...] = ()
@@ -46,13 +50,13 @@ class World:
 
     @property
     def body(self) -> float:
-        """The radius of its robots, also of controllers that are not given it [mm] or [um]."""
+        """The radius of its robots [mm] or [um], even if the controller does not know it."""
         return experiment(self.plant or self.base).controller.body_radius
 
     def spec(
         self, seed: int, trial: int, settings: Sequence[str] = (), slow: bool = False
     ) -> Experiment:
-        """Return the spec of a trial; `slow`: at 5 Hz."""
+        """Return the spec of a trial. If `slow`, it is controlled at 5 Hz."""
         rate = AT_5HZ if slow else ()
         spec = experiment(self.base, *rate, *self.settings, f"trials.seed={seed}", *settings)
         if self.layout:
@@ -68,17 +72,17 @@ class World:
 
 
 def _hurt(disturbance: str, *settings: str) -> World:
-    """One more of the shipped disturbances."""
+    """Create a world with one further shipped disturbance."""
     return World((*HURT, f"plant.disturbances=[{{{disturbance}}}]", *settings))
 
 
 def _lacking(kind: str, size: float) -> World:
-    """One more thing, which the model lacks."""
+    """Create a world with one further effect that the model lacks."""
     return World(more=((kind, size),))
 
 
 def _cells(disturbance: dict[str, Any], *settings: str) -> World:
-    """The disturbed cells with one more of the shipped disturbances."""
+    """Create a world of disturbed cells with one further shipped disturbance."""
     shipped = [
         disturbance.model_dump(mode="json") for disturbance in experiment(CELLS).plant.disturbances
     ]

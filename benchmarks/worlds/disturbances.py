@@ -1,7 +1,7 @@
-"""What the controller's model may lack, as disturbances of the plant.
+"""Disturbances of the plant that the controller's model does not contain.
 
-Numbers without another source are assumed: no lab has measured them. Places and times are drawn for
-each trial.
+Numbers without a source are assumptions, because no lab has measured them. Places and times are
+sampled for each trial.
 """
 
 from dataclasses import replace
@@ -19,7 +19,7 @@ Random = np.random.Generator
 
 
 class Unmodelled(Disturbance):
-    """One of the disturbances below, of a `size` whose meaning each of them says."""
+    """Base class of the disturbances below. Each of them defines what its `size` means."""
 
     def __init__(self, size: float, setup: Setup, random: Random) -> None:
         self.size = size
@@ -33,7 +33,7 @@ class Unmodelled(Disturbance):
         self.draw()
 
     def draw(self) -> None:
-        """Draw what is constant in a trial."""
+        """Sample the values that are constant during a trial."""
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
         self.xy = poses.xy.T
@@ -42,7 +42,7 @@ class Unmodelled(Disturbance):
 
 
 class Later(Unmodelled):
-    """From some time between 3 and 8 s on, commands act later by `size` [s]."""
+    """Delays all commands by `size` [s], starting between 3 and 8 s."""
 
     def draw(self) -> None:
         self.since_ns = 1e9 * self.random.uniform(3, 8)
@@ -54,7 +54,7 @@ class Later(Unmodelled):
 
 
 class SparseRadio(Unmodelled):
-    """Of the directions only one in `size` [s] gets out; stops and turns all do."""
+    """Lets only one direction per `size` [s] pass, but all stops and turns."""
 
     def draw(self) -> None:
         self.next_ns = 0
@@ -69,7 +69,10 @@ class SparseRadio(Unmodelled):
 
 
 class SlowPictures(Unmodelled):
-    """Twice for 4 s only 10 pictures a second arrive, later by `size` [s], from 1 to 14 s on."""
+    """Slows the camera twice for 4 s, starting between 1 and 14 s.
+
+    Only 10 images per second then arrive, later by `size` [s].
+    """
 
     def draw(self) -> None:
         section = FrozenCameraSection(type="frozen-camera", times=2, duration=4)
@@ -95,13 +98,18 @@ class Turning(Unmodelled):
         return Poses(poses.x, poses.y, self.before)
 
     def turned(self, by: Floats, seconds: float) -> Floats:
-        """Return how far (N,) they really turn in a time; without this, `by` [rad]."""
+        """Return how far (N,) robots really turn in a time. Without the disturbance, it would be
+        `by` [rad].
+        """
         return by
 
 
 class Sides(Turning):
-    """a is 1 + `size` of the spec's to one side, drawn for each robot, and 1 - `size` to the other:
-    a exp(+-k) with the sign of the turn."""
+    """Makes robots turn faster to one side, sampled for each robot.
+
+    a is (1 + `size`) times the spec's to this side, and (1 - `size`) times to the other: a exp(+-k)
+    with the sign of the turn.
+    """
 
     def draw(self) -> None:
         self.more = self.size * self.random.choice([-1.0, 1.0], self.count)
@@ -111,14 +119,14 @@ class Sides(Turning):
 
 
 class Saturated(Turning):
-    """No robot turns faster than `size` [rad/s]."""
+    """Limits the turning rate of all robots to `size` [rad/s]."""
 
     def turned(self, by: Floats, seconds: float) -> Floats:
         return np.clip(by, -self.size * seconds, self.size * seconds)
 
 
 class Slide(Unmodelled):
-    """Moving robots slide downhill by `size` [mm/s], and turn there at 0.1 rad/s at most."""
+    """Makes moving robots slide downhill at `size` [mm/s], and turn there at up to 0.1 rad/s."""
 
     def draw(self) -> None:
         self.down = self.random.uniform(-np.pi, np.pi)
@@ -132,7 +140,7 @@ class Slide(Unmodelled):
 
 
 class Strip(Unmodelled):
-    """On a strip `size` [mm] wide across the arena, speed is 70 % and a is 85 %."""
+    """Slows robots on a strip of `size` [mm] across the arena: 70 % of the speed, 85 % of a."""
 
     def draw(self) -> None:
         self.at = self.middle[0, 0] + self.random.uniform(-300, 300)
@@ -143,8 +151,12 @@ class Strip(Unmodelled):
 
 
 class Lens(Unmodelled):
-    """The camera shows what is `size` of its distance too far out at the corners, and less within
-    by the square of the distance from the middle; headings are those of the picture."""
+    """Distorts the camera's image like a lens.
+
+    Positions are shown too far out, by the fraction `size` of their distance at the corners, and
+    less further in, with the square of the distance from the middle. Headings are those in the
+    image.
+    """
 
     def measured(self, poses: Poses, valid: Any, time_s: float) -> tuple[Poses, Any]:
         ahead = np.array([np.cos(poses.heading), np.sin(poses.heading)])
@@ -159,7 +171,7 @@ class Lens(Unmodelled):
 
 
 class Dead(Unmodelled):
-    """One robot's battery ends between 2 and `size` [s]; the camera sees it standing."""
+    """Empties one robot's battery between 2 and `size` [s]; the camera still sees the robot."""
 
     def draw(self) -> None:
         self.lives = np.arange(self.count) != self.random.integers(self.count)
@@ -171,8 +183,11 @@ class Dead(Unmodelled):
 
 
 class Avoid(Unmodelled):
-    """Each cell now and then, after `size` [s] on average, swims backwards for 0.5 s and turns for
-    0.5 s by up to 90 degrees, as ciliates do that meet something."""
+    """Makes each cell turn away now and then, as ciliates do when they meet something.
+
+    On average every `size` [s], a cell swims backwards for 0.5 s, and turns for 0.5 s by up to 90
+    degrees.
+    """
 
     def draw(self) -> None:
         self.next_s = self.random.exponential(self.size, self.count)
@@ -209,7 +224,7 @@ KINDS: dict[str, type[Unmodelled]] = {
 
 
 class UnmodelledSection(DisturbanceSection):
-    """One of these disturbances."""
+    """The section of a spec for one of these disturbances."""
 
     type: str
     size: float

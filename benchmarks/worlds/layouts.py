@@ -1,4 +1,4 @@
-"""What is drawn of each trial's spec: starts, targets, robots and obstacles."""
+"""Samples layouts for each trial's spec: starts, targets, robots and obstacles."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ Fields = dict[str, Any]
 
 
 def near_a_wall(random: Random, spec: Experiment, trial: int) -> Fields:
-    """Start three robots in a row 60 mm from a wall and 105 mm apart, with any headings."""
+    """Place three robots in a row 60 mm from a wall and 105 mm apart, with random headings."""
     arena = spec.setup.arena
     upright = bool(random.integers(2))
     size = np.array([arena.width, arena.height])
@@ -30,8 +30,11 @@ def near_a_wall(random: Random, spec: Experiment, trial: int) -> Fields:
 
 
 def through_a_gap(random: Random, spec: Experiment, trial: int) -> Fields:
-    """A wall 100 mm thick with one gap of 260 mm, from starts on its left to targets on its right,
-    150 mm from walls and 250 mm from each other, with any headings."""
+    """Build a wall of 100 mm with one gap of 260 mm between the starts and the targets.
+
+    Starts are on its left and targets on its right, 150 mm from walls and 250 mm from each other.
+    Headings are random.
+    """
     arena = spec.setup.arena
     first_x = arena.left + random.uniform(600, 900)
     low = random.uniform(150, arena.height - 260 - 150)
@@ -47,7 +50,7 @@ def through_a_gap(random: Random, spec: Experiment, trial: int) -> Fields:
 def _moved(
     random: Random, spec: Experiment, starts: Floats, targets: Floats | None = None
 ) -> tuple[Fields, ...]:
-    """Return a spec's robots with other starts, any headings and perhaps other targets."""
+    """Return a spec's robots with other starts, random headings and, optionally, other targets."""
     robots = [robot.model_dump(mode="json") for robot in spec.robots]
     for i, robot_fields in enumerate(robots):
         robot_fields |= {"start": tuple(starts[i]), "heading": float(random.uniform(-np.pi, np.pi))}
@@ -56,7 +59,7 @@ def _moved(
 
 
 def eight(random: Random, spec: Experiment, trial: int) -> Fields:
-    """Eight robots as `anywhere`, in 3 x 3 m without obstacles."""
+    """Place eight robots like `anywhere`, in 3 x 3 m without obstacles."""
     inside = EDGE_MM, 3000 - EDGE_MM
     starts, targets = (scattered(random, 8, inside, inside) for _ in range(2))
     arena = {"left": 0, "bottom": 0, "width": 3000, "height": 3000}
@@ -64,9 +67,12 @@ def eight(random: Random, spec: Experiment, trial: int) -> Fields:
 
 
 def anywhere(random: Random, spec: Experiment, trial: int) -> Fields:
-    """2 + `trial` mod 5 robots in 2.4 x 2.4 m: starts, headings and targets anywhere at least 150
-    mm from the edge and 250 mm from each other, one to three rectangles at least 200 mm from all of
-    them, a from 2 to 6 rad/s, speeds from 150 to 200 mm/s. 5 mm a robot are accepted."""
+    """Place 2 + `trial` mod 5 robots randomly in 2.4 x 2.4 m, with one to three rectangles.
+
+    Starts and targets are at least 150 mm from the edge, 250 mm from each other, and 200 mm from
+    the rectangles. Headings are random, a is from 2 to 6 rad/s, and speeds are from 150 to 200
+    mm/s. The accepted error is 5 mm for each robot.
+    """
     count = SIZES[trial % len(SIZES)]
     starts = scattered(random, count)
     targets = scattered(random, count)
@@ -85,7 +91,7 @@ def scattered(
     x: tuple[float, float] = INSIDE,
     y: tuple[float, float] = INSIDE,
 ) -> Floats:
-    """Draw points (count, 2) within ranges of x and y that are BETWEEN_MM from each other."""
+    """Sample points (count, 2) within ranges of x and y, at least BETWEEN_MM from each other."""
     points: list[Floats] = []
     while len(points) < count:
         point = random.uniform(*zip(x, y, strict=True))
@@ -95,7 +101,7 @@ def scattered(
 
 
 def _drawn(random: Random, starts: Floats, targets: Floats) -> tuple[Fields, ...]:
-    """Return robots with any headings and any speeds, whose a are apart by one factor."""
+    """Create robots with random headings and speeds. Successive a differ by a constant factor."""
     rates = random.permutation(np.geomspace(2, 6, len(starts)))
     return tuple(
         {
@@ -111,7 +117,7 @@ def _drawn(random: Random, starts: Floats, targets: Floats) -> tuple[Fields, ...
 
 
 def _rectangles(random: Random, points: Floats) -> tuple[Fields, ...]:
-    """Draw one to three rectangles that are CLEAR_MM from all points."""
+    """Sample one to three rectangles at least CLEAR_MM from all points."""
     obstacles: list[Fields] = []
     several = int(random.integers(1, 4))
     for _ in range(1000 * several):

@@ -1,9 +1,9 @@
-"""Trials of a world: how they are run and kept, and the lines of tables that pages print of them.
+"""Runs and stores the trials of a world, and formats the lines of the tables on pages.
 
-A place is the name of a world, with `-5hz` behind it if it is controlled at 5 Hz, and settings of
-its spec, each after ` --set `. Trials of two places, controllers or versions with the same seed and
-number are pairs: what is drawn of the plant is the same in both. Bodies are discs of the radius of
-the world's robots. All is simulated, in virtual time.
+A place is the name of a world, with `-5hz` appended if it is controlled at 5 Hz, and with settings
+of its spec, each after ` --set `. Trials with the same seed and index in two places, with two
+controllers or in two versions are pairs: the same values of the plant are sampled in both. Bodies
+are discs with the radius of the world's robots. Everything is simulated, in virtual time.
 """
 
 import csv
@@ -37,10 +37,11 @@ class Task(NamedTuple):
 
 @dataclass(frozen=True)
 class Row:
-    """What came of a trial, in the unit of its spec; where a robot dies, the errors of the others.
+    """The result of a trial, in the unit of its spec. If a robot dies, the errors of the others.
 
-    `edge`, `obstacle` and `apart` are the least room of bodies, negative where they touch. Steps
-    that took longer than a control period are late; the first, for which robots stand, is left out.
+    `edge`, `obstacle` and `apart` are the minimum free distances of bodies, negative if they
+    overlap. Steps that took longer than a control period are late. The first step is left out,
+    because robots stand still during it.
     """
 
     error: float
@@ -86,7 +87,7 @@ def run(task: Task) -> Row:
 
 
 def read(path: Path) -> dict[Task, Row]:
-    """Return the trials of a CSV, none if there is no file."""
+    """Read the trials in a CSV file. Empty if there is no file."""
     if not path.exists():
         return {}
     rows = {}
@@ -104,8 +105,10 @@ def extended(
     begin: Callable[..., object] | None = None,
     words: Sequence[Any] = (),
 ) -> dict[Task, Row]:
-    """Return the trials of a CSV, to which those of `tasks` that it lacks are added, run by `jobs`
-    new processes that call `begin(*words)` first."""
+    """Run the trials of `tasks` that a CSV file lacks, and return all trials of the file.
+
+    They run in `jobs` new processes, which first call `begin(*words)`.
+    """
     rows = read(path) if path else {}
     lacking = [task for task in tasks if task not in rows]
     if not lacking:
@@ -124,7 +127,7 @@ def extended(
 
 
 def columns(rows: Sequence[Row]) -> dict[str, Floats]:
-    """Return the values of all rows by the names of their fields."""
+    """Return the values of all rows, by the names of their fields."""
     return {
         field.name: np.array([getattr(row, field.name) for row in rows]) for field in fields(Row)
     }
@@ -138,7 +141,7 @@ HEAD = (
 
 
 def line(name: str, rows: Sequence[Row]) -> str:
-    """Return the line of a table for the trials of a place."""
+    """Format the line of a table for the trials of a place."""
     values = columns(rows)
     error = values["error"]
     seconds = values["seconds"]
@@ -165,7 +168,7 @@ PAIRS_HEAD = (
 
 
 def interval(differences: Floats) -> str:
-    """Return the mean of differences and its bootstrap interval (95 %)."""
+    """Format the mean of differences and its 95 % bootstrap interval."""
     random = np.random.default_rng(1)
     means = random.choice(differences, (RESAMPLES, len(differences))).mean(axis=1)
     low, high = np.quantile(means, [0.025, 0.975])
@@ -173,7 +176,7 @@ def interval(differences: Floats) -> str:
 
 
 def pair_line(name: str, place: str, pairs: Sequence[tuple[Row, Row]]) -> str:
-    """Return the line of what a change brings in a place, of pairs before it and now."""
+    """Format the line for the effect of a change in a place, from pairs before and after it."""
     rows_before, rows_now = zip(*pairs, strict=True)
     before = columns(rows_before)
     now = columns(rows_now)
@@ -196,7 +199,7 @@ def _touching(rows: Sequence[Row]) -> int:
 
 
 def pair_lines(name: str, before: Rows, now: Rows) -> list[str]:
-    """Return the lines of a change: one for each place, and those of all robots and all cells."""
+    """Format the lines of a change: one for each place, and those of all robots and all cells."""
     pairs: dict[str, list[tuple[Row, Row]]] = {}
     for task in (task for task in now if task in before):
         total = "all cells" if task.place.startswith("cells") else "all robots"

@@ -1,4 +1,4 @@
-"""The folder of two short trials, for all tests here."""
+"""Pytest fixture for all tests here: a folder with the logs of two short trials."""
 
 from testkit.quick_pair import folder
 

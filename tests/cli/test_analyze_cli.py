@@ -1,4 +1,4 @@
-"""`tetractl analyze`, as a user starts it."""
+"""Tests of the command `tetractl analyze`, started as a user would."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""The `Containerfile`: its steps run in a clean root, so that no container runtime is needed."""
+"""Tests of the steps in the `Containerfile`, in a clean root folder without a container runtime."""
 
 import os
 import re

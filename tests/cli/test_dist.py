@@ -1,4 +1,4 @@
-"""`make dist`, installed into an empty environment: packages work, and nothing is compiled."""
+"""Tests of `make dist` in an empty environment: packages work, and nothing is compiled."""
 
 import os
 import platform

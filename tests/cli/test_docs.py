@@ -1,4 +1,4 @@
-"""What README and docs/ say, against what the commands do."""
+"""Tests that README and docs/ show what the commands print."""
 
 import json
 import os

@@ -1,5 +1,4 @@
-"""What a log promises, tested for real: signals, kills, full disks; and the commands that repair,
-verify and repeat."""
+"""Tests of logs after real signals, kills and full disks, and of their repair."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""`tetractl export`: tables of a batch, read back by the programs they are for."""
+"""Tests of `tetractl export`: other programs read its tables."""
 
 from pathlib import Path
 

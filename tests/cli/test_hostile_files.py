@@ -1,4 +1,4 @@
-"""Tables, rows, specs and names from anybody: one line, within bounds, at every command."""
+"""Tests that broken tables, specs and names are refused in one line, at every command."""
 
 import pytest
 from testkit import random_trials

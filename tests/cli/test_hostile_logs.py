@@ -1,4 +1,4 @@
-"""Logs that anybody may have made: every command ends, and says why in a line."""
+"""Tests that every command ends with a one-line reason for any broken log."""
 
 import os
 import subprocess
@@ -105,5 +105,5 @@ def test_too_few_addresses_are_one_line():
         capture_output=True, text=True, timeout=300, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     first, hint = done.stderr.splitlines()
-    assert first == "error: 410 MB of address space are allowed, 1000 are needed"
-    assert (done.returncode, hint) == (1, "  hint: ulimit -v unlimited")
+    assert first == "error: 410 MB, but tetractl needs 1000 MB"
+    assert (done.returncode, hint) == (1, "  hint: remove the limit with: ulimit -v unlimited")

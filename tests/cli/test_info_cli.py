@@ -1,4 +1,4 @@
-"""`tetractl info`, run as a user runs it."""
+"""Tests of the command `tetractl info`, started as a user would."""
 
 import json
 import shlex
@@ -101,7 +101,7 @@ def test_the_last_estimate_is_told_with_its_deviations(tmp_path):
 @pytest.mark.parametrize(
     ("log", "said"),
     [
-        ("cut.mcap.part", "outcome  none: the log breaks off before the end of the trial"),
+        ("cut.mcap.part", "outcome  none, because the log breaks off before the end of the trial"),
         ("flipped.mcap", "the checksum of the data section does not match"),
     ],
 )

@@ -1,4 +1,4 @@
-"""`tetractl init`, as a user starts it in an empty folder."""
+"""Tests of `tetractl init`, started as a user would in an empty folder."""
 
 import json
 import re
@@ -60,9 +60,15 @@ def test_a_lab_has_the_robots_and_the_camera_that_are_asked_for(tetractl, tmp_pa
             ["--lab", "--robots", "twits"],
             "--robots twits: unknown; did you mean 'twist'?\nhint: known are m3pi",
         ),
-        (["--robots", "twist"], "--camera and --robots are of a lab\nhint: add --lab"),
-        (["--camera", "optitrack"], "--camera and --robots are of a lab"),
-        (["--example", "three_m3pi", "--robots", "twist"], "--example cannot be combined"),
+        (
+            ["--robots", "twist"],
+            "--camera and --robots describe a lab, which needs --lab\nhint: add --lab",
+        ),
+        (["--camera", "optitrack"], "--camera and --robots describe a lab, which needs --lab"),
+        (
+            ["--example", "three_m3pi", "--robots", "twist"],
+            "--example writes a file exactly as shipped",
+        ),
     ],
 )
 def test_labs_that_do_not_exist_are_one_line(tetractl, tmp_path, words, said):
@@ -90,7 +96,7 @@ def test_what_other_packages_bring_is_among_the_examples(tetractl, tmp_path):
     assert load_spec(tmp_path / "experiments/two_cells.yaml").experiment.units.length == "um"
     unknown = tetractl("init", "--example", "faults/nothing")
     assert unknown.returncode == 2
-    assert "there is no example 'faults/nothing'" in unknown.stderr
+    assert "there is no example named 'faults/nothing'" in unknown.stderr
     assert "tetrahymena_dish, tetrahymena_lab, two_cells, benchmark/, faults/" in unknown.stderr
 
 

@@ -1,4 +1,4 @@
-"""`tetractl lab`: what its commands say to the operator, without a lab."""
+"""Tests of what the commands of `tetractl lab` print without a lab."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""`tetractl lab guard`: what the guard would have done in logged trials."""
+"""Tests of `tetractl lab guard`, which reports what the guard would have done in logged trials."""
 
 import json
 
@@ -66,7 +66,9 @@ def test_a_wrong_setting_is_one_line(setting, message):
 
 def test_a_log_without_wheel_speeds_says_what_was_not_observed(cells_log):
     done = tetractl(GOLDEN, "lab", "guard", cells_log)
-    assert "not observed, as no log has wheel speeds: frozen, motion, drift, wheels" in done.stdout
+    assert (
+        "not checked, because no log has wheel speeds: frozen, motion, drift, wheels" in done.stdout
+    )
 
 
 @pytest.fixture(scope="module")

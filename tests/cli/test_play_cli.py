@@ -1,4 +1,4 @@
-"""`tetractl play`: steered by hand, on a terminal and by a file of keys."""
+"""Tests of `tetractl play`: steering by hand on a terminal, and with a file of keys."""
 
 import re
 import sys
@@ -45,7 +45,7 @@ def test_a_script_steers_and_the_controller_does_the_same_trial(folder):
     number = r"[\d.]+ mm in \d+ s"
     assert re.fullmatch(rf"you {number}, the controller {number}\n", done.stdout)
     assert done.stderr.splitlines() == [
-        "logs in out; look at them with:",
+        "the logs are in out; look at them with:",
         "  tetractl replay out/you out/controller",
     ]
     yours = package.read_log(folder / "out/you/trial-000.mcap")
@@ -65,12 +65,12 @@ def test_a_script_steers_and_the_controller_does_the_same_trial(folder):
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
-        ((), "play reads keys, and this is no terminal with UTF-8"),
+        ((), "play reads keys from a terminal with UTF-8, and there is none here"),
         (("--script", "none.txt"), "none.txt: there is no such file"),
         (("--script", "keys.txt", "-o", "."), ".: exists already"),
         (("--script", "keys.txt", "--set", "hold={radius: 90, time: 5}"), "nor a hold"),
         (("--script", "keys.txt", "--speed", "0"), "Invalid value for '--speed'"),
-        (("--script", "keys.txt", "--speed", "2"), "--speed is for a person"),
+        (("--script", "keys.txt", "--speed", "2"), "--speed cannot be combined with --script"),
     ],
 )
 def test_what_cannot_be_played_is_one_line_and_exit_code_2(words, problem, folder):
@@ -117,7 +117,7 @@ def test_keys_and_mouse_steer_and_the_terminal_is_restored(folder):
             ("ENTER: end", "\r"),
         )
         terminal.expect(r"you [\d.]+ mm in \d+ s.*, the controller [\d.]+ mm in \d+ s")
-        terminal.expect("logs in out")
+        terminal.expect("logs are in out")
         restored(terminal)
         assert "Traceback" not in terminal.raw
         assert terminal.finish() == 0
@@ -151,7 +151,7 @@ def test_the_terminal_is_restored_after_a_defect(folder):
 def test_ctrl_c_stops_the_robots_first_and_the_log_is_whole(folder):
     with on_terminal(folder) as terminal:
         play(terminal, ("arrows steer", "\x1b[C"), (r"→ \+0°", "\x03"))
-        terminal.expect("logs in out")
+        terminal.expect("logs are in out")
         terminal.expect("interrupted")
         restored(terminal)
         assert "Traceback" not in terminal.raw
@@ -167,7 +167,7 @@ def test_ctrl_c_stops_the_robots_first_and_the_log_is_whole(folder):
 def test_a_trial_that_is_left_before_its_first_key_leaves_no_log(key, code, folder):
     with on_terminal(folder) as terminal:
         play(terminal, ("arrows steer", key))
-        terminal.expect("nothing is logged" if code == 0 else "interrupted")
+        terminal.expect("nothing was logged" if code == 0 else "interrupted")
         restored(terminal)
         assert "Traceback" not in terminal.raw
         assert terminal.finish() == code
@@ -199,8 +199,8 @@ CELL = {"JPY_PARENT_PID": "1", "TERM": "xterm-color", "FORCE_COLOR": "1", "CLICO
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [
-        (["play", "spec.yaml"], 2, "play reads keys, and this is no terminal"),
-        (["run", "spec.yaml", "-o", "out"], 0, "look at one with: tetractl replay out"),
+        (["play", "spec.yaml"], 2, "play reads keys from a terminal with UTF-8"),
+        (["run", "spec.yaml", "-o", "out"], 0, "look at one of them with: tetractl replay out"),
         (["run", "spec.yaml", "--plant", "lab"], 2, "error: "),
     ],
 )

@@ -1,4 +1,4 @@
-"""`tetractl play --html`: the page is opened offline in a headless Chromium, and played."""
+"""Tests of the page of `tetractl play --html`, played offline in a headless Chromium."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Commands of other packages: the one of docs/how-to/extend.md, and broken ones."""
+"""Tests of commands from other packages: the one in docs/how-to/extend.md, and broken ones."""
 
 import re
 import sys
@@ -64,7 +64,8 @@ def test_the_command_of_the_page_runs_and_its_options_have_placeholders(tetractl
     assert tetractl("furthest", folder / "logs", "--above", "1e6").ok().stdout == ""
     words = on_one_line(tetractl("furthest", "--help").ok().stdout)
     assert re.search(
-        r"LOG\|FOLDER\.\.\. (<.+> )?Trial logs: files, folders or globs\. \[required\]", words
+        r"LOG\|FOLDER\.\.\. (<.+> )?Trial logs: files, folders or glob patterns. \[required\]",
+        words,
     )
     assert "--above D [x>=0] Only robots further away than this. [default: 0.0]" in words
     refused = tetractl("furthest", log, "--above", "x").stderr

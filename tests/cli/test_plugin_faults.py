@@ -1,4 +1,4 @@
-"""An exception in a trial with plug-ins: the command names them in one line."""
+"""Tests that an exception in a trial with plug-ins gives one line that names them."""
 
 import pytest
 from testkit.cli import process

@@ -1,5 +1,7 @@
-"""A motion and a shape that tetractl has never heard of, from docs/how-to/extend.md: both are
-honoured by planner, compiled kernels, polish, plant, checks, log and pictures."""
+"""Tests of a motion and a shape from docs/how-to/extend.md, which tetractl itself does not know.
+
+Planner, compiled kernels, polish, plant, checks, log and images must all use them.
+"""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Kinds of other packages: the example package, installed next to tetractl, and a broken one."""
+"""Tests of kinds from other packages: the installed example package, and a broken one."""
 
 import json
 import subprocess
@@ -124,7 +124,7 @@ def test_without_the_package_the_log_says_what_to_install(logged):
     done = tetractl(logged, [], "info", "logs/trial-000.mcap")
     assert done.returncode == 1
     assert "random-search: must be one of" in done.stderr
-    assert "the log was written with tetractl-example 0.1.0: install this version" in done.stderr
+    assert "this log was written with tetractl-example 0.1.0: install this version" in done.stderr
 
 
 def test_the_examples_camera_shows_the_files_frames(site, tmp_path):

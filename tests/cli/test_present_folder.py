@@ -1,5 +1,4 @@
-"""Modules that lie next to a spec are not run, by any process; nor is work lost with the
-process that starts workers."""
+"""Tests that no process runs modules that lie next to a spec, and that no work is lost."""
 
 import subprocess
 import sys

@@ -1,7 +1,7 @@
-"""A trial has the same bits on every x86-64 processor.
+"""Tests that a trial has the same bits on every x86-64 processor.
 
 The same trials run in processes of their own, in which the libraries take the processor for an
-older one: they then choose other code, as they do on such a computer.
+older model. The libraries then choose other code, as they do on such a computer.
 """
 
 import sys

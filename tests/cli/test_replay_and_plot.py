@@ -1,4 +1,4 @@
-"""`tetractl replay` and `plot`, as a user starts them in a terminal and without one."""
+"""Tests of `tetractl replay` and `plot`, started as a user would with and without a terminal."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""`tetractl report`: the page is opened offline in a headless Chromium, and used."""
+"""Tests of the page of `tetractl report`, used offline in a headless Chromium."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""One rule for the options of all commands: docs/decisions/program.md."""
+"""Tests that the options of all commands follow one rule, stated in docs/decisions/program.md."""
 
 import json
 import os

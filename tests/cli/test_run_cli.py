@@ -1,4 +1,4 @@
-"""`tetractl run`: what a batch leaves, what it prints, and how it ends when it is stopped."""
+"""Tests of `tetractl run`: its files, its output, and its end when it is stopped."""
 
 import math
 import os
@@ -101,8 +101,8 @@ def test_a_run_writes_a_log_a_trial_and_says_where(batch):
     lines = [line for line in done.stderr.splitlines() if not line.startswith("compiling")]
     assert [line.split(":")[0] for line in lines[:3]] == [f"trial {i} of 3" for i in (1, 2, 3)]
     assert lines[3:] == [
-        "logs in logs; every figure: tetractl stats logs --full",
-        "look at one with: tetractl replay logs/trial-000.mcap",
+        "logs are in logs; this command prints all figures: tetractl stats logs --full",
+        "look at one of them with: tetractl replay logs/trial-000.mcap",
     ]
     assert "\x1b" not in done.stderr + done.stdout
     for i in range(3):
@@ -203,7 +203,7 @@ def test_a_full_disk_aborts_the_trial_and_says_so_once(batch, tmp_path, limit):
     line = "error: trial 1: logs/trial-000.mcap: cannot write the log: File too large"
     errors = [said for said in done.stderr.splitlines() if said.startswith("error: ")]
     assert errors == [line]
-    assert "logs in logs" in done.stderr
+    assert "logs are in logs" in done.stderr
     part = tmp_path / "logs" / "trial-000.mcap.part"
     assert part.stat().st_size == limit
     if limit > 4096:

@@ -1,4 +1,4 @@
-"""`open`, and `run --serve` in a process of its own, read by a real viewer."""
+"""Tests of `open`, and of `run --serve` in a separate process with a real viewer."""
 
 import os
 import re
@@ -70,7 +70,7 @@ def test_without_the_extra_one_clear_line_says_how_to_get_it(tmp_path):
     assert done.returncode == 2
     assert done.stderr == (
         "error: this needs websockets, which is not installed\n"
-        "hint: in the clone of tetractl: pip install '.[serve]'\n"
+        "hint: install it in your copy of the tetractl repository with: pip install '.[serve]'\n"
     )
     assert done.stdout == ""
     assert not (tmp_path / "logs").exists()

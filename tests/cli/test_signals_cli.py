@@ -1,4 +1,4 @@
-"""Signals, and terminals and pipes that vanish or stand still, to real processes."""
+"""Tests of signals to real processes, and of terminals and pipes that vanish or get stuck."""
 
 import os
 import pty
@@ -161,7 +161,7 @@ def quick_run(folder, *args, **streams):
     ("stream", "other", "says"),
     [
         ("stderr", "out", "3 of 3 trials valid"),
-        ("stdout", "err", "look at one with: tetractl replay logs/trial-000.mcap"),
+        ("stdout", "err", "look at one of them with: tetractl replay logs/trial-000.mcap"),
     ],
     ids=["messages", "results"],
 )
@@ -260,8 +260,10 @@ def test_eight_signals_at_once_lose_neither_the_log_nor_the_last_lines(tmp_path,
         for path in running.logs.glob("*.mcap"):
             assert not read_result(path).recovered
         lines = running.err.read_text().splitlines()
-        assert lines[-2].startswith("logs in logs")
-        assert lines[-1] == "interrupted; continue with the same command and --out logs --resume"
+        assert lines[-2].startswith("logs are in logs")
+        assert (
+            lines[-1] == "interrupted; to continue, give the same command with --out logs --resume"
+        )
 
 
 PAGE = 4096  # bytes, fewer than the results of six trials as JSON; pipes are filled by pages
@@ -276,4 +278,6 @@ def test_a_signal_leaves_out_the_results_that_nobody_reads(tmp_path):
         running.until(lambda: is_full(descriptor))  # with results: nothing else goes there
         running.process.send_signal(signal.SIGINT)
         assert running.end() == 0
-    assert "look at one with: tetractl replay logs/trial-000.mcap" in running.err.read_text()
+    assert (
+        "look at one of them with: tetractl replay logs/trial-000.mcap" in running.err.read_text()
+    )

@@ -1,4 +1,4 @@
-"""`tetractl stats`: tables of batches in every format, and what is wrong with their logs."""
+"""Tests of `tetractl stats`: tables in every format, and remarks about wrong logs."""
 
 import csv
 import io
@@ -85,7 +85,7 @@ def test_a_torn_log_is_flagged_and_the_rest_printed(work):
     document = json.loads(done.stdout)
     assert done.returncode == 1
     assert "damaged: ten/trial-004.mcap" in done.stderr
-    assert "damaged: ten/trial-011.mcap: not an MCAP file" in done.stderr
+    assert "damaged: ten/trial-011.mcap: this is not an MCAP file" in done.stderr
     assert document["n_trials"] == 10
     assert document["recovered"] == 1
     assert [trial["log"] for trial in document["trials"] if trial["recovered"]] == [

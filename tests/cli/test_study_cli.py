@@ -1,4 +1,4 @@
-"""`tetractl study` from the outside: however it is run, the same table."""
+"""Tests that `tetractl study` gives the same table, however it is run."""
 
 import csv
 import signal

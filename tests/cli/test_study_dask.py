@@ -1,4 +1,4 @@
-"""A study on a real Dask scheduler with two workers on loopback, which are killed."""
+"""Tests of a study on a real local Dask scheduler with two workers that are killed."""
 
 import json
 import shutil

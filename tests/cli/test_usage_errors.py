@@ -1,4 +1,4 @@
-"""What users type wrong, and what they are answered: one line, a hint where useful, a code."""
+"""Tests of typing mistakes in commands: one line, a hint where useful, and an exit code."""
 
 import contextlib
 import os
@@ -24,15 +24,15 @@ pytestmark = pytest.mark.slow
 USAGE = r"""
 run study.yaml | study.yaml: is a study, not a spec | run it with: tetractl study study.yaml
 study spec.yaml | spec.yaml: is a spec, not a study | run it with: tetractl run spec.yaml; a study
-replay spec.yaml | spec.yaml: is not a log (*.mcap) | run it with: tetractl run spec.yaml
-stats out/trials.csv | out/trials.csv: is not a log (*.mcap) | name the folder: out
-report out/trials.csv | out/trials.csv: is not a log (*.mcap) | name the folder: out
-replay picture.png | picture.png: is not a log (*.mcap)
-replay logs/figure.png | logs/figure.png: is not a log (*.mcap) | name a log, such as logs/trial-0
+replay spec.yaml | spec.yaml: this is not a log (*.mcap) | run it with: tetractl run spec.yaml
+stats out/trials.csv | out/trials.csv: this is not a log (*.mcap) | name the folder: out
+report out/trials.csv | out/trials.csv: this is not a log (*.mcap) | name the folder: out
+replay picture.png | picture.png: this is not a log (*.mcap)
+replay logs/figure.png | not a log (*.mcap) | name the log of a trial, such as logs/trial-0
 run | SPEC
 run nowhere.yaml | nowhere.yaml: there is no such file
 run spec.yml | spec.yml: there is no such file; did you mean 'spec.yaml'?
-run . | .: is a folder
+run . | .: this is a folder, but a file is needed
 run empty.yaml | empty.yaml: is empty
 run binary.yaml | binary.yaml: is a binary file
 run wrong.yaml | wrong.yaml:3:
@@ -46,31 +46,31 @@ run spec.yaml --set trials.count 5 | unexpected extra argument | write --set tri
 run spec.yaml --set robots.x.a=1 | has no entry 'x'
 run spec.yaml --set controller.period=1e-9 | controller.period: 1e-9: must be at least 0.001
 run spec.yaml --set robots.0.name=Kä | robots.0.name: Kä: must be letters without accents
-run spec.yaml --out empty.yaml | empty.yaml: not a folder
+run spec.yaml --out empty.yaml | empty.yaml: this is not a folder
 run spec.yaml --out logs | logs: holds logs already | name another folder with --out
 run spec.yaml --out logs --resume --seed 8 | trial-000.mcap: was run with another spec or seed
 run spec.yaml --resume | --resume needs --out
 run spec.yaml --port 1 | --port needs --serve
-run spec.yaml --serve --jobs 2 | --serve shows one trial at a time
-run spec.yaml --rate 1 --serve | --rate shows one trial at a time
-run spec.yaml --rate 1 --jobs 2 | --rate shows one trial at a time
+run spec.yaml --serve --jobs 2 | --serve shows only one trial at a time
+run spec.yaml --rate 1 --serve | --rate shows only one trial at a time
+run spec.yaml --rate 1 --jobs 2 | --rate shows only one trial at a time
 run spec.yaml --rate 0 | Invalid value for '--rate'
-run lab.yaml --plant lab --rate 1 | --rate is for virtual time
+run lab.yaml --plant lab --rate 1 | --rate works only in virtual time
 run lab.yaml --plant lab --jobs 2 | one trial at a time
 rerun LOG --seed 3 | No such option
 study circular.yaml | circular.yaml:2:7: base: circular.yaml: is a study, not a spec
 study of-a-study.yaml | of-a-study.yaml:2:7: base: study.yaml: is a study, not a spec
-stats nowhere | nowhere: no such file or folder
+stats nowhere | nowhere: there is no such file or folder
 stats empty | empty: no logs
-stats '' | an argument is empty | is a variable of the shell not set?
-export logs -o '' | an argument is empty | is a variable of the shell not set?
-stats '*.nothing' | matches no log
+stats '' | an argument of the command is empty | a shell variable that is not set?
+export logs -o '' | an argument of the command is empty | a shell variable that is not set?
+stats '*.nothing' | no log matches this pattern
 stats logs --plot batch.gif | batch.gif: cannot write '.gif' pictures
 stats out --format yaml | 'yaml' is not one of 'table', 'json' | try
 stats out/dead_time=0 --against out | out: holds 2 batches
-info logs | logs: 3 logs | name one of them, such as logs/trial-000.mcap
-report logs -o empty | empty: is a folder | name a file in it
-report logs -o no/where.html | no/where.html: there is no folder no
+info logs | logs: 3 logs | name one of its logs, such as logs/trial-000.mcap
+report logs -o empty | empty: this is a folder, but | name a file in this folder
+report logs -o no/where.html | no/where.html: the folder no
 replay | LOG
 replay LOG --rate 0 | --rate must be above 0
 replay LOG --rate nan | --rate must be above 0
@@ -78,52 +78,52 @@ replay LOG --rate fast | Invalid value for '--rate': Input should be a valid num
 replay LOG --start 99 | the trial lasts
 replay LOG --paused | --paused needs a terminal
 replay LOG --yes | No such option
-replay logs --loop | --loop without a terminal
+replay logs --loop | without a terminal, --loop accepts
 plot LOG -o a.bmp | a.bmp: cannot write '.bmp' pictures | end the name in .png, .svg, .pdf
 plot LOG -o a | needs an ending
-plot LOG -o folder.png | folder.png: is a folder | name a file in it
-plot LOG --kind video -o folder.gif | folder.gif: is a folder | name a file in it
-plot LOG -o nowhere/a.png | nowhere/a.png: there is no folder nowhere
+plot LOG -o folder.png | folder.png: this is a folder, but | name a file in this folder
+plot LOG --kind video -o folder.gif | folder.gif: this is a folder, but | name a file in this folder
+plot LOG -o nowhere/a.png | nowhere/a.png: the folder nowhere
 plot LOG --kind pie | no figure is called 'pie'
 plot logs --kind over-time | shows one trial, not 3
-plot logs --kind video | a video shows one trial, not 3
+plot logs --kind video | a video shows a single trial, but 3
 plot LOG --kind video -o video.avi | video.avi: cannot write '.avi' videos
-export logs -o x.csv | one file holds one table
-export logs -o x --table no | there is no table 'no'
+export logs -o x.csv | a single file can hold only one table
+export logs -o x --table no | there is no table named 'no'
 export logs -o x --format csv | No such option: --format
-export logs -o picture.png | picture.png: not a folder | name another with --out
-export logs -o empty.yaml/x | empty.yaml: not a folder | name another with --out
-export logs -o empty.yaml/x.csv --table steps | empty.yaml: not a folder | name another with --out
-export missing -o x | missing: no such file or folder
-run lab.yaml --plant lab | there is no terminal at which to ask | add --yes
+export logs -o picture.png | picture.png: not a folder | choose another folder with --out
+export logs -o empty.yaml/x | empty.yaml: not a folder | choose another folder with --out
+export logs -o empty.yaml/x.csv --table steps | not a folder | choose another folder with --out
+export missing -o x | missing: there is no such file or folder
+run lab.yaml --plant lab | there is no terminal to ask | add --yes
 rerun LOG --plant lab --yes | lab
 rerun LOG --set plant.deadtime=1 | did you mean 'dead_time'
 analyze no.yaml | no.yaml: there is no such file
 analyze spec.yaml --trials 0 | Invalid value for '--trials'
-kinds --set x=1 | --set and --spec need --check
-lab stop | give either a SPEC or --port
+kinds --set x=1 | --set and --spec can be used only together with --check
+lab stop | give either a spec or --port, and only one of them
 lab stop --port x --baud 7 | --baud
 lab check spec.yaml | has no lab
-lab check lab.yaml --plant sim | --plant sim: has no camera and no actuator | give lab or
-lab calibrate lab.yaml --plant sim | --plant sim: has no camera and no actuator | give lab or
-lab calibrate lab.yaml --yes -o no/found.yaml | no/found.yaml: there is no folder no
+lab check lab.yaml --plant sim | this plant has no camera and | choose --plant lab or
+lab calibrate lab.yaml --plant sim | this plant has no camera and | choose --plant lab or
+lab calibrate lab.yaml --yes -o no/found.yaml | no/found.yaml: the folder no
 lab calibrate lab.yaml | robots would move
-lab calibrate lab.yaml --robot pink --yes | has no such robot
+lab calibrate lab.yaml --robot pink --yes | has no robot with this name
 init Käse | 'Käse' cannot be the name of an experiment | use up to 64 characters: a to z, A to Z
 init no/first | no/first.yaml: cannot be written: No such file or directory
 init spec | spec.yaml: exists already | give another NAME
-init mine --example three_m3pi | --example cannot be combined with other options
-init --example three_m3p | there is no example 'three_m3p'; did you mean 'three_m3pi'?
+init mine --example three_m3pi | --example writes a file exactly as shipped
+init --example three_m3p | there is no example named 'three_m3p'; did you mean 'three_m3pi'?
 validate | SPEC
-schema -o no/such/new.json | no/such/new.json: no such file or folder
+schema -o no/such/new.json | no/such/new.json: there is no such file or folder
 """
 FAILED = """
-info noise.mcap | noise.mcap: not an MCAP file
-recover noise.mcap | noise.mcap: not an MCAP file
+info noise.mcap | noise.mcap: this is not an MCAP file
+recover noise.mcap | noise.mcap: this is not an MCAP file
 stats noise.mcap | none of 1 logs can be read
-report noise.mcap | none of the logs can be read: noise.mcap: not an MCAP file
-lab stop --port empty | empty: is not a serial port
-lab stop --port spec.yaml | spec.yaml: is not a serial port
+report noise.mcap | none of the logs can be read: noise.mcap: this is not an MCAP file
+lab stop --port empty | empty: this is not a serial port
+lab stop --port spec.yaml | spec.yaml: this is not a serial port
 lab stop --port nowhere | nowhere: there is no such port
 run spec.yaml --out empty.yaml/logs | empty.yaml/logs: cannot create the folder: Not a directory
 """

@@ -1,4 +1,4 @@
-"""`tetractl validate` and `schema`; warnings, and none where logs are read."""
+"""Tests of `tetractl validate` and `schema`; reading logs must give no warnings."""
 
 import json
 from functools import partial
@@ -143,6 +143,6 @@ def test_a_strict_run_runs_nothing(tetractl, tmp_path, more):
     assert warnings == WARNINGS
     assert (
         error
-        == "error: the spec has 2 warnings, and --strict treats warnings as errors; nothing was run"
+        == "error: the spec has 2 warnings, and with --strict, warnings are errors; nothing was run"
     )
     assert not (tmp_path / "logs").exists()

@@ -1,4 +1,4 @@
-"""What the wheel of the package holds."""
+"""Tests of the contents of the package's wheel."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""What of tetractl needs no Unix: simulations, tables and reports; the rest says so in a line."""
+"""Tests of tetractl without Unix: simulations, tables and reports work, the rest says why not."""
 
 import subprocess
 import sys
@@ -47,4 +47,6 @@ def test_a_lab_without_unix_is_one_line(command, tmp_path):
     done = on_windows(tmp_path, "init shelf --lab", command)
     assert (tmp_path / "shelf.yaml").exists()
     assert done.returncode == 2
-    assert "error: this does not run on Windows: Python has no '" in done.stderr
+    assert (
+        "error: this command does not run on Windows, because Python has no module '" in done.stderr
+    )

@@ -1,4 +1,4 @@
-"""What tetractl wrote is always read: the checks of a spec's places are for people's specs."""
+"""Tests that tetractl always reads what it wrote, even if new specs are checked more strictly."""
 
 from dataclasses import replace
 

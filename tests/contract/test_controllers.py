@@ -1,4 +1,4 @@
-"""What every controller of tetractl promises."""
+"""Tests of what every controller of tetractl must do."""
 
 import pytest
 from testkit.controller_promises import ControllerPromises

@@ -1,4 +1,4 @@
-"""What every plant promises, whatever is behind it; see `tetractl.core.protocols.Plant`."""
+"""Tests of what every plant must do; see `tetractl.core.protocols.Plant`."""
 
 import itertools
 from contextlib import contextmanager

@@ -1,10 +1,10 @@
-"""Makes the golden logs of the format version that this source writes, once, when it is released.
+"""Writes the golden logs of the current format version, once, when the version is released.
 
     python tests/golden/make.py
 
-Never run it again for a version whose logs are kept here: they are what its writer wrote, and
-readers of every later version must give the values in the .json beside them. The lab's log is of no
-trial: all its numbers are random, so it can be read, but `verify` refuses it.
+Never run it again for a version whose logs are stored here. They show what its writer wrote, and
+readers of every later version must give the values in the .json files beside them. The lab's log
+comes from no real trial. All its numbers are random, so it can be read, but `verify` refuses it.
 """
 
 import json

@@ -1,5 +1,5 @@
-"""What the tests of the core and of the packages share, and benchmarks use.
+"""Helpers that the tests of the core, the tests of packages, and the benchmarks share.
 
-`testkit.emulator` and `testkit.microscope` need those packages; the other modules need only the
+`testkit.emulator` and `testkit.microscope` need those packages. The other modules need only the
 core. `testkit.references` has slow implementations, written from the equations, to compare with.
 """

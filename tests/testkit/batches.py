@@ -1,4 +1,4 @@
-"""Batches made up for the tests."""
+"""Made-up batches for tests."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -1,4 +1,4 @@
-"""Random control problems without obstacles, and the best plans an optimiser finds for them."""
+"""Random control problems without obstacles, with the best plans that an optimiser finds."""
 
 import json
 from collections.abc import Sequence

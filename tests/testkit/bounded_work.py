@@ -1,4 +1,4 @@
-"""Inputs of any kind to a target, within bounds on the lines of Python that run and on memory."""
+"""Runs a function on any input with limits on executed Python lines and memory."""
 
 import random
 import sys

@@ -1,4 +1,4 @@
-"""A section of the spec around a disturbance that is built already."""
+"""Wraps a disturbance that already exists in a section of a spec."""
 
 from typing import Any, Literal
 

@@ -1,4 +1,4 @@
-"""A headless Chromium that a test drives over pipes, by the DevTools protocol."""
+"""Controls a headless Chromium over pipes with the DevTools protocol."""
 
 import base64
 import json

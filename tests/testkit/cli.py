@@ -1,4 +1,4 @@
-"""The command line in this process: what nearly every test of a command needs."""
+"""Runs the command line in this process, as nearly every test of a command needs."""
 
 import contextlib
 import io

@@ -1,4 +1,4 @@
-"""What every pair of functions that write and read a frame of bytes must do."""
+"""Checks for every pair of functions that encode and decode a frame of bytes."""
 
 import pytest
 from hypothesis import strategies as st

@@ -1,4 +1,4 @@
-"""One log through every command that reads logs, in this process."""
+"""Passes one log to every command that reads logs, in this process."""
 
 import shutil
 from functools import cache

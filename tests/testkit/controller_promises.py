@@ -1,4 +1,4 @@
-"""What every controller promises, as tests: a test file of controllers derives a class from it."""
+"""Tests of what every controller must do. A test file of controllers derives a class from it."""
 
 import math
 

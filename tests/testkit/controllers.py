@@ -1,4 +1,4 @@
-"""Controllers by name, as specs: what the contract suite runs against."""
+"""Specs of all controllers by name, for the contract tests."""
 
 from typing import Any
 

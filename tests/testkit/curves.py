@@ -1,4 +1,4 @@
-"""Smooth sequences of directions, to be read: the twin of what the multistart kernel scatters."""
+"""Smooth random sequences of directions: a readable reference for the multistart kernel."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The replies of a device's firmware, packed as it sends them."""
+"""Packs the replies of a device's firmware in the same way as the device."""
 
 import inspect
 from dataclasses import astuple

@@ -1,4 +1,4 @@
-"""What a figure shows: its texts, and its lines by their properties."""
+"""Extracts texts and lines from a figure, by their properties."""
 
 from itertools import combinations
 

@@ -1,4 +1,4 @@
-"""Trials on the wall clock that can be killed, and what then is left of their logs."""
+"""Runs trials in real time that can be killed, and examines what is left of their logs."""
 
 import os
 import random

@@ -1,4 +1,4 @@
-"""A plant, a controller and an observer that write down what happens, in one list."""
+"""A fake plant, controller and observer that record all calls in one list."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

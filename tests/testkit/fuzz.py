@@ -1,4 +1,4 @@
-"""Damaged copies of a log, and what has to be true of each."""
+"""Damaged copies of a log, and the properties that must hold for each."""
 
 import random
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Shapes by textbook geometry, one point or segment at a time."""
+"""Distances to shapes by textbook geometry, one point or segment at a time."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""A clock that a test sets on: a wall clock, or the timer by which something is measured."""
+"""A clock that a test advances by hand, as a wall clock or a timer."""
 
 from tetractl.core.clock import SECOND, VirtualClock
 

@@ -1,4 +1,4 @@
-"""The spec of two robots in a lab with OptiTrack and a radio."""
+"""The spec of a lab with two robots, OptiTrack cameras and a radio."""
 
 SPEC = """
 name: emulated

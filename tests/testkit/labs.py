@@ -1,4 +1,4 @@
-"""A lab in virtual time: a fake camera and a fake actuator around robots that move by the model."""
+"""A lab in virtual time: a fake camera and actuator around robots that follow the model."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

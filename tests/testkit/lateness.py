@@ -1,4 +1,4 @@
-"""How late a host wakes who sleeps: what spoils a play in real time, whatever is played."""
+"""Measures how late this computer wakes sleeping programs, which spoils tests in real time."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""A made trial in the lab, of which one robot drives and another may be lost."""
+"""A made-up lab trial in which one robot drives and another may be lost."""
 
 from dataclasses import replace
 

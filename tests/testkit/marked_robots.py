@@ -1,4 +1,4 @@
-"""Trials that find their robots on marks, as a package could bring them: `robots: {marks: ...}`."""
+"""Trials that find their robots on marks, as a plug-in could provide: `robots: {marks: ...}`."""
 
 from typing import ClassVar
 

@@ -1,4 +1,4 @@
-"""Logs with one number changed, and every checksum and the digest made to fit."""
+"""Creates logs with one changed number and matching checksums and digest."""
 
 import math
 import struct

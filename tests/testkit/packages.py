@@ -1,4 +1,4 @@
-"""Packages with entry points, written as pip would leave them in a folder."""
+"""Writes packages with entry points to a folder, as pip would leave them."""
 
 import os
 import subprocess

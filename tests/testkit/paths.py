@@ -1,4 +1,4 @@
-"""Where the checkout is."""
+"""Paths in the source checkout."""
 
 from importlib.util import find_spec
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Plants by name, each with a clock: what the contract suites run against."""
+"""All plants by name, each with a clock, for the contract tests."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

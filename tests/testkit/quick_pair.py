@@ -1,4 +1,4 @@
-"""A batch of two short trials of two robots with wheels, which several files of tests read."""
+"""A batch of two short trials of two robots on wheels, used by several test files."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Whole trials made up from a seed: every number random, so that nothing survives by luck."""
+"""Whole trials generated from a seed; every number is random, so that no test passes by luck."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

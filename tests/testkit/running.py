@@ -1,4 +1,4 @@
-"""`tetractl run` in a process of its own that can be sent signals, and what it leaves."""
+"""Runs `tetractl run` in a process that can be sent signals, and examines what it leaves behind."""
 
 import os
 import signal
@@ -169,5 +169,5 @@ def assert_interrupted(running, trials, reason=""):
         assert log.result.reason.startswith(reason)
         assert len(log.steps) == log.result.steps
     last = running.err.read_text().splitlines()[-1]
-    assert last == "interrupted; continue with the same command and --out logs --resume"
+    assert last == "interrupted; to continue, give the same command with --out logs --resume"
     assert "interrupted" in running.out.read_text()

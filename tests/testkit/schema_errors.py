@@ -1,4 +1,4 @@
-"""The errors that data out of YAML can cause in a pydantic schema."""
+"""The errors that data from YAML can cause in a pydantic schema."""
 
 from tetractl.spec.explain_errors import MESSAGES
 

@@ -1,4 +1,4 @@
-"""An optimiser that answers by script, and what a controller under test sees."""
+"""An optimiser with scripted answers, and the observations of a controller under test."""
 
 from dataclasses import replace
 

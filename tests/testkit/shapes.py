@@ -1,4 +1,4 @@
-"""Random shapes of every built-in kind, on a grid where touching and corners occur."""
+"""Random shapes of every built-in kind, on a grid on which touching and corners occur."""
 
 import math
 

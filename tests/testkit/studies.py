@@ -1,4 +1,4 @@
-"""A quick study, and `tetractl study` in a process of its own that can be killed."""
+"""A quick study, and `tetractl study` in a process that can be killed."""
 
 from typing import Any, NamedTuple
 

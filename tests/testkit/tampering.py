@@ -1,6 +1,6 @@
-"""Logs tampered with in every channel, record and field, and how many of them `verify` notices.
+"""Tampers with logs in every channel, record and field, and counts what `verify` notices.
 
-Every checksum and both digests are made to fit, as by a person who has tetractl.
+Every checksum and both digests are made to fit, as a person who has tetractl could do.
 """
 
 import random

@@ -1,6 +1,6 @@
-"""Everything that reads bytes from outside, as functions of bytes that fail on a broken promise.
+"""All parsers of bytes from outside, as functions that fail if a parser breaks its contract.
 
-The same functions are fuzzed by the tests and, with those of the packages, by benchmarks/fuzz.py.
+The tests fuzz these functions. benchmarks/fuzz.py also fuzzes those of the packages.
 """
 
 import contextlib

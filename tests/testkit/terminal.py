@@ -1,4 +1,4 @@
-"""A pseudo-terminal with a command in it: keys go in, what the screen was sent comes out."""
+"""Runs a command in a pseudo-terminal: tests send keys, and read what the screen received."""
 
 import fcntl
 import io

@@ -1,4 +1,4 @@
-"""Trials that ran: the paper's three robots (section V) on a disturbed plant."""
+"""Logged trials of the paper's three robots (section V) on a disturbed plant."""
 
 import json
 from collections.abc import Sequence

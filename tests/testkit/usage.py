@@ -1,4 +1,4 @@
-"""What a command that is typed wrong must do: one line, a hint, a code, and nothing else."""
+"""Checks that a mistyped command prints one line and a hint, exits with a code, and no more."""
 
 import shlex
 

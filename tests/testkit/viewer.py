@@ -1,4 +1,4 @@
-"""A log viewer as the server sees it: a client of the protocol `foxglove.sdk.v1`."""
+"""A fake log viewer: a client of the server's protocol `foxglove.sdk.v1`."""
 
 import json
 import socket

@@ -1,4 +1,4 @@
-"""Wheels of one robot."""
+"""Wheels of a single robot."""
 
 import numpy as np
 

@@ -1,5 +1,8 @@
-"""Runs tetractl as on Windows, as far as Linux can: without the modules, functions and signals of
-Unix, one command after another until one fails. `python without_unix.py COMMAND...`"""
+"""Runs tetractl as on Windows, as far as Linux can: `python without_unix.py COMMAND...`.
+
+The modules, functions and signals of Unix are removed. The commands run one after another until one
+fails.
+"""
 
 import os
 import select

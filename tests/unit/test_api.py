@@ -184,15 +184,27 @@ def test_a_study_is_run_from_its_contents(tmp_path):
 
 
 NOT_TAKEN = {
-    "a spec's file": (lambda: tetractl.load_spec(yaml.safe_load(SPEC)), "parse_spec a dict"),
+    "a spec's file": (lambda: tetractl.load_spec(yaml.safe_load(SPEC)), "parse_spec takes a dict"),
     "a study": (lambda: tetractl.run_study(3), "a study is a file or a dict"),
     "a study's folder": (lambda: tetractl.run_study({}, 3), "a folder is a path"),
     "a batch's folder": (lambda: tetractl.run_batch(SPEC_DICT, None), "a folder is a path"),
     "a trial's folder": (lambda: tetractl.run_trial(SPEC_DICT, folder=3), "a folder is a path"),
-    "a trial's number": (lambda: tetractl.run_trial(SPEC_DICT, "5"), "a trial is a whole number"),
-    "a negative trial": (lambda: tetractl.run_trial(SPEC_DICT, -1), "a trial is a whole number"),
-    "a stepped trial": (lambda: tetractl.open_trial(SPEC_DICT, 1.5), "a trial is a whole number"),
-    "a seed": (lambda: tetractl.open_trial(SPEC_DICT, 0, -1), "a seed is a whole number from 0"),
+    "a trial's number": (
+        lambda: tetractl.run_trial(SPEC_DICT, "5"),
+        "a trial must be a whole number",
+    ),
+    "a negative trial": (
+        lambda: tetractl.run_trial(SPEC_DICT, -1),
+        "a trial must be a whole number",
+    ),
+    "a stepped trial": (
+        lambda: tetractl.open_trial(SPEC_DICT, 1.5),
+        "a trial must be a whole number",
+    ),
+    "a seed": (
+        lambda: tetractl.open_trial(SPEC_DICT, 0, -1),
+        "a seed must be a whole number of at least 0",
+    ),
 }
 SPEC_DICT = yaml.safe_load(SPEC)
 
@@ -215,8 +227,8 @@ def test_an_interrupted_batch_says_how_its_trials_are_read(tmp_path):
             on_result=lambda trial, result: signal.raise_signal(signal.SIGINT),
         )
     said = str(caught.value)
-    assert said.startswith(f"read_batch({str(folder)!r}) reads the trials that ended")
-    assert "resume=True runs the others" in said
+    assert said.startswith(f"`read_batch({str(folder)!r})` reads the trials that have ended")
+    assert "with resume=True, this function runs the others" in said
     assert len(tetractl.read_batch(folder).trials) == 1
 
 
@@ -325,7 +337,7 @@ def test_another_object_is_refused_in_one_line():
     ):
         tetractl.run_trial(5)  # pyright: ignore[reportArgumentType]
     with pytest.raises(
-        UsageError, match=r"^a trial is a log's file, or .* but this is of type int$"
+        UsageError, match=r"^a trial is the file of a log, or .* but this is of type int$"
     ):
         tetractl.to_arrays(5)  # pyright: ignore[reportArgumentType]
     contents = yaml.safe_load(SPEC) | {"name": np.zeros(3)}
@@ -345,6 +357,8 @@ def test_the_package_has_no_names_but_its_own():
 
 
 def test_a_folder_is_not_verified_as_one_log(tmp_path):
-    with pytest.raises(UsageError, match="is a folder, and verify reads one log") as refused:
+    with pytest.raises(
+        UsageError, match="this is a folder, but verify reads a single log"
+    ) as refused:
         tetractl.verify(tmp_path)
     assert "read_batch" in refused.value.hint

@@ -68,7 +68,10 @@ def run_batch(
     demand(folder, str | Path, "a folder is a path")
     store = Store.of_batch(Path(folder), spec.experiment)
     check_simulated(spec, announcer(progress))
-    after = f"read_batch({str(folder)!r}) reads the trials that ended; resume=True runs the others"
+    after = (
+        f"`read_batch({str(folder)!r})` reads the trials that have ended; with "
+        "resume=True, this function runs the others"
+    )
     with interruptible(after) as interrupt, store.opened(resume):
         todo = store.lacking
         tasks = batch_tasks(spec, todo)
@@ -128,8 +131,8 @@ def run_study(
     loaded = load_study(study)
     store = loaded.store(Path("logs", loaded.study.name) if folder is None else Path(folder))
     after = (
-        f"read_batch({str(store.folder)!r}) reads the trials that ended; "
-        "the same call runs the others"
+        f"`read_batch({str(store.folder)!r})` reads the trials that have ended; the same "
+        "call of `run_study` runs the others"
     )
     with store.opened(), interruptible(after) as interrupt:
         tasks, _ = missing_trials.lacking(loaded, store, rerun_outdated=False)

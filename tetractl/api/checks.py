@@ -32,10 +32,10 @@ def verify(path: str | Path) -> "Verification":
     """
     from tetractl.verification import verify
 
-    demand(path, str | Path, "verify reads the file of a log")
+    demand(path, str | Path, "verify needs the file of a log")
     if Path(path).is_dir():
         raise UsageError(
-            f"{path}: is a folder, and verify reads one log",
+            f"{path}: this is a folder, but verify reads a single log",
             f"[verify(trial.log) for trial in read_batch({str(path)!r}).trials]",
         )
     return verify.verify(Path(path), announcer(True))

@@ -128,7 +128,7 @@ def play_page(spec: Spec, *, file: str | Path | None = None) -> "FramedPage":
     from tetractl.tools.files import save_whole
 
     if file is not None and not Path(file).absolute().parent.is_dir():
-        raise UsageError(f"{file}: there is no folder {Path(file).parent}")
+        raise UsageError(f"{file}: the folder {Path(file).parent} does not exist")
     undisturbed = undisturbed_spec(as_spec(spec))
     directed_spec(undisturbed)  # refuses what cannot be steered by hand
     page.refuse_unknown_motion(undisturbed)

@@ -43,7 +43,7 @@ def read_log(path: str | Path) -> TrialLog:
     """
     from tetractl.log.read.reader import read_trial
 
-    demand(path, str | Path, "read_log reads the file of a log")
+    demand(path, str | Path, "read_log needs the file of a log")
     return read_trial(Path(path))
 
 
@@ -69,7 +69,7 @@ def read_batch(*paths: str | Path) -> "Batch":
     if not paths:
         raise UsageError("no log is given")
     for path in paths:
-        demand(path, str | Path, "read_batch reads logs, folders and patterns")
+        demand(path, str | Path, "read_batch needs logs, folders or patterns of file names")
     return open_batch(paths)
 
 
@@ -77,7 +77,7 @@ def as_trial(trial: Trial) -> TrialLog:
     """Read a trial that is given as its log. A trial is returned unchanged."""
     if isinstance(trial, TrialLog):
         return trial
-    demand(trial, str | Path, "a trial is a log's file, or what read_log returns")
+    demand(trial, str | Path, "a trial is the file of a log, or a value that read_log returns")
     return read_log(trial)
 
 
@@ -89,7 +89,7 @@ def as_batch(batch: "Batch | str | Path | Sequence[str | Path]") -> "Batch":
         return batch
     if isinstance(batch, str | Path):
         return read_batch(batch)
-    demand(batch, Iterable, "a batch is a folder, paths of logs or what read_batch returns")
+    demand(batch, Iterable, "a batch is a folder, paths of logs or a value that read_batch returns")
     return read_batch(*batch)
 
 
@@ -103,10 +103,10 @@ def as_trials(data: "Trial | Sequence[Trial] | Batch") -> list[TrialLog]:
         return [read_log(trial.log) for trial in data.trials]
     if isinstance(data, TrialLog | str | Path):
         return [as_trial(data)]
-    demand(data, Iterable, "what is drawn is a trial, a list of them, a batch or its statistics")
+    demand(data, Iterable, "give a trial, a list of trials, a batch or its statistics to draw")
     trials = [as_trial(trial) for trial in data]
     if not trials:
-        raise UsageError("no trial to draw is given")
+        raise UsageError("the list of trials to draw is empty")
     return trials
 
 
@@ -208,7 +208,7 @@ def to_dataframe(data: "TrialLog | Batch | str | Path") -> "pandas.DataFrame":
     except ModuleNotFoundError:
         raise UsageError(
             "a DataFrame needs pandas, which is not installed",
-            "pip install pandas, or use to_arrays",
+            "install it with: pip install pandas; or use to_arrays instead",
         ) from None
     from tetractl.statistics.trial_tables import poses, trials_table
 

@@ -26,7 +26,8 @@ def check_simulated(spec: LoadedSpec, announce: Callable[[str], None]) -> None:
     experiment = spec.experiment
     if experiment.plant.real_time:
         raise UsageError(
-            "the spec's plant is the lab, which this function does not drive", "use `tetractl run`"
+            "this function cannot drive robots in a lab, but the spec's plant is the lab",
+            "use `tetractl run`",
         )
     for warning in find_warnings(spec):
         logging.getLogger("tetractl").warning("warning: %s", warning)

@@ -111,7 +111,8 @@ def stepped(spec: Spec) -> LoadedSpec:
     loaded = as_spec(spec)
     if loaded.experiment.plant.real_time:
         raise UsageError(
-            "the spec's plant is the lab, which no script drives", "use `tetractl run`"
+            "a script cannot drive robots in a lab, but the spec's plant is the lab",
+            "use `tetractl run`",
         )
     opened = directed_spec(loaded)
     check_simulated(opened, announcer(True))

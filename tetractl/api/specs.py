@@ -27,7 +27,7 @@ def load_spec(path: str | Path, *sets: str) -> LoadedSpec:
         >>> spec.experiment.trials.count
         2
     """
-    demand(path, str | Path, "load_spec reads a file, parse_spec a dict")
+    demand(path, str | Path, "load_spec needs a file; parse_spec takes a dict")
     _demand_texts(sets)
     return load.load_spec(Path(path), sets)
 
@@ -53,7 +53,7 @@ def parse_spec(text: str | Mapping[str, Any], *sets: str) -> LoadedSpec:
     _demand_texts(sets)
     if isinstance(text, Mapping):
         return load.parse_contents(text, "spec", sets)
-    demand(text, str, "the contents of a spec are a text or a dict")
+    demand(text, str, "the contents of a spec are a string or a dict")
     return load.parse_spec(text, "spec", sets)
 
 
@@ -80,11 +80,11 @@ def as_spec(spec: Spec) -> LoadedSpec:
         return spec
     if isinstance(spec, Mapping):
         return parse_spec(spec)
-    demand(spec, str | Path, "a spec is a file, a dict or what load_spec returns")
+    demand(spec, str | Path, "a spec is a file, a dict or a value that load_spec returns")
     return load_spec(spec)
 
 
 def _demand_texts(sets: Sequence[str]) -> None:
     """Check that all settings are texts."""
     for setting in sets:
-        demand(setting, str, 'a setting is a text such as "trials.count=5"')
+        demand(setting, str, 'a setting is a string such as "trials.count=5"')

@@ -27,8 +27,9 @@ def main() -> None:
     allowed = _address_limit()
     if allowed < ADDRESSES_NEEDED:
         print(
-            f"error: {allowed / 1e6:.0f} MB of address space are allowed, 1000 are needed",
-            "  hint: ulimit -v unlimited",
+            f"error: the address space is limited to {allowed / 1000000.0:.0f} MB, but "
+            "tetractl needs 1000 MB",
+            "  hint: remove the limit with: ulimit -v unlimited",
             sep="\n",
             file=sys.stderr,
         )

@@ -26,7 +26,8 @@ def analyze(
     seed: options.Seed = None,
     sets: options.Sets = None,
     jobs: Annotated[
-        int, option("N", "Number of trials run at a time, each in its own process.", min=1)
+        int,
+        option("N", "Number of trials to run at the same time, each in its own process.", min=1),
     ] = 1,
     as_json: options.AsJson = False,
 ) -> int:

@@ -175,7 +175,11 @@ def run_app() -> int:
     Other exceptions are defects of the program, and are not caught.
     """
     if "" in sys.argv[1:]:  # as a path, it would be the present folder
-        return complain(Exit.USAGE, "an argument is empty", "is a variable of the shell not set?")
+        return complain(
+            Exit.USAGE,
+            "an argument of the command is empty",
+            "does the command use a shell variable that is not set?",
+        )
     try:
         code = app(standalone_mode=False)
         sys.stdout.flush()  # here, so that an error of stdout is handled below
@@ -211,7 +215,7 @@ def _complain_of(error: BaseException) -> Exit | None:
         case BrokenPipeError() | SystemExit(__context__=BrokenPipeError()):
             return Exit.DONE  # the reader of the output has ended, as in `tetractl stats | head`
         case FileNotFoundError():
-            return complain(Exit.USAGE, f"{error.filename}: no such file or folder")
+            return complain(Exit.USAGE, f"{error.filename}: there is no such file or folder")
         case OSError():
             where = f"{error.filename}: " if error.filename else ""
             return complain(Exit.FAILED, f"{where}{error.strerror or error}")
@@ -224,12 +228,18 @@ def _complain_of_module(module: str) -> Exit | None:
     Modules that belong to tetractl are ignored.
     """
     if module in UNIX_MODULES:
-        problem = f"this does not run on Windows: Python has no '{module}' here"
-        return complain(Exit.USAGE, problem, "simulations, tables and reports need none of it")
+        problem = (
+            f"this command does not run on Windows, because Python has no module '{module}' there"
+        )
+        return complain(Exit.USAGE, problem, "simulations, tables and reports run on Windows")
     if module in EXTRAS:
         package, extra = EXTRAS[module]
-        problem = f"this needs {package}, which is not installed"
-        return complain(Exit.USAGE, problem, f"in the clone of tetractl: pip install '.[{extra}]'")
+        problem = f"this command needs {package}, which is not installed"
+        return complain(
+            Exit.USAGE,
+            problem,
+            f"install it in your copy of the tetractl repository with: pip install '.[{extra}]'",
+        )
     return None
 
 

@@ -16,7 +16,7 @@ def export(
         Path,
         out_option(
             "DIR|FILE",
-            "Folder for all tables; or a .csv file for the one named by --table.",
+            "Folder for all tables, or a .csv file for the single table named by --table.",
         ),
     ],
     table: Annotated[
@@ -26,9 +26,9 @@ def export(
 ) -> int:
     """Write trials as tidy CSV tables.
 
-    Tables have one row for each trial, control step, pose, estimate or event. The names of columns
-    end in their units. Each table has the columns `log` and `trial`, so that tables can be joined.
-    Existing files with these names are overwritten.
+    Each table has one row for each trial, control step, pose, estimate or event. The names of its
+    columns end in their units. All tables have the columns `log` and `trial`, by which they can be
+    joined. Existing files with the same names are overwritten.
 
     Example: tetractl export logs/three-m3pi -o tables
     """
@@ -64,14 +64,19 @@ def _table_paths(out: Path, table: str | None) -> dict[str, Path]:
     from tetractl.statistics.trial_tables import TABLES
 
     if table is not None and table not in TABLES:
-        raise UsageError(f"there is no table {table!r}", f"there are {', '.join(TABLES)}")
+        raise UsageError(
+            f"there is no table named {table!r}", f"the tables are {', '.join(TABLES)}"
+        )
     names = TABLES if table is None else (table,)
     ending = out.suffix.lower()
     is_table = ending == ".csv" and not out.is_dir()
     if is_table and table is None:
-        raise UsageError(f"{out}: one file holds one table", "name the table with --table")
+        raise UsageError(
+            f"{out}: a single file can hold only one table",
+            "choose the table with --table, or give a folder",
+        )
     folder = out.parent if is_table else out
     there = next(place for place in (folder, *folder.parents) if place.exists())
     if not there.is_dir():
-        raise UsageError(f"{there}: not a folder", "name another with --out")
+        raise UsageError(f"{there}: this is not a folder", "choose another folder with --out")
     return {name: out if is_table else out / f"{name}.csv" for name in names}

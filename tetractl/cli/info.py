@@ -20,14 +20,15 @@ if TYPE_CHECKING:
 
 
 def info(
-    log: Annotated[Path, argument("LOG", "Log of a trial, finished or not.")],
+    log: Annotated[Path, argument("LOG", "Log of a trial, finished or unfinished.")],
     as_json: AsJson = False,
 ) -> int:
     """Print the contents of a log: run, result, events, estimate, channels, provenance, damage.
 
-    Times count from the first direction sent.
+    Times count from the first direction that was sent.
 
-    The whole log is read and checked. Exits with 1 if the log is damaged or has no result.
+    The command reads and checks the whole log. It exits with 1 if the log is damaged or has no
+    result.
 
     Example: tetractl info logs/three-m3pi-20200101T000000Z/trial-000.mcap
     """
@@ -93,7 +94,7 @@ def _aligned(items: dict[str, str]) -> list[str]:
 def _result(log: "Overview") -> dict[str, str]:
     result = log.result
     if result is None:
-        return {"outcome": "none: the log breaks off before the end of the trial"}
+        return {"outcome": "none, because the log breaks off before the end of the trial"}
     unit = log.run.get("unit", "")
     errors = ", ".join(f"{error:.1f}" for error in result.robot_errors)
     longest = "-"
@@ -145,7 +146,7 @@ def _estimate(log: "Overview") -> dict[str, str]:
         lines["the model does not fit"] = ", ".join(sorted(unfit))
     strays = estimate.unexplained(names, OF_PLACES)
     if strays:
-        lines["not as predicted, which says nothing of a"] = ", ".join(sorted(strays))
+        lines["not as predicted, which does not affect a"] = ", ".join(sorted(strays))
     return lines
 
 

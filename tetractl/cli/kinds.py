@@ -26,35 +26,36 @@ def kinds(
         str | None,
         option(
             "MODULE:NAME",
-            "Check your own motion, or section of a shape, optimiser, controller, disturbance, "
-            "camera or actuator, given as module:NAME.",
+            "Check your own motion, or the section of your own shape, optimiser, "
+            "controller, disturbance, camera or actuator. Give it as module:NAME.",
         ),
     ] = None,
     spec: Annotated[
         Path | None,
-        option("SPEC", "With --check: a spec whose robots, arena, obstacles and section are used."),
+        option("SPEC", "With --check: a spec that provides robots, arena, obstacles and section."),
     ] = None,
     sets: Annotated[
         list[str] | None,
-        option("FIELD=VALUE", "With --check: set a field of the kind; may be repeated.", "--set"),
+        option("FIELD=VALUE", "With --check: set a field of the kind. Can be repeated.", "--set"),
     ] = None,
     as_json: AsJson = False,
 ) -> int:
     """List all kinds: optimisers, shapes, cameras, sweeps, statistics, figures and so on.
 
-    Each line names the interface, the `type`, and the package and the code that provide it, and
-    what a kind needs that is not installed. Exits with 2 if an installed package is broken.
+    Each line names the interface, the `type`, and the package and code that provide it. If a kind
+    needs a package that is not installed, the line also names this package. Exits with 2 if an
+    installed package is broken.
 
-    With --check, it tests a kind of your own: whether its NumPy functions, compiled functions and
-    derivatives agree, whether its bounds hold, and whether equal seeds give equal results. Exits
-    with 1 if something is wrong. Controllers and disturbances are tested in simulations. A camera
-    is opened if possible. An actuator with a field `port` is opened on a fake port, and steered
-    there; no robot moves.
+    With --check, the command tests a kind of your own. It tests whether NumPy functions, compiled
+    functions and derivatives agree, whether the bounds hold, and whether equal seeds give equal
+    results. Exits with 1 if something is wrong. Controllers and disturbances are tested in
+    simulations. A camera is opened if possible. An actuator with a field `port` is opened on a fake
+    port, and steered there; no robot moves.
 
     Example: tetractl kinds --check pivot:PIVOT
     """
     if check is None and (sets or spec):
-        raise UsageError("--set and --spec need --check")
+        raise UsageError("--set and --spec can be used only together with --check")
     return _list(as_json) if check is None else _check(check, spec, sets or [], as_json)
 
 
@@ -195,7 +196,7 @@ def _fields(sets: list[str]) -> dict[str, Any]:
     for setting in sets:
         name, equals, text = setting.partition("=")
         if not name or not equals:
-            raise UsageError(f"--set {setting}: must be FIELD=VALUE")
+            raise UsageError(f"--set {setting}: write it as FIELD=VALUE")
         fields[name] = with_tuples(parse_value(text, printable(f"--set {setting}"), (name,)))
     return fields
 

@@ -41,12 +41,12 @@ def check(
 ) -> int:
     """Check a lab without moving a robot.
 
-    It checks camera, actuator, robots, batteries and starts. In a real lab, it also practises
-    control steps with simulated robots for 3 s: it measures whether this computer plans in time,
-    and reads the camera meanwhile.
+    The command checks camera, actuator, robots, batteries and starts. In a real lab, it also
+    practises control steps with simulated robots for 3 s while it reads the camera, to measure
+    whether this computer plans in time.
 
-    Exit code 0 means that a run could start now. Questions that only a person can answer, such as
-    the firmware of an unknown radio, are asked. Without a terminal, give --yes.
+    Exit code 0 means that a run could start now. The command asks questions that only a person can
+    answer, such as the firmware of an unknown radio. Without a terminal, give --yes.
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
@@ -80,7 +80,7 @@ def check(
     if yes:
         return Exit.DONE
     if preflight.questions and not has_keys():
-        ui.tell("questions not answered: add --yes if there is no terminal")
+        ui.tell("the questions were not answered: without a terminal, add --yes")
         return Exit.FAILED
     agreed = all(typer.confirm(question, err=True) for question in preflight.questions)
     return Exit.DONE if agreed else Exit.FAILED
@@ -88,22 +88,24 @@ def check(
 
 def stop(
     spec: Annotated[
-        Path | None, argument("[SPEC]", "Spec file; only its actuator is used.")
+        Path | None, argument("[SPEC]", "Spec file, of which only the actuator is used.")
     ] = None,
     sets: Sets = None,
     port: Annotated[
         str | None, option("PORT", "Serial port of an m3pi radio, instead of a spec.")
     ] = None,
-    baud: Annotated[int, option("N", "With --port: baud rate.")] = 57600,
+    baud: Annotated[int, option("N", "With --port: baud rate of the radio.")] = 57600,
 ) -> int:
     """Stop every robot, through the spec's actuator or the port of an m3pi radio.
 
-    m3pi and twist robots stay stopped, and a coil driver makes no field, until they are switched
-    off. Other robots, such as toio cubes, can be driven again at once; cells swim on.
+    m3pi and twist robots stay stopped until you switch them off and on. A coil driver makes no
+    field
+    until you switch it off and on. Other robots, such as toio cubes, can be driven again at once.
+    Cells swim on.
 
-    No camera is needed. Each run that uses a port is ended: stops are sent on the same port, the
-    run gets two requests to end, then it is killed. Exits with 1 if a robot cannot be reached, no
-    radio answers, or another program keeps a port.
+    No camera is needed. If a run uses the port, the command sends stops on the same port and ends
+    the run: it asks the run twice to end, and then kills it. Exits with 1 if a robot cannot be
+    reached, no radio answers, or another program keeps a port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """
@@ -135,7 +137,7 @@ def _stops(
         from tetractl.lab.actuators.m3pi import broadcast as m3pi
 
         return partial(m3pi.stop_in_range, _xbee(port, baud), MonotonicClock())
-    raise UsageError("give either a SPEC or --port")
+    raise UsageError("give either a spec or --port, and only one of them")
 
 
 def _stops_of_spec(spec: Path, sets: list[str]) -> Callable[..., str]:
@@ -175,14 +177,14 @@ def calibrate(
         "calibration.yaml"
     ),
     robot: Annotated[
-        list[str] | None, option("NAME", "Calibrate only this robot; may be repeated. [all]")
+        list[str] | None, option("NAME", "Calibrate only this robot. Can be repeated. [all]")
     ] = None,
     limit: Annotated[
         int,
         option(
             "N",
-            "Maximum output that the calibration sends, in 127ths of full speed. For m3pi robots, "
-            "a wheel count.",
+            "Maximum output that the calibration sends, in 127ths of full speed. For m3pi "
+            "robots, this is a wheel count.",
             min=10,
             max=80,
         ),
@@ -191,9 +193,10 @@ def calibrate(
 ) -> int:
     """Calibrate each robot's actuator with small motions.
 
-    It measures wheel speeds, wheel distance and heading offset of robots on two wheels. Robots move
-    one after another, each within about 0.3 m. Space or Esc stops all robots. Enter the file's name
-    in the spec as `lab.calibration`.
+    The command measures wheel speeds, wheel distance and heading offset of robots on two wheels.
+    The
+    robots move one after another, each within about 0.3 m. Space or Esc stops all robots.
+    Afterwards, enter the name of the file in the spec as `lab.calibration`.
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
     """
@@ -202,10 +205,10 @@ def calibrate(
     names = robot or list(experiment.setup.names)
     for name in names:
         if name not in experiment.setup.names:
-            raise UsageError(f"--robot {name}: the spec has no such robot")
+            raise UsageError(f"--robot {name}: the spec has no robot with this name")
     ui.rig_section(experiment).require_calibratable()
     if experiment.plant.real_time:
-        ui.require_consent(yes, f"{', '.join(names)} will move up to 0.3 m each.")
+        ui.require_consent(yes, f"{', '.join(names)} will move by up to 0.3 m each.")
     return save_calibration(out, _calibrated(experiment, names, limit))
 
 
@@ -268,7 +271,7 @@ def save_calibration(out: Path, measured: "Measured") -> int:
     values = calibration.model_dump(mode="json", exclude_none=True)
     save_whole(out, dump(values).encode())
     whose = f", of an emulated {' and '.join(measured.emulated)}" if measured.emulated else ""
-    ui.tell(f"wrote {out}{whose}; name it in the spec: lab.calibration")
+    ui.tell(f"wrote {out}{whose}; to use it, name the file in the spec as lab.calibration")
     return Exit.DONE
 
 

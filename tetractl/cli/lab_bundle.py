@@ -12,18 +12,19 @@ def bundle(
         list[Path],
         argument("FILE...", "Logs and folders of logs, captures (pcap), and text files."),
     ],
-    out: Annotated[Path, out_option("FILE", "The zip file to write.")],
+    out: Annotated[Path, out_option("FILE", "Zip file to write.")],
     remove: Annotated[
         list[str] | None,
-        option("NAME", "Replace this name wherever it occurs; may be repeated.", "--remove"),
+        option("NAME", "Replace this name everywhere. Can be repeated.", "--remove"),
     ] = None,
 ) -> int:
     """Pack logs, captures and texts for a report, without names and addresses.
 
-    IP addresses, network cards, radios, e-mail addresses, host names of URLs, home folders and this
-    computer's name get aliases, the same in all files. Other names, such as those of people in the
-    comments of a spec, stay unless you give them with --remove. Logs remain valid, with their spec
-    and environment. A capture keeps the content of its UDP and TCP packets. Images stay unchanged.
+    The command replaces IP addresses, network cards, radios, e-mail addresses, host names of URLs,
+    home folders and this computer's name by aliases, which are the same in all files. Other names,
+    such as those of people in the comments of a spec, stay unless you give them with --remove. Logs
+    remain valid, with their spec and environment. A capture keeps the content of its UDP and TCP
+    packets. Images stay unchanged.
 
     Example: tetractl lab bundle logs/first lab.txt calibration.yaml natnet.pcap -o report.zip
     """
@@ -31,7 +32,7 @@ def bundle(
 
     written = write_bundle(files, out, remove or [])
     print(printable_lines(contents_text(written)), end="")
-    print(f"{printable(str(out))}: look into it before you send it")
+    print(f"wrote {printable(str(out))}: look at its contents before you send it")
     return Exit.DONE
 
 

@@ -27,19 +27,26 @@ def guard(
     sets: Sets = None,
     rows_max: Annotated[
         int,
-        option("N", "Interventions to list for each log; the rest are counted.", "--most", min=0),
+        option(
+            "N",
+            "Number of interventions to list for each log. The rest are only counted.",
+            "--most",
+            min=0,
+        ),
     ] = SHOWN_MAX,
     as_json: AsJson = False,
 ) -> int:
     """Report what the guard would have done in logged trials, without acting.
 
-    The guard sees the poses and commands of each log again. For everything that it would have done,
-    a row states when, which check, which robot, and the value with its limit. A table at the end
-    counts, for each check, the refused poses, stopped robots and ended runs, and the hours for
-    which it watched. Try other limits with --set lab.limits.wheel_error=0.2.
+    The guard receives the poses and commands of each log again. For everything that it would have
+    done, a row states the time, the check, the robot, and the value with its limit. For each check,
+    a
+    table at the end counts the refused poses, the stopped robots and the ended runs, and the hours
+    for which the check was active. Try other limits with --set lab.limits.wheel_error=0.2.
 
-    A log holds only poses that the guard accepted in the trial: what it refused then counts as an
-    untracked robot. If a log has no wheel speeds, motion and drift are not checked.
+    A log holds only the poses that the guard accepted in the trial. Where the guard refused a pose,
+    the robot now counts as untracked. Without wheel speeds in a log, motion and drift are not
+    checked.
 
     Example: tetractl lab guard logs/batch --set lab.limits.wheel_error=0.15
     """
@@ -77,7 +84,7 @@ def _limits(log: "TrialLog", sets: list[str]) -> "LabLimits":
     for setting in sets:
         path, equals, text = setting.partition("=")
         if not path.startswith(LIMITS) or not equals:
-            raise UsageError(f"--set {setting}: this command takes `{LIMITS}NAME=VALUE` only")
+            raise UsageError(f"--set {setting}: this command accepts only `{LIMITS}NAME=VALUE`")
         values[path.removeprefix(LIMITS)] = parse_value(text, f"--set {setting}")
     try:
         return LabLimits.model_validate(values)
@@ -158,6 +165,6 @@ def _totals(counts: list[dict[str, Any]], logs: int) -> Table:
         Column("hours", [f"{row['hours']:.4f}" for row in counts]),
     )
     idle = [row["check"] for row in counts if not row["hours"]]
-    note = f"not observed, as no log has wheel speeds: {', '.join(idle)}" if idle else ""
+    note = f"not checked, because no log has wheel speeds: {', '.join(idle)}" if idle else ""
     title = f"What the guard would have done in {logs} {plural('log', logs)}"
     return Table(title, columns, note)

@@ -60,23 +60,27 @@ def _plain(text: str) -> str:
 
 
 Log = Annotated[Path, argument("LOG", "The log of the trial.")]
-Logs = Annotated[list[Path], argument("LOG|FOLDER...", "Trial logs: files, folders or globs.")]
+Logs = Annotated[
+    list[Path], argument("LOG|FOLDER...", "Trial logs: files, folders or glob patterns.")
+]
 Spec = Annotated[Path, argument("SPEC", "The experiment, a YAML file.")]
 Sets = Annotated[
     list[str] | None,
-    option("PATH=VALUE", "Replace a value of the spec, as field=value; may be repeated.", "--set"),
+    option(
+        "PATH=VALUE", "Replace a value of the spec, given as field=value. Can be repeated.", "--set"
+    ),
 ]
 AsJson = Annotated[bool, switch("Print one JSON object.", "--json")]
 LikeFormatJson = Annotated[bool, switch("The same as --format json.", "--json")]
 Strict = Annotated[bool, switch("Exit with code 2 if a spec has warnings.", "--strict")]
 Yes = Annotated[
-    bool, switch("Move robots without asking; needed if there is no terminal.", "--yes")
+    bool, switch("Move robots without asking first. Needed if there is no terminal.", "--yes")
 ]
 Lab = Annotated[
     str,
     option(
         "lab|emulated",
-        "lab: the spec's lab. emulated: emulate that lab in virtual time.",
+        "lab: use the spec's lab. emulated: emulate this lab in virtual time.",
         "--plant",
     ),
 ]
@@ -84,8 +88,8 @@ Lab = Annotated[
 Unattended = Annotated[
     bool,
     switch(
-        "Lab only, with --yes: go on if the terminal closes or no process reads the output any "
-        "more, which otherwise stops the robots.",
+        "Only in the lab, with --yes: go on if the terminal closes or no process reads the "
+        "output any more. Without this option, the robots then stop.",
         "--unattended",
     ),
 ]
@@ -94,15 +98,18 @@ LogFolder = Annotated[
     Path | None, out_option("DIR", "Folder for the logs. [logs/<spec name>-<UTC time>]")
 ]
 DryRun = Annotated[
-    bool, switch("Run nothing: print the spec, its limits and what would be run.", "--dry-run")
+    bool,
+    switch(
+        "Run nothing. Print the spec, its limits and the trials that would be run.", "--dry-run"
+    ),
 ]
-Quiet = Annotated[bool, switch("Show neither a live view nor progress.", "--quiet", "-q")]
+Quiet = Annotated[bool, switch("Do not show a live view or progress.", "--quiet", "-q")]
 Serve = Annotated[
     bool,
     switch("Print a link that shows the trial in Foxglove or Lichtblick as it runs.", "--serve"),
 ]
 ServePort = Annotated[
-    int | None, tcp_port("With --serve: TCP port of the server; 0 for any free port. [8765]")
+    int | None, tcp_port("With --serve: TCP port of the server. 0 chooses any free port. [8765]")
 ]
 StatsJson = Annotated[
     bool, switch("Print the statistics as JSON, like `stats --format json`.", "--json")

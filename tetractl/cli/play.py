@@ -39,8 +39,9 @@ if TYPE_CHECKING:
 TRIAL = 0
 """The trial that is steered, and that the controller runs."""
 THEIRS = (
-    "The controller too sends one direction to all: it simulates many sequences, and sends the "
-    "first step of the best. It stops when no sequence brings them nearer."
+    "The controller also sends one direction to all robots. It simulates many sequences of "
+    "directions, and sends the first direction of the best sequence. It stops when no "
+    "sequence brings the robots nearer to their targets."
 )
 """Text shown when the controller's trial has ended, and its last image stays."""
 DISTURBED = "three_m3pi_bench"
@@ -54,21 +55,26 @@ def play(
     plant: Annotated[
         str | None,
         options.plant_option(
-            "sim: simulate. lab: drive the robots of the spec's lab. emulated: emulate that lab. "
-            "[spec: plant.type]"
+            "sim: simulate. lab: drive the robots of the spec's lab. emulated: emulate this "
+            "lab. [spec: plant.type]"
         ),
     ] = None,
     speed: Annotated[
         float | None,
-        options.option("R", "Seconds of the trial per second. [1]", min=0.1, max=100),
+        options.option(
+            "R", "Speed of play: seconds of the trial per real second. [1]", min=0.1, max=100
+        ),
     ] = None,
     script: Annotated[
         Path | None,
-        options.option("FILE", "Take the keys from lines such as `1.5 up`, in virtual time."),
+        options.option(
+            "FILE",
+            "Read the keys from a file with lines such as `1.5 up`, and run in virtual time.",
+        ),
     ] = None,
     html: Annotated[
         Path | None,
-        options.option("FILE", "Write a web page in which anybody can play, and stop."),
+        options.option("FILE", "Only write a web page in which anybody can play."),
     ] = None,
     yes: options.Yes = False,
     out: options.LogFolder = None,
@@ -76,20 +82,20 @@ def play(
     """Steer all robots yourself with one direction, then let the spec's controller try.
 
     The first arrow key starts the robots. An arrow, or a drag of the mouse, sets the direction to
-    which all robots turn; dots show where that leads. Steer round obstacles (yellow).
-    Space stops the robots, which ends the trial. Its error is the sum of the robots' distances to
+    which all robots turn; dots show where that leads. Steer around obstacles (yellow). Space stops
+    the robots, which ends the trial. The error of the trial is the sum of the robots' distances to
     their targets.
 
-    Then Enter lets the controller steer the same robots, from the same start and with the same
-    disturbances, if the spec has any; R lets you try again. All trials are logged, in DIR/you,
-    DIR/you-2 and so on, and DIR/controller; `verify`, `replay` and `stats` read yours as given
+    Afterwards, Enter lets the controller steer the same robots from the same start, with the same
+    disturbances if the spec has any; R lets you try again. All trials are logged in DIR/you,
+    DIR/you-2 and so on, and DIR/controller. `verify`, `replay` and `stats` treat yours as given
     directions.
 
-    In the lab, and in an emulated one, Esc is the emergency stop. In the lab robots are placed and
+    In the lab, and in an emulated lab, Esc is the emergency stop. In the lab, robots are placed and
     started as by `run`, and the controller's trial is left out.
 
-    --html writes a page for a browser, without a network: on a phone, in a class, on a website. Its
-    robots move without the spec's disturbances.
+    --html writes a page for a browser, which needs no network: for a phone, a class or a website.
+    Its robots move without the spec's disturbances.
 
     Example: tetractl play experiments/three_m3pi.yaml
     """
@@ -103,7 +109,9 @@ def play(
     loaded = load_to_run(spec, sets or [], plant, [FieldValue("trials.seed", seed, "--seed")])
     if html is not None:
         if script is not None or speed is not None or out is not None:
-            raise UsageError("--html writes a page: it takes no --script, --speed or --out")
+            raise UsageError(
+                "--html writes a page, and cannot be combined with --script, --speed or --out"
+            )
         return _write_page(loaded, html)
     directed = directed_spec(loaded)
     experiment = loaded.experiment
@@ -112,13 +120,18 @@ def play(
     console = open_console(stderr=True)
     if timed_keys is None and not (has_keys() and shows_pictures(console)):
         raise UsageError(
-            "play reads keys, and this is no terminal with UTF-8",
-            "without one, as in a cell of a notebook, give --script FILE",
+            "play reads keys from a terminal with UTF-8, and there is none here",
+            "in a cell of a notebook or without a terminal, give the keys in a file with "
+            "--script FILE",
         )
     if in_lab and (timed_keys is not None or speed is not None):
-        raise UsageError("--script and --speed are for virtual time: in the lab a person steers")
+        raise UsageError(
+            "--script and --speed work only in virtual time: in the lab, a person steers"
+        )
     if timed_keys is not None and speed is not None:
-        raise UsageError("--speed is for a person: a --script runs as fast as it can")
+        raise UsageError(
+            "--speed cannot be combined with --script, which always runs as fast as possible"
+        )
     if in_lab:
         ui.require_yes_or_terminal(yes)
     folder = out or new_log_folder(experiment.name)
@@ -319,7 +332,7 @@ def _you_steer(game: Game, console: "Console", speed: float) -> str:
     def say_at_end(result: "Result") -> None:
         you = f"You: {_how_well(result, game.experiment)}"
         if _was_stopped(result):
-            you = f"{you}. This try is lost"
+            you = f"{you}. This try is lost."
         if game.theirs is None:
             view.say(f"{you}. {WHY}", "ENTER: the controller", "R: again")
         else:
@@ -339,7 +352,8 @@ def _controller_steers(game: Game, console: "Console", speed: float) -> str:
     you = f"Your best: {_how_well(_best(game.yours), game.experiment)}."
     keys = HandKeys(has_ended=lambda: game.interrupt.requested)
     aside = (
-        f"{you} Now the controller, from the same start. Dots: its plan, made again at each step."
+        f"{you} Now the controller steers from the same start. The dots show its plan, which "
+        "it makes again at each step."
     )
     view = LiveView(console, aside=aside, plain=True)
 
@@ -387,7 +401,9 @@ def _conclude(game: Game) -> int:
         if game.theirs is not None:
             ui.tell(*_harder(game.experiment))
         folders = " ".join(quote(str(path)) for path in game.folders)
-        ui.tell(f"logs in {game.folder}; look at them with:", f"  tetractl replay {folders}")
+        ui.tell(
+            f"the logs are in {game.folder}; look at them with:", f"  tetractl replay {folders}"
+        )
     else:
         game.folder.rmdir()
     if game.error:
@@ -397,7 +413,7 @@ def _conclude(game: Game) -> int:
         ui.tell("interrupted")
         return Exit.INTERRUPTED
     if not game.yours:
-        ui.tell("no direction was given; nothing is logged")
+        ui.tell("no direction was given, so nothing was logged")
     return Exit.DONE
 
 
@@ -410,7 +426,7 @@ def _harder(experiment: "Experiment") -> list[str]:
     path = Path(FOLDER, f"{DISTURBED}.yaml")
     first = [] if path.exists() else [f"  tetractl init --example {DISTURBED}"]
     return [
-        "this spec simulates no disturbances; one that does:",
+        "this spec simulates no disturbances; this command writes a spec with disturbances:",
         *first,
         f"  tetractl play {path}",
     ]

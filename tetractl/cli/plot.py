@@ -20,12 +20,12 @@ def plot(
         Path | None,
         out_option(
             "FILE",
-            "Picture to write: .png, .svg or .pdf; by default LOG-KIND.png in this folder. A "
-            "video: .mp4, .gif or .webp, by default LOG-video.gif.",
+            "Image to write (.png, .svg or .pdf), by default LOG-KIND.png in the current "
+            "folder. For a video: .mp4, .gif or .webp, by default LOG-video.gif.",
         ),
     ] = None,
     kind: Annotated[
-        str | None, option("NAME", "The figure to draw, a name from the lists above. [trajectory]")
+        str | None, option("NAME", "Figure to draw, one of the names listed above. [trajectory]")
     ] = None,
 ) -> int:
     """Draw a figure of one trial or several, and print the name of its file.
@@ -65,14 +65,14 @@ def _video(logs: list[Path], out: Path | None) -> int:
     from tetractl.view.video import check_file, write_video
 
     if len(logs) > 1:
-        raise UsageError(f"a video shows one trial, not {len(logs)}", "give one log")
+        raise UsageError(f"a video shows a single trial, but {len(logs)} are given", "give one log")
     path = out or _default_name(logs, VIDEO).with_suffix(".gif")
     check_file(path)
     log = ui.open_trial(logs[0])
     with ui.progress("Drawing") as on_picture:
         speed = write_video(log, path, on_picture)
     if speed > 1:
-        ui.tell(f"plays {speed} times faster than the trial")
+        ui.tell(f"the video plays {speed} times faster than the trial")
     print(printable(str(path)))
     return Exit.FAILED if log.damage else Exit.DONE
 

@@ -23,25 +23,25 @@ def replay(
         float | None,
         option(
             "R",
-            "Speed: seconds of the trial per second (1). Without a terminal all lines are "
-            "printed at once unless --rate is given.",
+            "Speed of replay: seconds of the trial per real second (1). Without a terminal, "
+            "all lines are printed at once unless --rate is given.",
         ),
     ] = None,
     start: Annotated[float, option("S", "Begin at this second of the trial.")] = 0.0,
     until: Annotated[float | None, option("S", "Stop at this second of the trial.")] = None,
-    loop: Annotated[bool, switch("At the end, start again.", "--loop")] = False,
+    loop: Annotated[bool, switch("Start again at the end.", "--loop")] = False,
     paused: Annotated[bool, switch("Start paused, until a key is pressed.", "--paused")] = False,
 ) -> int:
     """Play trials back: arena, trails, plan, error, convergence, events.
 
-    Times count from the first direction sent; a log of a lab begins earlier, so that it can be
-    played from --start -5.
+    Times count from the first direction that was sent. A log from a lab begins earlier, and can be
+    played for example from --start -5.
 
     Keys: space pause or continue; arrows 1 s back or forward; , . previous and next control step; E
     e previous and next event; Home End; + - twice and half the rate; p n previous and next trial; ?
     all keys; q quit.
 
-    Without a terminal it prints one line per control step and event.
+    Without a terminal, the command prints one line for each control step and event.
 
     Example: tetractl replay trial-000.mcap --rate 2 --start 5
     """
@@ -53,10 +53,11 @@ def replay(
     console = open_console()
     on_screen = has_keys() and shows_pictures(console)
     if paused and not on_screen:
-        raise UsageError("--paused needs a terminal, where a key continues")
+        raise UsageError("--paused needs a terminal, because a key continues the replay")
     if loop and not on_screen and len(paths) > 1:
         raise UsageError(
-            "--loop without a terminal takes one log: other logs would never be played"
+            "without a terminal, --loop accepts only one log, because other logs would "
+            "never be played"
         )
     playlist = Playlist(paths, rate, start, until, loop)
     try:

@@ -13,7 +13,7 @@ from tetractl.tools.files import save_whole
 def report(
     logs: Logs,
     out: Annotated[
-        Path, out_option("FILE", "HTML file to write; an existing file is overwritten.")
+        Path, out_option("FILE", "HTML file to write. An existing file is overwritten.")
     ] = Path("report.html"),
     title: Annotated[str | None, option("TEXT", "Title of the page. [experiment's name]")] = None,
 ) -> int:
@@ -40,7 +40,8 @@ def report(
 def open_(
     logs: Logs,
     out: Annotated[
-        Path | None, out_option("FILE", "HTML file to keep. [one in the folder of temporary files]")
+        Path | None,
+        out_option("FILE", "HTML file to write. [one in the folder for temporary files]"),
     ] = None,
 ) -> int:
     """Write the page of `tetractl report` to a temporary file, and open it in the browser.
@@ -52,5 +53,7 @@ def open_(
     out = out or Path(mkdtemp(prefix="tetractl-")) / "report.html"
     code = report(logs, out)
     if not open_in_browser(out.resolve().as_uri()):
-        ui.tell("notice: no browser was found here; open the file in one")
+        ui.tell(
+            "notice: no browser was found on this computer; open the file in a browser yourself"
+        )
     return code

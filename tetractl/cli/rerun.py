@@ -26,8 +26,8 @@ def rerun(
     plant: Annotated[
         str,
         options.plant_option(
-            "sim: simulate. lab: drive the robots of the log's lab. emulated: emulate that lab "
-            "in virtual time."
+            "sim: simulate. lab: drive the robots of the log's lab. emulated: emulate this "
+            "lab in virtual time."
         ),
     ] = "sim",
     yes: options.Yes = False,
@@ -41,10 +41,12 @@ def rerun(
 ) -> int:
     """Run the trial of a log again, and compare the two logs.
 
-    It uses the spec and the seed in the log. A trial in virtual time repeats exactly on its plant:
-    the exit code is 1 if the two logs differ in content. With --set, the trial is a different one,
-    for instance with another controller, and the total errors of both are printed. The trial of a
-    log from a lab is simulated. Robots move only with --plant lab.
+    The command uses the spec and the seed in the log. A trial in virtual time repeats exactly on
+    its
+    plant; the exit code is 1 if the two logs differ in content. With --set, the trial is a
+    different
+    one, for instance with another controller, and the command prints the total errors of both. The
+    trial of a log from a lab is simulated. Robots move only with --plant lab.
 
     Example: tetractl rerun logs/demo/trial-003.mcap
     """
@@ -106,8 +108,8 @@ def _tell_errors(raw: "RawLog", raw_again: "RawLog") -> None:
     error_again = result_of(raw_again).result.total_error
     unit = raw.run.unit
     ui.tell(
-        f"total error {error_again:.2f} {unit}, in the log {error:.2f} {unit}; their specs differ, "
-        "so nothing else is compared"
+        f"total error {error_again:.2f} {unit}, in the log {error:.2f} {unit}; nothing else "
+        "is compared, because the specs differ"
     )
 
 
@@ -123,10 +125,10 @@ def _compare(raw: "RawLog", trial: "TrialLog", raw_again: "RawLog") -> int:
     if plant.type != plant_again.type or plant.real_time:
         name = PLANT_NAMES.get(plant.type, plant.type)
         name_again = PLANT_NAMES.get(plant_again.type, plant_again.type)
-        names = f"the log is {name}, the new one {name_again}"
+        names = f"the log comes from {name}, but the new one from {name_again}"
         if name == name_again:
-            names = f"both logs are {name}"
-        ui.tell(f"{names}: they are not compared")
+            names = f"both logs come from {name}"
+        ui.tell(f"{names}, so they are not compared")
         return Exit.DONE
     digest = raw.content_digest
     digest_again = raw_again.content_digest
@@ -139,9 +141,9 @@ def _compare(raw: "RawLog", trial: "TrialLog", raw_again: "RawLog") -> int:
     if first_difference is not None:
         ui.tell(f"  {first_difference}")
     if raw.damaged or not result_of(raw).outcome.complete:
-        ui.tell(f"  {raw.path} is damaged, or its trial did not run to its end")
+        ui.tell(f"  {raw.path} is damaged, or its trial was cut short")
     if raw.text(RESOLVED_SPEC) != raw_again.text(RESOLVED_SPEC):
-        ui.tell("  the log's spec lacks fields of this tetractl")
+        ui.tell("  the spec in the log lacks fields that this version of tetractl has")
     for line in host_differences(trial):
         ui.tell(f"  {line}")
     return Exit.FAILED

@@ -17,18 +17,22 @@ def run(
     plant: Annotated[
         str | None,
         options.plant_option(
-            "sim: simulate. lab: drive the robots of the spec's lab. emulated: emulate that lab "
-            "in virtual time. [spec: plant.type]"
+            "sim: simulate. lab: drive the robots of the spec's lab. emulated: emulate this "
+            "lab in virtual time. [spec: plant.type]"
         ),
     ] = None,
     yes: options.Yes = False,
     unattended: options.Unattended = False,
     out: options.LogFolder = None,
     jobs: Annotated[
-        int, options.option("N", "Number of trials run at a time, each in its own process.", min=1)
+        int,
+        options.option(
+            "N", "Number of trials to run at the same time, each in its own process.", min=1
+        ),
     ] = 1,
     resume: Annotated[
-        bool, options.switch("Run only the trials without a complete log in DIR.", "--resume")
+        bool,
+        options.switch("Run only the trials that have no complete log in DIR yet.", "--resume"),
     ] = False,
     keep_going: Annotated[
         bool | None,
@@ -39,7 +43,7 @@ def run(
     ] = None,
     rate: Annotated[
         float | None,
-        options.option("R", "Show simulated trials at R times life speed.", min=0.1, max=100),
+        options.option("R", "Show simulated trials at R times real speed.", min=0.1, max=100),
     ] = None,
     dry_run: options.DryRun = False,
     strict: options.Strict = False,
@@ -50,29 +54,33 @@ def run(
 ) -> int:
     """Run the trials of an experiment, log each to DIR/trial-000.mcap ..., print the statistics.
 
-    In the lab a person at the terminal is shown where robots must stand and starts the robots by
-    Enter; without a terminal, give --yes.
+    In the lab, the command shows where the robots must stand, and a person at the terminal starts
+    the robots with Enter. Without a terminal, give --yes.
 
-    With --keep-going, a batch goes on after an abort if the robots were seen to stand. In the lab,
-    the next trial waits until they are back at their starts, as between all trials. The batch still
-    ends after an emergency stop, after the failure of a device, if a robot may still move, and if
-    the next trial cannot start. The exit code of a batch with an aborted trial is 1.
+    With --keep-going, a batch goes on after an abort if the camera showed that the robots stand
+    still. In the lab, the next trial waits until they are back at their starts, as between all
+    trials. The batch still ends after an emergency stop, after the failure of a device, if a robot
+    may still move, and if the next trial cannot start. The exit code of a batch with an aborted
+    trial
+    is 1.
 
     With --rate 1, or with --serve, a simulated trial takes as long as a real one.
 
-    Ctrl-C finishes the step, stops the robots and closes the log; a second Ctrl-C does not wait for
-    the step.
+    Ctrl-C finishes the control step, stops the robots and closes the log. A second Ctrl-C does not
+    wait for the step.
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
     from tetractl.spec.yaml.settings import FieldValue
 
     if resume and out is None:
-        raise UsageError("--resume needs --out", "name the folder of the batch to continue")
+        raise UsageError(
+            "--resume needs --out", "name the folder of the batch to continue with --out"
+        )
     if serve and jobs > 1:
-        raise UsageError("--serve shows one trial at a time", "leave out --jobs")
+        raise UsageError("--serve shows only one trial at a time", "leave out --jobs")
     if rate is not None and (serve or jobs > 1):
-        raise UsageError("--rate shows one trial at a time", "leave out --serve and --jobs")
+        raise UsageError("--rate shows only one trial at a time", "leave out --serve and --jobs")
     how = RunOptions(
         out=out,
         jobs=jobs,

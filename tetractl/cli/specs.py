@@ -68,8 +68,8 @@ def _no_example(name: str, examples: Sequence[str]) -> UsageError:
         return UsageError(f"the example '{name}' {problem}", hint)
     single = [example for example in examples if "/" not in example]
     return UsageError(
-        f"there is no example '{name}'{did_you_mean(name, examples)}",
-        f"the examples are {', '.join([*single, *folders])}",
+        f"there is no example named '{name}'{did_you_mean(name, examples)}",
+        f"the available examples are {', '.join([*single, *folders])}",
     )
 
 
@@ -81,23 +81,23 @@ def init(
     lab: Annotated[bool, switch("Add a lab to the spec.", "--lab")] = False,
     camera: Annotated[
         str | None,
-        option("KIND", "The lab's camera, such as apriltag. [optitrack; toio: toio]"),
+        option("KIND", "The lab's camera, such as apriltag. [optitrack; for toio robots toio]"),
     ] = None,
     robots: Annotated[
         str | None, option("KIND", "The lab's robots, such as twist. [m3pi-xbee]")
     ] = None,
     example: Annotated[
         str | None,
-        option(
-            "NAME", "Write an example instead, such as three_m3pi, to experiments/three_m3pi.yaml."
-        ),
+        option("NAME", "Write this example, such as three_m3pi, to experiments/three_m3pi.yaml."),
     ] = None,
 ) -> int:
     """Write NAME.yaml, a commented spec that can be run. An existing file is left unchanged.
 
-    With --example it writes a shipped spec, study or fault script, and the files it names, to
-    experiments/, as the examples of other commands expect. For an unknown example it lists those of
-    tetractl and of the packages that are installed, of folders such as studies/ only the folder.
+    With --example, the command writes a shipped spec, study or fault script, and the files that it
+    names, to experiments/, where the examples of other commands expect it. If there is no such
+    example, the command lists all examples of tetractl and of the installed packages. For folders
+    such
+    as studies/, it lists only the folder itself.
 
     Example: tetractl init first
 
@@ -108,12 +108,13 @@ def init(
     if example is not None:
         if name is not None or lab or camera or robots:
             raise UsageError(
-                "--example cannot be combined with other options: it writes a file as shipped",
+                "--example writes a file exactly as shipped, and cannot be combined with "
+                "other options",
                 "give --example alone",
             )
         return _example(example)
     if (camera or robots) and not lab:
-        raise UsageError("--camera and --robots are of a lab", "add --lab")
+        raise UsageError("--camera and --robots describe a lab, which needs --lab", "add --lab")
     name = "experiment" if name is None else name
     path = Path(name if re.search(r"\.ya?ml$", name) else f"{name}.yaml")
     if not NAME.fullmatch(path.stem):
@@ -136,7 +137,7 @@ def _example(name: str) -> int:
         path = Path(FOLDER) / inner
         if number and path.exists():  # the file was written with another example
             continue
-        _write(path, text, "rename that file, or edit it")
+        _write(path, text, "rename the existing file, or edit it")
     return Exit.DONE
 
 
@@ -181,7 +182,8 @@ def validate(
     specs: Annotated[
         list[Path],
         argument(
-            "SPEC|STUDY", "Files to check. For a study, the spec of each arm is also checked."
+            "SPEC|STUDY",
+            "Files to check. For a study, the command also checks the spec of each arm.",
         ),
     ],
     sets: Annotated[
@@ -193,7 +195,7 @@ def validate(
 ) -> int:
     """Check specs and studies, and report every problem at its line.
 
-    Valid values that will probably not work as intended cause a warning on stderr.
+    If a valid value will probably not work as intended, the command prints a warning on stderr.
 
     Example: tetractl validate experiments/*.yaml
     """
@@ -298,7 +300,7 @@ def warm(
     ] = None,
     sets: Sets = None,
     verbose: Annotated[
-        bool, switch("Also print how long each function took to compile.", "--verbose")
+        bool, switch("Also print how long the compilation of each function took.", "--verbose")
     ] = False,
 ) -> int:
     """Compile the code that specs and studies need, so that runs start at once.
@@ -364,7 +366,7 @@ def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
 def schema(
     out: Annotated[Path | None, out_option("FILE", "File to write the schema to.")] = None,
     study: Annotated[
-        bool, switch("Print the schema of a study in place of a spec's.", "--study")
+        bool, switch("Print the schema of a study instead of a spec.", "--study")
     ] = False,
 ) -> None:
     """Print the JSON schema of a spec, or of a study, for editors.

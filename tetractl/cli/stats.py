@@ -22,42 +22,44 @@ def stats(
         list[str],
         argument(
             "PATH",
-            "Logs, folders or globs: one batch. Several folders, or one of several folders such "
-            "as a study, are several batches.",
+            "Logs, folders or glob patterns of one batch. Several folders, or a folder of "
+            "folders such as a study, are several batches.",
         ),
     ],
     form: Annotated[
         Format,
-        option("FORMAT", "Output: table, json, csv, markdown, latex or html.", "--format"),
+        option("FORMAT", "Output format: table, json, csv, markdown, latex or html.", "--format"),
     ] = "table",
     as_json: LikeFormatJson = False,
     against: Annotated[
         list[str] | None,
         option(
             "PATH",
-            "Log, folder or quoted glob of a baseline batch: the others are compared with this "
-            "batch only; may be repeated.",
+            "Log, folder or quoted glob pattern of a baseline batch. The other batches are "
+            "compared only with it. Can be repeated.",
         ),
     ] = None,
     plot: Annotated[
-        Path | None, option("FILE", "File of a figure of the batches: .png, .svg or .pdf.")
+        Path | None, option("FILE", "File to draw a figure of the batches in: .png, .svg or .pdf.")
     ] = None,
     full: Annotated[
         bool,
         switch(
-            "Print every figure: of each robot, distances, solve times, and each flagged trial.",
+            "Print all figures: for each robot, distances, solve times, and each flagged trial.",
             "--full",
         ),
     ] = False,
 ) -> int:
     """Print the total errors of batches, the verdict of their comparison, and what is unusual.
 
-    Every two batches are compared, or each with the baseline of --against: paired if their seeds
-    match, with tests corrected for the number of comparisons. A study's trials without logs are
-    read from its rows.
+    The command compares every pair of batches, or every batch with the baseline given by --against.
+    Trials are paired if their seeds match. The tests are corrected for the number of comparisons.
+    If
+    trials of a study have no logs, they are read from its table.
 
-    Trials that were aborted or interrupted, and attempts that --resume set aside, are flagged and
-    left out of the means. Exits with 1 if a log is damaged.
+    Trials that were aborted or interrupted, and attempts that --resume replaced, are flagged and
+    left
+    out of the means. Exits with 1 if a log is damaged.
 
     Example: tetractl stats logs/exact --against logs/euler --plot comparison.pdf
 
@@ -118,9 +120,9 @@ def _described(batches: "Sequence[Source]") -> "list[BatchStatistics]":
             batch = source.read(on_log)
         for trial in batch.trials:
             if trial.recovered:
-                ui.tell(f"damaged: {trial.log}: read as far as possible")
+                ui.tell(f"{trial.log} is damaged, and was read as far as possible")
         ui.tell(*(f"damaged: {log.log}: {log.problem}" for log in batch.lost))
         if not batch.trials and not batch.attempts:
-            raise LogError(f"{source.name}: none of {len(batch.damaged)} logs can be read")
+            raise LogError(f"{source.name}: none of its {len(batch.damaged)} logs can be read")
         described.append(describe(batch, source.name))
     return described

@@ -28,11 +28,15 @@ ARMS_NAMED = 4
 def study(
     file: Annotated[Path, argument("STUDY", "The study, a YAML file.")],
     out: Annotated[
-        Path | None, out_option("DIR", "Folder of the study. [logs/<study name>]")
+        Path | None, out_option("DIR", "Folder for the study's results. [logs/<study name>]")
     ] = None,
     jobs: Annotated[
         int | None,
-        option("N", "Number of trials run at a time, each in its own process. [processors]", min=1),
+        option(
+            "N",
+            "Number of trials to run at the same time, each in its own process. [processors]",
+            min=1,
+        ),
     ] = None,
     fail_fast: Annotated[
         bool, switch("Stop at the first trial that fails.", "--fail-fast")
@@ -40,7 +44,7 @@ def study(
     rerun_outdated: Annotated[
         bool,
         switch(
-            "Run again the trials that another version of the code has run.",
+            "Also run the trials again that another version of the code has run.",
             "--rerun-outdated",
         ),
     ] = False,
@@ -50,12 +54,12 @@ def study(
     dry_run: Annotated[
         bool,
         switch(
-            "Run nothing: print the arms and how many of their trials would be run.", "--dry-run"
+            "Run nothing. Print the arms, and how many of their trials would be run.", "--dry-run"
         ),
     ] = False,
     quiet: Annotated[
         bool,
-        switch("Show no progress; print failures, the table and the files.", "--quiet", "-q"),
+        switch("Show no progress. Print only failures, the table and the files.", "--quiet", "-q"),
     ] = False,
 ) -> int:
     """Run every arm of a study with the same seeds; write a table, and figures.
@@ -69,7 +73,7 @@ def study(
     from tetractl.study.load_study import load_study
 
     if cluster is not None and jobs is not None:
-        raise UsageError("--jobs is for this machine, --cluster for others: give one of them")
+        raise UsageError("--jobs uses this computer and --cluster others: give only one of them")
     loaded = load_study(file)
     folder = out or Path("logs") / loaded.study.name
     store = loaded.store(folder)
@@ -166,7 +170,9 @@ def _conclude(loaded: "LoadedStudy", store: "Store", interrupted: bool) -> int:
     if aborted:
         ui.tell(f"{aborted} trials aborted")
     if lacking > 0:
-        ui.tell(f"{lacking} of {wanted} trials are missing; continue with the same command")
+        ui.tell(
+            f"{lacking} of {wanted} trials are missing; to continue, give the same command again"
+        )
     if interrupted:
         ui.tell("interrupted")
         return Exit.INTERRUPTED

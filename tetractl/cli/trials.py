@@ -144,11 +144,13 @@ def run_command(
     experiment = loaded.experiment
     lab = experiment.plant.real_time
     if lab and options.jobs > 1:
-        raise UsageError("--jobs is for virtual time: the lab runs one trial at a time")
+        raise UsageError("--jobs works only in virtual time: the lab runs one trial at a time")
     if lab and options.rate is not None:
-        raise UsageError("--rate is for virtual time: robots in the lab move at life speed")
+        raise UsageError(
+            "--rate works only in virtual time: robots in the lab move at their own speed"
+        )
     if options.unattended and not (lab and options.yes):
-        raise UsageError("--unattended is only for robots in the lab", "add --plant lab --yes")
+        raise UsageError("--unattended is only for robots in a lab", "add --plant lab --yes")
 
     folder = options.out or new_log_folder(experiment.name)
     store = Store.of_batch(folder, experiment)
@@ -400,7 +402,10 @@ def _conclude(
     if unwritten is not None and not complete:  # of a complete run, it is the error
         ui.tell(f"error: the statistics were not written: {unwritten.strerror or unwritten}")
     rest = f"; {not_run} trials were not run" if not_run else ""
-    ui.tell(f"logs in {folder}{rest}; every figure: tetractl stats {quote(str(folder))} --full")
+    ui.tell(
+        f"logs are in {folder}{rest}; this command prints all figures: tetractl stats "
+        f"{quote(str(folder))} --full"
+    )
     for (_, trial), result in report.aborted.items():  # last: it may name robots that still move
         ui.tell(f"error: trial {trial + 1}: {result.reason}")
 
@@ -408,23 +413,23 @@ def _conclude(
         raise error
     last_aborted = bool(report.results) and next(reversed(report.results)) in report.aborted
     if interrupted and not last_aborted:
-        go_on = f"continue with the same command and --out {quote(str(folder))} --resume"
+        go_on = f"to continue, give the same command with --out {quote(str(folder))} --resume"
         if in_lab and interrupt.terminated:
             ui.tell(
-                "interrupted by a signal: if it came from `tetractl lab stop`, the robots stay "
-                f"stopped until you switch each off and on; then {go_on}"
+                "interrupted by a signal. If the signal came from `tetractl lab stop`, the "
+                f"robots stay stopped until you switch each off and on; then {go_on}"
             )
         else:
             ui.tell(f"interrupted; {go_on}")
         return Exit.INTERRUPTED
     aborts = report.aborted.values()
     if not_run and aborts and all(result.verdict.can_restart for result in aborts):
-        ui.tell("hint: with --keep-going a batch goes on after such an abort")
+        ui.tell("hint: with --keep-going, a batch goes on after an abort like this one")
     if report.aborted or store.aborted:
         return Exit.FAILED
     first = min((trial for _, trial in report.results), default=0)
     first_log = log_path(folder, first)
-    ui.tell(f"look at one with: tetractl replay {quote(str(first_log))}")
+    ui.tell(f"look at one of them with: tetractl replay {quote(str(first_log))}")
     if unwritten is not None:
         raise unwritten
     return Exit.DONE
@@ -446,7 +451,7 @@ def _print_statistics(folder: Path, as_json: bool, logs_may_lack: bool) -> OSErr
             show(contrast([statistics]), "json" if as_json else "table")
     except KeyboardInterrupt:
         give_up_unread()
-        ui.tell("the statistics were left out")
+        ui.tell("the statistics were not computed")
     except (BrokenPipeError, SystemExit):  # rich raises SystemExit on a closed pipe
         pass
     except OSError as error:

@@ -50,7 +50,7 @@ def warn(loaded: "LoadedSpec", strict: bool = False) -> "tuple[PlacedWarning, ..
     if strict and warnings:
         count = "a warning" if len(warnings) == 1 else f"{len(warnings)} warnings"
         raise UsageError(
-            f"the spec has {count}, and --strict treats warnings as errors; nothing was run"
+            f"the spec has {count}, and with --strict, warnings are errors; nothing was run"
         )
     return warnings
 
@@ -126,7 +126,7 @@ def refuse_existing(out: Path | None) -> None:
     if out is None:
         return
     if out.exists():
-        raise UsageError(f"{out}: exists already", "name another with --out")
+        raise UsageError(f"{out}: exists already", "choose another name with --out")
     require_folder_of(out)
 
 
@@ -139,7 +139,7 @@ def refuse_filled(folder: Path | None) -> None:
     if folder is None or not folder.exists():
         return
     if not folder.is_dir() or any(folder.iterdir()):
-        raise UsageError(f"{folder}: exists already", "name another with --out")
+        raise UsageError(f"{folder}: exists already", "choose another name with --out")
 
 
 def require_folder_of(out: Path) -> None:
@@ -149,9 +149,11 @@ def require_folder_of(out: Path) -> None:
         UsageError: If the folder is missing, or if the name belongs to a folder.
     """
     if not out.parent.is_dir():
-        raise UsageError(f"{out}: there is no folder {out.parent}")
+        raise UsageError(f"{out}: the folder {out.parent} does not exist")
     if out.is_dir():
-        raise UsageError(f"{out}: is a folder", "name a file in it")
+        raise UsageError(
+            f"{out}: this is a folder, but a file is needed", "name a file in this folder"
+        )
 
 
 # ---- Labs, and robots that move ----
@@ -164,7 +166,8 @@ def rig_section(experiment: "Experiment") -> "RigSection":
     lab = experiment.plant
     if not isinstance(lab, RigSection):
         raise UsageError(
-            f"--plant {lab.type}: has no camera and no actuator", "give lab or emulated"
+            f"--plant {lab.type}: this plant has no camera and no actuator",
+            "choose --plant lab or --plant emulated",
         )
     return lab
 
@@ -186,7 +189,7 @@ def require_yes_or_terminal(yes: bool) -> None:
     """
     if not yes and not has_keys():
         raise UsageError(
-            "robots would move, and there is no terminal at which to ask",
+            "robots would move, and there is no terminal to ask for permission",
             "add --yes to move them without asking",
         )
 

@@ -15,16 +15,20 @@ from tetractl.log.read.find import find_log, find_logs
 def verify(logs: Logs, as_json: AsJson = False) -> int:
     """Compute every control decision of a log again and compare it with the logged decision.
 
-    Every number must be the same to the last bit. If one is not, and processor or versions
-    (tetractl, Python, NumPy, numba) differ from those that wrote the log, only the costs of the
-    logged plans are evaluated again; the output names the check that was made. If processor and
-    versions agree, a simulation is run again, which decides every step again, and the two logs are
-    compared record by record.
+    Every number must be the same to the last bit. If a number differs, and the log was written with
+    another processor or other versions (tetractl, Python, NumPy, numba), the command only evaluates
+    the costs of the logged plans again; the output names the check that was made. If processor and
+    versions agree, the command also runs a simulation again, which repeats every decision, and
+    compares the two logs record by record.
 
-    If anything differs, exits with 1 and names the first step and field that differ. A log whose
-    check would take too long is "not checked to the end": exits with 3. Compiling does not count.
+    If anything differs, it exits with 1 and names the first step and field that differ. If the
+    check
+    of a log would take too long, the log is "not checked to the end", and the command exits with 3.
+    Compilation does not count.
 
-    A log with the same messages that another program wrote again is ok, and said to be so.
+    If another program has rewritten a log with the same messages, the log is ok, and the output
+    says
+    that it was rewritten.
 
     Example: tetractl verify logs/batch
     """
@@ -60,7 +64,7 @@ def recover(
 ) -> int:
     """Copy the intact records of a damaged log to a complete file, and print what is lost.
 
-    Exits with 0 if nothing is lost, 3 if something is, 1 if nothing can be saved.
+    Exits with 0 if nothing is lost, 3 if something is lost, and 1 if nothing can be saved.
 
     Example: tetractl recover logs/batch/trial-003.mcap.part
     """
@@ -71,7 +75,7 @@ def recover(
     if as_json:
         print(json.dumps({**asdict(copy), "whole": copy.whole}, indent=2))
     elif copy.path is None:
-        print(printable(f"{log}: complete; there is nothing to recover"))
+        print(printable(f"{log}: the log is complete, so there is nothing to recover"))
     else:
         ui.tell(*(f"damaged: {problem}" for problem in copy.damage.problems))
         records = f"{copy.chunks} chunks with {copy.messages} messages"
@@ -79,5 +83,5 @@ def recover(
         for lost in copy.damage.lost:
             print(printable(f"lost: {lost}"))
         if copy.whole:
-            print("nothing is lost: the content digest matches")
+            print("nothing is lost, because the content digest matches")
     return Exit.DONE if copy.whole else Exit.LOSSY

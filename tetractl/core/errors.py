@@ -97,7 +97,7 @@ def whole_number(value: object, what: str) -> int:
         number = -1
     if number < 0:
         raise UsageError(
-            f"{what} is a whole number from 0, but this is {printable(str(value), 40)}"
+            f"{what} must be a whole number of at least 0, but this is {printable(str(value), 40)}"
         )
     return number
 

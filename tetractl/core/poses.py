@@ -111,8 +111,8 @@ def turn_problem(angle: float) -> tuple[str, str] | None:
     if not abs(angle) > 2 * math.pi:
         return None
     return (
-        "is more than a whole turn, 6.283 rad",
-        f"if these are degrees, write {math.radians(angle):.4g}",
+        "is more than a whole turn, which is 6.283 rad",
+        f"if this is an angle in degrees, write {math.radians(angle):.4g}",
     )
 
 

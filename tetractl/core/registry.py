@@ -98,7 +98,7 @@ class Registry:
         if self.base and not (
             isinstance(loaded, type) and issubclass(loaded, resolve_name(self.base))
         ):
-            raise self.unusable(name, f"the object is not a class derived from {self.base}")
+            raise self.unusable(name, f"the object is not a subclass of {self.base}")
         return loaded
 
     def usable(self) -> dict[str, Any]:
@@ -121,7 +121,7 @@ class Registry:
         where = f"{point.name} = {point.value} of {self.group}"
         return PluginError(
             f"{package} {version}: the {self.what} '{point.name}' cannot be used: {why}",
-            f"its entry point is '{where}'; update or uninstall the package",
+            f"the package's entry point is '{where}'; update or uninstall the package",
         )
 
     @cached_property

@@ -51,10 +51,10 @@ SHARE = np.array([0.08, 0.04, 0.1])
 CLEAR = 9.0
 """Difference of two sums of squares that makes one explanation better."""
 CAMERA = (
-    "all robots are seen to move as no command does: has the camera or its origin moved, or does "
-    "another program drive the robots?"
+    "all robots are seen to move in a way that no command explains: has the camera or its "
+    "origin moved, or does another program drive the robots?"
 )
-RADIO = "all robots move as they were commanded {:.1f} s before: is the radio slow?"
+RADIO = "all robots move as they were commanded {:.1f} s earlier: is the radio slow?"
 SWAPPED = "{} and {} move as the other is commanded: are their numbers or bodies swapped?"
 
 

@@ -152,8 +152,8 @@ class _Bench:
     def __init__(self, section: CalibratedSection, rig: Rig, offset: float, limit: int) -> None:
         if not isinstance(rig.actuator, WheeledActuator):
             raise AbortError(
-                f"the actuator {type(rig.actuator).__name__} cannot be calibrated: it is not one "
-                "of robots on two wheels"
+                f"the actuator {type(rig.actuator).__name__} cannot be calibrated, because "
+                "its robots do not have two wheels"
             )
         self.rig = rig
         self.actuator = rig.actuator
@@ -190,7 +190,7 @@ class _Bench:
             raise AbortError("; ".join(problems))
         if status.answers is False:  # None: it cannot answer
             raise AbortError(
-                f"{self.name} does not answer", "find the cause with `tetractl lab check`"
+                f"{self.name} does not answer", "run `tetractl lab check` to find the cause"
             )
         rig.loop.guard.pass_preflight()
 
@@ -249,8 +249,8 @@ class _Bench:
         least_mm, most_mm = RADII_MM
         if not least_mm < radius_mm < most_mm:
             raise AbortError(
-                f"{self.name}: measured an impossible distance of {radius_mm:.0f} mm from a wheel "
-                "to the robot's centre; do the wheels roll freely?"
+                f"{self.name}: the measured distance from a wheel to the robot's centre, "
+                f"{radius_mm:.0f} mm, is impossible; do the wheels roll freely?"
             )
         return radius_mm
 
@@ -262,10 +262,10 @@ class _Bench:
         offset = math.atan2(forwards.across - backwards.across, forwards.along - backwards.along)
         if abs(offset) > OFFSET_MAX_RAD:
             raise AbortError(
-                f"{self.name}: its rigid body points {math.degrees(offset):.0f} degrees off its "
-                "front",
-                "set an approximate heading_offset in the spec, or redefine the rigid body in the "
-                "camera software",
+                f"{self.name}: the heading of the rigid body is {math.degrees(offset):.0f} "
+                "degrees off the robot's front",
+                "set an approximate heading_offset in the spec, or define the rigid body "
+                "again in the camera software",
             )
         return offset
 
@@ -285,16 +285,16 @@ class _Bench:
         self._stand()
         if len(rates) < POINTS_MIN:
             raise AbortError(
-                f"{self.name}: motor channel {number + 1} hardly turns the robot with up to "
-                f"{self.limit} of its unit",
-                "is the robot's battery charged and the motor connected? If so, raise --limit",
+                f"{self.name}: motor channel {number + 1} hardly turns the robot, even with "
+                f"an output of {self.limit}",
+                "is the battery charged, and is the motor connected? If so, raise --limit",
             )
         slope, start = np.polyfit(outputs, np.abs(rates), 1)
         to_both_sides = min(rates) < 0 < max(rates)
         if slope <= 0 or to_both_sides:
             raise AbortError(
                 f"{self.name}: motor channel {number + 1} does not turn the robot steadily; "
-                "charge the battery and check the wheel"
+                "charge the battery, and check the wheel"
             )
         dead_zone = min(self._dead_zone_max, max(0, round(-start / slope)))
         # the line through the dead zone that has the least squares

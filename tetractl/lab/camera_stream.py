@@ -183,7 +183,7 @@ class CameraStream:
         rate = self._rate.hz
         if rate is None or rate >= SLOW_HZ:
             return ""
-        few = f"only {rate:.0f} pictures per second came, {SLOW_HZ:.0f} or more are needed"
+        few = f"only {rate:.0f} images per second came, but at least {SLOW_HZ:.0f} are needed"
         return f"; {few}: is this computer busy?"
 
     @property

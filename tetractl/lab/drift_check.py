@@ -124,8 +124,8 @@ LEAST_KNOWN = 0.01
 """Fraction of the prior's variance that a trial must have explained."""
 TOGETHER = "all robots drift together: has the camera, its origin or its scale moved?"
 TURNS_TEXT = (
-    "robots turn by themselves while they drive, by wheels that differ or by poses false since "
-    "the start, which this trial alone cannot distinguish: {}"
+    "robots turn by themselves while they drive. Either their wheels differ, or their poses "
+    "have been false since the start; this trial alone cannot distinguish the two: {}"
 )
 WRONG = (
     "{}'s left wheel is {:+.0%} off its commanded speed, and its right one {:+.0%}: is it "

@@ -115,9 +115,9 @@ from tetractl.lab.robot_track import MISSING, PoseDecision, RobotTrack
 
 DAMAGED_MAX = 20
 """Maximum number of images or datagrams per second that may be damaged."""
-BUSY = "control steps were late (is this computer busy?), then "
+BUSY = "control steps were late (is this computer busy?); afterwards, "
 """Put before a reason that blames a robot or the camera."""
-FROZEN = "the frame repeats the one before to the last bit: is the camera frozen?"
+FROZEN = "the frame repeats the previous frame to the last bit: is the camera frozen?"
 RARELY = 3.0
 """A robot may be unseen for so many times `untracked_abort`, though not all at once."""
 

@@ -11,9 +11,9 @@ from tetractl.core.errors import AbortError
 from tetractl.lab.serial_port import SWITCH_OFF
 
 ENDING_SIGNALS = (
-    (signal.SIGTERM, "asked the process to stop its robots and end", 1.0),
+    (signal.SIGTERM, "asked the process to stop its robots and to end", 1.0),
     (signal.SIGTERM, "asked the process to end at once", 4.0),
-    (signal.SIGKILL, "killed the process; `tetractl recover` mends its log", 6.0),
+    (signal.SIGKILL, "killed the process; repair its log with `tetractl recover`", 6.0),
 )
 """The signals sent to a process that has the port, in order.
 
@@ -80,10 +80,10 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
                 break
     else:
         unendable = "does not end even after SIGKILL"
-    text = f"{name} still has the port: it {unendable}"
+    text = f"{name} still has the port open: it {unendable}"
     if stopping.failure:
-        text += f"; the stops failed: {stopping.failure}"
-    raise AbortError(text, f"end it yourself; {SWITCH_OFF}")
+        text += f"; the stops failed as well: {stopping.failure}"
+    raise AbortError(text, f"end the process yourself; {SWITCH_OFF}")
 
 
 class _StopsBeside:
@@ -114,7 +114,7 @@ class _StopsBeside:
         else:
             self.failure = ""
             if not self._all_heard:
-                self.note(f"{summary}, while that process has the port open")
+                self.note(f"{summary}, while this process has the port open")
             self._all_heard = True
         while self._unsaid:
             self._say(self._unsaid.pop(0))
@@ -128,7 +128,7 @@ def _end(pid: int | None, number: signal.Signals) -> str:
             os.kill(pid, number)
             os.kill(pid, signal.SIGCONT)  # a suspended process would not receive signals
         except PermissionError:
-            return "belongs to another user"
+            return "cannot be ended, because it belongs to another user"
     return ""
 
 
@@ -141,4 +141,4 @@ def _why_unendable(pid: int | None, words: Sequence[str]) -> str:
         return "is unknown"
     if any(Path(word).name == "tetractl" for word in words[:3]):
         return ""
-    return "is not a tetractl process that can be ended"
+    return "is not a tetractl process, so it is not ended"

@@ -189,7 +189,7 @@ def inspect(rig: Rig) -> Preflight:
     slow = comes_hz is not None and comes_hz < RATE_SHARE * own_hz
     warnings = [*camera.warnings, *actuator.warnings, *turned_by_quarters(rig, newest)]
     if slow:
-        warnings.append(f"{comes_hz:.0f} frames a second come instead of {own_hz:.0f}")
+        warnings.append(f"only {comes_hz:.0f} frames per second come instead of {own_hz:.0f}")
     if outdated:
         warnings.append(dropped(outdated))
     if latency_ms is not None and latency_ms[0] > 1000 * rig.limits.latency:
@@ -243,13 +243,13 @@ def turned_by_quarters(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
     whose = "all robots are" if len(robots) > 1 else f"{robots[0].name} is"
     return [
         f"{whose} turned by {degrees} degrees from the start heading: does each tag or "
-        "body show the robot's front? (The top edge of an AprilTag belongs on the robot's left.)"
+        "body point to the robot's front? (The top edge of an AprilTag belongs on the robot's left.)"
     ]
 
 
 def dropped(outdated: int) -> str:
     """Return a warning about frames that were dropped because they arrived out of order."""
-    return f"camera frames dropped because later frames had come: {outdated}"
+    return f"camera frames dropped, because later frames had already come: {outdated}"
 
 
 def _robot(
@@ -345,8 +345,8 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
             problems = (findings or inspect(rig)).all_problems
             raise AbortError(
                 "; ".join(dict.fromkeys((*problems, *lines))),
-                "find the cause with `tetractl lab check`; with a larger limits.placing the run "
-                "waits longer for robots to be placed",
+                "run `tetractl lab check` to find the cause; with a larger limits.placing, the run "
+                "waits longer for the robots to be placed",
             )
         clock.sleep_until(clock.now() + SECOND // 5)
 

@@ -45,7 +45,8 @@ class PortHeldError(AbortError):
     def __init__(self, port: str, name: str = "") -> None:
         super().__init__(
             f"{name or port}: another program has this port open",
-            "only one run can use a port; `tetractl lab stop` stops and ends the run that uses it",
+            "only one run can use a port; `tetractl lab stop` stops and ends the run that "
+            "has it open",
         )
         self.port = port
 
@@ -129,11 +130,11 @@ class SerialPort:
                 _put(self._port.fileno(), data)
                 waiting = self._port.out_waiting
             except TimeoutError:
-                raise self._fail(f"takes no more bytes: {self._device} is stuck") from None
+                raise self._fail(f"accepts no more bytes: {self._device} is stuck") from None
             except (serial.SerialException, OSError, TypeError) as error:
                 raise self._fail(f"is gone: {_why(error)}") from error
             if waiting > 2048:
-                raise self._fail(f"holds {waiting} bytes back: {self._device} is stuck")
+                raise self._fail(f"does not send {waiting} bytes: {self._device} is stuck")
             return self._clock.now()
 
     def set_baud(self, baud: int) -> None:
@@ -215,12 +216,12 @@ def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
         return missing_port(name, device)
     if number == 13:
         return AbortError(
-            f"{name}: this user has no permission to open the port",
-            "join the group that owns the port, often dialout: sudo usermod -aG dialout $USER, "
-            "then log out and in again",
+            f"{name}: you have no permission to open this port",
+            "join the group that owns the port, often dialout: run sudo usermod -aG dialout "
+            "$USER, then log out and in again",
         )
     if not Path(name).is_char_device() or "Inappropriate ioctl" in text:
-        return AbortError(f"{name}: is not a serial port")
+        return AbortError(f"{name}: this is not a serial port")
     return AbortError(f"{name}: cannot be opened: {_why(error)}")
 
 
@@ -322,7 +323,9 @@ def stop_all_at(
     if len(reasons) == len(ports):
         raise AbortError(reasons[0], SWITCH_OFF)
     if reasons:
-        raise AbortError(f"sent {STOPS} stops, but not to all: {'; '.join(reasons)}", SWITCH_OFF)
+        raise AbortError(
+            f"sent {STOPS} stops, but not to all robots: {'; '.join(reasons)}", SWITCH_OFF
+        )
     return f"sent {STOPS} stops"
 
 

@@ -117,8 +117,8 @@ def hold(name: str) -> int:
             raise PortHeldError(str(lock), name) from None
         why = "is a link" if error.errno == errno.ELOOP else error.strerror
         raise AbortError(
-            f"{lock}, the lock of {name}: {why}",
-            f"remove it if it is there, and let this user write to {LOCKS}",
+            f"{lock}, the lock file of {name}: {why}",
+            f"remove the lock file if it exists, and let this user write to {LOCKS}",
         ) from None
     return file
 
@@ -146,7 +146,7 @@ class UdpPort(SerialPort):
         super().__init__(name, baud, device, clock, on_received, hint)
         self._socket: socket.socket | None = None
         self._to: Any = None  # host and port
-        self._no_listener = f"no device listens at {name}"
+        self._no_listener = f"no device listens at the address {name}"
         self._locked: list[int] = []
         """Descriptors of the files that are locked."""
 
@@ -173,7 +173,9 @@ class UdpPort(SerialPort):
             self._to = socket.getaddrinfo(*address, socket.AF_INET, socket.SOCK_DGRAM)[0][4]
         except OSError as error:
             why = f"{self._name}: {error.strerror}"
-            raise AbortError(why, "is the address right, and is this computer online?") from None
+            raise AbortError(
+                why, "is the address right, and is this computer connected to the network?"
+            ) from None
         host, port = self._to
         resolved_name = f"{SCHEME}{host}:{port}"
         if alone and resolved_name != self._name:
@@ -192,7 +194,7 @@ class UdpPort(SerialPort):
             self._socket.bind(("", port))
         except OSError as error:
             why = f"{self._name}: {error.strerror}"
-            raise AbortError(why, "does another program listen at this port?") from None
+            raise AbortError(why, "does another program already listen at this port?") from None
         if self._to is not None and not ipaddress.ip_address(self._to[0]).is_multicast:
             try:
                 self._socket.connect(self._to)  # what others send is not heard

@@ -68,13 +68,18 @@ class Polygon(ShapeSection):
         columns = np.array(edges).T
         for i, (ax, ay, bx, by) in enumerate(edges):
             if (ax, ay) == (bx, by):
-                message = f"has the corner {_text(self.vertices[i])} twice in a row; leave one out"
+                message = (
+                    f"has the corner {_text(self.vertices[i])} twice in a row; remove one of them"
+                )
                 raise inconsistent("vertices", message)
         for i, (ax, ay, bx, by) in enumerate(edges):
             cx, cy = self.vertices[(i + 1) % count]
             back = (bx - ax) * (cx - bx) + (by - ay) * (cy - by) < 0
             if back and turn(ax, ay, bx, by, cx, cy) == 0:
-                message = f"turns back on itself at {_text(self.vertices[i])}; it must have area"
+                message = (
+                    f"turns back on itself at {_text(self.vertices[i])}; the shape "
+                    "must have an area"
+                )
                 raise inconsistent("vertices", message)
             # the edges after the next one; of those the last one is the first one's neighbour
             end = count - 1 if i == 0 else count
@@ -82,15 +87,16 @@ class Polygon(ShapeSection):
                 met = np.flatnonzero(meet(ax, ay, bx, by, *columns[:, i + 2 : end]))
             if met.size:
                 message = (
-                    f"crosses or touches itself: the edge that ends in "
-                    f"{_text(self.vertices[i])} meets the one that ends in "
-                    f"{_text(self.vertices[i + 2 + met[0]])}; list the corners in order round the "
-                    "polygon"
+                    "crosses or touches itself: the edge that ends in "
+                    f"{_text(self.vertices[i])} meets the edge that ends in "
+                    f"{_text(self.vertices[i + 2 + met[0]])}; list the corners in order "
+                    "around the polygon"
                 )
                 raise inconsistent("vertices", message)
         if not 0 < abs(_doubled_area(np.array(self.vertices))) < np.inf:
             raise inconsistent(
-                "vertices", "has an area too large or too small to compute; use another length unit"
+                "vertices",
+                "has an area that is too large or too small to compute; use another length unit",
             )
         return self
 

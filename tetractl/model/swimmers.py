@@ -48,7 +48,7 @@ def speed_factor(celsius: float) -> float:
         ValueError: If the temperature is outside 0 to 40 C.
     """
     if not 0.0 <= celsius <= 40.0:
-        raise ValueError(f"cells do not swim at {celsius:g} C; use 0 to 40")
+        raise ValueError(f"cells do not swim at {celsius:g} C; give 0 to 40")
     inverse = 1 / (ZERO_C_K + WARM_C) - 1 / (ZERO_C_K + celsius)
     return exp(ACTIVATION_EV / BOLTZMANN_EV_K * inverse)
 

@@ -217,7 +217,7 @@ class LabPlant:
         rig.loop.guard.pass_preflight()
         self._frames.begin()
         if rig.loop.frames.newest is None:
-            raise AbortError("no camera frame arrived")
+            raise AbortError("no camera frame has arrived")
         rate_hz = findings.camera_rate_hz or 0.0
         facts = {**_facts(findings), HALTS: "yes" if rig.actuator.halts else "no"}
         return PlantInfo(self._kind, False, round(rate_hz, 3), facts)
@@ -237,7 +237,7 @@ class LabPlant:
         A stop is sent ten times.
         """
         if isinstance(action, FieldOff):
-            raise AbortError("this lab cannot switch its field off while robots drive")
+            raise AbortError("this lab cannot switch off its field while the robots drive")
         if isinstance(action, Stop):
             return self._halt()
         guard = self.rig.loop.guard

@@ -173,7 +173,7 @@ class SimSection(PlantSection):
     @model_validator(mode="after")
     def _truth_is_as_fine_as_the_camera(self) -> Self:
         if self.truth_rate < self.camera_rate:
-            message = f"must be at least camera_rate, {self.camera_rate:g}"
+            message = f"must be at least as high as camera_rate, {self.camera_rate:g}"
             raise inconsistent("truth_rate", message)
         return self
 
@@ -181,12 +181,18 @@ class SimSection(PlantSection):
         """Yield the field and message of each contradiction in the wheels or sampling rates."""
         poses = setup.period_s * max(self.truth_rate, self.camera_rate) * len(setup.names)
         if poses > POSES_MAX:
-            message = f"gives {poses:.3g} poses in a control period of {setup.period_s:g} s"
-            yield ("truth_rate",), f"{message}; at most {POSES_MAX:g} are allowed; lower the rate"
+            message = f"gives {poses:.3g} poses in each control period of {setup.period_s:g} s"
+            yield (
+                ("truth_rate",),
+                (f"{message}, but at most {POSES_MAX:g} are allowed; lower the rate"),
+            )
         if self.drive is not None and self.cells is not None:
-            yield ("cells",), "have no wheels; leave out 'drive' or 'cells'"
+            yield ("cells",), "have no wheels in this spec; leave out 'drive' or 'cells'"
         if self.drive is not None and not setup.on_wheels:
-            yield ("drive",), "needs the experiment's field 'wheels: {radius: ..}'"
+            yield (
+                ("drive",),
+                ("needs the radius of the wheels: add 'wheels: {radius: ..}' to the spec"),
+            )
         repeats_hz = None if self.drive is None else self.drive.rate
         transmissions_hz = repeats_hz or 1 / setup.period_s
         if transmissions_hz * setup.watchdog_s <= 1:

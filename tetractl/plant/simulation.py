@@ -269,7 +269,7 @@ class SimPlant:
             else:
                 self.clock.sleep_until(arriving_ns)
             if self.clock.now() > give_up_ns:
-                raise AbortError(f"no camera frame arrived for {NO_FRAME_S} s")
+                raise AbortError(f"no camera frame has arrived for {NO_FRAME_S} s")
             self._catch_up()
 
     def _let_planning_time_pass(self) -> None:

@@ -114,7 +114,9 @@ class EmulatedLab:
         try:
             self._record = path.open("w", buffering=1, encoding="utf-8") if path else None
         except OSError as error:
-            raise TetractlError(f"cannot write the record {path}: {error.strerror}") from None
+            raise TetractlError(
+                f"{path}: cannot write the record of the emulation: {error.strerror}"
+            ) from None
         try:
             facts = {
                 "emulation": True,
@@ -289,6 +291,6 @@ def _check_names(script: Script, setup: Setup) -> None:
     for name in names:
         if name not in setup.names:
             raise SpecError(
-                f"the script's {name} is not a robot of the spec",
+                f"the fault script names {name}, which is not a robot of the spec",
                 f"the spec's robots are {', '.join(setup.names)}",
             )

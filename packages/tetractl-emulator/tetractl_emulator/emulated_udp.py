@@ -44,8 +44,10 @@ class UdpPlug(PseudoPort):
             self._socket.bind(("127.0.0.1", self._number))
         except OSError as error:
             self._socket.close()
-            why = f"cannot open UDP 127.0.0.1:{self._number}: {error.strerror}"
-            raise TetractlError(why, hint="is another emulation running?") from None
+            why = f"cannot open UDP port {self._number} on 127.0.0.1: {error.strerror}"
+            raise TetractlError(
+                why, hint="is another emulation already running on this port?"
+            ) from None
         self.fd = self._socket.fileno()
 
     def unplug(self) -> None:

@@ -27,7 +27,7 @@ MOTION = (
     r"|camera or its origin|swapped|pose jumped|pose repeats|still moves|from its start|turned by"
 )
 PLACE = r"about to leave|about to enter|too close"
-CELLS = r"respond to the field|divided, or has parted|not been known which cell|are needed"
+CELLS = r"respond to the field|divided, or has parted|been uncertain which cell|are needed"
 CLOCK = r"server's clock|after reception|before reception"
 RADIO = r"radio|\bport\b|does not answer|no XBee module answers|battery"
 DRIVER = r"current driver|\bport\b"
@@ -35,7 +35,7 @@ NOTHING = r"$."
 MOVED = f"{MOTION}|{PLACE}|{SIGHT}"
 LATE = f"{SIGHT}|{PLACE}|{CLOCK}|{MOTION}"
 LINK = f"{RADIO}|{MOVED}"
-SEEN = f"{MOVED}|{CELLS}|no picture|damaged|picture is|in view|was the stage"
+SEEN = f"{MOVED}|{CELLS}|no image|damaged|image is|in view|was the stage"
 
 FRAME_S = 1 / 120
 """Time between two exposures of the emulated camera [s]."""

@@ -191,13 +191,13 @@ def port_faults(what: str, unplugged: str, stuck: str) -> tuple[type[Fault], typ
     return (
         fault_kind(
             "unplug",
-            "The actuator's port is unplugged.",
+            "The cable of the actuator's port is unplugged.",
             rows=[FaultRow(f"{what} unplugged", unplugged)],
             begin=switching(lambda f, d: d.plugged, False),
         ),
         fault_kind(
             "stuck_port",
-            "The actuator's port takes no bytes.",
+            "The actuator's port accepts no more bytes.",
             rows=[FaultRow(f"{what} stuck", stuck)],
             begin=switching(lambda f, d: d.stall),
         ),
@@ -206,7 +206,7 @@ def port_faults(what: str, unplugged: str, stuck: str) -> tuple[type[Fault], typ
 
 MARK = fault_kind(
     "mark",
-    "Not a fault: only reports a named time.",
+    "Not a fault: the emulation only reports that this named time has come.",
     fields={"name": Name},
 )
 

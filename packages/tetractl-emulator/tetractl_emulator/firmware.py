@@ -115,8 +115,8 @@ def _build(codes: list[Path], path: Path) -> None:
     name = compiler()
     if name is None:
         raise TetractlError(
-            "no C compiler found; emulated devices run the compiled firmware",
-            hint="install gcc or clang, or set CC",
+            "no C compiler was found, but emulated devices run the compiled firmware",
+            hint="install gcc or clang, or set the environment variable CC to your compiler",
         )
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent) as scratch:
@@ -124,7 +124,7 @@ def _build(codes: list[Path], path: Path) -> None:
         done = run_tool([name, *FLAGS, *map(str, codes), "-o", str(built)])
         if done.returncode:
             line = (shown_lines(done.stderr) or ["no message"])[0]
-            raise TetractlError(f"{name} could not build the firmware's core: {line}")
+            raise TetractlError(f"{name} could not compile the robots' firmware: {line}")
         built.replace(path)  # atomic: other processes see the complete file or none
 
 

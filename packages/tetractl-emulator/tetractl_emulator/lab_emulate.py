@@ -23,9 +23,11 @@ def emulate(
     sets: Sets = None,
     script: Annotated[
         Path | None,
-        option("FILE", "YAML file of scripted faults and of the devices' true properties."),
+        option("FILE", "YAML file with the faults to inject and the devices' true properties."),
     ] = None,
-    address: Annotated[str, option("IP", "Address at which the camera serves.")] = "127.0.0.1",
+    address: Annotated[
+        str, option("IP", "Network address at which the emulated camera serves.")
+    ] = "127.0.0.1",
     command_port: Annotated[
         int | None,
         tcp_port("The camera server's UDP port for commands; 0 for any free port. [spec]"),
@@ -39,14 +41,15 @@ def emulate(
         option("PATH", "Path to create for the actuator's serial port. [spec: lab.actuator.port]"),
     ] = None,
     record: Annotated[
-        Path | None, option("FILE", "File for the true poses and events, as JSON lines.")
+        Path | None,
+        option("FILE", "File to record the true poses and all events in, as JSON lines."),
     ] = None,
     replace_after: Annotated[
         float | None,
         option(
             "S",
-            "Put robots back on their starts once they have stood still for S seconds. After an "
-            "abort, a run watches them for up to 5 s: use at least 6.",
+            "Put the robots back on their starts once they have stood still for S seconds. "
+            "After an abort, a run watches the robots for up to 5 s, so give at least 6.",
             min=0.1,
         ),
     ] = None,
@@ -90,7 +93,7 @@ def emulate(
     with emulation:
         gc.freeze()  # exempts loaded objects from garbage collection: pauses would delay frames
         emulation.run()
-    ui.tell("the emulation has ended")
+    ui.tell("the emulation has stopped")
     return Exit.DONE
 
 
@@ -99,7 +102,7 @@ def _in_words(event: str, facts: dict[str, Any]) -> str:
     match event:
         case "ready":
             where = f"cameras at {facts['camera']}, {facts['actuator']}"
-            return f"ready: {where}; EMULATION, no hardware"
+            return f"ready: {where}; this is an EMULATION, no hardware is used"
         case "client":
             return f"emulated cameras: {facts['address']} connected"
         case "run" | "moving" | "rest" | "placed":

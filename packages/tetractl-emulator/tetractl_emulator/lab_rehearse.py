@@ -21,7 +21,7 @@ from tetractl.tools.files import save_whole
 from tetractl.tools.table.table import plural
 from tetractl.tools.terminal import is_terminal
 
-SPECS = "it is the spec's: mend that, and rehearse it then"
+SPECS = "the spec itself causes this abort: correct the spec first, then rehearse it"
 
 DRAWN = 6
 """Which draw of days a folder has: days that were drawn otherwise are not continued."""
@@ -42,24 +42,28 @@ def rehearse(
     spec: Spec,
     sets: Sets = None,
     days: Annotated[int, option("N", "Number of days.", min=1, max=DAYS_MAX)] = 20,
-    seed: Annotated[int, option("S", "Seed of the days.", min=0)] = 1,
+    seed: Annotated[int, option("S", "Seed of all rehearsal days.", min=0)] = 1,
     first: Annotated[
         int,
         option(
             "N",
-            "Number of the first day. With the seed, a day's number determines its faults.",
+            "Number of the first day. The seed and a day's number together determine the "
+            "faults of that day.",
             min=0,
             max=DAYS_MAX,
         ),
     ] = 0,
-    faults: Annotated[bool, switch("Inject faults. With --no-faults, no trial may abort.")] = True,
-    jobs: Annotated[int, option("N", "Number of days run at the same time.", min=1)] = 1,
+    faults: Annotated[
+        bool, switch("Inject faults. With --no-faults, every trial must finish without an abort.")
+    ] = True,
+    jobs: Annotated[int, option("N", "Number of days to run at the same time.", min=1)] = 1,
     out: Annotated[
         Path | None,
         out_option(
             "DIR",
-            "Folder for the days' results and the scripts of violations. Days that it already"
-            " has are not run again. [rehearsal-SEED]",
+            "Folder for the results of the days and for the fault scripts that reproduce "
+            "violations. Days whose results are already in the folder are not run again. "
+            "[rehearsal-SEED]",
         ),
     ] = None,
 ) -> int:
@@ -84,8 +88,9 @@ def rehearse(
     loaded = on_plant(ui.load(spec, sets), "emulated")
     if loaded.experiment.plant.real_time:
         raise UsageError(
-            "a rehearsal emulates the whole lab, and a device of this one is real",
-            "leave out the lab's `real`",
+            "a rehearsal emulates the whole lab, but the spec says that a device of this lab "
+            "is real",
+            "remove the field `real` from the spec's lab",
         )
     loaded.experiment.plant.require_devices()
     warm_up(loaded.experiment, lambda text: ui.announce_compiling(False, text))
@@ -96,7 +101,7 @@ def rehearse(
     with tempfile.TemporaryDirectory() as scratch, may_fail:
         tried = run_logged(short, Path(scratch))
         if tried.outcome is Outcome.ABORTED:
-            raise AbortError(f"a day without faults is aborted: {tried.reason}", SPECS)
+            raise AbortError(f"a trial without any faults was aborted: {tried.reason}", SPECS)
     gc.freeze()  # what all days use need not be searched for garbage on each
     folder = out or Path(f"rehearsal-{seed}")
     store = RecordStore(folder, f"{loaded.hash} {seed} {faults} {DRAWN}", FIELDS)
@@ -120,7 +125,7 @@ def rehearse(
                     ui.tell(f"day {row['day']}, {at_s:.2f} s: {name}: {finding}")
     except KeyboardInterrupt:
         interrupted = True
-        ui.tell(f"interrupted; the same command with --out {folder} continues")
+        ui.tell(f"interrupted; to continue, give the same command with --out {folder}")
     played = [rows[day] for day in wanted if day in rows]
     bad = [row for row in played if row["violations"]]
     played_days = f"{len(played)} {plural('day', len(played))}"

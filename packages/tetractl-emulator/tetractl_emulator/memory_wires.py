@@ -218,7 +218,7 @@ class MemorySerial(SerialPort):
         if self.failure or self._devices_end is None:
             raise AbortError(self.failure or f"the port {self._name} is not open", self._hint)
         if self._devices_end.stalled:
-            raise self._fail(f"takes no more bytes: {self._device} is stuck")
+            raise self._fail(f"accepts no more bytes: {self._device} is stuck")
         self._devices_end.take(data)
         return self._clock.now()
 

@@ -346,13 +346,18 @@ class PseudoPort:
         try:
             self.link.symlink_to(target)
         except OSError as error:
-            why = f"cannot make the port {self.link}: {error.strerror}"
+            why = f"cannot create the link {self.link} to the emulated port: {error.strerror}"
             if error.errno == errno.EEXIST:
-                why = f"{self.link} exists already, perhaps as a real device"
+                why = (
+                    f"cannot create the link {self.link}: a file of this name exists already, "
+                    "perhaps a real device"
+                )
             raise UsageError(
                 why,
-                hint="choose another name with --port-link, and give it to the runner by "
-                "--set lab.actuator.port=NAME",
+                hint=(
+                    "choose another name with --port-link, and give the run the same name "
+                    "with --set lab.actuator.port=NAME"
+                ),
             ) from None
         self._target = target
 

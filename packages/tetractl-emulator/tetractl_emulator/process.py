@@ -150,7 +150,7 @@ ASLEEP = f"{STANDS}|{MOVED}"
 PROCESS_FAULTS = (
     fault_kind(
         "signal",
-        "The process that drives the robots gets this signal.",
+        "The process that drives the robots receives this signal.",
         fields={"signal": SIGNALS},
         rows=[
             FaultRow("killed", NOTHING, {"signal": "KILL"}, at_once=True),
@@ -165,7 +165,7 @@ PROCESS_FAULTS = (
     ),
     fault_kind(
         "stopped",
-        "That process is suspended, or sleeps.",
+        "The process that drives the robots is suspended, or sleeps.",
         rows=[
             FaultRow("suspended", ASLEEP, {"for": between(0.02, 5)}),
             FaultRow("computer sleeps", ASLEEP, {"for": one_of(3.0, 30.0)}),
@@ -174,19 +174,19 @@ PROCESS_FAULTS = (
     ),
     fault_kind(
         "disk_full",
-        "The disk for the log is full.",
+        "The disk that holds the log is full.",
         rows=[FaultRow("disk full", "cannot write the log", at_once=True)],
         begin=lambda f, p: p.fill_disk(),
     ),
     fault_kind(
         "host_clock",
-        "The computer's monotonic clock jumps by this time [s]; only in virtual time.",
+        "The computer's monotonic clock jumps by this time [s]. Works only in virtual time.",
         fields={"by": Positive},
         rows=[FaultRow("host's clock jumps", STANDS, {"by": between(0.02, 6)}, at_once=True)],
     ),
     fault_kind(
         "busy",
-        "Each plan, or one of `every` plans, takes this time [s]; only in virtual time.",
+        "Each plan, or one plan in `every`, takes this time [s]. Works only in virtual time.",
         fields={"seconds": Positive, "every": (Annotated[int, Field(ge=1)], 1)},
         rows=[
             FaultRow("host busy", f"late|silent|{MOVED}", {"seconds": between(0.01, 6)}),
@@ -200,13 +200,13 @@ PROCESS_FAULTS = (
     ),
     fault_kind(
         "emergency",
-        "The operator presses the emergency stop; only in virtual time.",
+        "The operator presses the emergency stop. Works only in virtual time.",
         rows=[FaultRow("emergency stop", "emergency stop", at_once=True)],
         begin=lambda f, p: p.press_stop(),
     ),
     fault_kind(
         "second_run",
-        "A second run opens the port.",
+        "A second run opens the same port.",
         rows=[FaultRow("second run", NOTHING, at_once=True, weight=0.5)],
         begin=lambda f, p: p.run_again(),
     ),

@@ -29,7 +29,7 @@ def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
     kinds = _sides(info).faults
     name = str(value.get("fault")) if isinstance(value, dict) else ""
     if name not in kinds:
-        text = f"fault must be one of {', '.join(kinds)}{did_you_mean(name, list(kinds))}"
+        text = f"the field fault must be one of {', '.join(kinds)}{did_you_mean(name, list(kinds))}"
         raise PydanticCustomError("fault", "{text}", {"text": text})
     return kinds[name].model_validate(value, strict=True)
 
@@ -106,7 +106,7 @@ class Sides:
             if name not in registry:
                 names = ", ".join(registry.names())
                 raise SpecError(
-                    f"{name} cannot be emulated", f"types that can be emulated: {names}"
+                    f"{name} cannot be emulated", f"these types can be emulated: {names}"
                 )
         try:
             return cls(EMULATED_CAMERAS.load(camera), EMULATED_ACTUATORS.load(actuator))

@@ -112,9 +112,9 @@ class EmulatedPlantSection(RigSection):
         """
         if self.real == "actuator":
             raise UsageError(
-                "plant.real=actuator: the camera shows emulated robots, so the real ones cannot be "
-                "calibrated",
-                "calibrate with --plant lab",
+                "plant.real=actuator makes the robots real, but the emulated camera does not "
+                "show real robots: they cannot be calibrated",
+                "calibrate real robots with --plant lab",
             )
 
     def rig(
@@ -166,7 +166,9 @@ class EmulatedPlantSection(RigSection):
         has_cells = chosen or self.actuator.type == "field"
         if self.real and (has_cells or self.camera.type == self.actuator.type):
             names = " and ".join(types)
-            raise AbortError(f"{names} cannot be real and emulated one by one")
+            raise AbortError(
+                f"{names}: one of these devices cannot be real while the other is emulated"
+            )
         blind = Blind() if self.real == "camera" else None
         wake = threading.Event()
         emulation = started(self, setup, clock, options, script, watched, blind)

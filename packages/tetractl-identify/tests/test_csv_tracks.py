@@ -1,4 +1,4 @@
-"""Tracks from CSV files: of `tetractl export`, and as other programs write them."""
+"""Tests of reading tracks from CSV files, both from `tetractl export` and from other programs."""
 
 import bz2
 import gzip
@@ -247,7 +247,9 @@ def test_a_robot_at_two_places_at_once_is_refused(tmp_path, aside_mm):
         (track,) = csv_tracks([poses, commands])
         assert track.valid.all()
     else:
-        with pytest.raises(UsageError, match=r"poses\.csv: green is at two places at .* s"):
+        with pytest.raises(
+            UsageError, match=r"poses\.csv: green has two different places at the time .* s"
+        ):
             csv_tracks([poses, commands])
 
 
@@ -258,7 +260,7 @@ def test_two_places_at_one_unix_time_are_refused_with_that_time(tmp_path):
     places = [line.split(",", 1)[1] for line in lines[1:]]
     rows = [f"{1_764_000_003 + k // 30},{place}" for k, place in enumerate(places)]
     poses.write_text("\n".join([lines[0], *rows, ""]))
-    with pytest.raises(UsageError, match="green is at two places at 1764000003 s"):
+    with pytest.raises(UsageError, match="green has two different places at the time 1764000003 s"):
         csv_tracks([poses, commands])
 
 
@@ -355,8 +357,8 @@ def test_robots_are_those_of_the_commands(tmp_path, poses, commands, names):
 def test_a_robot_without_commands_is_said_with_the_names_of_those_that_have_some(tmp_path):
     """Regression: "no command is for a" did not say that commands are for "3"."""
     (track,) = tracks_of(tmp_path, TWO_POSES, sent_to("b", "3"))
-    assert any("no command is for a; commands are for 3, b" in text for text in track.remarks)
-    assert f"{tmp_path / 'p.csv'}: no pose is of 3" in track.remarks
+    assert any("no command is for a; all commands are for 3, b" in text for text in track.remarks)
+    assert f"{tmp_path / 'p.csv'}: the file has no pose of 3" in track.remarks
 
 
 def test_names_that_look_alike_are_alike(tmp_path):
@@ -411,23 +413,25 @@ def twice(table, later_s=0.0):
 @pytest.mark.parametrize("poses", [ONE_POSES, TWO_POSES])
 def test_two_recordings_in_one_table_are_told(tmp_path, poses, later_s):
     """Regression: they were to be sorted by time, which mixes them."""
-    with pytest.raises(UsageError, match=r"the time starts again\nhint: .*column trial"):
+    with pytest.raises(UsageError, match=r"time goes back .*\nhint: .*column named trial"):
         tracks_of(tmp_path, twice(poses, later_s), NO_NAME)
-    with pytest.raises(UsageError, match=r"c\.csv.*the time starts again\nhint: .*column trial"):
+    with pytest.raises(UsageError, match=r"c\.csv.*time goes back .*\nhint: .*column named trial"):
         tracks_of(tmp_path, poses, twice(NO_NAME, later_s))
 
 
 def test_two_recordings_by_two_clocks_are_told(tmp_path):
     """Regression: a grid of half seconds from one to the other took all memory."""
     poses = twice(ONE_POSES, 1_764_000_000.0)
-    with pytest.raises(UsageError, match=r"there is no pose\nhint: .*column trial"):
+    with pytest.raises(UsageError, match=r"no pose between .*\nhint: .*column named trial"):
         tracks_of(tmp_path, poses, NO_NAME)
 
 
 def test_a_recording_that_begins_amidst_another_may_be_numbered(tmp_path):
     """Regression: they were only to be sorted by time, which mixes them."""
     middle_s = float(ONE_POSES.splitlines()[-1].partition(",")[0]) / 2
-    with pytest.raises(UsageError, match=r"earlier than before\nhint: sort.*column trial instead"):
+    with pytest.raises(
+        UsageError, match=r"earlier than before\nhint: sort.*column named trial instead"
+    ):
         tracks_of(tmp_path, twice(ONE_POSES, middle_s), NO_NAME)
 
 
@@ -452,31 +456,47 @@ NEVER_SEEN = LOST.replace(",a,", ",b,").replace("0.1\n", "\n")
 @pytest.mark.parametrize(
     ("poses", "commands", "says"),
     [
-        (POSES.replace("x_mm", "x"), COMMANDS, "needs columns x_mm and y_mm"),
+        (POSES.replace("x_mm", "x"), COMMANDS, "needs the columns x_mm and y_mm"),
         (POSES, COMMANDS.replace("direction_rad", "u"), "contains neither poses nor commands"),
         (POSES.replace("0.2,False", "x,True"), COMMANDS, "heading_rad: 'x' is not a number"),
-        (POSES, "time_s,direction_rad,path\n0,0.5,a\n", "poses and commands are needed"),
+        (POSES, "time_s,direction_rad,path\n0,0.5,a\n", "each trial needs a file of poses and"),
         (POSES, LAG_BELOW_0, "line 2: lag_s must not be negative"),
-        (TWO_POSES, sent_to("1", "2"), "no command is for a, b; commands are for 1, 2"),
-        (TWO_POSES, sent_to("A", "B"), "no command is for a, b; commands are for A, B"),
-        (ONE_POSES, sent_to("a", "b"), "has no column robot, and commands are for a, b"),
-        (TWO_POSES.replace("robot", "body"), NO_NAME, "is at two places at 0 s"),
+        (
+            TWO_POSES,
+            sent_to("1", "2"),
+            "no command is for the robots a, b; .* 1, 2",
+        ),
+        (
+            TWO_POSES,
+            sent_to("A", "B"),
+            "no command is for the robots a, b; .* A, B",
+        ),
+        (
+            ONE_POSES,
+            sent_to("a", "b"),
+            "no column named robot, but .* robots a, b",
+        ),
+        (TWO_POSES.replace("robot", "body"), NO_NAME, "two different places at the time 0 s"),
         (TWO_POSES, FOR_EACH.replace("0.7,b,", "0.7,b,1"), "b receives other directions than"),
-        (NEVER_SEEN, COMMANDS, "has no robot that is seen$"),
+        (NEVER_SEEN, COMMANDS, "no robot was seen"),
         (ONE_POSES + ONE_POSES, NO_NAME, "line 10: is the header again"),
-        (ONE_POSES.replace("heading_rad", "theta_rad"), NO_NAME, "poses without heading_rad: its"),
-        (ONE_POSES.replace("time_s", "frame"), NO_NAME, "poses without time_s: its columns"),
-        (ONE_POSES.replace("y_mm", "z_mm"), NO_NAME, "poses without y_mm: its columns"),
-        (ONE_POSES, NO_NAME.replace("w_rad_s", "turn"), "speeds without w_rad_s: its columns"),
-        (ONE_POSES, NO_NAME.replace("v_mm_s", "speed"), "speeds without v_mm_s: its columns"),
-        (ONE_POSES, "time_s,left_mm_s,right_mm_s\n0,1,2\n", "wheels without radius_mm: its"),
-        (ONE_POSES, "time_s,left_mm_s,radius_mm\n0,1,2\n", "wheels without right_mm_s: its"),
-        (ONE_POSES, "frame,direction_rad\n0,1\n", "directions without time_s: its columns"),
-        (POSES, sent("9,0\n10,1\n"), r"c\.csv: none of its commands acts .* 9 to 10 s, those of"),
-        (POSES, sent("0,0\n0,1\n"), "robot is sent different commands at one time, 0 s"),
-        (ONE_POSES, NO_NAME.replace("v_mm_s", "v_km_h"), "column v_km_h is in none of the units"),
-        (ONE_POSES.replace("heading_rad", "heading_turns"), NO_NAME, "column heading_turns is in"),
-        (poses_at(np.arange(0, 1320, 33)), NO_NAME, "the poses of a robot are 33 s apart"),
+        (
+            ONE_POSES.replace("heading_rad", "theta_rad"),
+            NO_NAME,
+            "poses, but lacks heading_rad; its",
+        ),
+        (ONE_POSES.replace("time_s", "frame"), NO_NAME, "poses, but lacks time_s; its columns"),
+        (ONE_POSES.replace("y_mm", "z_mm"), NO_NAME, "poses, but lacks y_mm; its columns"),
+        (ONE_POSES, NO_NAME.replace("w_rad_s", "turn"), "speeds, but lacks w_rad_s; its columns"),
+        (ONE_POSES, NO_NAME.replace("v_mm_s", "speed"), "speeds, but lacks v_mm_s; its columns"),
+        (ONE_POSES, "time_s,left_mm_s,right_mm_s\n0,1,2\n", "wheels, but lacks radius_mm; its"),
+        (ONE_POSES, "time_s,left_mm_s,radius_mm\n0,1,2\n", "wheels, but lacks right_mm_s; its"),
+        (ONE_POSES, "frame,direction_rad\n0,1\n", "directions, but lacks time_s; its columns"),
+        (POSES, sent("9,0\n10,1\n"), r"c\.csv: no command acts .* from 9 to 10 s, but the"),
+        (POSES, sent("0,0\n0,1\n"), "robot is sent two different commands at the same time, 0 s"),
+        (ONE_POSES, NO_NAME.replace("v_mm_s", "v_km_h"), "unit of column v_km_h is none of"),
+        (ONE_POSES.replace("heading_rad", "heading_turns"), NO_NAME, "column heading_turns is"),
+        (poses_at(np.arange(0, 1320, 33)), NO_NAME, "poses of a robot are 33 s apart"),
         (POSES, "time,direction_rad\n0,0\n1,1\n", "column time states no unit"),
         (POSES, "time (weeks),direction_rad\n0,0\n", r"column time \(weeks\) is in weeks"),
         (POSES, sent("0,5,1,2\n"), "line 2: has 4 entries, the header has 2"),
@@ -589,7 +609,7 @@ def test_a_robot_that_is_never_tracked_is_left_out(tmp_path, commands):
     """Regression: a traceback."""
     (track,) = tracks_of(tmp_path, LOST, commands)
     assert track.names == ("a",)
-    assert f"{tmp_path / 'p.csv'}: no pose is of b" in track.remarks
+    assert f"{tmp_path / 'p.csv'}: the file has no pose of b" in track.remarks
 
 
 def test_headings_beyond_a_turn_that_turn_as_the_motion_are_whole_turns(tmp_path):
@@ -600,7 +620,7 @@ def test_headings_beyond_a_turn_that_turn_as_the_motion_are_whole_turns(tmp_path
 
 def test_a_file_that_is_named_twice_is_refused(tmp_path):
     poses, _ = write_drive(tmp_path)
-    with pytest.raises(UsageError, match=r"poses\.csv: is named twice"):
+    with pytest.raises(UsageError, match=r"poses\.csv: this file is given twice"):
         csv_tracks([poses, tmp_path / "." / poses.name])
 
 

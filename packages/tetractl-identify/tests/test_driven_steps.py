@@ -1,4 +1,4 @@
-"""What was sent in each step of a robot, against numerical integration."""
+"""Tests of the commands integrated over each step of a robot, against numerical integration."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""How much of measured turns and distances the commands explain, and when they contradict them."""
+"""Tests of how much of measured motion the commands explain, and when the two contradict."""
 
 import numpy as np
 import pytest

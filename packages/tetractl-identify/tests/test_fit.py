@@ -1,4 +1,4 @@
-"""The steps of the fit, with passes whose likelihood a test knows, and its intervals."""
+"""Tests of each step of the fit, on made-up likelihoods, and of its intervals."""
 
 import math
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""The angle from a heading to the motion, apart from what turns make of it."""
+"""Tests of the angle from a robot's heading to its motion, which turning must not change."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Tables from anybody: one line, within bounds."""
+"""Tests that broken or huge tables are refused with one line, within limits of time and memory."""
 
 import os
 
@@ -59,7 +59,9 @@ def test_directions_between_two_frames_are_bounded(tmp_path, monkeypatch):
     sent = "".join(f"{i / 1000},{i % 2}\n" for i in range(100))
     (tmp_path / "commands.csv").write_text(f"time_s,direction_rad\n{sent}5,0\n")
     done = tetractl(tmp_path, "identify", "poses.csv", "commands.csv")
-    refused(done, "directions were sent between two frames")
+    refused(
+        done, "directions were sent between two successive frames, too many for an identification"
+    )
 
 
 @pytest.mark.long

@@ -1,4 +1,4 @@
-"""Robots identified from tracks made up for the tests: dead time, a, speed, noise."""
+"""Tests of identification on made-up tracks: dead time, turning rate a, speed and noise."""
 
 import json
 from dataclasses import dataclass, replace
@@ -128,7 +128,7 @@ def test_a_dead_time_below_zero_is_printed_and_leads_to_the_checklist(late_s):
     identification = identify([replace(track, sent=track.sent + late_s)], A_RAD_S, None)
     assert identification.dead_time.value == pytest.approx(0.05 - late_s, abs=2e-3)
     assert rates_of(identification) == pytest.approx(A_RAD_S, rel=0.01)
-    assert "go through the checklist" in tables(identification)[0].note
+    assert "work through the checklist" in tables(identification)[0].note
 
 
 @dataclass(frozen=True)
@@ -226,14 +226,15 @@ def test_the_note_states_the_dead_time_and_how_old_frames_are():
     (table,) = tables(replace(identification_of(identified_robot()), frame_age=0.0317))
     first, second, *_ = table.note.splitlines()
     assert first == (
-        "dead time from sending: 0.0123 (0.0100 to 0.0200) s; frames are 0.0317 s old at sending"
+        "dead time from sending: 0.0123 (0.0100 to 0.0200) s; "
+        "frames are 0.0317 s old when a direction is sent"
     )
     assert second == "the model fits"
 
 
 def test_the_note_names_the_robots_that_the_model_does_not_fit():
     (table,) = tables(identification_of(ODD_SPEED, identified_robot("fits"), ODD_HEADING))
-    assert "the model does not fit one (along the path); two (heading): speed" in table.note
+    assert "the model does not fit one (along the path); two (heading): the robot's" in table.note
     assert "the model fits" not in table.note
     assert "frames are" not in table.note  # nobody knows
 
@@ -241,8 +242,8 @@ def test_the_note_names_the_robots_that_the_model_does_not_fit():
 @pytest.mark.parametrize(
     ("flag", "says"),
     [
-        ("may_lag", "the dead time then holds the lag"),
-        ("turns_uniformly", "directions that turn at one rate"),
+        ("may_lag", "the dead time would then contain this lag"),
+        ("turns_uniformly", "all directions turn at one rate"),
         ("rates_unstated", "steer themselves"),
     ],
 )
@@ -389,7 +390,7 @@ REFUSED = {
         lambda track: replace(track, poses=track.poses * (1e-300, 1e-300, 1.0)),
         r"robot \w+ does not move",
     ),
-    "times in days": (in_days, r"0 intervals between frames in 0\.000\d+ s"),
+    "times in days": (in_days, r"0 intervals between frames, in a recording of 0\.000\d+ s"),
 }
 
 
@@ -404,7 +405,7 @@ def test_a_track_that_shows_no_motion_is_refused(case):
 def test_tracks_of_other_robots_are_refused():
     track = drive(6, count=3).track
     renamed = replace(track, names=("a", "b", "c"))
-    with pytest.raises(UsageError, match="robots or length unit differ"):
+    with pytest.raises(UsageError, match="the robots or the length unit differ"):
         identify([track, renamed], A_RAD_S)
 
 

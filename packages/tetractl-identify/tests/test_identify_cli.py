@@ -1,4 +1,4 @@
-"""`tetractl identify`, as it is called."""
+"""Tests of the command `tetractl identify`, started as a user would."""
 
 import json
 
@@ -11,11 +11,11 @@ pytestmark = pytest.mark.slow
 
 USAGE = """
 identify | LOG
-identify logs -o no/found.yaml | no/found.yaml: there is no folder no
-identify tables | tables: no logs (*.mcap) in this folder | of tables, name the files of poses
-identify tables/poses.csv tables/poses.csv | tables/poses.csv: is named twice | name both files
+identify logs -o no/found.yaml | no/found.yaml: the folder no
+identify tables | tables: this folder contains no logs (*.mcap) | if these are tables, give the
+identify tables/poses.csv tables/poses.csv | poses.csv: this file is given twice | name both files
 identify logs --yes | No such option
-identify logs poses.csv | logs and CSV files cannot be combined
+identify logs poses.csv | logs cannot be combined with CSV files
 """
 
 
@@ -126,10 +126,10 @@ def test_speeds_and_turning_rates_are_identified_from_tables(tmp_path):
     assert gain == pytest.approx(1.0, abs=0.1)
     assert by_speeds["dead_time"]["value"] == pytest.approx(0.1, abs=0.05)
     assert "turning gain" in identify("speeds").ok().stdout
-    assert "these data do not determine" in identify("even").ok().stdout
+    assert "the data do not determine" in identify("even").ok().stdout
     for name, words, why in (
-        ("slow", (), "robot one drives in only 0 steps between its poses"),
-        ("speeds", ("-o", "out.yaml"), "--out: a spec has no place"),
+        ("slow", (), "robot one drives in only 0 of the steps between its poses"),
+        ("speeds", ("-o", "out.yaml"), "--out cannot be combined with --wheels"),
     ):
         done = identify(name, *words)
         assert done.returncode == 2 and why in done.stderr, done.stderr

@@ -1,4 +1,4 @@
-"""Which poses are no measurement, and at what angle to their headings robots move."""
+"""Tests that find false poses of a tracker, and the angle between headings and motion."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Files that Motive exports are read as poses: all versions, both vertical axes, both rotations."""
+"""Tests of reading Motive's exports as poses: all versions, both vertical axes, both rotations."""
 
 from dataclasses import dataclass, replace
 
@@ -185,17 +185,17 @@ def test_poses_are_those_of_the_camera(tmp_path, up):
 
 PLAIN = Export().text()
 REFUSED = {
-    "feet": (PLAIN.replace("Meters", "Feet"), "Length Units Feet"),
+    "feet": (PLAIN.replace("Meters", "Feet"), "Length Units are Feet"),
     "places in another body's frame": (
         PLAIN.replace("Coordinate Space,Global", "Coordinate Space,Local"),
-        "Coordinate Space Local: .* of other bodies",
+        "Coordinate Space is Local, .* to other bodies",
     ),
-    "another rotation": (PLAIN.replace("Quaternion", "Matrix"), "Rotation Type Matrix"),
+    "another rotation": (PLAIN.replace("Quaternion", "Matrix"), "Rotation Type is Matrix"),
     "markers alone": (PLAIN.replace("Rigid Body", "Marker"), "names no rigid body"),
-    "no rotations": (PLAIN.replace("Rotation,", "Position,"), "lacks rotations or positions"),
+    "no rotations": (PLAIN.replace("Rotation,", "Position,"), "lacks the rotations or positions"),
     "two bodies of one name": (
         Export(bodies=("green", "green")).text(),
-        "two rigid bodies are named green",
+        "two rigid bodies have the same name, green",
     ),
     "cut off in the header": ("\n".join(PLAIN.splitlines()[:4]), "no row begins with Frame"),
     "no numbers": ("\n".join(PLAIN.splitlines()[:7]), "has no rows"),

@@ -1,4 +1,4 @@
-"""Which frames of a track a pass uses, and what the noise and the speed of its poses are."""
+"""Tests of the filter's passes over a track: which frames are used, and the noise and speed."""
 
 from dataclasses import replace
 
@@ -175,5 +175,5 @@ def test_rates_that_lagging_wheels_keep_are_weighted_by_their_times():
 
 def test_a_track_without_directions_is_refused():
     time = np.arange(0, 20) / 20
-    with pytest.raises(UsageError, match=r"made\.csv: no direction was sent"):
+    with pytest.raises(UsageError, match=r"made\.csv: the log has no direction that was sent"):
         TrackFrames.of(track(time, straight(100.0, time), sent=()))

@@ -1,7 +1,7 @@
-"""Logs in which robots paused, or did not receive commands for a while.
+"""Tests with logs in which robots paused, or did not receive commands for a while.
 
-What robots do between a stop and the next direction is left out. So is what they do after their
-watchdogs stopped them. A robot that loses single commands follows the one before.
+What a robot does between a stop and the next direction must be left out, and also what it does
+after its watchdog has stopped it. A robot that loses a single command follows the previous one.
 """
 
 import json

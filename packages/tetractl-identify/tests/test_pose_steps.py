@@ -1,4 +1,4 @@
-"""Steps between poses on arcs, and regressions by least absolute deviations."""
+"""Tests of steps between poses on arcs, and of regressions by least absolute deviations."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What robots on two wheels make of their commands, found in motions whose truth is known."""
+"""Tests that find how robots on two wheels follow their commands, from motions with known truth."""
 
 from dataclasses import replace
 
@@ -213,7 +213,7 @@ def test_circles_to_one_side_give_wide_intervals_and_one_sentence():
         assert value.low <= TRUE[name] <= value.high
         assert width(value) > 0.8
     note = response_table([response], "", "mm").note
-    assert "these data do not determine" in note
+    assert "the data do not determine" in note
     assert "checklist" not in note
 
 

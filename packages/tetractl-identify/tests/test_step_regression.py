@@ -1,4 +1,4 @@
-"""The regression of steps on what was sent, against whole matrices and by its symmetries."""
+"""Tests of the regression of steps on commands, against full matrices and by its symmetries."""
 
 import math
 from dataclasses import astuple, dataclass, replace

@@ -1,4 +1,4 @@
-"""Whether a lag of wheels that nothing states would explain how robots turn."""
+"""Tests whether an unknown lag of the wheels could explain how robots turn."""
 
 from dataclasses import replace
 

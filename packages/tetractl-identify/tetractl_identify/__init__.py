@@ -1,1 +1,1 @@
-"""Identifies robots and dead time from recorded trials, with intervals."""
+"""Identifies the turning rates, speeds and dead time of robots from recorded trials."""

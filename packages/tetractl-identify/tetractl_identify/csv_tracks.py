@@ -1,10 +1,11 @@
-"""Reads tracks from CSV files: poses in one file, the commands that robots were sent in another.
+"""Reads tracks from CSV files: one file with poses, and another with the commands sent to robots.
 
-There is one format (docs/how-to/identify.md): a row per pose or command, and columns whose names
-end in their units. Instead of the file of poses, Motive's export is read. Rows are read one by one
-into the `_Numbers` of their trial, which are then put together to a `Track` of all robots. What
-cannot be read or put together is refused with the file, the line and the column. Whether the
-commands belong to the poses is asked when they are fitted (`explained`).
+docs/how-to/identify.md describes the format: a row for each pose or command, and columns whose
+names end in their units. A file that Motive exported can take the place of the file of poses. The
+module reads the rows one by one into the `_Numbers` of their trial. Then it joins them to a `Track`
+of all robots. If something cannot be read or joined, the error names the file, the line and the
+column. Whether the commands belong to the poses is checked later, when they are fitted (see
+`explained`).
 """
 
 import math
@@ -65,8 +66,8 @@ AGAIN = 0.1
 """Fraction of the time so far, from its begin, within which a time that falls starts again."""
 COLUMNS_SHOWN = 8
 """Largest number of columns that a message names."""
-BOTH_FILES = "name both files, such as poses.csv steps.csv of `tetractl export`"
-FORMAT = "the format is in docs/how-to/identify.md"
+BOTH_FILES = "name both files, such as the poses.csv and steps.csv that `tetractl export` writes"
+FORMAT = "docs/how-to/identify.md describes the format"
 """Hints."""
 PAUSE_MAX_S = 86_400.0
 """Longest time without a pose in a recording [s]: a day."""
@@ -89,13 +90,15 @@ Series = tuple[str, str]
 
 @dataclass(slots=True)
 class _Numbers:
-    """The numbers of a trial in CSV files, one after another.
+    """The numbers of one trial that have been read from CSV files so far.
 
-    They are the numbers of the POSE_ROWs of all `robots`, which are numbered, and of the
-    DIRECTION_ROWs or TWIST_ROWs of each robot. `lag_s` is the time constant of the wheels [s], 0 if
-    none is stated. A robot "" stands for all robots. NaN is an unknown number. `first` and `newest`
-    are the times [s] of what is in the files, by its column and robot. The paths are those of the
-    files.
+    They are kept as flat arrays, one number after another: for each pose a POSE_ROW, and for each
+    command of a robot a DIRECTION_ROW or a TWIST_ROW. NaN stands for an unknown number.
+
+    - `robots` numbers the robots by name. The name "" stands for all robots.
+    - `lag_s` is the time constant of the wheels [s], 0 if the file states none.
+    - `first` and `newest` are the first and newest times [s] in a file, by column and robot.
+    - The paths are the paths of the files.
     """
 
     robots: dict[str, int] = field(default_factory=dict)
@@ -113,7 +116,7 @@ class _Numbers:
         return _rows(self.poses, POSE_ROW)
 
     def take_time(self, path: Path, row: CsvRow, column: NumberColumn, series: Series) -> float:
-        """Return the time of a row, and check the order of times.
+        """Read the time in a row, and check that times are in order.
 
         Args:
             path: The file.
@@ -122,33 +125,39 @@ class _Numbers:
             series: The rows that must be in order.
 
         Raises:
-            UsageError: If the time is earlier than in the row before.
+            UsageError: If the time is earlier than in the previous row.
         """
         time = column.number(path, row)
         first = self.first.setdefault(series, time)
         newest = self.newest.get(series, time)
         if time < newest and abs(time - first) <= AGAIN * (newest - first):
-            hint = "two recordings? number them in a column trial"
+            hint = "if the file holds two recordings, number them in a column named trial"
             if not series[1]:
-                hint += "; two robots? name them in a column robot"
-            raise UsageError(f"{path}, line {row.line}: the time starts again", hint)
+                hint += "; if it holds two robots, name them in a column named robot"
+            raise UsageError(
+                f"{path}, line {row.line}: the time goes back to an earlier value", hint
+            )
         if time < newest:
-            raise earlier(path, row, "; two recordings? number them in a column trial instead")
+            raise earlier(
+                path,
+                row,
+                "; if the file holds two recordings, number them in a column named trial instead",
+            )
         self.newest[series] = time
         return time
 
 
 def _rows(numbers: "array[float]", row: np.dtype[np.void]) -> NDArray[np.void]:
-    """Return rows of which the numbers stand one after the other."""
+    """View a flat array of numbers as structured rows."""
     return np.array(numbers).view(row)
 
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """The columns of a table of one of FORMS.
+    """The columns of a table of poses or commands, found in its header.
 
-    They are the time, and the others by name. For a table of poses, `unit` is the unit of its
-    lengths.
+    The column of times is separate, and all others are found by their names. For a table of poses,
+    `unit` is the unit of its lengths.
     """
 
     path: Path
@@ -158,23 +167,23 @@ class _Columns:
     unit: str = ""
 
     def number(self, row: CsvRow, name: str) -> float:
-        """Return the number in a row of a column, NaN if the row or the table has none."""
+        """Read the number in a column of a row. NaN if the row or the table has none."""
         column = self.by_name.get(name)
         return math.nan if column is None else column.optional(self.path, row)
 
     def wrong(self, row: CsvRow, name: str, problem: str) -> UsageError:
-        """Return the error for a number in a table.
+        """Create the error for a wrong number in a table.
 
         Args:
             row: The row.
             name: The column.
-            problem: What is wrong.
+            problem: The problem with the number.
         """
         return UsageError(f"{self.path}, line {row.line}: {self.by_name[name].key} {problem}")
 
 
 def _add_pose(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
-    """Add the pose in a row: it is unknown if it is not valid or a number is missing."""
+    """Add the pose in a row. It is unknown if the row marks it as invalid or lacks a number."""
     trial.poses_path = columns.path
     robot = row.cells.get("robot", "")
     number = trial.robots.setdefault(robot, len(trial.robots))
@@ -186,7 +195,7 @@ def _add_pose(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
 
 
 def _add_direction(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
-    """Add the direction in a row; one without it is a step at which nothing was sent."""
+    """Add the direction in a row. Without a direction, nothing was sent at this step."""
     trial.commands_path = columns.path
     direction = columns.number(row, "direction")
     if math.isnan(direction):
@@ -206,8 +215,8 @@ def _add_direction(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
 def _add_speeds(trial: _Numbers, columns: _Columns, row: CsvRow) -> None:
     """Add the speed and turning rate in a row.
 
-    They may follow from the speeds of a robot's wheels. If a number is missing, nothing was sent at
-    this step.
+    A row may state the speeds of the robot's wheels instead, from which both are computed. If a
+    number is missing, nothing was sent at this step.
     """
     trial.commands_path = columns.path
     if columns.form == OF_WHEELS:
@@ -240,15 +249,22 @@ ADD = {
 
 
 def csv_tracks(paths: list[Path]) -> list[Track]:
-    """Return the tracks in some CSV files, each of poses or of commands.
+    """Read the tracks in CSV files, each of which contains poses or commands.
 
-    Poses are rows of time_s, robot, x_UNIT, y_UNIT, heading_rad and perhaps valid; commands of
-    time_s, direction_rad and perhaps observed_s and lag_s, or of time_s, v_UNIT_s and w_rad_s, or
-    of time_s, left_UNIT_s, right_UNIT_s and radius_UNIT, and perhaps robot. Times may be in other
-    units and count from anywhere, angles may be in degrees. Columns log and trial, if present,
-    assign poses and commands to tracks. A table without robot is of one; a file may be one of
-    Motive. Robots that are never seen, or are not sent any speed where others are, are left out.
-    Raises UsageError if data are missing, very many, or of clocks that do not meet.
+    A file of poses has the columns time_s, robot, x_UNIT, y_UNIT, heading_rad and, optionally,
+    valid. A file of commands has one of these forms, each optionally with the column robot:
+
+    - time_s and direction_rad, optionally observed_s and lag_s;
+    - time_s, v_UNIT_s and w_rad_s;
+    - time_s, left_UNIT_s, right_UNIT_s and radius_UNIT.
+
+    Times can be in other units and can start at any value. Angles can be in degrees. The columns
+    log and trial assign poses and commands to tracks. A table without the column robot belongs to
+    one robot. A file of poses can also be an export of Motive. Robots that are never seen are left
+    out, and so are robots that receive no speed while others do.
+
+    Raises:
+        UsageError: If data are missing, if there are too many, or if the clocks do not overlap.
     """
     _refuse_twice(paths)
     trials: dict[Trial, _Numbers] = {}
@@ -257,11 +273,14 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
         rows = table_rows(path)
         first = next(rows, None)
         if first is None:
-            raise UsageError(f"{path}: has no rows")
+            raise UsageError(f"{path}: the file has no rows below its header")
         columns = _columns(path, first.cells)
         if columns.form == POSES:
             if unit and unit != columns.unit:
-                raise UsageError(f"{path}: its lengths are in {columns.unit}, others in {unit}")
+                raise UsageError(
+                    f"{path}: the lengths in this file are in {columns.unit}, but "
+                    f"those in other files are in {unit}"
+                )
             unit = columns.unit
         for row in chain([first], rows):
             trial = row.cells.get("log", row.cells.get("path", "")), row.cells.get("trial", "")
@@ -269,7 +288,7 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
             ADD[columns.form](numbers, columns, row)
             if len(numbers.robots) > ROBOTS_MAX or len(trials) > TRIALS_MAX:
                 raise UsageError(
-                    f"{path}: has more than {ROBOTS_MAX} robots or {TRIALS_MAX} trials"
+                    f"{path}: the file has more than {ROBOTS_MAX} robots or {TRIALS_MAX} trials"
                 )
     idle = _idle_robots(list(trials.values()))
     unseen = _unseen_robots(list(trials.values()))
@@ -292,15 +311,16 @@ def _idle_robots(trials: list[_Numbers]) -> set[str]:
         if len(sent_to) == 1:
             return set()
         raise UsageError(
-            f"{paths.poses_path}: has no column robot, and commands are for {receivers}",
-            "name the robot of each pose in a column robot",
+            f"{paths.poses_path}: the file has no column named robot, but the commands are for "
+            f"the robots {receivers}",
+            "add a column named robot that names the robot of each pose",
         )
     idle = in_poses - sent_to
     if idle == in_poses:
         raise UsageError(
-            f"{paths.commands_path}: no command is for {names_of(in_poses)}; commands are for "
-            f"{receivers}",
-            "name robots alike in both files",
+            f"{paths.commands_path}: no command is for the robots {names_of(in_poses)}; all "
+            f"commands are for {receivers}",
+            "give each robot the same name in both files",
         )
     return idle
 
@@ -319,20 +339,24 @@ def _unseen_robots(trials: list[_Numbers]) -> set[str]:
 
 
 def _refuse_twice(paths: list[Path]) -> None:
-    """Raise UsageError for a file that is named twice: its rows would count twice."""
+    """Check that no file is given twice, because its rows would count twice.
+
+    Raises:
+        UsageError: If a file is given twice.
+    """
     files = set[Path]()
     for path in paths:
         file = path.resolve()
         if file in files:
-            raise UsageError(f"{path}: is named twice", BOTH_FILES)
+            raise UsageError(f"{path}: this file is given twice", BOTH_FILES)
         files.add(file)
 
 
 def _columns(path: Path, headers: Mapping[str, str]) -> _Columns:
-    """Find the columns of a file of poses or of commands, by its first row.
+    """Find the columns of a file of poses or of commands, by its header.
 
     Raises:
-        UsageError: If it is neither, or if a column is in another unit or states none.
+        UsageError: If the file contains neither, or if a column has an unknown unit or none.
     """
     quantities_named = {name_and_unit(header)[0] for header in headers}
     time = find_time(path, headers)
@@ -359,9 +383,10 @@ def _columns(path: Path, headers: Mapping[str, str]) -> _Columns:
 
 
 def _incomplete(path: Path, headers: Collection[str], present: dict[str, int]) -> UsageError:
-    """Describe which columns a table lacks of the form of which it has most, `present`.
+    """Describe which columns a table lacks.
 
-    A column of a missing quantity whose unit is unknown is named, such as v_km_h.
+    The table is compared with the form of which it has most columns, `present`. If a column has a
+    known quantity in an unknown unit, such as v_km_h, the message names it.
     """
     has = ", ".join(printable(header) for header in list(headers)[:COLUMNS_SHOWN])
     likeliest = max(reversed(present), key=lambda form: present[form])
@@ -374,22 +399,28 @@ def _incomplete(path: Path, headers: Collection[str], present: dict[str, int]) -
             if header.lower().startswith(f"{name}_"):
                 units = ", ".join(UNITS.get(unit, SECONDS))
                 return UsageError(
-                    f"{path}: column {printable(header)} is in none of the units {units}",
-                    f"convert it, and name it {column}",
+                    f"{path}: the unit of column {printable(header)} is none of {units}",
+                    f"convert the values, and name the column {column}",
                 )
     if not present[likeliest]:
         return UsageError(
-            f"{path}: contains neither poses nor commands: its columns are {has}", FORMAT
+            f"{path}: the file contains neither poses nor commands; its columns are {has}", FORMAT
         )
     return UsageError(
-        f"{path}: contains {likeliest} without {' and '.join(lacks)}: its columns are {has}", FORMAT
+        f"{path}: the file contains {likeliest}, but lacks {' and '.join(lacks)}; its columns "
+        f"are {has}",
+        FORMAT,
     )
 
 
 def _required(
     path: Path, headers: Collection[str], name: str, units: Mapping[str, float]
 ) -> NumberColumn:
-    """Return the column of a name that some header has; UsageError if its unit is another."""
+    """Return the column for a name.
+
+    Raises:
+        UsageError: If the column has another unit.
+    """
     column = find_column(path, headers, (name,), units)
     assert column is not None
     return column
@@ -398,32 +429,36 @@ def _required(
 def _position_columns(
     path: Path, headers: Collection[str]
 ) -> tuple[str, NumberColumn, NumberColumn]:
-    """Return the unit of positions, and the columns of x and y in it."""
+    """Find the columns of x and y, and return them with their unit."""
     named = {name_and_unit(header): header for header in headers}
     for unit in METRES:
         if ("x", unit) in named and ("y", unit) in named:
             return unit, NumberColumn(named["x", unit]), NumberColumn(named["y", unit])
-    raise UsageError(f"{path}: needs columns x_mm and y_mm, or both with another unit")
+    raise UsageError(
+        f"{path}: the file needs the columns x_mm and y_mm, or both in another "
+        "unit, such as x_m and y_m"
+    )
 
 
 def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: set[str]) -> Track:
-    """Put the numbers of a trial together to the track of all robots but some.
+    """Join the numbers of a trial to one track of all its robots.
 
     Args:
-        numbers: The numbers of the trial. Times in the track count from its first pose.
+        numbers: The numbers of the trial. In the track, times count from the first pose.
         unit: The unit of lengths.
         name: The log and the trial that the rows name.
-        idle: Robots that are sent nothing.
-        unseen: Robots without any pose.
+        idle: Robots to leave out because they receive no command.
+        unseen: Robots to leave out because they have no pose.
 
     Raises:
-        UsageError: If a part is missing, or parts contradict each other.
+        UsageError: If a part is missing, or if parts contradict each other.
     """
     poses_path = numbers.poses_path
     commands_path = numbers.commands_path
     if poses_path is None or commands_path is None:
         raise UsageError(
-            f"{poses_path or commands_path}: both poses and commands are needed for each trial",
+            f"{poses_path or commands_path}: each trial needs a file of poses and a file of "
+            "commands",
             BOTH_FILES,
         )
     rows = numbers.pose_rows()
@@ -433,7 +468,7 @@ def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: se
     robots = {robot: k for robot, k in numbers.robots.items() if robot not in idle | unseen}
     rows = rows[np.isin(rows["robot"], list(robots.values()))]
     if not robots:
-        raise UsageError(f"{poses_path}: has no robot that is seen")
+        raise UsageError(f"{poses_path}: no robot was seen: every pose is empty")
     names = tuple(robot or ONE_ROBOT for robot in robots)
     time, poses = _frames(poses_path, rows, len(names))
     by_robot = [rows["time"][rows["robot"] == number] for number in robots.values()]
@@ -443,13 +478,13 @@ def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: se
     else:
         commands = _directions(numbers, commands_path, begin)
     if not len(commands.when):
-        raise UsageError(f"{commands_path}: states no direction or speed")
+        raise UsageError(f"{commands_path}: the file states no direction and no speed")
     if commands.until <= 0 or commands.when[0] >= time[-1]:
         raise UsageError(
-            f"{commands_path}: none of its commands acts while the robots are seen: its times are "
-            f"{begin + commands.when[0]:.12g} to {begin + commands.when[-1]:.12g} s, those of "
-            f"{poses_path} {begin:.12g} to {begin + time[-1]:.12g} s",
-            "both files need times of one clock",
+            f"{commands_path}: no command acts while the robots are seen. The commands run from "
+            f"{begin + commands.when[0]:.12g} to {begin + commands.when[-1]:.12g} s, but the "
+            f"poses in {poses_path} run from {begin:.12g} to {begin + time[-1]:.12g} s",
+            "the times in both files must come from the same clock",
         )
     is_stated = np.asarray(np.isfinite(poses).all(axis=2))
     is_measured = _measurements(time, poses, is_stated)
@@ -462,16 +497,16 @@ def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: se
         left_out = 1 - kept.sum() / max(stated.sum(), 1)
         if left_out > NO_MEASUREMENT:
             remarks.append(
-                f"{poses_path}: {left_out:.1%} of the poses of {printable(robot)} are left out: "
-                "they repeat the pose before, or jump away and back"
+                f"{poses_path}: {left_out:.1%} of the poses of {printable(robot)} were left "
+                "out, because they repeat the previous pose, or jump away and back"
             )
     if idle & set(numbers.robots):
         remarks.append(
-            f"{commands_path}: no command is for {names_of(idle & set(numbers.robots))}; commands "
-            f"are for {names_of(numbers.twists)}"
+            f"{commands_path}: no command is for {names_of(idle & set(numbers.robots))}; all "
+            f"commands are for {names_of(numbers.twists)}"
         )
     if never_seen:
-        remarks.append(f"{poses_path}: no pose is of {names_of(never_seen)}")
+        remarks.append(f"{poses_path}: the file has no pose of {names_of(never_seen)}")
     return Track(
         source=log or str(poses_path),
         origin=ORIGIN,
@@ -497,7 +532,10 @@ def _track(numbers: _Numbers, unit: str, name: Trial, idle: set[str], unseen: se
 
 @dataclass(frozen=True, slots=True)
 class _Commands:
-    """What was sent at times `when` (C,) [s], as `u`, `twists` and `frame_age` of a `Track`."""
+    """The commands that were sent at the times `when` (C,) [s].
+
+    `u`, `twists` and `frame_age` have the same meaning as in `Track`.
+    """
 
     when: Floats
     u: Floats
@@ -506,23 +544,26 @@ class _Commands:
 
     @property
     def until(self) -> float:
-        """When the last command ends [s]: it acts for the median time between two commands."""
+        """Time at which the last command stops acting [s].
+
+        The last command counts as long as the median time between two commands.
+        """
         gaps = np.diff(self.when)
         return float(self.when[-1] + (np.median(gaps) if gaps.size else 0.0))
 
 
 def names_of(robots: Collection[str]) -> str:
-    """Return the names of robots as text."""
+    """Join the names of robots to a text for messages."""
     return ", ".join(printable(robot) or "rows without a robot" for robot in sorted(robots))
 
 
 def _refuse_two_places(path: Path, rows: NDArray[np.void], names: list[str]) -> None:
-    """Check that no robot is at two places at one time.
+    """Check that no robot is at two places at the same time.
 
-    The POSE_ROWs (R,) belong to several robots. A row that is written twice does no harm.
+    The POSE_ROWs (R,) belong to several robots. Two equal rows are allowed.
 
     Raises:
-        UsageError: If a robot is.
+        UsageError: If a robot has two places at one time.
     """
     ordered = rows[np.lexsort((rows["time"], rows["robot"]))]
     before = ordered[:-1]
@@ -533,22 +574,26 @@ def _refuse_two_places(path: Path, rows: NDArray[np.void], names: list[str]) -> 
     if len(twice):
         second = after[twice[0]]
         name = names[int(second["robot"])]
-        hint = "are these poses of several robots, or times that are rounded?"
+        hint = "does the file hold several robots, or are its times rounded?"
         if not name:
-            hint = "several robots? name them in a column robot"
+            hint = "if the file holds several robots, name them in a column named robot"
         raise UsageError(
-            f"{path}: {printable(name or ONE_ROBOT)} is at two places at {second['time']:.15g} s",
+            f"{path}: {printable(name or ONE_ROBOT)} has two different places at the time "
+            f"{second['time']:.15g} s",
             hint,
         )
 
 
 def _refuse_times_apart(path: Path, begin: float, by_robot: Sequence[Floats]) -> None:
-    """Raise UsageError if the times of each robot's poses are those of two days, or too far apart.
+    """Check that the times of each robot's poses form one recording.
 
     Args:
         path: The file of the poses.
-        begin: What times count from [s].
+        begin: The time from which times count [s].
         by_robot: The times of each robot's poses, in order [s].
+
+    Raises:
+        UsageError: If there is a pause of hours or days, or if the poses are too far apart.
     """
     gaps = [np.diff(times) for times in by_robot if len(times) > 1]
     if not gaps:
@@ -558,19 +603,20 @@ def _refuse_times_apart(path: Path, begin: float, by_robot: Sequence[Floats]) ->
         longest = int(np.diff(every).argmax())
         pause = begin + every[longest : longest + 2]
         raise UsageError(
-            f"{path}: between {pause[0]:.12g} and {pause[1]:.12g} s there is no pose",
-            "two recordings? number them in a column trial",
+            f"{path}: the file has no pose between {pause[0]:.12g} and {pause[1]:.12g} s",
+            "if the file holds two recordings, number them in a column named trial",
         )
     apart_s = min(float(np.median(gap)) for gap in gaps)
     if apart_s > APART_MAX_S:
         raise UsageError(
-            f"{path}: the poses of a robot are {apart_s:.3g} s apart",
-            f"they must be {APART_MAX_S:g} s apart at most: is the time in the unit it states?",
+            f"{path}: successive poses of a robot are {apart_s:.3g} s apart",
+            f"poses must be at most {APART_MAX_S:g} s apart; is the time really in the unit "
+            "that its column states?",
         )
 
 
 def _frames(path: Path, rows: NDArray[np.void], count: int) -> tuple[Floats, Floats]:
-    """Return times (M,) and poses (M, N, 3) of POSE_ROWs (R,), NaN where none is stated."""
+    """Sort POSE_ROWs (R,) by time; return times (M,) and poses (M, N, 3), NaN where missing."""
     _, robots = np.unique(rows["robot"], return_inverse=True)
     time, frames = np.unique(rows["time"], return_inverse=True)
     if len(time) * count > POSES_MAX:
@@ -582,7 +628,7 @@ def _frames(path: Path, rows: NDArray[np.void], count: int) -> tuple[Floats, Flo
 
 
 def _measurements(times: Floats, poses: Floats, is_stated: Bools) -> Bools:
-    """Return which of the stated poses (M, N, 3) at times (M,) [s] are measurements (M, N)."""
+    """Find which stated poses (M, N, 3) at times (M,) [s] are real measurements, shape (M, N)."""
     is_measured = np.zeros_like(is_stated)
     for robot in range(is_stated.shape[1]):
         rows = np.flatnonzero(is_stated[:, robot])
@@ -604,7 +650,8 @@ def _directions(numbers: _Numbers, path: Path, begin: float) -> _Commands:
         if len(before) and not np.array_equal(before["direction"], rows["direction"]):
             raise UsageError(
                 f"{path}: {printable(robot)} receives other directions than the other robots",
-                "robots of one table share one direction: identify each robot from its own tables",
+                "all robots in one table must receive the same directions: identify each robot "
+                "from its own tables",
             )
     ages = (rows["time"] - rows["observed"])[1:]
     ages = ages[np.isfinite(ages)]
@@ -635,18 +682,19 @@ def _twists(numbers: _Numbers, path: Path, robots: list[str], unit: str, begin: 
 
 
 def _refuse_two_commands(path: Path, robot: str, times: Floats, commands: Floats) -> None:
-    """Check that no robot receives two different commands (C, K) at one time.
+    """Check that no robot receives two different commands (C, K) at the same time.
 
-    That may happen if times (C,) [s] are rounded.
+    This can happen if the times (C,) [s] are rounded.
 
     Raises:
-        UsageError: If a robot does.
+        UsageError: If a robot receives two commands at one time.
     """
     differs = (np.diff(commands, axis=0) != 0).any(axis=1)
     twice = np.flatnonzero((np.diff(times) == 0) & differs)
     if len(twice):
         who = printable(robot or ONE_ROBOT)
         raise UsageError(
-            f"{path}: {who} is sent different commands at one time, {times[twice[0]]:.15g} s",
-            "times must increase from one command of a robot to the next: are they rounded?",
+            f"{path}: {who} is sent two different commands at the same time, "
+            f"{times[twice[0]]:.15g} s",
+            "the times of a robot's commands must increase from one to the next; are they rounded?",
         )

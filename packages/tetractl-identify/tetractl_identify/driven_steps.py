@@ -1,12 +1,13 @@
-"""Chooses the steps of a robot by which its response to commands is fitted.
+"""Chooses the steps of a robot that are used to fit its response to commands.
 
-Steps last at least STEP_S. Steps in which no command acts are left out, since a robot without
-commands stands still, and so are steps that are FAR times further off than usual, as where a
-tracker takes one body for another. `_delay` finds the delay after which commands explain most of
-the motion, whatever the difference of the clocks.
+A step is the motion from one pose to a later one, and lasts at least STEP_S. Two kinds of steps are
+left out. In steps without an acting command, the robot stands still. Steps that are FAR times
+further off than usual occur, for example, if a tracker confuses two bodies. The clocks of poses and
+commands may differ. `_delay` therefore finds the delay after which the commands explain most of the
+motion.
 
-Shapes: a robot has S steps in all its tracks, of which the fit uses M; one track has C commands.
-Pairs of a motion's two integrals stand in columns: of the speed, then of the turning rate.
+Shapes: a robot has S steps in all its tracks, of which the fit uses M. One track has C commands.
+Pairs of integrals of a motion stand in columns: first of the speed, then of the turning rate.
 """
 
 import math
@@ -63,14 +64,14 @@ This happens on circles. The motion is then attributed to the robot's own comman
 
 @dataclass(frozen=True, slots=True)
 class DrivenTrack:
-    """One robot in one track.
+    """The poses and commands of one robot in one track.
 
     Attributes:
         pose_s: Times of its poses [s], shape (S + 1,).
         steps: The steps between its poses.
         sent_s: Times of the commands [s], shape (C,).
-        commands: v and w that were sent, shape (C, 2).
-        two_clocks: As in `Track`.
+        commands: Speeds v and turning rates w that were sent, shape (C, 2).
+        two_clocks: Whether poses and commands may have different clocks, as in `Track`.
     """
 
     pose_s: Floats
@@ -85,16 +86,18 @@ class DrivenTrack:
         return float(self.pose_s[-1] - self.pose_s[0]) if len(self.pose_s) else 0.0
 
     def integrals(self, dead_time: float, lag: float, drift: float = 0.0) -> Floats:
-        """Return the integrals over each step (S, 2) of the rates r that follow the commands u.
+        """Integrate the lagging rates r over each step, shape (S, 2).
 
-        From lag dr/dt = u - r the integral of r is that of u less lag times the rise of r, hence
-        the difference of U(t) - lag r(t) between a step's ends, with U the integral of u. Between
-        two commands r tends to u as exp(-t / lag); robots have the first command's rates before it.
+        The rates follow the commands u with a lag: lag dr/dt = u - r. The integral of r therefore
+        is the integral of u minus lag times the increase of r. With U, the integral of u, it is the
+        difference of U(t) - lag r(t) between the two ends of a step. Between two commands, r
+        approaches u as exp(-t / lag). Before the first command, robots have the rates of this
+        command.
 
         Args:
             dead_time: Time from the sending of a command until it acts [s].
             lag: Time constant with which the rates follow the commands [s].
-            drift: How fast the times of the commands run apart from those of the poses [s/s].
+            drift: How fast the clock of the commands gains on the clock of the poses [s/s].
         """
         if len(self.pose_s) < 2 or not len(self.sent_s):
             return np.zeros((len(self.steps.turned), 2))
@@ -119,14 +122,17 @@ class DrivenTrack:
         return np.diff(total[newest] + since_s * command - lag * rate, axis=0)
 
     def sent(self, delay: float) -> Floats:
-        """Return the way and turn that were sent in each step (S, 2), a delay [s] before."""
+        """Compute the commanded distance and turn in each step, shape (S, 2).
+
+        Commands act a delay [s] after they were sent.
+        """
         if not len(self.sent_s):
             return np.zeros((len(self.steps.turned), 2))
         until = integrals_of_sent(self.sent_s, self.commands, self.pose_s - delay)
         return np.diff(until, axis=0)
 
     def acts(self, dead_time: float) -> Bools:
-        """Return in which steps (S,) a command acts."""
+        """Find the steps (S,) in which a command acts."""
         if not len(self.sent_s):
             return np.zeros(len(self.steps.turned), dtype=np.bool_)
         times = self.pose_s - dead_time
@@ -134,7 +140,7 @@ class DrivenTrack:
 
 
 def driven_track(track: Track, robot: int) -> DrivenTrack:
-    """Return the steps of a robot in a track, and its commands."""
+    """Select the steps and the commands of one robot in a track."""
     times_s = track.exposed[:, robot]
     frames = np.flatnonzero(track.commanded[:, robot])
     frames = frames[rows_apart(times_s[frames], STEP_S)]
@@ -154,17 +160,18 @@ class UsedSteps:
 
     Attributes:
         tracks: All tracks of the robot.
-        rows: Which of the steps of all tracks are used, shape (M,).
-        turned: Turns, shape (M,) [rad].
+        rows: Indices of the used steps among the steps of all tracks, shape (M,).
+        turned: Turn in each step, shape (M,) [rad].
         moved: Distances along and across the heading, shape (M,), as in `PoseSteps`.
         begin_s: Begin of each step, shape (M,) [s].
         duration_s: Duration of each step, shape (M,) [s].
-        block: Number of the block in which each step is, shape (M,).
+        block: Index of the block of time that contains each step, shape (M,).
         neighbours: Whether the next step begins with the pose at which a step ends, shape (M - 1,).
         left_out: Number of steps left out because they are too far off.
-        dead_time: Dead time from which the search starts [s].
-        drift_unit: Usual drift of the clocks, in which it is searched; 0 for one clock.
-        in_one_ratio: Whether speed and turning rate are sent in one ratio.
+        dead_time: Dead time at which the search starts [s].
+        drift_unit: Typical drift between the clocks, used as the unit of the search. 0 for one
+            clock.
+        in_one_ratio: Whether speed and turning rate were always sent in the same ratio.
     """
 
     tracks: list[DrivenTrack]
@@ -191,7 +198,7 @@ class UsedSteps:
         return max(float(np.median(np.abs(self.way) / self.duration_s)), 1e-12)
 
     def driven(self, integrals: Floats) -> DrivenSteps:
-        """Return the steps with the distances and turns that were sent in them, shape (M, 2)."""
+        """Combine the steps with the distances and turns commanded in them, shape (M, 2)."""
         return DrivenSteps(
             moved=self.moved,
             duration_s=self.duration_s,
@@ -203,13 +210,13 @@ class UsedSteps:
     def integrals(
         self, dead_time: float, speed_lag: float, turning_lag: float, drift: float = 0.0
     ) -> Floats:
-        """Integrate the speed and the turning rate over each step.
+        """Integrate the commanded speed and turning rate over each step.
 
         Args:
             dead_time: Time from the sending of a command until it acts [s].
             speed_lag: Time constant with which the speed follows [s].
             turning_lag: Time constant with which the turning rate follows [s].
-            drift: How fast the times of the commands run apart from those of the poses [s/s].
+            drift: How fast the clock of the commands gains on the clock of the poses [s/s].
 
         Returns:
             The integrals, shape (M, 2): of the speed [length unit] and of the turning rate [rad].
@@ -220,20 +227,20 @@ class UsedSteps:
 
     @lru_cache(INTEGRALS_KEPT)  # noqa: B019 few are kept
     def _with_lag(self, dead_time: float, lag: float, drift: float) -> Floats:
-        """Return the integrals over each step (M, 2), both with one lag."""
+        """Integrate both rates over each step with the same lag, shape (M, 2)."""
         return integrals_of(self.tracks, dead_time, lag, drift)[self.rows]
 
 
 def integrals_of(
     tracks: Sequence[DrivenTrack], dead_time: float, lag: float, drift: float = 0.0
 ) -> Floats:
-    """Return the integrals over all steps of some tracks, shape (S, 2).
+    """Integrate the commanded speed and turning rate over all steps of some tracks, shape (S, 2).
 
     Args:
         tracks: The tracks.
         dead_time: Time from the sending of a command until it acts [s].
         lag: Time constant with which the rates follow the commands [s].
-        drift: How fast the times of the commands run apart from those of the poses [s/s].
+        drift: How fast the clock of the commands gains on the clock of the poses [s/s].
     """
     return np.concatenate([track.integrals(dead_time, lag, drift) for track in tracks])
 
@@ -283,32 +290,38 @@ def used_steps(name: str, tracks: list[DrivenTrack], expected_s: float) -> UsedS
 
 
 def _are_in_one_ratio(driven: Floats) -> bool:
-    """Decide whether two integrals (M, 2) are one, up to a factor."""
+    """Check whether two integrals (M, 2) are proportional to each other."""
     lengths = np.linalg.norm(driven, axis=0)
     product = float(driven[:, 0] @ driven[:, 1])
     return bool(lengths.all()) and product**2 > ONE_RATIO * float(np.prod(lengths)) ** 2
 
 
 def _longest(steps: PoseSteps) -> float:
-    """Return the duration from which a step is left out [s]."""
+    """Compute the duration above which a step is left out [s]."""
     if not len(steps.duration_s):
         return LONGEST_S
     return max(LONGEST_S, LONGEST * float(np.median(steps.duration_s)))
 
 
 def _require_enough(name: str, drives: Bools) -> None:
-    """Raise UsageError if a robot drives in too few steps (S,)."""
+    """Check that a robot drives in enough steps (S,).
+
+    Raises:
+        UsageError: If it drives in too few.
+    """
     if drives.sum() < INTERVALS_MIN:
         raise UsageError(
-            f"robot {printable(name)} drives in only {drives.sum()} steps between its poses",
-            f"{INTERVALS_MIN} are needed: give longer recordings, or leave it out of the tables",
+            f"robot {printable(name)} drives in only {drives.sum()} of the steps between its poses",
+            f"at least {INTERVALS_MIN} steps are needed: give longer recordings, or remove the "
+            "robot from the tables",
         )
 
 
 def _delay(tracks: Sequence[DrivenTrack], steps: PoseSteps, expected_s: float) -> float:
-    """Return the delay after which speeds and turns that were sent explain most of the motion [s].
+    """Find the delay after which the commands explain most of the motion [s].
 
-    Of several delays that explain AS_GOOD as much, it is the one nearest to the expected delay.
+    If several delays explain nearly as much (AS_GOOD), the result is the one nearest to the
+    expected delay.
     """
     delays = expected_s + CLOCKS_S
     is_seen = steps.duration_s < _longest(steps)
@@ -325,9 +338,9 @@ def _delay(tracks: Sequence[DrivenTrack], steps: PoseSteps, expected_s: float) -
 
 
 def _usual_rates(steps: PoseSteps) -> Floats:
-    """Return the turning rates and the speeds ahead and aside in some steps (3, S).
+    """Compute the turning rate and the speeds ahead and aside in each step, shape (3, S).
 
-    They are clipped to usual values, because a tracker may confuse two bodies.
+    The values are clipped to usual values, because a tracker may confuse two bodies.
     """
     motion = np.stack([steps.turned, steps.moved.real, steps.moved.imag]) / steps.duration_s
     low, high = np.quantile(motion, (CLIPPED, 1 - CLIPPED), axis=1, keepdims=True)
@@ -335,7 +348,7 @@ def _usual_rates(steps: PoseSteps) -> Floats:
 
 
 def _share(motion: Floats, sent: Floats) -> float:
-    """Return the share of a motion (3, S) that speeds and turning rates sent (S, 2) explain."""
+    """Compute the fraction of a motion (3, S) that the commanded rates (S, 2) explain."""
     turn_rate, ahead, aside = motion
     speed, rate = sent.T
     of_turns = _correlation(rate, turn_rate)
@@ -345,7 +358,7 @@ def _share(motion: Floats, sent: Floats) -> float:
 
 
 def _correlation(first: Floats, second: Floats) -> float:
-    """Return the correlation of two series (S,), 0 if one of them never changes."""
+    """Compute the correlation of two series (S,). It is 0 if one of them never changes."""
     a = first - first.mean()
     b = second - second.mean()
     lengths = float(np.linalg.norm(a) * np.linalg.norm(b))
@@ -353,10 +366,11 @@ def _correlation(first: Floats, second: Floats) -> float:
 
 
 def _far_off(measured: Floats, driven: Floats, drives: Bools) -> Bools:
-    """Find the steps (S,) that are far from the regression of those that drive.
+    """Find the steps (S,) that are far from the regression of all driven steps.
 
-    They must be further than FAR, and further than commands can explain that act up to NEIGHBOURS
-    steps earlier or later: in a track without noise, others differ only by these.
+    A step is far if it is further off than FAR, and further than commands could explain that act up
+    to NEIGHBOURS steps earlier or later. The second condition matters in a track without noise,
+    where ordinary steps differ only by the timing of commands.
     """
     expected = driven @ robust_gains(measured[drives], driven[drives])
     residuals = np.abs(measured - expected)

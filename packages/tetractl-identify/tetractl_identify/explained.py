@@ -1,17 +1,18 @@
-"""How much of the motion of robots their commands explain: the one check of tables and logs.
+"""Computes how much of the robots' motion their commands explain, for tables and for logs.
 
-Let m be what was measured in each step (a turn, or a distance, which is below 0 if it is driven
-backwards), f what the fitted model makes of the commands, and N the sum of squares that the noise
-of the poses alone would make. The commands explain the fraction
+Each step of a robot has a measured value m: a turn, or a distance, which is negative if the robot
+drives backwards. Let f be the value that the fitted model predicts from the commands, and N the sum
+of squares that the noise of the poses alone would cause. The commands explain the fraction
 
-    1 - (sum (m - f)^2 - N) / (sum m^2 - N),
+    1 - (sum (m - f)^2 - N) / (sum m^2 - N).
 
-which is unknown if sum m^2 is not significantly above N. Noise hides slow motion in single steps,
-and motion to and fro cancels over seconds, so the fraction is taken over steps and over seconds,
-and the larger one counts.
+The fraction is unknown if sum m^2 is not significantly above N. It is computed twice, over single
+steps and over seconds, and the larger value counts. In single steps, noise hides slow motion. Over
+seconds, motion back and forth cancels.
 
-A distance is the length of the way, ahead or aside: a car that slips in its turns drives as far as
-it is asked to, but not along its heading. Whether headings point ahead is a value of its own.
+A distance is the length of the displacement, in whatever direction it points. A car that slips in
+its turns drives as far as commanded, but not along its heading. Whether the heading points ahead is
+identified as a separate value.
 """
 
 import math
@@ -30,16 +31,16 @@ SURE = 3.0
 """Standard deviations of the noise's sum of squares above which motion is significant."""
 WINDOW_S = 1.0
 """Duration of the windows over which steps are added [s]."""
-CHECKLIST = "go through the checklist in docs/how-to/identify.md"
+CHECKLIST = "work through the checklist in docs/how-to/identify.md"
 """A hint."""
 
 
 @dataclass(frozen=True, slots=True)
 class Explained:
-    """How much of a robot's turning or of its distance travelled the commands explain.
+    """How much of a robot's turning, or of its distance travelled, the commands explain.
 
     Attributes:
-        fraction: The explained fraction, from 0 to 1. None if nothing is significantly there.
+        fraction: The explained fraction, from 0 to 1. None if there is no significant motion.
         rest: Sum of squares that neither the commands nor the noise of the poses explain.
         asked: Sum of squares that the commands ask for.
     """
@@ -49,10 +50,10 @@ class Explained:
     asked: float
 
     def is_contradicted(self, may_follow: bool) -> bool:
-        """Decide whether the motion contradicts the commands.
+        """Check whether the motion contradicts the commands.
 
-        A robot that is hardly asked to turn wanders more than it turns by its commands. This is no
-        contradiction as long as it may follow them.
+        A robot that is hardly asked to turn may wander more than it turns by its commands. This is
+        no contradiction as long as the robot may follow them.
 
         Args:
             may_follow: Whether the interval of the fitted gain contains usual gains.
@@ -68,14 +69,15 @@ class Explained:
 def explained(
     measured: Complex | Floats, fitted: Floats, asked: Floats, noise: float, windows: Integers
 ) -> Explained:
-    """Compare measured steps with those that the commands explain.
+    """Compute how much of the measured steps the commands explain.
 
     Args:
         measured: Measured turns, shape (M,), or complex distances along and across the heading.
-        fitted: Steps that the model makes of the commands, shape (M,).
+        fitted: Steps that the model predicts from the commands, shape (M,).
         asked: Steps that the commands ask for, shape (M,).
         noise: Standard deviation of each component of a pose.
-        windows: Number of the window in which each step is, shape (M,). Steps of one window follow
+        windows: Index of the window that contains each step, shape (M,). The steps of a window
+            follow
             one another without a gap.
     """
     components = 2 if np.iscomplexobj(measured) else 1
@@ -96,7 +98,10 @@ def explained(
 
 
 def _sums(steps: Complex | Floats, group: Integers) -> Floats:
-    """Add the steps (M,) of each group. Complex steps give lengths, below 0 if they lead back."""
+    """Add the steps (M,) of each group.
+
+    Complex steps give lengths, which are negative if they lead backwards.
+    """
     ahead = np.bincount(group, np.real(steps)).astype(np.float64)
     if not np.iscomplexobj(steps):
         return ahead
@@ -105,9 +110,9 @@ def _sums(steps: Complex | Floats, group: Integers) -> Floats:
 
 
 def windows_of(begin_s: Floats, end_s: Floats) -> Integers:
-    """Number the windows of WINDOW_S of steps (M,) from `begin_s` to `end_s` [s].
+    """Assign steps (M,) from `begin_s` to `end_s` [s] to windows that last WINDOW_S.
 
-    A gap between two steps begins a new window.
+    A gap between two steps starts a new window.
     """
     if not len(begin_s):
         return np.zeros(0, dtype=np.int64)
@@ -120,18 +125,21 @@ def windows_of(begin_s: Floats, end_s: Floats) -> Integers:
 
 
 def refuse_contradicted(sources: Sequence[str], problems: Sequence[tuple[str, str]]) -> None:
-    """Raise UsageError if the commands and poses of some robots do not belong together.
+    """Raise an error if there are robots whose commands and poses do not belong together.
 
     Args:
-        sources: The files, as messages name them.
-        problems: The robots with what the commands explain of them.
+        sources: Names of the files, for the message.
+        problems: Each such robot, with a text that says how little its commands explain.
+
+    Raises:
+        UsageError: If `problems` is not empty.
     """
     if not problems:
         return
     robots = ", ".join(printable(name) for name, _ in problems)
     details = "; ".join(f"{printable(name)}: {text}" for name, text in problems)
     raise UsageError(
-        f"{' and '.join(sources)}: the commands and the poses of {robots} do not belong together: "
-        f"the commands explain too little of what the robots did ({details})",
+        f"{' and '.join(sources)}: the commands and the poses of {robots} do not belong "
+        f"together, because the commands explain too little of the robots' motion ({details})",
         CHECKLIST,
     )

@@ -3,23 +3,25 @@
 All robots share the dead time. The fit maximises the likelihood of the controller's filter
 (`control.estimation.filter`).
 
-A first pass of the filter over the longest track has a grid of dead times, and each of RATES as
-factors on the expected turning rates a. The fit starts from the most likely values. In each of at
-least ROUNDS rounds, it passes over all tracks
+A first pass of the filter goes over the longest track. It tries a grid of dead times and, for each,
+the expected turning rates a times each factor of RATES. The fit starts with the most likely values.
+Then it does at least ROUNDS rounds. Each round passes over all tracks twice:
 
-- with varied noise, which gives gradient and curvature of the likelihood in the noise of
-  measurements and the random walks, for a Newton step;
-- with dead times around the most likely, which gives a parabola, whose maximum and width are the
-  dead time and its standard deviation, and each robot's a, speed and bias with theirs.
+- with varied noise. This gives the gradient and curvature of the likelihood as a function of the
+  measurement noise and the random walks, for a Newton step;
+- with dead times around the most likely one. A parabola through the likelihoods gives the dead time
+  (its maximum) and its standard deviation (its width). The same pass gives each robot's a, speed
+  and
+  bias with their deviations.
 
 The filter estimates a, speed and bias as constant states with wide priors. The likelihood is
 therefore the restricted one, which accounts for their fit. Intervals are normal in ln a, ln of the
-speed, bias, dead time, ln of the measurement noise, and the random walks, and are widened as the
-differences of blocks of BLOCK_S require (`_Fit._widen`).
+speed, bias, dead time, ln of the measurement noise, and the random walks. They are widened as the
+differences between blocks of BLOCK_S require (`_Fit._widen`).
 
-The model does not fit robots whose speed wanders from second to second, nor robots whose heading
-residuals are not white, by the test of Ljung and Box ("On a measure of lack of fit in time series
-models", Biometrika 65, 1978).
+The model does not fit two kinds of robots. One kind has a speed that wanders from second to second.
+The other has heading residuals that are not white, by the test of Ljung and Box ("On a measure of
+lack of fit in time series models", Biometrika 65, 1978).
 """
 
 from collections.abc import Sequence
@@ -191,10 +193,10 @@ def fit(
 
 
 def _searched(frames: TrackFrames, rows: np.ndarray, prior: PassPrior) -> float:
-    """Return the most likely of the possible dead times [s].
+    """Find the most likely dead time on a grid [s].
 
-    Robots `rows` (R,) are tried with each of RATES. If it is at an end of the range, nothing fits,
-    and USUAL_S is returned.
+    Robots `rows` (R,) are tried with each factor of RATES. If the result is at an end of the grid,
+    nothing fits, and USUAL_S is returned.
     """
     taus = np.arange(SEARCHED_FROM_S, SEARCHED_UNTIL_S, SEARCHED_APART_S)
     passed = run([frames], rows, prior, taus, SEARCHED_APART_S)
@@ -203,7 +205,7 @@ def _searched(frames: TrackFrames, rows: np.ndarray, prior: PassPrior) -> float:
 
 
 def _likeliest(passed: Passed) -> int:
-    """Return the index of the likeliest dead time of a pass of robots with each of RATES."""
+    """Return the index of the most likely dead time in a pass that tried each factor of RATES."""
     by_rate = passed.likelihood.reshape(len(passed.likelihood), -1, len(RATES))
     of_all_robots = by_rate.max(axis=2).sum(axis=1)
     return int(of_all_robots.argmax())
@@ -212,10 +214,11 @@ def _likeliest(passed: Passed) -> int:
 class _Fit:
     """The parameters of a fit, which improve round by round.
 
-    They are the dead time `tau`, means and standard deviations (N, 3) of ln a, ln of the speed and
-    heading bias, and the noise. The noise of a robot has four parameters (N, 4), in units `unit`
-    (N, 4): the logarithm of the noise of measured positions, their random walk, the logarithm of
-    the noise of headings, and their random walk. Walks may be 0, and count by their magnitudes.
+    The parameters are the dead time `tau`, the means and standard deviations (N, 3) of ln a, ln of
+    the speed and heading bias, and the noise. The noise of a robot has four parameters (N, 4), in
+    units `unit` (N, 4). They are the logarithm of the position noise, the random walk of positions,
+    the logarithm of the heading noise, and the random walk of headings. Random walks can be 0, and
+    only their magnitudes matter.
     """
 
     def __init__(
@@ -242,10 +245,10 @@ class _Fit:
         self.tau_std = APART_S / 2
 
     def _start(self, dead_time: float | None) -> tuple[float, Floats, Floats]:
-        """Return the most likely dead time, and means and deviations to start from.
+        """Find the most likely dead time, and the means and deviations to start from.
 
         The dead time is searched around the expected one, or everywhere if it is unknown. Each
-        robot starts with the most likely of RATES.
+        robot starts with the most likely factor of RATES.
         """
         count = len(self.mean)
         rows = np.repeat(np.arange(count), len(RATES))
@@ -263,7 +266,7 @@ class _Fit:
         return float(taus[best]), passed.mean[best, best_rows], passed.std[best, best_rows]
 
     def fit_noise(self) -> None:
-        """Do a Newton step in the noise's parameters."""
+        """Do one Newton step for the parameters of the noise."""
 
         def likelihood(noise: Floats) -> Floats:
             """Return ln of the likelihoods (N, V) of variants of the noise (N, V, 4)."""
@@ -277,9 +280,9 @@ class _Fit:
     def fit_motion(self, watched: bool = False) -> Passed:
         """Fit the dead time, a, speed and bias with the present noise.
 
-        The dead time and its standard deviation come from a parabola through the likelihoods. Means
-        change with the dead time along a fitted line, so the deviations account for that of the
-        dead time.
+        The dead time and its standard deviation come from a parabola through the likelihoods. The
+        means change with the dead time along a fitted line, so their deviations also account for
+        the uncertainty of the dead time.
 
         Returns:
             The pass with dead times around the previous one.
@@ -304,7 +307,7 @@ class _Fit:
         return passed
 
     def _prior(self, rows: np.ndarray, noise: Floats) -> PassPrior:
-        """Return what a pass assumes of robots `rows` (R,) with noise (R, 4)."""
+        """Create the prior of a pass for robots `rows` (R,) with noise (R, 4)."""
         std = np.minimum(WIDER * self.std, MOST_STD)[rows]
         deviations = self._deviations(rows, noise)
         return PassPrior(
@@ -312,7 +315,7 @@ class _Fit:
         )
 
     def _deviations(self, rows: np.ndarray, noise: Floats) -> Floats:
-        """Return the standard deviations (R, 4) for parameters of the noise (R, 4)."""
+        """Convert parameters of the noise (R, 4) to standard deviations (R, 4)."""
         factors = np.abs(noise)
         factors[:, ::2] = np.exp(np.minimum(noise[:, ::2], LN_MOST))
         return self._unit[rows] * factors
@@ -320,8 +323,8 @@ class _Fit:
     def _widen(self) -> None:
         """Widen the deviations as the differences between blocks require.
 
-        In each parameter, the factor is the root of the ratio of the variance of the blocks' slopes
-        to the likelihood's curvature.
+        For each parameter, the factor is the square root of a ratio: the variance of the slopes of
+        the blocks, divided by the curvature of the likelihood.
         """
         base, up, down = self._by_blocks()
         slopes = (up - down) / 2
@@ -336,10 +339,10 @@ class _Fit:
         self.tau_std *= float(wider[0, DEAD_TIME])
 
     def _by_blocks(self) -> tuple[Floats, Floats, Floats]:
-        """Return ln of the likelihood of each robot's blocks (B, N, 8).
+        """Compute the ln likelihood of each block of each robot (B, N, 8), for varied parameters.
 
-        It is computed with the present parameters, and with each parameter raised and lowered by
-        its deviation: noise, means and dead time.
+        The three results use the present parameters, each parameter raised by its deviation, and
+        each parameter lowered by it. The parameters are the noise, the means and the dead time.
         """
         count = len(self.mean)
         durations_s = [np.diff(track.time[:, 0], prepend=track.time[0, 0]) for track in self.frames]
@@ -402,7 +405,7 @@ class _Fit:
         return self._dead_time_interval(), tuple(robots)
 
     def _dead_time_interval(self) -> SampleInterval:
-        """Return the dead time with its interval, not below 0 if it may be above."""
+        """Compute the dead time with its interval. The interval stays at or above 0 if possible."""
         reach = NORMAL * self.tau_std if self.tau_std < UNKNOWN_S else np.inf
         least = 0.0 if self.tau + reach >= -RESOLVED_S else -np.inf
         ends = self.tau, self.tau - reach, self.tau + reach
@@ -432,12 +435,12 @@ class _Fit:
 
 
 def _intervals(values: Floats) -> list[SampleInterval]:
-    """Return the intervals of values (K, 3): each the value, its lower and its upper end."""
+    """Convert values (K, 3) to intervals. Each row is the value, its lower and its upper end."""
     return [SampleInterval(value, low, high) for value, low, high in values.tolist()]
 
 
 def _is_correlated(residuals: Floats) -> list[bool]:
-    """Check whether the heading residuals (F, N) of each robot [rad] are not white.
+    """Check for each robot whether its heading residuals (F, N) [rad] are correlated in time.
 
     Only deviations above RESOLVED count.
     """
@@ -458,7 +461,7 @@ def _is_correlated(residuals: Floats) -> list[bool]:
 
 
 def block_numbers(duration_s: Floats) -> Integers:
-    """Return the number of the block in which each step (S,) of some duration [s] is."""
+    """Assign steps with durations (S,) [s] to blocks of time."""
     elapsed_s = np.cumsum(duration_s)
     count = max(BLOCKS_LEAST, round(elapsed_s[-1] / BLOCK_S))
     return np.minimum(elapsed_s / elapsed_s[-1] * count, count - 1).astype(np.int64)
@@ -467,9 +470,10 @@ def block_numbers(duration_s: Floats) -> Integers:
 def wider_of_blocks(curvatures: Floats) -> Floats:
     """Compute how much wider an interval from the spread of blocks is than a normal one.
 
-    The negative curvatures h (B, ...) of ln of the likelihood of each block are given. If a robot
-    turns in few blocks, few say something about its turns: a value counts as one from (sum h)^2 /
-    sum h^2 blocks, and has the quantile of the t distribution.
+    The input is the negative curvature h (B, ...) of the ln likelihood of each block. If a robot
+    turns in only few blocks, only these blocks contain information about its turns. The effective
+    number of blocks of a value is therefore (sum h)^2 / sum h^2, and the interval uses the t
+    distribution for this number.
     """
     information = np.maximum(curvatures, 0.0)
     blocks = information.sum(axis=0) ** 2 / (np.square(information).sum(axis=0) + 1e-300)

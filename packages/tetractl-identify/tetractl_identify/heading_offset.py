@@ -1,14 +1,15 @@
-"""Finds the angle from a robot's heading to the way it drives when it drives straight ahead.
+"""Finds the angle from a robot's heading to its motion when it drives straight ahead.
 
-A tracked body may be defined rotated: then its heading points aside of the motion, always by the
-same angle. A robot that turns also moves aside of a true heading, for two reasons. A tracked point
-that is l ahead of the axle moves aside by l times the turn. A car slips by an angle that grows with
-its speed v times its turning rate w. The angle of the motion is therefore fitted as
+The camera software may define a tracked body rotated. The heading then differs from the direction
+of motion, always by the same angle. A robot that turns also moves sideways although its heading is
+right, for two reasons. A tracked point that is l ahead of the axle moves sideways by l times the
+turn. A car slips by an angle that grows with its speed v times its turning rate w. The angle of the
+motion is therefore fitted as
 
     offset + l w / v + slip v w,
 
-with v and w as they were sent, and each step weighted by its length. The angle of a step is
-measured from the mean angle, so that none is near half a turn.
+where v and w are the commanded values, and each step is weighted by its length. The angle of a step
+is measured from the mean angle, so that no angle is near half a turn.
 """
 
 import math
@@ -29,14 +30,14 @@ CLIP = 3.0
 
 @dataclass(frozen=True, slots=True)
 class DrivenSteps:
-    """The steps of a robot with what was sent in them.
+    """The steps of a robot, with the distances and turns commanded in them.
 
     Attributes:
         moved: Distances along and across the heading, shape (M,), as in `PoseSteps` [length unit].
         duration_s: Durations, shape (M,) [s].
-        way_sent: Distances that were sent, shape (M,) [length unit]; below 0 if backwards.
-        turn_sent: Turns that were sent, shape (M,) [rad].
-        block: Index of the block in which each step is, shape (M,).
+        way_sent: Commanded distances, shape (M,) [length unit]. Negative if backwards.
+        turn_sent: Commanded turns, shape (M,) [rad].
+        block: Index of the block that contains each step, shape (M,).
     """
 
     moved: Complex
@@ -51,13 +52,14 @@ def heading_offset(steps: DrivenSteps, in_one_ratio: bool) -> SampleInterval:
 
     Args:
         steps: The steps of one robot.
-        in_one_ratio: Whether speed and turning rate were sent in one ratio, as on a circle. Nobody
-            can tell then what the motion is when the robot drives straight ahead.
+        in_one_ratio: Whether speed and turning rate were always sent in the same ratio, as on a
+            circle. The data then do not show how the robot moves when it drives straight ahead.
 
     Returns:
-        The angle, anticlockwise from the heading, with the 95 % interval that the differences of
+        The angle, anticlockwise from the heading, with the 95 % interval that the differences
+        between
         blocks require. If the robot does not move, or if speed and turning rate were sent in one
-        ratio, it is the mean angle, and the interval is -pi to pi.
+        ratio, the result is the mean angle with an interval from -pi to pi.
     """
     sense = np.sign(steps.way_sent)
     motion = sense * steps.moved
@@ -80,12 +82,13 @@ def _first_gain(causes: Floats, effect: Floats, block: Integers) -> tuple[float,
 
     Args:
         causes: Causes, shape (M, K).
-        effect: What they make together, shape (M,).
-        block: Index of the block in which each row is, shape (M,).
+        effect: Their common effect, shape (M,).
+        block: Index of the block that contains each row, shape (M,).
 
     Returns:
-        The gain, and its standard deviation by the jackknife of blocks, scaled so that NORMAL of it
-        make 95 %.
+        The gain, and its standard deviation by the jackknife over blocks. The deviation is scaled
+        so
+        that NORMAL times its value gives a 95 % interval.
     """
     scale = np.linalg.norm(causes, axis=0) + 1e-300
     scaled = causes / scale

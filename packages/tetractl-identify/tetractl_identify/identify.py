@@ -1,6 +1,6 @@
 """Identifies robots from tracks: each value with its 95 % interval.
 
-The values can be shown in tables and written to a section of a spec.
+The values can be shown in tables, or written to a section of a spec:
 
     robots = identify(tracks, expected_a)
     robots = without_unsure_intervals(robots)
@@ -67,7 +67,7 @@ DECIMALS_OF_EXACT = 3
 
 
 class Doubt(Enum):
-    """Why the intervals of a, heading bias and dead time cannot be trusted."""
+    """A reason why the intervals of a, heading bias and dead time cannot be trusted."""
 
     UNIFORM_TURNS = "all directions turn at one rate"
     RATES_UNSTATED = "a track has `rates_unstated`"
@@ -114,7 +114,7 @@ class IdentifiedRobots:
 
     @property
     def doubt(self) -> Doubt | None:
-        """The first that holds."""
+        """The first reason for doubt that applies. None if there is none."""
         if self.turns_uniformly:
             return Doubt.UNIFORM_TURNS
         if self.rates_unstated:
@@ -145,13 +145,17 @@ def identify(
     for name, count in zip(names, intervals_used(frames), strict=True):
         if count < INTERVALS_MIN:
             raise UsageError(
-                f"robot {name} drives in only {count} intervals between frames in {seen_s:.3g} s",
-                f"{INTERVALS_MIN} intervals are needed; give more logs, or longer ones",
+                f"robot {name} drives in only {count} intervals between frames, in a recording "
+                f"of {seen_s:.3g} s",
+                f"at least {INTERVALS_MIN} intervals are needed: give more logs, or longer ones",
             )
     speed = speeds(frames)
     if speed.min() < LEAST_SPEED:
         still = names[int(np.argmin(speed))]
-        raise UsageError(f"robot {still} does not move", "a is found of robots that drive")
+        raise UsageError(
+            f"robot {still} does not move in these logs",
+            "the turning rate a can be identified only if the robot drives",
+        )
 
     expected_a = np.full(len(names), UNKNOWN_A) if a is None else a
     all_commands = all(track.all_commands for track in tracks)
@@ -196,9 +200,10 @@ def identify(
 def _turning_explained(
     tracks: Sequence[Track], number: int, robot: FittedRobot, dead_time_s: float
 ) -> Explained:
-    """Compare the turns of a robot with those predicted from its fitted values.
+    """Compute how much of a robot's turning its fitted values explain.
 
-    The prediction uses a dead time [s]. Directions request turns as large as their own changes.
+    The prediction uses a dead time [s]. A direction asks for a turn as large as the change from the
+    previous direction.
     """
     measured: list[Floats] = []
     fitted: list[Floats] = []
@@ -228,7 +233,7 @@ def _turning_explained(
 
 
 def _distance_explained(tracks: Sequence[Track], number: int, robot: FittedRobot) -> Explained:
-    """Compare the distances that a robot travelled with those by its fitted speed."""
+    """Compute how much of a robot's distance travelled its fitted speed explains."""
     parts: list[PoseSteps] = []
     begin_s: list[Floats] = []
     for track in tracks:
@@ -253,8 +258,8 @@ def _distance_explained(tracks: Sequence[Track], number: int, robot: FittedRobot
 def turn_uniformly(tracks: list[Track]) -> bool:
     """Check whether the directions of all tracks turn at one constant rate, to either side.
 
-    Robots then follow them at an angle that the dead time causes as well as a and the heading bias
-    do.
+    Robots then follow the directions at a constant angle. The dead time, a and the heading bias all
+    change this angle, so the data cannot separate them.
     """
     rates: list[float] = []
     for track in tracks:
@@ -273,10 +278,10 @@ def turn_uniformly(tracks: list[Track]) -> bool:
 
 
 def without_unsure_intervals(result: IdentifiedRobots) -> IdentifiedRobots:
-    """Return the values as they are printed and written.
+    """Remove the intervals that cannot be trusted, for printing and for specs.
 
-    They lack the ends of intervals that hold in fewer than 92 % of the logs of trials
-    (docs/how-to/identify.md).
+    An end of an interval is removed if the interval would hold in fewer than 92 % of the logs of
+    trials (docs/how-to/identify.md).
     """
     unsure = ["heading_noise", "heading_walk"]
     dead_time = result.dead_time
@@ -296,9 +301,9 @@ def _without_ends(interval: SampleInterval) -> SampleInterval:
 
 
 def spec_section(result: IdentifiedRobots, when: str) -> Identified:
-    """Return the section `identified` of a spec. Its dead time is not below 0.
+    """Create the section `identified` of a spec. Its dead time is at least 0.
 
-    `when` is its date and time as text.
+    `when` is the date and time of the identification, as text.
     """
     ends = (result.dead_time.value, result.dead_time.low, result.dead_time.high)
     robots: dict[str, IdentifiedRobot] = {}
@@ -318,7 +323,7 @@ def spec_section(result: IdentifiedRobots, when: str) -> Identified:
 
 
 def _spec_value(interval: SampleInterval) -> IdentifiedValue:
-    """Return a value with the ends of its interval that are known."""
+    """Create a value of the spec, with the ends of its interval that are known."""
     return IdentifiedValue(
         value=interval.value,
         low=interval.low if math.isfinite(interval.low) else None,
@@ -328,25 +333,34 @@ def _spec_value(interval: SampleInterval) -> IdentifiedValue:
 
 _WHY_NO_INTERVALS = {
     None: "",
-    Doubt.UNIFORM_TURNS: "a, heading bias and dead time have no intervals, as directions that turn "
-    "at one rate cannot tell one from another: send directions that jump",
-    Doubt.RATES_UNSTATED: "a, heading bias and dead time have no intervals, as it is assumed that "
-    "a host foresees the lag, as it does in logs and exports: a of robots that steer themselves "
-    "may be 40 % off",
-    Doubt.LAG_UNSTATED: "a, heading bias and dead time have no intervals, as wheels that lag, or a "
-    "host that sees headings late, would explain the turns as well or better, and the dead time "
-    "then holds the lag: state it, lag_s in a table, wheels.lag or lab.lag in a spec, or measure "
-    "it with --wheels; or send directions that jump, which show that there is none",
+    Doubt.UNIFORM_TURNS: (
+        "a, heading bias and dead time have no intervals, because all "
+        "directions turn at one rate, and such directions cannot tell these "
+        "three values apart. Send directions that jump"
+    ),
+    Doubt.RATES_UNSTATED: (
+        "a, heading bias and dead time have no intervals, because they "
+        "assume that the host foresees the lag, as it does in logs and "
+        "exports. If the robots steer themselves, a may be 40 % off"
+    ),
+    Doubt.LAG_UNSTATED: (
+        "a, heading bias and dead time have no intervals. Wheels that lag, or "
+        "a host that sees headings late, would explain the turns as well or "
+        "better, and the dead time would then contain this lag. State the lag "
+        "(lag_s in a table, wheels.lag or lab.lag in a spec), measure it with "
+        "--wheels, or send directions that jump, which would show that there "
+        "is no lag"
+    ),
 }
 
 
 def tables(result: IdentifiedRobots) -> list[Table]:
-    """Return tables of each value with its 95 % interval; a row per value, a column per robot."""
+    """Create tables of all values with 95 % intervals: a row per value, a column per robot."""
     logs = "1 log" if len(result.sources) == 1 else f"{len(result.sources)} logs"
     title = f"{logs}, {result.commands} directions: {result.origin}; 95 % intervals"
     dead_time = f"dead time from sending: {cell(result.dead_time)} s"
     if result.frame_age is not None:
-        dead_time += f"; frames are {result.frame_age:.4f} s old at sending"
+        dead_time += f"; frames are {result.frame_age:.4f} s old when a direction is sent"
     notes = [
         dead_time,
         _fit_text(result.robots),
@@ -381,7 +395,10 @@ def tables(result: IdentifiedRobots) -> list[Table]:
 
 
 def labels_of(quantities: Mapping[str, str], unit: str) -> list[str]:
-    """Return the labels of quantities by their names and units; {unit} is the length unit."""
+    """Create the labels of a table's rows from quantities and their units.
+
+    The text {unit} in a unit stands for the length unit.
+    """
     labels: list[str] = []
     for name, unit_of_value in quantities.items():
         of_unit = f" [{unit_of_value.format(unit=unit)}]" if unit_of_value else ""
@@ -390,9 +407,9 @@ def labels_of(quantities: Mapping[str, str], unit: str) -> list[str]:
 
 
 def _entries(result: IdentifiedRobots, number: int) -> list[str]:
-    """Return the entries of a robot's column, for the labels of `tables`.
+    """Create the entries of one robot's column, in the order of the labels of `tables`.
 
-    The last one is alpha, the turning rate per unit of the field's strength.
+    The last entry is alpha, the turning rate per unit of the field's strength.
     """
     robot = result.robots[number]
     texts = [cell(getattr(robot, name)) for name in QUANTITIES]
@@ -409,17 +426,20 @@ def _entries(result: IdentifiedRobots, number: int) -> list[str]:
 
 
 def _fit_text(robots: Sequence[FittedRobot]) -> str:
-    """Return whether the model fits, as text."""
+    """Describe in words whether the model fits."""
     misfits = [f"{robot.name} ({', '.join(robot.misfits)})" for robot in robots if robot.misfits]
     if not misfits:
         return "the model fits"
-    return f"the model does not fit {'; '.join(misfits)}: speed or turning wanders over seconds"
+    return (
+        f"the model does not fit {'; '.join(misfits)}: the robot's speed or turning varies "
+        "over seconds"
+    )
 
 
 def cell(interval: SampleInterval) -> str:
-    """Format a value and the ends of its interval.
+    """Format a value and its interval for a table.
 
-    They are rounded to two significant digits of half the interval's width.
+    Both are rounded to two significant digits of half the interval's width.
     """
     if math.isnan(interval.low):  # not stated; infinite if the data do not bound the value
         return f"{interval.value:.2g}"

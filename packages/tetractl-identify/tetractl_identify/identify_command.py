@@ -1,4 +1,4 @@
-"""`tetractl identify`: estimates from logs how robots turn and move, how late, how noisily."""
+"""`tetractl identify`: estimates the robots' motion, delays and noise from recorded trials."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -22,13 +22,16 @@ def identify(
         list[Path],
         argument(
             "LOG...",
-            "Logs of the same robots, folders or globs; or CSV files of poses and commands.",
+            "Logs of the same robots (files, folders or globs), or CSV files of poses and "
+            "commands.",
         ),
     ],
     out: Annotated[
         Path | None,
         out_option(
-            "FILE", "YAML file to write the values to; a spec names it in its field `identified`."
+            "FILE",
+            "YAML file to write the values to. A spec can then name this file in its "
+            "field `identified`.",
         ),
     ] = None,
     wheels: Annotated[
@@ -39,11 +42,12 @@ def identify(
 ) -> int:
     """Identify turning rate a, speed, heading bias, dead time and noise, with 95 % intervals.
 
-    All logs, simulated or from a lab, must be of the same robots; their data is pooled. The true
-    poses in a simulation's log are not used. The dead time counts from the sending of a direction.
+    All logs, simulated or from a lab, must show the same robots; their data is pooled. The command
+    does not use the true poses in a simulation's log. The dead time counts from the sending of a
+    direction.
 
-    From CSV files with speeds and turning rates, or with --wheels, it identifies what robots on two
-    wheels make of these: gains, lags, dead time and noise of each robot.
+    From CSV files with speeds and turning rates, or with --wheels, the command identifies how
+    robots on two wheels follow these: gains, lags, dead time and noise of each robot.
 
     Example: tetractl identify logs/batch -o m3pi.identified.yaml
 
@@ -54,8 +58,8 @@ def identify(
     if tables and len(tables) < len(logs):
         no_table = next(path for path in logs if path not in tables)
         raise UsageError(
-            f"{printable(str(no_table))}: its name does not end in .csv, and logs and CSV files "
-            "cannot be combined"
+            f"{printable(str(no_table))}: the name does not end in .csv, and logs cannot be "
+            "combined with CSV files"
         )
     if tables:
         return _identify_tables(tables, out, as_json)
@@ -63,7 +67,7 @@ def identify(
 
 
 def _identify_tables(tables: list[Path], out: Path | None, as_json: bool) -> int:
-    """Identify robots by CSV files, which say themselves whether they are of speeds."""
+    """Identify robots from CSV files of directions or of speeds."""
     from tetractl_identify.csv_tracks import csv_tracks
     from tetractl_identify.identify import identify as identify_robots
 
@@ -80,7 +84,7 @@ def _identify_tables(tables: list[Path], out: Path | None, as_json: bool) -> int
 
 
 def _identify_logs(paths: Sequence[Path], wheels: bool, out: Path | None, as_json: bool) -> int:
-    """Identify robots by logs, of which the first states what was known of them."""
+    """Identify robots from logs. The spec in the first log gives the expected values."""
     from tetractl_identify.identify import identify as identify_robots
 
     if wheels:
@@ -96,18 +100,23 @@ def _identify_logs(paths: Sequence[Path], wheels: bool, out: Path | None, as_jso
 
 
 def _refuse_file_of_response(out: Path | None) -> None:
-    """Raise UsageError if a file is named for how robots follow speeds and turning rates."""
+    """Check that no output file is given together with --wheels.
+
+    Raises:
+        UsageError: If a file is given, because a spec has no place for a response to speeds.
+    """
     if out is not None:
         raise UsageError(
-            "--out: a spec has no place for what wheels make of their commands",
-            hint="put the lag that is printed into the spec, as lab.lag",
+            "--out cannot be combined with --wheels, because a spec has no field for the "
+            "response of wheels",
+            hint="leave out --out, and put the printed lag into the spec as lab.lag",
         )
 
 
 def _read_logs(paths: Sequence[Path], wheels: bool) -> "tuple[list[Track], TrialLog, bool]":
-    """Return the tracks of the logs in which directions were sent.
+    """Read the tracks of all logs in which directions were sent.
 
-    With `wheels`, the tracks hold the speeds sent to wheels instead of directions.
+    With `wheels`, the tracks hold the commanded speeds of the wheels instead of directions.
 
     Returns:
         The tracks, the first of these logs, and whether a log is damaged.
@@ -125,13 +134,13 @@ def _read_logs(paths: Sequence[Path], wheels: bool) -> "tuple[list[Track], Trial
         if trial.damage is not None:
             damaged = True
         if not any(command.direction is not None for command in trial.commands):
-            ui.tell(f"warning: {path}: no direction was sent in this log")
+            ui.tell(f"warning: {path}: this log has no direction that was sent")
             continue
         tracks.append(wheels_of(trial) if wheels else track_of(trial))
         if first is None:
             first = trial
     if first is None:
-        raise UsageError("no direction was sent in any of the logs")
+        raise UsageError("none of the logs has a direction that was sent")
     return tracks, first, damaged
 
 
@@ -166,4 +175,4 @@ def _show_robots(robots: "IdentifiedRobots", out: Path | None, as_json: bool) ->
     section = spec_section(robots, when).model_dump(mode="json", exclude_none=True)
     save_whole(out, dump(section).encode())
     if not as_json:
-        print(f"wrote {out}; name it in the spec: identified: {out.name}")
+        print(f"wrote {out}; to use it, add this line to the spec: identified: {out.name}")

@@ -1,9 +1,10 @@
-"""Which poses of a robot are measurements, by themselves.
+"""Finds which poses of a robot are real measurements, from the poses alone.
 
-A tracker that has lost a robot repeats its last pose, states zeros, or takes it for another or for
-itself turned. `measured` leaves out repeats after which the robot is suddenly far away, and
-stretches of poses that jump away and back: of all chains of poses it keeps that with most poses,
-less `JUMP_S` of poses for each jump.
+A tracker that has lost a robot may repeat its last pose, report zeros, take another body for the
+robot, or see the robot turned. `measured` leaves out two kinds of poses: repeated poses after which
+the robot is suddenly far away, and series of poses that jump away and back. For the second kind, it
+joins stretches of poses without a jump into chains, and keeps the chain with most poses. Each jump
+in a chain costs as many poses as JUMP_S contains.
 """
 
 from dataclasses import dataclass
@@ -49,7 +50,7 @@ LEAST_WAY = 1e-9
 
 
 def measured(times: Floats, poses: Floats) -> Bools:
-    """Return which poses (M, 3) of a robot at `times` (M,) [s] are measurements."""
+    """Find which poses (M, 3) of a robot at `times` (M,) [s] are real measurements."""
     if not len(times):
         return np.zeros(0, dtype=np.bool_)
     without_repeats = np.flatnonzero(~_repeats(poses))
@@ -62,7 +63,7 @@ def measured(times: Floats, poses: Floats) -> Bools:
 def _repeats(poses: Floats) -> Bools:
     """Find the poses (M, 3) that repeat the previous pose, or its heading or place.
 
-    This holds until the robot is suddenly far away, or until the end.
+    Repeats count until the robot is suddenly far away, or until the end.
     """
     moved = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     turned = np.abs(wrap(np.diff(poses[:, 2])))
@@ -79,15 +80,15 @@ def _repeats(poses: Floats) -> Bools:
 
 
 def _fast(steps: Floats) -> float:
-    """Return the quantile FAST of ways or turns (M - 1,) that are not 0."""
+    """Compute the quantile FAST of the distances or turns (M - 1,) that are not 0."""
     changes = steps[steps > 0]
     return float(np.quantile(changes, FAST)) if changes.size else 0.0
 
 
 def _frozen(is_same: Bools, is_release: Bools) -> Bools:
-    """Find the poses (M,) that end at least REPEATS_MIN equal steps (M - 1,) in a row.
+    """Find the poses (M,) after at least REPEATS_MIN equal steps (M - 1,) in a row.
 
-    The steps must be followed by a release (M,). The last release is the end of the track.
+    A release (M,) must follow these steps. The end of the track is the last release.
     """
     frozen = np.zeros(len(is_same) + 1, dtype=np.bool_)
     if not is_same.any() or is_same.all():
@@ -104,14 +105,14 @@ def _frozen(is_same: Bools, is_release: Bools) -> Bools:
 
 @dataclass(frozen=True, slots=True)
 class _Jumps:
-    """What is too far for a robot's motion from one of its poses to another.
+    """Limits of how far a robot can move from one pose to another.
 
     Attributes:
         times: Times of the poses, shape (M,) [s].
         poses: Poses, shape (M, 3).
         speed: The robot's usual speed [length unit/s].
         rate: Its usual turning rate [rad/s].
-        usual_s: The usual time between two poses [s]. Poses may be stamped late by as much.
+        usual_s: The usual time between two poses [s]. Time stamps can be late by this time.
         noise: Standard deviation of the positions by noise [length unit].
     """
 
@@ -124,7 +125,7 @@ class _Jumps:
 
     @classmethod
     def of(cls, times: Floats, poses: Floats) -> "_Jumps":
-        """Find what is usual for a robot with three or more poses."""
+        """Find the usual speed, turning rate and noise of a robot with three or more poses."""
         usual_s = float(np.median(np.diff(times)))
         apart_s = np.maximum(np.diff(times), usual_s)
         ways = np.hypot(*np.diff(poses[:, :2], axis=0).T) / apart_s
@@ -138,7 +139,7 @@ class _Jumps:
         return cls(times, poses, float(speed), float(rate), usual_s, noise)
 
     def between(self, first: Integers, second: Integers) -> Bools:
-        """Return whether from the first to the second pose of each of K pairs is a jump (K,)."""
+        """Check whether the robot jumps between the poses of each of K pairs, shape (K,)."""
         apart_s = np.maximum(self.times[second] - self.times[first], self.usual_s)
         moved = self.poses[second] - self.poses[first]
         way = np.hypot(moved[:, 0], moved[:, 1])
@@ -150,11 +151,11 @@ class _Jumps:
 
 
 def _longest_chain(times: Floats, poses: Floats) -> Integers:
-    """Return the poses (K,) of those (M, 3) at `times` (M,) [s] that are in the longest chain.
+    """Find the longest chain in the poses (M, 3) at `times` (M,) [s], and return its indices (K,).
 
-    Poses without a jump between them are one stretch; a chain has whole stretches. Its length is
-    the number of its poses less that of JUMP_S for each jump, and it leaves out at most twice that
-    number of poses at once.
+    A stretch is a series of poses without a jump. A chain consists of whole stretches. Its length
+    is the number of its poses, minus the number of poses in JUMP_S for each jump. A chain leaves
+    out at most twice this number of poses at once.
     """
     count = len(times)
     if count < 3:

@@ -1,7 +1,7 @@
 """Reads the CSV files that Motive, the program of OptiTrack cameras, exports, as rows of poses.
 
-Above the numbers stand a line of settings and rows that say what each column is (versions 1.2 to
-1.25 of the format; some lack the words in front, or the row of parents):
+Above the numbers, a file has a line of settings and rows that describe the columns (versions 1.2 to
+1.25 of the format; some lack the leading words, or the row of parents):
 
     Format Version,1.23,Take Name,drive,...,Rotation Type,Quaternion,Length Units,Meters,...
 
@@ -11,10 +11,10 @@ Above the numbers stand a line of settings and rows that say what each column is
     ,,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Mean Marker Error,...
     Frame,Time (Seconds),X,Y,Z,W,X,Y,Z,,...
 
-Only rigid bodies are read. Cells are empty where a body was not tracked. The vertical axis is y, as
-Motive has it by default, or z if bodies move much less along z than along y. A body is at (x, y)
-with z up, and at (x, -z) with y up. Its heading is the direction of its own x axis, as the camera
-`optitrack` has it.
+Only rigid bodies are read. Cells are empty if a body was not tracked. The vertical axis is y,
+Motive's default, or z if bodies move much less along z than along y. With z up, the position of a
+body is (x, y). With y up, it is (x, -z). The heading of a body is the direction of its own x axis,
+as for the camera `optitrack`.
 """
 
 import math
@@ -46,7 +46,7 @@ Z_UP = 0.25
 
 
 def table_rows(path: Path) -> Iterator[CsvRow]:
-    """Return the rows of a CSV file: the poses in it if Motive exported it."""
+    """Read the rows of a CSV file. If Motive exported the file, its poses are converted to rows."""
     first = next(csv_lines(path), None)
     is_of_motive = first is not None and first[1].startswith(FIRST)
     return motive_rows(path) if is_of_motive else read_csv(path)
@@ -77,14 +77,14 @@ def motive_rows(path: Path) -> Iterator[CsvRow]:
 
 @dataclass(frozen=True, slots=True)
 class _Take:
-    """The header of a file of Motive.
+    """The header of a file that Motive exported.
 
     Attributes:
         unit: Unit of lengths.
         rotation_type: QUATERNION, or one of ORDERS.
         bodies: Columns of the rotation and of the position of each rigid body, by its name.
         width: Number of columns.
-        separator: What separates the entries of a line.
+        separator: Character between the entries of a line.
     """
 
     unit: str
@@ -95,7 +95,7 @@ class _Take:
 
 
 def _open_take(path: Path) -> tuple[_Take, Iterator[tuple[int, str]]]:
-    """Read the header of a file of Motive; return it with the lines below it."""
+    """Read the header of a file from Motive, and return it with the lines below it."""
     lines = csv_lines(path)
     top = next(lines)[1]
     separator = top[len(FIRST)] if len(top) > len(FIRST) else ","
@@ -103,8 +103,11 @@ def _open_take(path: Path) -> tuple[_Take, Iterator[tuple[int, str]]]:
     settings = dict(zip(settings_row[::2], settings_row[1::2], strict=False))
     space = settings.get("Coordinate Space", GLOBAL)
     if space.lower() != GLOBAL.lower():
-        said = f"{path}: Coordinate Space {printable(space)}: positions are those of other bodies"
-        raise UsageError(said, f"export in the coordinate space {GLOBAL}")
+        said = (
+            f"{path}: the Coordinate Space is {printable(space)}, so positions are relative "
+            "to other bodies"
+        )
+        raise UsageError(said, f"export again from Motive, with the coordinate space {GLOBAL}")
     unit = _length_unit(path, settings.get("Length Units", ""))
     rotation_type = settings.get("Rotation Type", QUATERNION)
     header: list[list[str]] = []
@@ -119,7 +122,7 @@ def _open_take(path: Path) -> tuple[_Take, Iterator[tuple[int, str]]]:
 def _numbers(
     path: Path, take: _Take, lines: Iterator[tuple[int, str]]
 ) -> Iterator[tuple[int, Floats]]:
-    """Yield the number of each line with its entries (W,), NaN where one is empty.
+    """Yield the number of each line with its entries (W,). Empty entries are NaN.
 
     Raises:
         UsageError: If there are no lines.
@@ -132,15 +135,20 @@ def _numbers(
         entries[: len(texts)] = [_number(path, number, text) for text in texts]
         yield number, entries
     if is_empty:
-        raise UsageError(f"{path}: has no rows")
+        raise UsageError(f"{path}: the file has no rows of data")
 
 
 def _length_unit(path: Path, name: str) -> str:
-    """Return the unit of positions by its name; UsageError for others."""
+    """Convert Motive's name of a length unit to the unit of positions.
+
+    Raises:
+        UsageError: If the unit is unknown.
+    """
     unit = LENGTH_UNITS.get(name.lower())
     if unit is None:
         raise UsageError(
-            f"{path}: Length Units {printable(name)}", "export in Meters or Millimeters"
+            f"{path}: the Length Units are {printable(name)}, which cannot be read",
+            "export again from Motive, with the length unit Meters or Millimeters",
         )
     return unit
 
@@ -148,19 +156,20 @@ def _length_unit(path: Path, name: str) -> str:
 def _bodies(
     path: Path, header: Sequence[Sequence[str]], angles: int
 ) -> dict[str, tuple[list[int], list[int]]]:
-    """Return the columns of each rigid body, by its name, from the rows above the numbers.
+    """Find the columns of each rigid body in the rows above the numbers, by the body's name.
 
-    They are those of its rotation, X, Y, Z and perhaps W, and those of its position.
+    The columns are those of the rotation (X, Y, Z and, for quaternions, W) and of the position.
     """
     if header[-1][0] != "Frame" or len(header) < 4:
         raise UsageError(
-            f"{path}: is no whole export of Motive: no row begins with Frame",
-            "export it with Header Information",
+            f"{path}: this is not a complete export from Motive, because no row begins with Frame",
+            "export again from Motive, with Header Information",
         )
     types = next((row for row in header if BODY in row), None)
     if types is None:
         raise UsageError(
-            f"{path}: names no rigid body", "export it with Rigid Bodies and Header Information"
+            f"{path}: the file names no rigid body",
+            "export again from Motive, with Rigid Bodies and Header Information",
         )
     names = header[header.index(types) + 1]
     columns: dict[str, dict[tuple[str, str], int]] = {}
@@ -179,20 +188,21 @@ def _bodies(
     for name, of_body in columns.items():
         if not {*rotation, *position} <= set(of_body):
             raise UsageError(
-                f"{path}: rigid body {printable(name)} lacks rotations or positions",
-                f"export both, in the coordinate space {GLOBAL}",
+                f"{path}: the file lacks the rotations or positions of the rigid body "
+                f"{printable(name)}",
+                f"export both from Motive, with the coordinate space {GLOBAL}",
             )
         if name in twice:
             raise UsageError(
-                f"{path}: two rigid bodies are named {printable(name)}",
-                "name each rigid body differently in Motive, and export again",
+                f"{path}: two rigid bodies have the same name, {printable(name)}",
+                "give each rigid body its own name in Motive, and export again",
             )
         bodies[name] = ([of_body[key] for key in rotation], [of_body[key] for key in position])
     return bodies
 
 
 def _number(path: Path, line: int, entry: str) -> float:
-    """Return the number in an entry, NaN if it is empty."""
+    """Read the number in an entry. NaN if the entry is empty."""
     if not entry or entry.count(":") > 1:  # nothing, or a time code
         return np.nan
     if not is_number(entry):
@@ -201,9 +211,9 @@ def _number(path: Path, line: int, entry: str) -> float:
 
 
 def _is_y_up(path: Path, take: _Take) -> bool:
-    """Decide whether y is up, which is Motive's default.
+    """Check whether y is the vertical axis, which is Motive's default.
 
-    It is not if bodies move much less along z than along y.
+    If bodies move much less along z than along y, z is the vertical axis.
     """
     counts = np.zeros(len(take.bodies))
     first = np.zeros((len(take.bodies), 3))
@@ -226,7 +236,7 @@ def _is_y_up(path: Path, take: _Take) -> bool:
 
 
 def _ahead(path: Path, turned: Floats, rotation_type: str) -> Floats:
-    """Return the direction (3,) of a body's x axis, NaN where it was not tracked.
+    """Compute the direction of a body's x axis, shape (3,). NaN if it was not tracked.
 
     Args:
         path: The file, for messages.
@@ -235,7 +245,8 @@ def _ahead(path: Path, turned: Floats, rotation_type: str) -> Floats:
     """
     if rotation_type != QUATERNION and rotation_type not in ORDERS:
         raise UsageError(
-            f"{path}: Rotation Type {printable(rotation_type)}", "export quaternions, or XYZ"
+            f"{path}: the Rotation Type is {printable(rotation_type)}, which cannot be read",
+            "export again from Motive, with rotations as quaternions or XYZ",
         )
     if not np.isfinite(turned).all():
         return np.full(3, np.nan)

@@ -1,10 +1,10 @@
-"""Runs the controller's filter over whole tracks: likelihood, estimates and residuals.
+"""Runs the controller's filter over whole tracks, for likelihoods, estimates and residuals.
 
-This is the only module of a log's identification that knows the compiled filter. A pass has R rows,
-each a robot with assumed noise and walks, and a bank of B dead times. The filter is the one that
-the controller runs (`control.estimation.filter`), with its hypotheses of lost commands and of a
-stuck robot; turning rate a, speed and heading bias are constant states, and the noise is as
-assumed.
+This is the only module of the identification from logs that uses the compiled filter. One run over
+the tracks is called a pass. A pass has R rows and a bank of B dead times. Each row is a robot with
+assumed noise and random walks. The filter is the one that the controller runs
+(`control.estimation.filter`), with its hypotheses that a command was lost or that a robot is stuck.
+Turning rate a, speed and heading bias are constant states, and the noise is as assumed.
 """
 
 from collections.abc import Sequence
@@ -72,12 +72,13 @@ NO_COMMANDS = SentCommands(np.empty(0), np.empty(0))
 
 @dataclass(frozen=True, slots=True)
 class TrackFrames:
-    """M frames of a track and the C directions u [rad], sent `when` (C,) [s], that act in them.
+    """M frames of a track, and the C directions u [rad] that act in them.
 
-    `time` (M, N) are the times of the poses [s]. `used` (M, N) is which of the poses (M, N, 3) the
-    filter is updated by; at those with `placed` (M, N) it starts from the camera's pose. Robots
-    that receive nothing for `watchdog` [s] stop; their wheels follow with the time constant `lag`
-    [s], and keep a rate for `hold`, as `model.motion.turn_rate.held` has it [s, s2, s3].
+    The directions were sent at the times `when` (C,) [s]. `time` (M, N) are the times of the poses
+    [s]. `used` (M, N) says which of the poses (M, N, 3) update the filter. At the poses with
+    `placed` (M, N), the filter starts again from the measured pose. Robots that receive nothing for
+    `watchdog` [s] stop. Their wheels follow with the time constant `lag` [s], and keep a rate for
+    `hold`, which has the form of `model.motion.turn_rate.held` [s, s2, s3].
     """
 
     time: Floats
@@ -92,14 +93,17 @@ class TrackFrames:
 
     @classmethod
     def of(cls, track: Track) -> "TrackFrames":
-        """Return the frames at least SHORTEST_S apart, from the first direction to the stop.
+        """Select the frames at least SHORTEST_S apart, from the first direction to the stop.
 
-        A robot's poses are used from where it drives, those of one with lagging wheels from where
-        it still stands: how fast it turns amid its start cannot be seen. After a gap of UNSEEN_S
-        they restart it. UsageError if no direction was sent, or very many between two frames.
+        A robot's poses are used from the time at which it drives. With lagging wheels, they are
+        used from its last standstill, because its turning rate cannot be seen while it starts.
+        After a gap of UNSEEN_S, the poses restart the filter.
+
+        Raises:
+            UsageError: If no direction was sent, or if there are very many between two frames.
         """
         if not len(track.sent):
-            raise UsageError(f"{track.source}: no direction was sent")
+            raise UsageError(f"{track.source}: the log has no direction that was sent")
         rows = np.flatnonzero(track.time <= track.until)
         before_s = float(track.sent[0]) - SHORTEST_S
         rows = rows[rows_apart(track.time[rows], SHORTEST_S, before_s)]
@@ -114,7 +118,11 @@ class TrackFrames:
         placed = used & (time[:, None] - last_used > UNSEEN_S)
         most = np.diff(np.searchsorted(track.sent, time)).max(initial=0)
         if most > DIRECTIONS_MAX:
-            raise UsageError(f"{most} directions were sent between two frames", "log more frames")
+            raise UsageError(
+                f"{most} directions were sent between two successive frames, too "
+                "many for an identification",
+                "log more frames",
+            )
         return cls(
             time=track.exposed[rows],
             poses=poses,
@@ -129,9 +137,9 @@ class TrackFrames:
 
 
 def _driving(time: Floats, poses: Floats, valid: Bools, lagging: bool) -> Bools:
-    """Find the frames in which each robot drives (M, N).
+    """Find the frames in which each robot drives, shape (M, N).
 
-    A robot with lagging wheels counts from AT_REST_S earlier.
+    For a robot with lagging wheels, driving starts AT_REST_S earlier.
     """
     moved = np.diff(poses[..., :2], axis=0)
     pace = np.hypot(moved[..., 0], moved[..., 1]) / np.diff(time)[:, None]
@@ -145,9 +153,9 @@ def _driving(time: Floats, poses: Floats, valid: Bools, lagging: bool) -> Bools:
 
 
 def _hold(track: Track) -> tuple[float, float, float]:
-    """Return means of the first three powers of how long lagging wheels keep a rate [s, s2, s3].
+    """Compute for how long lagging wheels keep a rate: mean first three powers [s, s2, s3].
 
-    They are means over time. The host sends the wheels a new rate with each command.
+    The means are taken over time. The host sends the wheels a new rate with each command.
     """
     before_end = track.sent <= track.until
     apart_s = np.diff(track.sent[before_end])
@@ -166,7 +174,7 @@ def intervals_used(tracks: Sequence[TrackFrames]) -> Integers:
 
 
 def speeds(tracks: Sequence[TrackFrames]) -> Floats:
-    """Return the median distance per time of each robot (N,) between frames [length unit/s]."""
+    """Compute the median speed of each robot between frames (N,) [length unit/s]."""
     paces = []
     for track in tracks:
         way = np.diff(track.poses[..., :2], axis=0)
@@ -180,7 +188,8 @@ def speeds(tracks: Sequence[TrackFrames]) -> Floats:
 def position_noise(tracks: Sequence[TrackFrames]) -> Floats:
     """Estimate the noise of each robot's measured positions (N,) [length unit].
 
-    It is the median distance of places from the line between the previous and the next place.
+    The estimate is the median distance of a position from the line between its two neighbours in
+    time.
     """
     noises: list[float] = []
     for robot in range(tracks[0].used.shape[1]):
@@ -198,10 +207,10 @@ def position_noise(tracks: Sequence[TrackFrames]) -> Floats:
 
 
 def speed_wander(tracks: Sequence[TrackFrames]) -> Floats:
-    """Compute the relative standard deviation of each robot's speed (N,) between blocks.
+    """Compute the relative standard deviation of each robot's speed (N,) between blocks of time.
 
-    Blocks last WANDER_S. The result is 0 if the speed is measured in only one block. It belongs to
-    a normal distribution with the same quantiles INNER as the blocks.
+    A block lasts WANDER_S. The result is 0 if the speed is measured in only one block. It is the
+    deviation of a normal distribution with the same quantiles INNER as the blocks.
     """
     wanders: list[float] = []
     for robot in range(tracks[0].used.shape[1]):
@@ -217,9 +226,10 @@ def speed_wander(tracks: Sequence[TrackFrames]) -> Floats:
 
 
 def _paces_of_blocks(track: TrackFrames, robot: int) -> list[float]:
-    """Return the speed of a robot along its heading in each block with enough measurements.
+    """Compute the speed of a robot along its heading in each block with enough measurements.
 
-    Intervals in which it nearly stands still are left out, because lost commands may stop a robot.
+    Intervals in which the robot nearly stands still are left out, because lost commands may stop a
+    robot.
     """
     is_measured = track.used[1:, robot] & track.used[:-1, robot]
     if not is_measured.any():
@@ -242,7 +252,7 @@ def _paces_of_blocks(track: TrackFrames, robot: int) -> list[float]:
 
 
 def _usual(pace: Floats) -> Floats:
-    """Return the median of each column, infinity for one without numbers."""
+    """Compute the median of each column. It is infinite for a column without numbers."""
     medians = []
     for column in pace.T:
         numbers = column[np.isfinite(column)]
@@ -252,7 +262,7 @@ def _usual(pace: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class PassPrior:
-    """What is assumed of R rows of the filter.
+    """The prior assumptions about R rows of the filter.
 
     Attributes:
         mean: Means of ln a, ln of the speed and heading bias, shape (R, 3).
@@ -307,14 +317,14 @@ def run(
     Args:
         tracks: The frames of each track.
         rows: The indices of the robots (R,).
-        prior: What is assumed of each row: the turning rate, speed and heading bias, the noise, and
-            the random walks.
+        prior: The assumptions about each row: turning rate, speed and heading bias, noise, and
+            random walks.
         tau: The dead times (B,) [s].
-        apart_s: How far each dead time is uncertain [s].
+        apart_s: Uncertainty of each dead time [s].
         watched: Whether to collect the residuals of headings and the expected numbers of lost
             directions.
-        blocks: For each track, the number of the block of each frame (F,). By default, all are in
-            block 0.
+        blocks: For each track, the index of the block of each frame (F,). By default, all frames
+            are in block 0.
     """
     first_model, bank = _start(prior, tau)
     blocks = blocks or [np.zeros(len(track.time), dtype=np.int64) for track in tracks]
@@ -347,7 +357,7 @@ def run(
 
 
 def _begin_track(bank: Bank, track: TrackFrames) -> None:
-    """Give each row one branch, at the beginning of a track."""
+    """Give each row a single hypothesis at the beginning of a track."""
     bank.ln_weight[...] = -np.inf
     bank.ln_weight[..., 0] = 0.0
     bank.state[..., LAG] = track.lag
@@ -377,10 +387,10 @@ def _run_track(
         model: The assumptions about the robots.
         track: The frames (F,).
         rows: The indices of the robots (R,).
-        apart_s: How far each dead time is uncertain [s].
-        watch: Collects residuals; None for nothing.
-        by_block: The ln likelihood of each block (K, B, R), to which those of the frames are added.
-        block: The number of each frame's block (F,).
+        apart_s: Uncertainty of each dead time [s].
+        watch: Collects residuals. None to collect nothing.
+        by_block: The ln likelihood of each block (K, B, R), to which this function adds.
+        block: The index of each frame's block (F,).
     """
     from tetractl.control.estimation.kernels import filter as kernel
 
@@ -409,10 +419,10 @@ def _run_track(
 
 
 class _Watch:
-    """Watches the dead time in the middle of a bank along a track, with directions u (C,).
+    """Collects residuals along a track, for the dead time in the middle of a bank.
 
-    `residuals` has an entry (R,) per frame, of headings [rad]; `lost` (R,) is the expected number
-    of directions that did not reach a robot.
+    `residuals` has an entry (R,) for each frame: the residuals of headings [rad]. `lost` (R,) is
+    the expected number of the directions u (C,) that did not reach a robot.
     """
 
     def __init__(self, u: Floats, rows: int) -> None:
@@ -424,7 +434,7 @@ class _Watch:
         self._missed = np.zeros((len(u) + 1, rows))
 
     def add(self, bank: Bank, poses: Floats, used: Bools) -> None:
-        """Add a frame.
+        """Add the residuals of a frame.
 
         Args:
             bank: The filters.
@@ -447,7 +457,7 @@ class _Watch:
 
 
 def _start(prior: PassPrior, tau: Floats) -> tuple[FilterModel, Bank]:
-    """Return the filter's model and its bank at the start."""
+    """Create the filter's model, and its bank at the start."""
     count = len(prior.mean)
     # positions along and across have the same noise and walk
     noise = np.repeat(prior.noise, (2, 1), axis=1).T

@@ -1,4 +1,4 @@
-"""Steps between the measured poses of a robot, and regressions that outliers do not move."""
+"""Steps between the measured poses of a robot, and regressions that resist outliers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -44,7 +44,7 @@ class PoseSteps:
 
     @classmethod
     def together(cls, parts: Sequence["PoseSteps"]) -> "PoseSteps":
-        """Join the steps of several tracks, one after another."""
+        """Join the steps of several tracks, one track after another."""
         return cls(
             np.concatenate([part.duration_s for part in parts]),
             np.concatenate([part.moved for part in parts]),
@@ -57,10 +57,10 @@ class PoseSteps:
 
 
 def robust_gains(measured: NDArray[np.inexact], causes: Floats) -> NDArray[np.inexact]:
-    """Fit measurements (S,) as a sum of causes (S, K) with the least sum of absolute deviations.
+    """Fit measurements (S,) as a sum of causes (S, K), minimising the sum of absolute deviations.
 
     Returns:
-        The gains, shape (K,), found by least squares that are weighted again and again.
+        The gains, shape (K,), computed by least squares that are reweighted repeatedly.
     """
     scale = np.abs(causes).sum(axis=0) + 1e-300
     scaled = causes / scale

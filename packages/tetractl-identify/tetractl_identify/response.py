@@ -1,27 +1,27 @@
 """Fits how robots on two wheels follow commands of speed v and turning rate w.
 
-**Model.** A command acts `dead_time` after it is sent. The speed p(t) and turning rate q(t) that it
-leads to follow it with first-order lags of their own. From one pose to the next a robot
+**Model.** A command acts `dead_time` after it is sent. The robot's speed p(t) and turning rate q(t)
+follow the command with first-order lags of their own. From one pose to the next, a robot
 
     turns by   turning_gain * integral of q  +  veer * integral of p  +  a random walk's step
     drives     speed_gain * integral of p    +  a term in q          +  a random walk's step
 
-along its heading. Poses are measured with white noise, which two neighbouring steps share with
-opposite signs: the covariance of the steps is tridiagonal. If the commands may be timed by another
-clock, its times run apart from those of the poses at the rate `clock_drift`, and the dead time is
-the one in the middle of the recording.
+along its heading. Poses are measured with white noise. Two neighbouring steps share the noise of
+the pose between them, with opposite signs, so the covariance of the steps is tridiagonal. Commands
+and poses may have different clocks. Their times then drift apart at the rate `clock_drift`, and the
+dead time is the one in the middle of the recording.
 
-**Fit.** `used_steps` chooses the steps of a robot, and the delay from which the search starts. From
-a grid around this delay, `_search` finds the parameters at which the regression of the steps
-(`step_regression`) is likeliest. Intervals are normal in the dead time, the gains and the
-logarithms of the others, and as wide as the differences of blocks of BLOCK_S require: gains of real
-robots wander over seconds, which no model of white noise and random walks contains.
+**Fit.** `used_steps` chooses the steps of a robot, and the delay at which the search starts. From a
+grid around this delay, `_search` finds the parameters with the most likely regression of the steps
+(`step_regression`). Intervals are normal in the dead time, the gains and the logarithms of the
+other parameters. They are as wide as the differences between blocks of BLOCK_S require, because the
+gains of real robots wander over seconds, and white noise and random walks do not describe this.
 
-**Check.** If the commands explain less than half of what a robot does, there are no values
+**Check.** If the commands explain less than half of a robot's motion, there are no values
 (`explained`). Unusual values are printed, and named below the table (`unusual`).
 
-Shapes: a robot has M steps that the fit uses. Pairs of a motion's two integrals stand in columns:
-of p, then of q.
+Shapes: a robot has M steps that the fit uses. Pairs of integrals of a motion stand in columns:
+first of p, then of q.
 """
 
 import math
@@ -98,11 +98,12 @@ def respond(tracks: Sequence[Track], dead_time: float = 0.1) -> list[RobotRespon
 
     Args:
         tracks: Tracks of the same robots, with the speeds and turning rates that were sent.
-        dead_time: The expected dead time [s], which decides if several explain the motion.
+        dead_time: The expected dead time [s]. If several dead times explain the motion, the nearest
+            to this one is used.
 
     Raises:
-        UsageError: If a robot drives too little, or if its commands explain less than half of what
-            it does.
+        UsageError: If a robot drives too little, or if its commands explain less than half of its
+            motion.
     """
     responses: list[RobotResponse] = []
     for robot, name in enumerate(tracks[0].names):
@@ -115,14 +116,14 @@ def respond(tracks: Sequence[Track], dead_time: float = 0.1) -> list[RobotRespon
 
 
 def _search(steps: UsedSteps, units: ResponseParameters) -> tuple[Floats, Floats]:
-    """Find the likeliest vector of parameters (8,), from the best of a grid of starts.
+    """Find the most likely vector of parameters (8,), from the best starts of a grid.
 
     Returns:
-        The vector, and about its standard deviations (8,).
+        The vector, and approximately its standard deviations (8,).
     """
 
     def posteriors(vectors: Floats) -> Floats:
-        """Return ln of the posterior (V,) of vectors (V, 8), with a normal prior around 0."""
+        """Compute the ln posterior (V,) of vectors (V, 8), with a normal prior around 0."""
         scores = np.zeros(len(vectors))
         for i, vector in enumerate(vectors):
             parameters = units.at(vector)
@@ -207,9 +208,9 @@ def _response(name: str, steps: UsedSteps) -> RobotResponse:
 
 
 def _noise(steps: UsedSteps, measured: Floats, driven: Floats) -> float:
-    """Estimate the noise of poses from what two neighbouring steps have in common.
+    """Estimate the noise of poses from the correlation of neighbouring steps.
 
-    Turns or distances (M,) and the integrals (M, 2) that drive them are given.
+    The input is turns or distances (M,), and the integrals (M, 2) of the commands that cause them.
     """
     residuals = measured - driven @ robust_gains(measured, driven)
     limit = CLIP * STD_OF_MEDIAN * float(np.median(np.abs(residuals)))
@@ -221,12 +222,12 @@ def _noise(steps: UsedSteps, measured: Floats, driven: Floats) -> float:
 def _deviations(
     steps: UsedSteps, units: ResponseParameters, likeliest: Floats, curvature_std: Floats
 ) -> Floats:
-    """Return the standard deviations (12,) of the most likely vector, followed by the gains.
+    """Compute the standard deviations (12,) of the most likely parameters, followed by the gains.
 
-    The gains are those of turns and distances. Each deviation is the larger of the curvature's and
-    of the jackknife's over blocks. With s_b and H_b the slope and curvature of ln of the likelihood
-    of each of B blocks, and H that of all, the vector without a block is nearly the most likely one
-    minus (H - H_b)^-1 s_b.
+    The gains are those of turns and distances. Each deviation is the larger of two: one from the
+    curvature of the likelihood, and one from the jackknife over B blocks. Let s_b and H_b be the
+    slope and curvature of the ln likelihood of block b, and H the curvature of all blocks. Without
+    block b, the most likely vector changes by about -(H - H_b)^-1 s_b.
     """
     at_best = units.at(likeliest[:SEARCHED])
     unit = np.ones(len(likeliest))
@@ -236,7 +237,7 @@ def _deviations(
     unit[SEARCHED:] = np.sqrt(np.concatenate(of_gains))
 
     def of_blocks(changes: Floats) -> Floats:
-        """Return ln of the likelihood of each block (B, V) after changes (1, V, 12) in units."""
+        """Compute the ln likelihood of each block (B, V) after changes (1, V, 12) in units."""
         of_changes = []
         for values in likeliest + unit * changes[0]:
             parameters = units.at(values[:SEARCHED])
@@ -259,32 +260,32 @@ def _deviations(
 
 
 def _inverse(curvature: Floats) -> Floats:
-    """Return the inverse of a curvature (K, K), uphill where it is hollow, and with the prior."""
+    """Invert a curvature (K, K). Eigenvalues count by their magnitudes, at least the prior's."""
     value, axes = np.linalg.eigh(curvature)
     return (axes / np.maximum(np.abs(value), PRIOR_STD**-2)) @ axes.T
 
 
 def _normal(value: float, std: float) -> SampleInterval:
-    """Return a value with its interval."""
+    """Create the normal interval of a value."""
     reach = NORMAL * std
     return SampleInterval(value, value - reach, value + reach)
 
 
 def _dead_time(value: float, std: float) -> SampleInterval:
-    """Return the dead time with its interval, without ends if the data do not bound it."""
+    """Create the interval of the dead time. It has no ends if the data do not limit it."""
     if NORMAL * std > UNKNOWN_S:
         return SampleInterval(value, -math.inf, math.inf)
     return _normal(value, math.hypot(std, RESOLVED_S))
 
 
 def _lag_interval(value: float, std: float) -> SampleInterval:
-    """Return a lag with its interval, which begins at 0 for a lag that is at its minimum."""
+    """Create the interval of a lag. It begins at 0 if the lag is at its minimum."""
     interval = _log_normal(value, math.hypot(std, RESOLVED_S / value))
     return replace(interval, low=0.0) if value <= 2 * SHORTEST_LAG_S else interval
 
 
 def _log_normal(value: float, std: float) -> SampleInterval:
-    """Return a value with the interval of its logarithm."""
+    """Create the interval of a value whose logarithm is normal."""
     reach = NORMAL * std
     if reach > UNKNOWN:
         return SampleInterval(value, 0.0, math.inf)

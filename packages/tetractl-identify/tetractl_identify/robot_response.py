@@ -1,7 +1,7 @@
-"""How one robot follows its commands of speed and turning rate, and the table of such robots.
+"""The response of a robot to commands of speed and turning rate, and a table of responses.
 
-Values are printed with their 95 % intervals. Sentences below the table name what the data do not
-determine, and what is unusual (`unusual`).
+Values are printed with their 95 % intervals. Sentences below the table name values that the data do
+not determine, and values that are unusual (`unusual`).
 """
 
 from collections.abc import Sequence
@@ -34,20 +34,20 @@ DETERMINED = ("dead_time", "turning_lag", "speed_lag", *GAINS, "veer")
 
 @dataclass(frozen=True, slots=True)
 class RobotResponse:
-    """How one robot follows its commands; see the fields of `FittedRobot` for the noise.
+    """How one robot follows its commands. For the noise, see the fields of `FittedRobot`.
 
     Attributes:
         name: The robot.
-        turning_gain: Turning rate, over the one that was sent.
-        speed_gain: Speed, over the one that was sent.
-        veer: How much the robot turns per distance travelled while w is 0 [rad/length unit].
-        heading_offset: Angle from the heading to the motion, while the robot drives straight ahead
+        turning_gain: Turning rate, divided by the commanded one.
+        speed_gain: Speed, divided by the commanded one.
+        veer: Turn per distance travelled when the commanded turning rate is 0 [rad/length unit].
+        heading_offset: Angle from the heading to the motion when the robot drives straight ahead
             [rad].
-        clock_drift: How fast the times of commands run apart from those of the poses [s/s]. None
-            if both are of one clock.
+        clock_drift: How fast the clock of the commands gains on the clock of the poses [s/s]. None
+            if both have the same clock.
         turning_explained: How much of the turning the commands explain.
-        distance_explained: How much of the distance travelled they explain.
-        duration_s: Duration of the recording, of the longest if there are several [s].
+        distance_explained: How much of the distance travelled the commands explain.
+        duration_s: Duration of the recording, or of the longest if there are several [s].
         intervals: Number of steps used.
         left_out: Number of steps left out because they are too far off.
     """
@@ -79,7 +79,7 @@ class RobotResponse:
 
     @property
     def problem(self) -> str:
-        """What contradicts the commands; "" if nothing does."""
+        """A text that says what contradicts the commands. Empty if nothing does."""
         turns = self.turning_explained.is_contradicted(
             may_be_usual("turning_gain", self.turning_gain)
         )
@@ -109,10 +109,10 @@ UNITS = {
 
 
 def response_table(responses: Sequence[RobotResponse], title: str, unit: str) -> Table:
-    """Return a table of robots' values with their 95 % intervals, with a row per value.
+    """Create a table of robots' values with their 95 % intervals, with a row per value.
 
     Args:
-        responses: The robots' responses. There is at least one.
+        responses: The robots' responses, at least one.
         title: The title of the table.
         unit: The length unit.
     """
@@ -136,10 +136,10 @@ def response_table(responses: Sequence[RobotResponse], title: str, unit: str) ->
 
 
 def _lag_for_spec(responses: Sequence[RobotResponse]) -> str:
-    """Describe the lag of a spec that fits all robots.
+    """Describe the value of a spec's lag that fits all robots.
 
-    It is the mean of the lags of turning, by which a host steers, weighted by their precision. The
-    text is empty if the lag is not known well enough to be useful.
+    The value is the mean lag of turning, weighted by precision, because a host steers by turning.
+    The text is empty if the lag is not known well enough to be useful.
     """
     lags = np.array([robot.turning_lag.value for robot in responses])
     widths = np.array([robot.turning_lag.high - robot.turning_lag.low for robot in responses])
@@ -148,5 +148,8 @@ def _lag_for_spec(responses: Sequence[RobotResponse]) -> str:
     if not (widths / 2 <= SAME_LAG_S).all():
         return ""
     if not (abs(lags - mean) <= SAME_LAG_S).all():
-        return f"no single lag fits all robots within {SAME_LAG_S:g} s"
-    return f"the lag of turning for a spec: lab.lag={mean:.3f} (simulated: wheels.lag)"
+        return (
+            f"the robots' lags differ by more than {SAME_LAG_S:g} s, so that no single lag "
+            "fits them all"
+        )
+    return f"lag of turning, to put into a spec: lab.lag={mean:.3f} (simulated: wheels.lag)"

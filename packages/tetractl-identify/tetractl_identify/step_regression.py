@@ -1,11 +1,12 @@
-"""The regression of a robot's turns and distances on what was sent, for given parameters.
+"""The regression of a robot's turns and distances on its commands, for given parameters.
 
-For given `ResponseParameters` (dead time, lags, walks and noise) the steps are linear in the gains,
-so that `Whitened` has their restricted likelihood in closed form. The gains have a wide prior,
-which only matters where the data cannot tell two of them apart, as on circles. Neighbouring steps
-share the noise of a pose with opposite signs, so the covariance of the steps is tridiagonal.
+For given `ResponseParameters` (dead time, lags, random walks and noise), the steps are linear in
+the gains. `Whitened` therefore computes their restricted likelihood in closed form. The gains have
+a wide prior. It only matters if the data cannot separate two gains, as on circles. Two neighbouring
+steps share the noise of the pose between them, with opposite signs, so the covariance of the steps
+is tridiagonal.
 
-Shapes: M steps; pairs of integrals stand in columns: of the speed, then of the turning rate.
+Shapes: M steps. Pairs of integrals stand in columns: first of the speed, then of the turning rate.
 """
 
 from dataclasses import dataclass
@@ -42,12 +43,13 @@ NOTHING = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class ResponseParameters:
-    """The parameters that are searched.
+    """The parameters of a robot's response that a fit searches for.
 
-    They are dead time and lags [s], and random walks per sqrt(s) and noises of the heading [rad]
-    and of the distance and positions [length unit]. A search has them as a vector (8,) in the order
-    of the fields: the dead time minus the expected one, in DEAD_TIME_UNIT_S; the drift of the
-    clocks, in its unit; for all others, the logarithms over their units.
+    They are the dead time and lags [s], the random walks per sqrt(s), and the noises, each of the
+    heading [rad] and of the distance or position [length unit]. A search uses them as a vector (8,)
+    in the order of the fields. In it, the dead time is the difference from the expected one in
+    DEAD_TIME_UNIT_S, and the drift of the clocks is in its own unit. All other entries are
+    logarithms of the values divided by their units.
     """
 
     dead_time: float
@@ -60,9 +62,9 @@ class ResponseParameters:
     clock_drift: float
 
     def at(self, vector: Floats) -> "ResponseParameters":
-        """Return the parameters for a vector (8,).
+        """Convert a vector (8,) to parameters.
 
-        `self` has the units. A vector of zeros has the dead time of `self` and no drift.
+        `self` contains the units. A vector of zeros gives the dead time of `self` and no drift.
         """
         factor = np.exp(np.clip(vector, -LN_MOST, LN_MOST))
         return ResponseParameters(
@@ -77,21 +79,23 @@ class ResponseParameters:
         )
 
     def integrals(self, steps: UsedSteps) -> Floats:
-        """Return the integrals of the speed and of the turning rate over each step (M, 2)."""
+        """Integrate the lagging speed and turning rate over each step (M, 2)."""
         return steps.integrals(self.dead_time, self.speed_lag, self.turning_lag, self.clock_drift)
 
 
 def _lag(lag_s: float) -> float:
-    """Return a lag [s] within the bounds of those that are tried."""
+    """Limit a lag [s] to the range that is tried."""
     return min(max(lag_s, SHORTEST_LAG_S), LONGEST_LAG_S)
 
 
 @dataclass(frozen=True, slots=True)
 class Whitened:
-    """Turns or distances with their integrals, divided by the Cholesky root of their covariance.
+    """Turns or distances and their integrals, divided by the Cholesky root of their covariance.
+
+    After this division, the noise of all steps is independent and has variance 1.
 
     Attributes:
-        y: Whitened turns or distances, shape (M,): y - x gains is white.
+        y: Whitened turns or distances, shape (M,). The residual y - x gains is white.
         x: Whitened integrals, shape (M, 2), of p and of q.
         ln_root: Logarithms of the diagonal of the root, shape (M,).
         own: Column of the integral that the motion follows: 0 for distances, 1 for turns.
@@ -106,7 +110,7 @@ class Whitened:
 
     @property
     def prior(self) -> tuple[Floats, Floats]:
-        """The mean (2,) of the prior of the gains, and the inverse of its variance (2,)."""
+        """The prior of the gains: its mean (2,), and the inverse of its variance (2,)."""
         lengths = np.linalg.norm(self.x, axis=0)
         scale = max(float(lengths[self.own]), float(np.linalg.norm(self.y)), 1e-12)
         std = OTHER_PRIOR_STD * (NOTHING if self.own_only else 1.0)
@@ -120,21 +124,21 @@ class Whitened:
 
     @property
     def information(self) -> Floats:
-        """The information (2, 2) on the gains."""
+        """The information matrix (2, 2) of the gains."""
         return np.asarray(self.x.T @ self.x + np.diag(self.prior[1]), dtype=np.float64)
 
     def gains(self) -> Floats:
-        """Return the likeliest gains (2,), of the integrals of p and of q."""
+        """Compute the most likely gains (2,), of the integrals of p and of q."""
         mean, weights = self.prior
         gains = np.linalg.solve(self.information, self.x.T @ self.y + weights * mean)
         return np.asarray(gains, dtype=np.float64)
 
     def likelihoods(self, gains: Floats) -> Floats:
-        """Return ln of the likelihood of each step (M,) with some gains (2,)."""
+        """Compute the ln likelihood of each step (M,) for given gains (2,)."""
         return -self.ln_root - np.square(self.y - self.x @ gains) / 2
 
     def restricted_likelihood(self) -> float:
-        """Return ln of the likelihood whatever the gains are."""
+        """Compute the ln likelihood integrated over all gains."""
         _, ln_information = np.linalg.slogdet(self.information)
         likelihoods = self.likelihoods(self.gains())
         return float(likelihoods.sum() - ln_information / 2)
@@ -151,7 +155,7 @@ def _whiten(
 ) -> Whitened:
     """Whiten turns or distances (M,) and their integrals.
 
-    The variance of a step is walk^2 times its duration, plus error^2, plus twice noise^2; the
+    The variance of a step is walk^2 times its duration, plus error^2, plus twice noise^2. The
     covariance of neighbours is -noise^2.
     """
     covariance = np.zeros((2, len(measured)))  # its diagonal, and the one below

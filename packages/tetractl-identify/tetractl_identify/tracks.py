@@ -1,4 +1,4 @@
-"""The data of identification: tracked poses of robots and the directions sent to them, of logs."""
+"""The input of identification: measured poses of robots and the commands sent to them."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -104,23 +104,23 @@ class Track:
 
     @property
     def commanded(self) -> Bools:
-        """The poses (M, N) of robots that drive as they were commanded, as far as the log knows."""
+        """The poses (M, N) of robots that drive as commanded, as far as the log shows."""
         return self.valid & ~self.silent if self.silent.size else self.valid
 
     def received_by(self, robot: int) -> Bools:
-        """Find the commands (C,) that a robot received, as far as the log knows."""
+        """Find the commands (C,) that a robot received, as far as the log shows."""
         if self.received.size:
             return self.received[:, robot]
         return np.ones(len(self.sent), dtype=np.bool_)
 
 
 def rows_apart(times: Floats, least_s: float, last_s: float = -math.inf) -> Integers:
-    """Select rows with a minimum time between them, (K,).
+    """Select rows (K,) that are at least some time apart.
 
     Args:
         times: Increasing times [s], shape (M,).
         least_s: Minimum time between two rows [s].
-        last_s: The first row is after this time [s].
+        last_s: Time of the row before the first one [s].
     """
     rows: list[int] = []
     for row, time_s in enumerate(times.tolist()):
@@ -131,7 +131,7 @@ def rows_apart(times: Floats, least_s: float, last_s: float = -math.inf) -> Inte
 
 
 def integrals_of_sent(sent_s: Floats, rates: Floats, times: Floats) -> Floats:
-    """Integrate rates that are each held until the next one, up to given times, (M, K).
+    """Integrate rates up to given times, (M, K). Each rate is held until the next one.
 
     Args:
         sent_s: When each rate was sent [s], shape (C,).
@@ -144,14 +144,14 @@ def integrals_of_sent(sent_s: Floats, rates: Floats, times: Floats) -> Floats:
 
 
 def track_of(log: TrialLog) -> Track:
-    """Return the track of a log: measured poses and commands, never the true poses.
+    """Extract the measured poses and commands from a log. The true poses are never used.
 
     Raises:
-        UsageError: If its robots sometimes drove with the field off.
+        UsageError: If the robots drove with the field off at times.
     """
     if any(isinstance(command.action, FieldOff) for command in log.commands):
         raise UsageError(
-            f"{log.log}: its robots drove with the field off at times",
+            f"{log.log}: the robots drove with the field switched off for part of the trial",
             "use the log of a controller that sends a direction at every step",
         )
     setup = log.start.setup
@@ -188,7 +188,8 @@ def track_of(log: TrialLog) -> Track:
 def _lag_assumed(log: TrialLog) -> float:
     """Return the lag of the wheels that their host assumed at the end of a trial [s].
 
-    It is the lag that the controller has found and sent with its directions, or the spec's.
+    It is the lag that the controller found and sent with its directions, or otherwise the spec's
+    lag.
     """
     actions = (step.command.action for step in reversed(log.steps))
     sent = (action.lag_s for action in actions if isinstance(action, Steer))
@@ -196,10 +197,10 @@ def _lag_assumed(log: TrialLog) -> float:
 
 
 def wheels_of(log: TrialLog) -> Track:
-    """Return the track of a log with the speeds and turning rates sent to wheels.
+    """Extract the speeds and turning rates sent to wheels from a log, with the poses.
 
-    They are computed by (21)-(23) with the spec's radius. A robot that did not receive a command
-    keeps its former speeds.
+    They are computed by the paper's equations (21)-(23) with the spec's radius. A robot that did
+    not receive a command keeps its previous speeds.
 
     Raises:
         UsageError: If the robots have no wheels.
@@ -217,7 +218,7 @@ def wheels_of(log: TrialLog) -> Track:
             right_speeds.append(command.right)
             delivered.append(command.delivered)
     if not sent_ns or radius is None:
-        raise UsageError(f"{log.log}: has no speeds of wheels")
+        raise UsageError(f"{log.log}: the log has no wheel speeds")
     velocity = body_velocity(np.array(left_speeds), np.array(right_speeds), radius)
     twists = np.stack(velocity, axis=-1)
     received = np.array(delivered)
@@ -234,8 +235,8 @@ def wheels_of(log: TrialLog) -> Track:
 def _paused(log: TrialLog) -> Bools:
     """Find the frames (M,) exposed between a stop and SETTLED_S after the next direction.
 
-    In these, the robots stop, stand still, or start to drive. No frame after the last direction is
-    one of them.
+    In these frames, the robots stop, stand still, or start to drive. Frames after the last
+    direction are not included.
     """
     directed_ns = [command.sent_ns for command in log.commands if command.direction is not None]
     last_ns = max(directed_ns, default=0)
@@ -245,11 +246,11 @@ def _paused(log: TrialLog) -> Bools:
 
 
 def _silent(log: TrialLog) -> Bools:
-    """Find the frames at which a robot received nothing for too long, shape (M, N).
+    """Find the frames at which a robot had received nothing for too long, shape (M, N).
 
-    A robot that does not receive a command follows the one before, until its watchdog stops it. It
-    drives again SETTLED_S after the next command that it receives. At the start it stands until
-    then.
+    A robot that does not receive a command follows the previous one until its watchdog stops it. It
+    counts as driving again SETTLED_S after the next command that it receives. At the start, it
+    stands still until then.
     """
     silent = np.zeros(log.valid.shape, dtype=np.bool_)
     if not log.commands:
@@ -270,13 +271,13 @@ def _silent(log: TrialLog) -> Bools:
 def _until_settled(
     frames_ns: Integers, begun_ns: Integers | Floats, again_ns: Integers | Floats
 ) -> Bools:
-    """Find the frames (M,) at which robots do not drive as they are commanded.
+    """Find the frames (M,) at which robots do not drive as commanded.
 
     Args:
         frames_ns: When each frame was exposed [ns], shape (M,).
-        begun_ns: Increasing times from which they do not, shape (B,) [ns].
-        again_ns: Increasing times of commands, shape (A,) [ns]. SETTLED_S after the next one of
-            them, the robots do again; if none comes, never.
+        begun_ns: Increasing times at which robots stop following their commands, shape (B,) [ns].
+        again_ns: Increasing times of commands, shape (A,) [ns]. Robots follow again SETTLED_S after
+            the next of these commands. Without a further command, they never do.
     """
     ends_ns = np.append(again_ns + SETTLED_S * SECOND, math.inf)
     ends_ns = ends_ns[np.searchsorted(again_ns, begun_ns, side="right")]
@@ -285,9 +286,9 @@ def _until_settled(
 
 
 def stopped_ns(log: TrialLog) -> int | None:
-    """Return when the first stop after the last direction was sent [ns], None if that is not known.
+    """Return when the first stop after the last direction was sent [ns]. None if unknown.
 
-    A lab sends several stops at the end; `log.stop` is the last of them.
+    A lab sends several stops at the end. `log.stop` is the last of them.
     """
     directed_ns = [command.sent_ns for command in log.commands if command.direction is not None]
     last_ns = max(directed_ns, default=-1)
@@ -299,16 +300,22 @@ def stopped_ns(log: TrialLog) -> int | None:
 
 
 def require_same(tracks: list[Track]) -> None:
-    """Raise UsageError if tracks are not of the same robots in the same unit and field."""
+    """Check that all tracks have the same robots, length unit and field strength.
+
+    Raises:
+        UsageError: If they do not.
+    """
     first = tracks[0]
     for track in tracks[1:]:
         if (track.strength, track.strength_unit) != (first.strength, first.strength_unit):
             raise UsageError(
-                f"{track.source}: the field's strength differs from that of {first.source}",
-                "identify them separately: a depends on it",
+                f"{track.source}: the field's strength differs from the strength in {first.source}",
+                "identify these logs separately, because the turning rate a depends on the "
+                "strength",
             )
         if (track.names, track.unit) != (first.names, first.unit):
             raise UsageError(
-                f"{track.source}: robots or length unit differ from those of {first.source}",
+                f"{track.source}: the robots or the length unit differ from those in "
+                f"{first.source}",
                 "identify them separately",
             )

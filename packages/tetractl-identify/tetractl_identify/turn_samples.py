@@ -1,7 +1,7 @@
-"""How far robots turn between two poses, and how far the directions that were sent ask them to.
+"""Measured turns of robots between poses, and the turns that the directions ask for.
 
-Half of the poses give the turns, those between them the headings of the sine: noise that both had
-would look like a lag.
+Every second pose is used to measure the turns, and the poses between them give the headings for the
+sine. If both used the same poses, their common noise would look like a lag.
 """
 
 from dataclasses import dataclass
@@ -78,7 +78,10 @@ class Turns:
         )
 
     def asked(self, lag_s: float, dead_time_s: float) -> Complex:
-        """Return the integrals of exp(i (u - h)) over the turns (K,), after a lag and dead time."""
+        """Integrate exp(i (u - h)) over the turns (K,), for a given lag and dead time.
+
+        u is the direction, and h the robot's heading.
+        """
         if not len(self.when):
             return np.zeros(len(self.angle), dtype=np.complex128)
         middle = 0.5 * (self.heading[:-1] + self.heading[1:])
@@ -95,9 +98,10 @@ class Turns:
         return np.asarray(until_end - until_begin, dtype=np.complex128)
 
     def _sent_until(self, times: Floats) -> Complex:
-        """Return the integrals of exp(i u) over what was sent until some times (G + 1,) [s].
+        """Integrate exp(i u) over the sent directions up to the times (G + 1,) [s].
 
-        Each direction counts until the next one, the first one before its time, too.
+        Each direction counts until the next one. The first direction also counts before its own
+        time.
         """
         sent = np.exp(1j * self.u)
         until_sent = np.concatenate([[0], np.cumsum(np.diff(self.when) * sent[:-1])])

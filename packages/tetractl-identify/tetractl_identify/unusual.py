@@ -1,6 +1,6 @@
-"""What to say of fitted values that are outside the usual range, or that the data do not determine.
+"""Describes fitted values that are unusual, or that the data do not determine.
 
-Values are printed as they are. A sentence states which are unusual; it names no cause.
+Values are always printed as they are. A sentence names the unusual ones, without a cause.
 """
 
 import math
@@ -30,7 +30,7 @@ Values = Mapping[str, SampleInterval]
 
 
 def is_determined(name: str, value: SampleInterval) -> bool:
-    """Decide whether the data determine a value: its interval has ends, not too far apart."""
+    """Check whether the data determine a value: its interval has both ends, not too far apart."""
     if math.isnan(value.low):
         return True  # its interval is not stated
     reach = max(value.high - value.value, value.value - value.low)
@@ -39,17 +39,17 @@ def is_determined(name: str, value: SampleInterval) -> bool:
 
 
 def may_be_usual(name: str, value: SampleInterval) -> bool:
-    """Decide whether the interval of a value contains usual values."""
+    """Check whether the interval of a value contains usual values."""
     return _overlaps(value, *USUAL[name])
 
 
 def _overlaps(value: SampleInterval, low: float, high: float) -> bool:
-    """Decide whether the interval of a value overlaps a range."""
+    """Check whether the interval of a value overlaps a range."""
     return value.low <= high and value.high >= low
 
 
 def _is_unusual(name: str, value: SampleInterval, low: float, high: float) -> bool:
-    """Decide whether a value is outside a range: a gain by itself, others with their intervals."""
+    """Check whether a value is outside a range. Except for gains, its interval decides."""
     if name in GAINS or math.isnan(value.low):
         return not low <= value.value <= high
     return value.high < low or value.low > high
@@ -58,7 +58,7 @@ def _is_unusual(name: str, value: SampleInterval, low: float, high: float) -> bo
 def unusual_values(
     robots: Sequence[tuple[str, Values]], usual: Mapping[str, tuple[float, float]] = USUAL
 ) -> str:
-    """State in one sentence which values are outside their usual ranges; "" if none is.
+    """Describe in one sentence the values outside their usual ranges. Empty if there are none.
 
     Args:
         robots: The values of each robot, by name.
@@ -72,17 +72,17 @@ def unusual_values(
                 continue
             if _overlaps(value, low, high) and not is_determined(quantity, value):
                 continue  # it may as well be usual
-            what = f"{quantity.replace('_', ' ')} of {printable(name)} is {value.value:.3g}"
+            what = f"the {quantity.replace('_', ' ')} of {printable(name)} is {value.value:.3g}"
             said.append(f"{what} (usual: {low:.3g} to {high:.3g})")
     return f"{'; '.join(said)}: {CHECKLIST}" if said else ""
 
 
 def undetermined_values(robots: Sequence[tuple[str, Values]], names: Sequence[str]) -> str:
-    """State in one sentence which values the data do not determine; "" if they determine all.
+    """Describe in one sentence the values that the data do not determine. Empty if there are none.
 
     Args:
         robots: The values of each robot, by name.
-        names: The values that are asked for.
+        names: The names of the values to check.
     """
     said: list[str] = []
     for robot, values in robots:
@@ -93,6 +93,6 @@ def undetermined_values(robots: Sequence[tuple[str, Values]], names: Sequence[st
     if not said:
         return ""
     return (
-        f"these data do not determine {'; '.join(said)}: change speed and turning rate often, and "
-        "turn to both sides"
+        f"the data do not determine {'; '.join(said)}. Record again: change speed and turning "
+        "rate often, and turn to both sides"
     )

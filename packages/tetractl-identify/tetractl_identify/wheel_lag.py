@@ -1,13 +1,13 @@
-"""Whether wheels that lag explain the turns of robots as well as wheels that do not.
+"""Checks whether lagging wheels explain the turns of robots as well as wheels without a lag.
 
-A robot whose wheels follow with a time constant T turns by the mean of what directions ask of it,
-which weighs the past as exp(-t / T):
+The wheels of a robot may follow with a time constant T. The robot then turns at a weighted mean of
+the rates that the past directions ask for, with weights exp(-t / T):
 
     T q' + q = a sin(u(t - dead_time) + f - h),    h' = q,
 
-with heading h, direction u and heading bias f. The turns between poses are linear in a cos f and
-a sin f, and are fitted for T = 0 and for T = LAG_S, each with its likeliest dead time: that of
-lagging wheels is shorter by about T.
+with heading h, turning rate q, direction u and heading bias f. The turns between poses are linear
+in a cos f and a sin f. They are fitted for T = 0 and for T = LAG_S, each with its most likely dead
+time, which is shorter by about T for lagging wheels.
 """
 
 from collections.abc import Sequence
@@ -34,14 +34,14 @@ SURE = 1.65
 
 
 def lag_may_turn(tracks: Sequence[Track], dead_time_s: float) -> bool:
-    """Return whether wheels that lag by LAG_S explain the turns as well as wheels that do not lag.
+    """Check whether wheels that lag by LAG_S explain the turns as well as wheels without a lag.
 
-    That is so unless lagging wheels surely leave more of the turns unexplained. In both cases, the
-    wheels also have about some dead time.
+    The result is False only if lagging wheels clearly leave more of the turns unexplained. In both
+    cases, commands also have a dead time near the given one.
 
     Args:
         tracks: Tracks of the same robots.
-        dead_time_s: That dead time [s].
+        dead_time_s: The dead time [s].
     """
     robots = [[Turns.of(track, robot) for track in tracks] for robot in range(len(tracks[0].names))]
     if not all(any(len(turns.angle) for turns in of_robot) for of_robot in robots):
@@ -54,9 +54,10 @@ def lag_may_turn(tracks: Sequence[Track], dead_time_s: float) -> bool:
 
 
 def _unexplained(robots: Sequence[Sequence[Turns]], lag_s: float, near_s: float) -> Floats:
-    """Compute how far the turns of robots (R, K) are from those of wheels with a lag [rad].
+    """Compute how far the turns of robots (R, K) differ from those with lagging wheels [rad].
 
-    Robots follow one after another. The dead time near `near_s` [s] that explains most is used.
+    The turns of all robots are concatenated. Of the dead times near `near_s` [s], the best one is
+    used.
     """
 
     def rests(dead_time_s: float) -> Floats:

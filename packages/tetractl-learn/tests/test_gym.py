@@ -1,4 +1,4 @@
-"""A trial as an environment of Gymnasium."""
+"""Tests of a trial as a Gymnasium environment."""
 
 import math
 import warnings
@@ -80,7 +80,7 @@ def test_a_picture_shows_the_arena_and_where_the_robots_have_been():
     assert before.shape == (250, 500, 3)  # the arena is twice as wide as high
     assert (before != after).any()
     assert TrialEnv(SPEC).render() is None
-    with pytest.raises(UsageError, match="render_mode 'human' is not known"):
+    with pytest.raises(UsageError, match="render_mode 'human' is unknown"):
         TrialEnv(SPEC, render_mode="human")
 
 
@@ -163,13 +163,15 @@ def test_the_limit_of_time_truncates():
 
 
 def test_a_trial_that_is_no_number_is_refused():
-    with pytest.raises(UsageError, match="a trial is a whole number from 0, but this is first"):
+    with pytest.raises(
+        UsageError, match="a trial must be a whole number of at least 0, but this is first"
+    ):
         TrialEnv(SPEC).reset(seed=1, options={"trial": "first"})
 
 
 @pytest.mark.parametrize("action", [0.5, [1.0], [1, 0, 0], [[1, 0]], "east", [math.nan, 0]])
 def test_an_action_of_another_shape_is_refused_in_one_line(env, action):
-    with pytest.raises(UsageError, match="an action is a vector of 2 finite numbers, not"):
+    with pytest.raises(UsageError, match="an action must be a vector of 2 finite numbers, not"):
         env.step(action)
 
 

@@ -1,4 +1,4 @@
-"""A learnt policy: its weights from a file into the log, its decision, and what it refuses."""
+"""Tests of a learnt policy: its weights, from file to log, its decisions, and its refusals."""
 
 import json
 import math
@@ -86,10 +86,10 @@ def test_the_activation_stands_between_the_layers_alone(activation, hidden):
         ([{"weights": [[0] * 6] * 3, "bias": [0] * 3}], "has 3 outputs, but a direction has 2"),
         (
             [{"weights": [[0] * 6] * 3, "bias": [0] * 3}, TOWARDS_TARGET],
-            "layers.1: has 6 inputs, but the layer before gives 3",
+            "layers.1: has 6 inputs, but the previous layer gives 3",
         ),
-        ([{"weights": [[1, 2], [3]], "bias": [0, 0]}], "layers.0: weights must be rows of equal"),
-        ([{"weights": [[1, 2]], "bias": [0, 0]}], "layers.0: weights must be rows of equal"),
+        ([{"weights": [[1, 2], [3]], "bias": [0, 0]}], "layers.0: weights must be a list of rows"),
+        ([{"weights": [[1, 2]], "bias": [0, 0]}], "layers.0: weights must be a list of rows"),
         ([{"weights": [[math.inf] * 6] * 2, "bias": [0, 0]}], "must be finite"),
         ([], 'must be {"layers"'),
     ],

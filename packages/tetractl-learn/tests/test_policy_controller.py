@@ -1,4 +1,4 @@
-"""The controller `policy` keeps the promises of a controller, and passes the checks of plug-ins."""
+"""Tests that the controller `policy` passes the checks that every plug-in must pass."""
 
 from base64 import b64encode
 from typing import Any

@@ -1,26 +1,27 @@
-"""A trial as an environment of Gymnasium, for learners.
+"""A trial as a Gymnasium environment, for reinforcement learning.
 
-It needs Gymnasium: `pip install './packages/tetractl-learn[gym]'`.
+The module needs Gymnasium: `pip install './packages/tetractl-learn[gym]'`.
 
-Importing this module registers the shipped benchmark specs, such as "tetractl/one-cell-v0";
-`TrialEnv` takes any spec whose plant is simulated.
+Importing it registers the shipped benchmark specs, such as "tetractl/one-cell-v0". `TrialEnv`
+accepts any spec whose plant is simulated.
 
-Action: a vector (2,) in [-1, 1], which points in the direction that is sent: u = atan2(y, x). An
-angle would jump at pi. What is greater is clipped, as a controller of type `policy` clips it.
+Action: a vector (2,) in [-1, 1] that points in the direction to send: u = atan2(y, x). An angle
+would jump at pi, so it is not used. Larger components are clipped, as a controller of type `policy`
+clips them.
 
-Observation (4 N + 2,) for N robots: gaps to the targets, headings and the last direction, all as
-measured, by `tetractl_learn.policy.features`. Nothing of the truth is in it.
+Observation (4 N + 2,) for N robots: gaps to the targets, headings and the last direction, computed
+by `tetractl_learn.policy.features`. All values are measured; the true poses are not included.
 
-Reward: the decrease of the measured sum of distances to the targets, over that sum at the starts,
-d. In the last step the true error e of the result takes the place of the measured sum, so that the
-rewards of an episode add up to 1 - e/d. A robot in an obstacle or outside the arena ends the trial,
-and e is then the greatest sum of distances that the arena allows, whatever was collected.
+Reward: the decrease of the measured sum of distances to the targets, divided by this sum at the
+starts, d. In the last step, the true error e of the result replaces the measured sum, so that the
+rewards of an episode add up to 1 - e/d. If a robot enters an obstacle or leaves the arena, the
+trial fails and ends. e is then the largest sum of distances that is possible in the arena.
 
-An episode is terminated if the robots have arrived, each within the spec's `arrival_tolerance`, or
-one has failed in that way, and truncated at the limit of time, or if the trial is aborted. The
-shipped benchmarks have no tolerance: give the one that the task needs.
+An episode is terminated if the trial fails in this way, or if each robot has arrived within the
+spec's `arrival_tolerance`. It is truncated at the time limit, or if the trial is aborted. The
+shipped benchmarks have no tolerance, so set the one that your task needs.
 
-Picture, in the render mode "rgb_array": the arena and the measured ways so far.
+Rendering, in the mode "rgb_array": an image of the arena and the measured paths so far.
 """
 
 import math
@@ -61,14 +62,15 @@ Features = NDArray[np.float32]
 class TrialEnv(gymnasium.Env[Features, Features]):
     """A Gymnasium environment that runs one simulated trial of a spec after another.
 
-    `trial` is the trial that runs, an `OpenTrial`: its `save` writes a log of a finished episode.
+    `trial` is the trial that runs, an `OpenTrial`. After an episode, its method `save` writes a
+    log.
     """
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES}  # noqa: RUF012 - gymnasium.Env's
 
     def __init__(self, spec: Spec, render_mode: str | None = None) -> None:
         if render_mode not in (None, *RENDER_MODES):
-            raise UsageError(f"render_mode {render_mode!r} is not known", f"use {RENDER_MODES[0]}")
+            raise UsageError(f"render_mode {render_mode!r} is unknown", f"use {RENDER_MODES[0]}")
         self._spec = stepped(spec)
         setup = self._spec.experiment.setup
         self.render_mode = render_mode
@@ -76,8 +78,8 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         self._start_error = float(setup.starts.distances(setup.targets).sum())
         if self._start_error == 0.0:
             raise UsageError(
-                "the robots start on their targets, so that no reward can be had",
-                "place starts or targets apart",
+                "the robots start on their targets, so that no reward can be earned",
+                "move the starts or the targets apart in the spec",
             )
         size = features_of(len(setup.names))
         high = np.ones(size, dtype=np.float32)
@@ -93,7 +95,7 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         """The trial that runs.
 
         Raises:
-            UsageError: Before the first reset.
+            UsageError: If the environment was not reset yet.
         """
         if self._trial is None:
             raise UsageError("no trial runs", "call reset first")
@@ -115,7 +117,8 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         unknown = sorted(set(options or {}) - {"trial"})
         if unknown:
             raise UsageError(
-                f"reset has no option {unknown[0]!r}", "the only one is 'trial', its number"
+                f"reset() has no option {unknown[0]!r}",
+                "the only option is 'trial', the trial's index",
             )
         super().reset(seed=seed)
         trial_seed = int(self.np_random.integers(SEEDS)) if seed is None else seed
@@ -161,9 +164,9 @@ class TrialEnv(gymnasium.Env[Features, Features]):
         return arena_picture(self.trial.setup, np.array(self._ways))
 
     def _take_reward(self, error: float) -> float:
-        """Compute the decrease of the sum of distances since the last reward.
+        """Compute the reward: the decrease of the sum of distances since the last reward.
 
-        The result is a fraction of the sum at the starts. The next decrease counts from `error`.
+        The reward is a fraction of the sum at the starts. The next decrease counts from `error`.
         """
         decrease = self._error - error
         self._error = error
@@ -182,7 +185,7 @@ def _vector(action: object) -> Floats:
     """Convert an action to a vector (2,).
 
     Raises:
-        UsageError: For anything else.
+        UsageError: If the action is not a vector of 2 finite numbers.
     """
     try:
         vector = np.asarray(action, dtype=np.float64)
@@ -190,8 +193,8 @@ def _vector(action: object) -> Floats:
         vector = np.empty(0)
     if vector.shape != (2,) or not np.isfinite(vector).all():
         raise UsageError(
-            f"an action is a vector of 2 finite numbers, not {printable(repr(action), 60)}",
-            "cos u and sin u of the direction u that is sent",
+            f"an action must be a vector of 2 finite numbers, not {printable(repr(action), 60)}",
+            "give cos u and sin u of the direction u to send",
         )
     return vector
 

@@ -1,19 +1,20 @@
-"""A controller that asks a learnt policy: a small network whose weights are in the spec.
+"""A controller that uses a learnt policy: a small network whose weights are in the spec.
 
-The function `features` computes the input of the network from an observation. For N robots it has 4
-N + 2 numbers:
+The function `features` computes the input of the network from an observation. For N robots, it has
+4 N + 2 numbers:
 
     gaps to the targets / the arena's longer side   x_1, y_1, ..., x_N, y_N
     headings                                        cos theta_1, sin theta_1, ..., cos theta_N, ...
     last direction sent                             cos u, sin u; 0, 0 before the first
 
 Each layer is y = W x + b. The `activation` follows each layer except the last. The two outputs are
-clipped to [-1, 1], as learners clip an action to its range. They point in the direction that is
+clipped to [-1, 1], because learners clip an action to this range. They point in the direction that
+is
 sent: u = atan2(y_2, y_1). No random numbers are used, so `verify` can repeat each decision, to the
 bit on one computer.
 
-The policy knows nothing of the true poses. It uses the poses that the camera measured, and the last
-measured pose of an untracked robot.
+The policy does not use the true poses. It uses the poses that the camera measured, and for an
+untracked robot its last measured pose.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -96,12 +97,12 @@ class PolicySection(PlainSection):
         direction.
         """
         if not self.layers:
-            yield (), "needs weights: a JSON file"
+            yield (), "needs the field weights, the name of a JSON file"
             return
         expected = features_of(len(setup.names))
         for number, layer in enumerate(self.layers):
             if layer.inputs != expected:
-                before = "the layer before gives" if number else "the spec's robots need"
+                before = "the previous layer gives" if number else "the spec's robots need"
                 message = f"has {layer.inputs} inputs, but {before} {expected}"
                 yield ("layers", number), message
             expected = layer.outputs
@@ -150,8 +151,8 @@ class PolicyController(PlainController):
         )
         if not np.isfinite(outputs).all():
             raise ControlError(
-                "the policy's outputs are not finite numbers",
-                "its weights are too large, or a pose is not a number",
+                "the policy's network gave outputs that are not finite numbers",
+                "the weights are too large, or a pose is not a number",
             )
         along_x, along_y = np.clip(outputs, -1.0, 1.0)
         direction = atan2(along_y, along_x)

@@ -1,8 +1,9 @@
-"""The file of a policy's weights, and the layers that take its place in a spec.
+"""Reads a policy's weights from a file, and packs them as layers into a spec.
 
-The file is JSON, as `json.dump` writes it: {"layers": [{"weights": W, "bias": b}, ...]} with W a
-list of rows, (outputs, inputs), and b a list (outputs,). A spec names it, `controller.weights:
-FILE`; the layers, packed as text, replace the name, so that a log needs no other file.
+The file is JSON, as `json.dump` writes it: {"layers": [{"weights": W, "bias": b}, ...]}. W is a
+list of rows, shape (outputs, inputs), and b is a list, shape (outputs,). A spec names the file with
+`controller.weights: FILE`. When the spec is read, the layers, packed as text, replace the name.
+Therefore a log needs no other file.
 """
 
 import base64
@@ -48,7 +49,9 @@ class Layer(Model):
         outputs = info.data.get("outputs", 0)
         expected = outputs * (info.data.get("inputs", 0) + 1)
         if len(data) != 8 * expected:
-            raise ValueError(f"must be {expected} numbers of 8 bytes, and are {len(data)} bytes")
+            raise ValueError(
+                f"must contain {expected} numbers of 8 bytes, but has {len(data)} bytes"
+            )
         if not np.isfinite(np.frombuffer(data, LITTLE_ENDIAN)).all():
             raise ValueError("must be finite")
         return text
@@ -81,7 +84,7 @@ def read_weights(path: Path) -> tuple[list[dict[str, Any]], str]:
     except ValueError as error:
         raise refusal(f"is not JSON: {printable(str(error), 200)}") from None
     except RecursionError:
-        raise refusal("is not a file of weights: its lists are nested too deep") from None
+        raise refusal("is not a file of weights, because its lists are nested too deeply") from None
     layers = contents.get("layers") if isinstance(contents, dict) else None
     if not isinstance(layers, list) or not layers:
         raise refusal('must be {"layers": [{"weights": [[...], ...], "bias": [...]}, ...]}')
@@ -91,13 +94,18 @@ def read_weights(path: Path) -> tuple[list[dict[str, Any]], str]:
             packed.append(_packed(layer))
         except (KeyError, TypeError, ValueError, OverflowError):
             raise refusal(
-                f"layers.{number}: weights must be rows of equal length, and bias one number a row"
+                f"layers.{number}: weights must be a list of rows of equal length, and bias a "
+                "list with one number for each row"
             ) from None
     return packed, text
 
 
 def _packed(layer: Any) -> dict[str, Any]:
-    """Return a layer of a file as a spec holds it; raises ValueError for other shapes."""
+    """Convert a layer of a file to the form of a spec.
+
+    Raises:
+        ValueError: If its shapes do not fit.
+    """
     weights = np.array(layer["weights"], dtype=LITTLE_ENDIAN)
     bias = np.array(layer["bias"], dtype=LITTLE_ENDIAN)
     outputs, inputs = weights.shape

@@ -132,19 +132,23 @@ def handedness_lines(turning: Handedness | None) -> tuple[list[str], str]:
         A list of problems, and a sentence on the turning.
     """
     if turning is None:
-        return [f"fewer than {LEAST_CELLS} cells were seen for 2 s while the field turned"], "-"
+        return [
+            (f"no result: fewer than {LEAST_CELLS} cells were seen for 2 s while the field turned")
+        ], "-"
     off = f"{turning.turned:+.2f} +- {1.96 * turning.turned_sd:.2f} rad off it"
     text = (
         f"{100 * turning.explained:.0f} % of the turning of {turning.cells} cells is towards "
         + ("the mirror image of the field" if turning.mirrored else f"the field, {off}")
     )
     if turning.explained < EXPLAINED:
-        return ["the cells do not turn with the field: is there a field, have cells magnets?"], text
+        return [
+            ("the cells do not turn with the field: is the field on, and are the cells magnetised?")
+        ], text
     mirrored = (
-        "the picture is mirrored (change lab.camera.mirrored), or one coil pair's current is "
-        "reversed (the sign of gain_mt_a)"
+        "the image is mirrored (change lab.camera.mirrored), or the current of one coil pair "
+        "is reversed (change the sign of gain_mt_a)"
     )
-    rotated = "subtract this from lab.camera.rotation, or add it to the coils' rotation"
+    rotated = "subtract this angle from lab.camera.rotation, or add it to the coils' rotation"
     return wrong_sides(turning, mirrored, rotated), text
 
 
@@ -159,6 +163,6 @@ def wrong_sides(turning: Handedness, mirrored: str, rotated: str) -> list[str]:
     if turning.explained < EXPLAINED or not (turning.mirrored or turning.rotated):
         return []
     if turning.mirrored:
-        return [f"cells turn right where the field turns left: {mirrored}"]
-    off = f"{turning.turned:+.2f} +- {1.96 * turning.turned_sd:.2f} rad off the field's"
-    return [f"cells turn to a direction {off}: {rotated}"]
+        return [f"cells turn right when the field turns left: {mirrored}"]
+    off = f"{turning.turned:+.2f} +- {1.96 * turning.turned_sd:.2f} rad off the field's direction"
+    return [f"cells turn towards a direction that is {off}: {rotated}"]

@@ -51,7 +51,7 @@ def markers(
     spec: Spec,
     sets: Sets = None,
     out: Annotated[Path, out_option("FILE", "PDF file to write.")] = Path("markers.pdf"),
-    paper: Annotated[str, option("NAME", "Paper: a4, a3 or letter.")] = "a4",
+    paper: Annotated[str, option("NAME", "Paper size: a4, a3 or letter.")] = "a4",
 ) -> int:
     """Write the tags of a spec's robots and floor to a PDF that prints them at their true size.
 
@@ -70,8 +70,9 @@ def markers(
     camera = lab_of(loaded.experiment, loaded.name).camera
     if not isinstance(camera, AprilTagSection):
         raise UsageError(
-            f"{loaded.name}: lab.camera is of type {camera.type}, which has no tags",
-            "a spec with tags: tetractl init NAME --lab --camera apriltag --robots twist",
+            f"{loaded.name}: lab.camera has type {camera.type}, which uses no tags",
+            "this command writes a spec whose camera uses tags: tetractl init NAME --lab "
+            "--camera apriltag --robots twist",
         )
     cards = [
         Card(tag.tag, tag.size_mm, f"robot {tag.name}", "front", tag.heading_offset)
@@ -90,7 +91,10 @@ def markers(
     pages = [drawn(PAPERS[paper], page) for page in arranged(PAPERS[paper], cards)]
     save_whole(out, _pdf(pages))
     print(out)
-    ui.tell(f"print it without scaling: {len(cards)} tags on {len(pages)} pages of {paper} paper")
+    ui.tell(
+        f"wrote {len(cards)} tags on {len(pages)} pages of {paper} paper; print them "
+        "without scaling"
+    )
     return Exit.DONE
 
 
@@ -108,7 +112,7 @@ def arranged(size: tuple[float, float], cards: Sequence[Card]) -> Iterator[list[
     for card in cards:
         whole = card.side_mm * 1.25  # with a module of white around the eight of the tag
         if whole > width - 2 * MARGIN_MM or whole > height - 3 * MARGIN_MM - LABEL_MM:
-            size_text = f"{card.side_mm:g} mm and its margin are larger than the paper"
+            size_text = f"the tag of {card.side_mm:g} mm and its margin do not fit on the paper"
             raise UsageError(f"tag {card.tag}: {size_text}")
         if x + whole > width - MARGIN_MM:
             x = MARGIN_MM

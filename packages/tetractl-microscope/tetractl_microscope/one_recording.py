@@ -79,8 +79,9 @@ def check_explained(
         raise UsageError(best.message, best.hint)
     if fraction < fraction_min:
         raise UsageError(
-            f"{source}: the commands explain {max(fraction, 0.0):.0%} of the {what}",
-            "are they another robot's, of another recording, or 10 s off? does it turn and drive?",
+            f"{source}: the commands explain only {max(fraction, 0.0):.0%} of the {what}",
+            "do the commands belong to another robot or recording, or are their times 10 s "
+            "off? does the robot turn and drive?",
         )
 
 
@@ -118,8 +119,8 @@ def refuse_times_apart(poses: Span, sent: Floats, commands: Span) -> None:
     if _shared_s(poses, commands) <= 0:
         last = Span(commands.source, commands.begin, float(sent[-1]))
         raise UsageError(
-            f"{last}: no time is among those of {poses}",
-            "both files need times of one clock",
+            f"{last}: no time in this file is within the times of {poses}",
+            "the times in both files must come from the same clock",
         )
 
 
@@ -153,7 +154,10 @@ def clock_remark(poses: Span, sent: Floats, commands: Span, of_way: float) -> st
     seen_s = poses.end - poses.begin
     if of_way < COVERED:
         shared_s = _shared_s(poses, commands)
-        return f"{commands.source} covers {shared_s:.3g} s of the {seen_s:.3g} s of {poses.source}"
+        return (
+            f"{commands.source} covers only {shared_s:.3g} s of the {seen_s:.3g} s of "
+            f"{poses.source}"
+        )
     count = len(sent)
     within = int(np.count_nonzero((sent >= poses.begin) & (sent < poses.end)))
     hardly_any_within = within < DIRECTIONS_MIN < count
@@ -161,7 +165,7 @@ def clock_remark(poses: Span, sent: Floats, commands: Span, of_way: float) -> st
     if hardly_any_within or (within < COMMANDS_USUAL and last_much_longer):
         are = "is" if within == 1 else "are"
         return (
-            f"only {within} of the {count} times of {commands.source} {are} among the "
-            f"{seen_s:.3g} s of {poses.source}: are they in s, as they say?"
+            f"only {within} of the {count} times of {commands.source} {are} within the "
+            f"{seen_s:.3g} s of {poses.source}: are the times in seconds, as their column says?"
         )
     return None

@@ -154,6 +154,7 @@ def named(name: str) -> Organism:
     """
     if name not in ORGANISMS:
         raise UsageError(
-            f"no organism is named '{name}'", f"known are {', '.join(ORGANISMS.names())}"
+            f"there is no organism named '{name}'",
+            f"the known organisms are {', '.join(ORGANISMS.names())}",
         )
     return ORGANISMS.load(name)

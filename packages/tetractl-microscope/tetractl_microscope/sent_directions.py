@@ -211,8 +211,11 @@ def image(
         sent=replace(sent, angles=-sent.angles),
         delays_s=DELAYS_S,
         response=rotated,
-        message=f"{poses_file}: {who} turn right where {source} turns left",
-        hint="is the picture mirrored, or y downwards? reverse y and headings, or the directions",
+        message=f"{poses_file}: {who} turn right when the directions in {source} turn left",
+        hint=(
+            "is the image mirrored, or does y point down? Reverse y and the headings, or "
+            "reverse the directions"
+        ),
     )
 
 
@@ -231,26 +234,29 @@ def other_readings(
         who: Who turns by them, for the message.
     """
     degrees = replace(sent, angles=np.radians(sent.angles))
-    said = f"{source}: {who} turn by its directions if these are degrees"
+    said = f"{source}: the motion of {who} fits the directions only if these are degrees"
     readings = [
-        DirectionReading(degrees, DELAYS_S, towards, said, "name the column direction_deg"),
+        DirectionReading(degrees, DELAYS_S, towards, said, "rename the column to direction_deg"),
         DirectionReading(
             sent=sent,
             delays_s=SHIFTS_S,
             response=towards,
-            message=f"{source}: {who} turn {WHEN} its directions",
-            hint="both files need times of one clock",
+            message=f"{source}: {who} turn {WHEN} the directions that they receive",
+            hint="the times in both files must come from the same clock",
         ),
     ]
     for seconds, unit, hint in (
-        (picture_s, "numbers of pictures", f"multiply by {picture_s:.4g} s"),
-        (1e-3, "milliseconds", "name the column time_ms"),
-        (1e-6, "microseconds", "name the column time_us"),
-        (1e-9, "nanoseconds", "name the column time_ns"),
-        (60.0, "minutes", "name the column time_min"),
+        (picture_s, "numbers of pictures", f"multiply the times by {picture_s:.4g} s"),
+        (1e-3, "milliseconds", "rename the column to time_ms"),
+        (1e-6, "microseconds", "rename the column to time_us"),
+        (1e-9, "nanoseconds", "rename the column to time_ns"),
+        (60.0, "minutes", "rename the column to time_min"),
     ):
         in_unit = replace(sent, times=seconds * sent.times)
-        said = f"{source}: {who} turn at its times if these are {unit}"
+        said = (
+            f"{source}: the motion of {who} fits the times of the directions only if these "
+            f"are {unit}"
+        )
         readings.append(DirectionReading(in_unit, DELAYS_S, towards, said, hint))
     return readings
 

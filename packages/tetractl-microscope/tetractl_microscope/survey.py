@@ -36,8 +36,8 @@ def survey(
         Path | None,
         out_option(
             "FILE",
-            "YAML file to write a spec for trials to; with --micrometer the calibration, by "
-            "default to calibration.yaml.",
+            "YAML file to write a spec for trials to. With --micrometer, the file gets the "
+            "calibration, by default calibration.yaml.",
         ),
     ] = None,
     plans: Annotated[
@@ -50,8 +50,8 @@ def survey(
         str | None,
         option(
             "C,R,C,R,UM",
-            "Only measure the picture's scale and rotation: column and row of two places in it "
-            "(px), and their distance along the spec's x axis (um).",
+            "Only measure the scale and rotation of the image. Give the column and row of two "
+            "places in the image (px), and their distance along the spec's x axis (um).",
         ),
     ] = None,
     plant: Lab = "lab",
@@ -92,18 +92,20 @@ def survey(
         ui.refuse_existing(out)
         camera = lab_of(experiment, loaded.name).camera
         if not isinstance(camera, CellsSection):
-            raise UsageError(f"a camera of type {camera.type} cannot be measured by a micrometer")
+            raise UsageError(
+                f"a camera of type {camera.type} cannot be calibrated with a micrometer"
+            )
         return save_calibration(out, camera.measured_by(*_places(micrometer)))
     choice = experiment.chosen
     unit = experiment.units.length
     if not isinstance(choice, Choice) or not experiment.open:
         raise UsageError(
-            f"{spec}: the spec lists its robots, so a survey has no cells to choose",
-            "a survey needs `robots: {choose: N, ...}` in the spec",
+            f"{spec}: the spec lists its robots, so the survey has no cells to choose from",
+            "to let a survey choose the cells, write `robots: {choose: N, ...}` into the spec",
         )
     ui.refuse_existing(out)
     if experiment.plant.real_time:
-        ui.require_consent(yes, f"The field will turn the cells for {choice.seconds:g} s.")
+        ui.require_consent(yes, f"The magnetic field will turn the cells for {choice.seconds:g} s.")
     supervision = LabSupervision()
     with (
         watched_by_operator(supervision, experiment.plant.real_time),
@@ -151,9 +153,15 @@ def survey(
                 f"{tolerance(control):g} {unit} of the targets"
             )
         elif able < choice.choose:
-            why = f"{able} of {len(cells)} cells respond to the field, {choice.choose} are needed"
+            why = (
+                f"only {able} of {len(cells)} cells respond to the field, but {choice.choose} "
+                "are needed"
+            )
         else:
-            why = f"among any {choice.choose} are two that cannot be distinguished after they meet"
+            why = (
+                f"any {choice.choose} of the cells include two that cannot be distinguished "
+                "after they have met"
+            )
         ui.tell(f"no choice of these cells can be steered to the targets: {why}")
         return Exit.FAILED
     if out is not None:
@@ -162,7 +170,7 @@ def survey(
         data["robots"]["wanted"] = wanted
         _keep_files(data, spec.parent, out.parent)
         save_whole(out, dump(data).encode())
-        ui.tell(f"wrote {out}: a trial of this spec finds these cells again")
+        ui.tell(f"wrote {out}: a trial of this spec finds the same cells again")
     return Exit.DONE
 
 
@@ -189,8 +197,8 @@ def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]
         a = b = c = d = um = math.nan
     if not (math.isfinite(a + b + c + d) and 0 < um < math.inf):
         raise UsageError(
-            f"--micrometer {text}: needs five numbers, two places [px] and a distance [um], "
-            "such as 112,540,901,548,2000"
+            f"--micrometer {text}: give five numbers, the two places [px] and their distance "
+            "[um], such as 112,540,901,548,2000"
         )
     return (a, b), (c, d), um
 
@@ -198,11 +206,13 @@ def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]
 def _choice_line(proposal: "RankedChoice", unit: str) -> str:
     """Describe a choice of cells: its predicted error, and which cells were near the edge."""
     numbers = ", ".join(map(str, proposal.numbers))
-    error = (
-        f"{proposal.error:.0f} {unit}" if math.isfinite(proposal.error) else "none, no plan found"
-    )
+    error = f"{proposal.error:.0f} {unit}" if math.isfinite(proposal.error) else "no plan was found"
     near_edge = ", ".join(str(cell.number) for cell in proposal.cells if not cell.free)
-    doubt = f"; less certain, as it was near the edge: cell {near_edge}" if near_edge else ""
+    doubt = (
+        f"; less certain, because this cell was near the edge: cell {near_edge}"
+        if near_edge
+        else ""
+    )
     return f"cells {numbers}: predicted mean total error {error}{doubt}"
 
 
@@ -219,7 +229,7 @@ def _print_cells(
 
     for cell in cells:
         magnet = "" if cell.magnetised else ", does not respond to the field"
-        near = "" if cell.free else ", was near the edge: its turning rate a is unreliable"
+        near = "" if cell.free else ", was near the edge, so its turning rate a is unreliable"
         print(
             f"cell {cell.number} at ({cell.pose.x:.0f}, {cell.pose.y:.0f}) {unit}: "
             f"a {cell.a:.2f} ± {Z * cell.a_sd:.2f} rad/s, speed "

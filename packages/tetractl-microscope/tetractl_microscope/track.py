@@ -15,7 +15,7 @@ FILMS = (".avi", ".mp4", ".mov", ".mkv", ".m4v", ".wmv", ".tif", ".tiff", ".nd2"
 def track(
     tracks: Annotated[
         Path,
-        argument("TRACKS", "Tracks of another program: a CSV file or a GEFF graph."),
+        argument("TRACKS", "Tracks from another program: a CSV file or a GEFF graph."),
     ],
     field: Annotated[
         Path | None,
@@ -28,7 +28,7 @@ def track(
         float | None,
         option(
             "UM",
-            "Micrometres per pixel, if the tracks do not state it.",
+            "Micrometres per pixel, if the tracks do not state this scale.",
             min=0.05,
             max=100,
         ),
@@ -46,8 +46,8 @@ def track(
         str | None,
         option(
             "NAME",
-            "What swims: one that `tetractl kinds` lists; by default the one whose speed is most "
-            "similar.",
+            "Organism that swims, one of those that `tetractl kinds` lists. By default, the "
+            "organism with the most similar speed.",
         ),
     ] = None,
     y_down: Annotated[
@@ -91,8 +91,8 @@ def track(
         raise UsageError("--y-down needs --field")
     if tracks.suffix.lower() in FILMS:
         raise UsageError(
-            f"{tracks}: is a film, but tracks are needed",
-            "follow its cells with trackpy or TrackMate, and give their table",
+            f"{tracks}: the file is a video, but this command needs tracks",
+            "track the cells with trackpy or TrackMate, and give the table that it writes",
         )
     kind = None if organism is None else named(organism)
     ui.refuse_filled(out)

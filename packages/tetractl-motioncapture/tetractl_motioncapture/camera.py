@@ -36,7 +36,7 @@ class MotionCapture(PortCamera):
     """
 
     connect_s = 10.0
-    hint = "does the system stream, and are system and hostname right?"
+    hint = "does the motion-capture system stream, and are lab.camera.system and hostname right?"
 
     section: MotionCaptureSection
 
@@ -66,7 +66,10 @@ class MotionCapture(PortCamera):
         streamed = ", ".join(printable(name, NAME_MAX) for name in self._bodies[:NAMES_MAX])
         rest = len(self._bodies) - NAMES_MAX
         streamed = f"{streamed or 'none'} and {rest} more" if rest > 0 else streamed or "none"
-        lines = [f"{o.name} has no rigid body {o.body}; streamed are {streamed}" for o in lost]
+        lines = [
+            (f"the system streams no rigid body {o.body} for {o.name}; it streams {streamed}")
+            for o in lost
+        ]
         return Health(tuple(lines), emulated=self.emulated)
 
     def poses(self, message: bytes) -> tuple[Pose | None, ...]:

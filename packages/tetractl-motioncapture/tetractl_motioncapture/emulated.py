@@ -32,7 +32,7 @@ class EmulatedMotionCapture(PoseStream):
         *PoseStream.faults,
         fault_kind(
             "process_ends",
-            "The library's process ends.",
+            "The process that runs the motion-capture library stops.",
             rows=[FaultRow("capture ends", "the camera", at_once=True)],
             begin=lambda fault, device: device.port.unplug(),
         ),
@@ -43,8 +43,11 @@ class EmulatedMotionCapture(PoseStream):
         assert isinstance(section, MotionCaptureSection), "the camera's type is motioncapture"
         if stage.wires.ports is None and not section.hostname.startswith(SCHEME):
             raise UsageError(
-                f"{section.hostname} cannot be emulated over a network",
-                hint=f"use --set lab.camera.hostname={SCHEME}127.0.0.1:9800, here and in the run",
+                f"the device at {section.hostname} cannot be emulated over a network",
+                hint=(
+                    f"give --set lab.camera.hostname={SCHEME}127.0.0.1:9800 both here and "
+                    "to the run"
+                ),
             )
         super().__init__(stage, settings, bodies)
         up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y

@@ -49,7 +49,7 @@ class ProcessPort(ClientPort):
                 why = signal.strsignal(-code) or f"signal {-code}"
             else:
                 why = ": ".join([f"exit code {code}", *self._process.error_lines()[-1:]])
-            raise AbortError(f"the process of {self._device} has ended: {why}")
+            raise AbortError(f"the process that reads {self._device} has stopped: {why}")
         stamp, _, message = line.partition(b" ")
         # in the pipe, as after a sleep
         waited_ns = max(0, host_ns() - int(stamp))

@@ -253,5 +253,5 @@ def assess(claim: Claim, results: Mapping[str, Sequence[Any]]) -> Row:
 def _measured(claim: Claim, trials: Sequence[Any]) -> Floats:
     """Compute the claim's measure of each trial, shape (n,)."""
     values = np.array([claim.measure(trial) for trial in trials], dtype=float)
-    assert np.isfinite(values).all(), f"{claim.figure}: a trial has no such number"
+    assert np.isfinite(values).all(), f"{claim.figure}: the trials have no such number"
     return values

@@ -14,12 +14,15 @@ from tetractl_papers.registries import PAPERS
 
 
 def reproduce(
-    papers: Annotated[list[str] | None, argument("[PAPER]...", "The papers, by name.")] = None,
+    papers: Annotated[
+        list[str] | None, argument("[PAPER]...", "Names of the papers to reproduce.")
+    ] = None,
     all_papers: Annotated[bool, switch("Reproduce all papers.", "--all")] = False,
     trials: Annotated[
-        int | None, option("N", "Number of trials of each kind. [20, or the paper's]", min=1)
+        int | None,
+        option("N", "Number of trials of each kind. [20, or as many as the paper]", min=1),
     ] = None,
-    jobs: Annotated[int, option("N", "Number of trials run at a time.", min=1)] = 1,
+    jobs: Annotated[int, option("N", "Number of trials to run at the same time.", min=1)] = 1,
     out: Annotated[Path, out_option("DIR", "Folder for the logs.")] = Path("logs/reproduce"),
     as_json: AsJson = False,
 ) -> int:
@@ -40,8 +43,8 @@ def reproduce(
     names = PAPERS.names() if all_papers else papers or []
     for name in names:
         if name not in PAPERS:
-            text = f"there is no paper '{name}'{did_you_mean(name, PAPERS.names())}"
-            raise UsageError(text, f"the papers are {', '.join(PAPERS.names())}")
+            text = f"there is no paper named '{name}'{did_you_mean(name, PAPERS.names())}"
+            raise UsageError(text, f"the known papers are {', '.join(PAPERS.names())}")
     if not names and not as_json:
         print(*PAPERS.names(), sep="\n")
     complete = partial(run_batch, jobs=jobs, resume=True)
@@ -57,7 +60,10 @@ def reproduce(
         differing = [row for row in rows if row.verdict is not row.claim.expected]
         for row in differing:
             claim = row.claim
-            ui.tell(f"{name}: {claim.figure}: {row.verdict}, but {claim.expected} on the page")
+            ui.tell(
+                f"{name}: {claim.figure}: the result is {row.verdict}, but the page "
+                f"states {claim.expected}"
+            )
         unexpected += len(differing)
     if as_json:
         print(json_text({"papers": described or {name: {} for name in PAPERS.names()}}))

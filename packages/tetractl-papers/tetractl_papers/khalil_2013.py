@@ -26,7 +26,10 @@ def disc(log: TrialLog) -> float:
 
 
 def disc_over_least(log: TrialLog) -> float:
-    """Return that diameter divided by 2 v / a of the simulated robot, the minimum mean diameter."""
+    """Compute the diameter of the disc divided by 2 v / a, the minimum mean diameter of the robot.
+
+    The disc holds the robot for 95 % of a hold.
+    """
     facts = log.start.plant.facts
     (a,) = json.loads(facts["true_a"])
     (speed,) = json.loads(facts["true_speed"])

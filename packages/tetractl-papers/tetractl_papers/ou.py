@@ -1,9 +1,11 @@
-"""Claims of Ou, Kang, Kim, Julius: several T. pyriformis cells steered by one signal, PSO-MPC.
+"""Claims of Ou, Kang, Kim and Julius: PSO-MPC steers several T. pyriformis cells with one signal.
 
-The paper that tetractl implements, claim by claim; Figure 4 shows a robot, and Figure 2 a swarm.
-Its controller is run exactly as published. What the paper states without a number is taken as the
-plain comparison. A number appears once: the error of one robot is a third of the total error, and
-that of a cell the same, scaled by the speeds.
+This is the paper that tetractl implements. The module lists it claim by claim, except for two
+figures: Figure 4 shows a robot, and Figure 2 a swarm. The controller runs exactly as published. A
+statement without a number becomes a plain comparison. Each number appears only once, because others
+follow from
+it: the error of one robot is a third of the total error, and the error of a cell is the same,
+scaled by the speeds.
 """
 
 import math

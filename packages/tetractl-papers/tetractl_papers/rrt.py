@@ -67,10 +67,13 @@ class RrtSection(PlainSection):
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield an error if there are several robots, or if the robot cannot move."""
         if len(setup.names) > 1:
-            message = f"steers one robot, but there are {len(setup.names)}; use mpc for several"
+            message = (
+                f"can steer only one robot, but the spec has {len(setup.names)}; use "
+                "mpc for several"
+            )
             yield ("type",), message
         if not setup.speed.all():
-            yield ("type",), "needs a robot that moves, but the robot's speed is 0"
+            yield ("type",), ("needs a robot that moves, but the robot's speed in the spec is 0")
 
     def problem(self, setup: Setup) -> Problem:
         """Return the problem for computing the logged cost, with the robot at its start."""

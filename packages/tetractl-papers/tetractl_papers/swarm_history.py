@@ -81,12 +81,12 @@ def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
     section = request.optimizer
     if not isinstance(section, Pso):
         raise LogError(
-            f"{log.log}: has no swarm: its optimiser is {section.type}",
-            "run it with --set controller.optimizer.type=pso",
-            'run it with "controller.optimizer.type=pso"',
+            f"{log.log}: the log has no particle swarm, because its optimiser is {section.type}",
+            "run the trial with --set controller.optimizer.type=pso",
+            'run the trial with "controller.optimizer.type=pso"',
         )
     if request.length < 2:
-        raise LogError(f"{log.log}: the plan has one signal, but the figure needs two")
+        raise LogError(f"{log.log}: the plan has only one signal, but this figure needs two")
     logged_costs = log.steps[0].plan.search.history
     last = min(len(logged_costs) - 1, section.iterations)
     wanted = {round(share * last) for share in shares}
@@ -96,7 +96,7 @@ def first_swarm(log: TrialLog, shares: Sequence[float]) -> SwarmHistory:
     swarm = section.swarm(request.problem, request.length, request.warm, request.key)
     for z in range(last + 1):
         if searches.expired():
-            raise LogError(f"{log.log}: the first search of the trial takes too long to run again")
+            raise LogError(f"{log.log}: running the first search of the trial again takes too long")
         if z > 0:
             swarm.iterate()
         particles = swarm.u[SEEN].T.copy()
@@ -127,8 +127,8 @@ def _first_request(log: TrialLog, searches: StepSearches) -> SearchRequest:
     request = searches.requests.get(step.plan.chosen)
     if step.k != 0 or request is None:
         raise LogError(
-            f"{log.log}: the first search of the trial cannot be run again",
-            "tetractl verify prints the difference",
+            f"{log.log}: the first search of the trial cannot be repeated",
+            "`tetractl verify` prints where a repetition differs from the log",
         )
     return request
 

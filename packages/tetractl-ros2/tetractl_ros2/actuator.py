@@ -1,12 +1,13 @@
-"""Robots of a ROS 2 graph as an `Actuator`: a twist for each robot, and a common emergency stop.
+"""Drives robots of a ROS 2 graph: one twist for each robot, and a common emergency stop.
 
-A twist v, w asks a robot on two wheels at the distance r from its centre for the wheel speeds
+A twist consists of a speed v and a turning rate w. For a robot whose two wheels are at a distance r
+from its centre, it means the wheel speeds
 
     left = v - r w,    right = v + r w.
 
-The counts of `WheeledActuator` are wheel speeds in units of the section's `unit_mm`. Robots that
-steer themselves are sent the direction instead of a twist. The wheel speeds are then what they make
-of it, by the spec's values and the pose that the camera has shown.
+The counts of the base class `WheeledActuator` are wheel speeds in units of the section's `unit_mm`.
+Robots that steer themselves receive the direction instead of a twist. Their wheel speeds are
+computed from this direction, the spec's values and the latest measured pose.
 """
 
 import math
@@ -44,22 +45,22 @@ WORLD = "world"
 """The frame of a direction: the spec's axes."""
 EMPTY = 10.0
 """Charge below which a robot would soon stop [%]."""
-HINT = "is the robot's driver running, in the same ROS domain?"
+HINT = "is the robot's driver running, and in the same ROS domain?"
 NO_WATCHDOG = (
-    "no `stops_after`: if this computer or its network fails, the robots drive on with their last "
-    "command until somebody switches them off"
+    "`stops_after` is not set: if this computer or its network fails, the robots drive on "
+    "with their last command until somebody switches them off"
 )
 
 
 class Ros2Robots(SpeedRobots):
-    """Drives the setup's robots; see `tetractl.core.protocols.Actuator`.
+    """The actuator for robots of a ROS 2 graph; see `tetractl.core.protocols.Actuator`.
 
     Args:
         section: The actuator's section of the spec.
         setup: The robots.
         clock: The run's clock.
-        ports: Makes other ports, such as those in memory.
-        unix_ns: The time since 1970 [ns], for the stamps of TwistStamped.
+        ports: Creates ports instead of the default ones, for example ports in memory.
+        unix_ns: Returns the time since 1970 [ns], for the stamps of TwistStamped.
     """
 
     def __init__(
@@ -102,30 +103,34 @@ class Ros2Robots(SpeedRobots):
 
     @property
     def stopping_ports(self) -> list[SerialPort]:
-        """The ports by which robots are stopped."""
+        """The ports through which the robots are stopped."""
         emergency = [] if self._emergency_port is None else [self._emergency_port]
         return [*self._command_ports, *emergency]
 
     def check(self) -> Health:
-        """Report other nodes that drive the robots, and an emergency stop that nobody obeys.
+        """Report other nodes that drive the robots, and an emergency stop without a subscriber.
 
-        It also asks whether robots may lack a watchdog.
+        The report also asks the user whether robots may lack a watchdog.
         """
         problems = [
-            f"{rivals} other publisher{'s' * (rivals > 1)} on {port.end.topic.name}: "
-            "end what else drives this robot"
+            (
+                f"{rivals} other publisher{'s' * (rivals > 1)} on {port.end.topic.name}: stop "
+                "the other programs that drive this robot"
+            )
             for port in self._command_ports
             if isinstance(port, TopicPort) and (rivals := port.end.rivals()) > 0
         ]
         stopping = self._emergency_port
         if isinstance(stopping, TopicPort) and not stopping.look_for_subscribers():
-            problems.append(f"the emergency stop reaches no robot: {stopping.refusal}: {HINT}")
+            problems.append(
+                f"the emergency stop does not reach any robot: {stopping.refusal}: {HINT}"
+            )
         questions = () if self.section.stops_after is not None else (NO_WATCHDOG,)
         emulated = [b is not None and b.serial_number == EMULATED_NAME for b in self._batteries]
         return Health(tuple(problems), questions=questions, emulated=any(emulated))
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Wait for the batteries' states, and report robots to whose topic nobody subscribes."""
+        """Wait for the states of the batteries, and report robots whose topic has no subscriber."""
         has_battery = [entry(self.section.robots, name).battery is not None for name in self.names]
 
         def has_all() -> bool:
@@ -142,7 +147,10 @@ class Ros2Robots(SpeedRobots):
         problems = () if port.refusal is None else (f"{name}: {port.refusal}: {HINT}",)
         state = self._batteries[row]
         if state is None:
-            silent = f"{name} sends no battery state on {entry(self.section.robots, name).battery}"
+            silent = (
+                f"{name} sends no battery state on the topic "
+                f"{entry(self.section.robots, name).battery}"
+            )
             return RobotStatus(answers, problems=problems, warnings=(silent,) * has_battery)
         volts = state.voltage if math.isfinite(state.voltage) else None
         charge = round(100 * state.percentage) if math.isfinite(state.percentage) else None
@@ -164,12 +172,13 @@ class Ros2Robots(SpeedRobots):
         return super().send(action, poses, moving, exposed_ns)
 
     def command(self, row: int, left: float, right: float) -> bytes:
-        """Return the message to the robot in a row of the setup that asks for wheel speeds.
+        """Create the message that asks a robot for wheel speeds.
 
-        A robot that steers itself is sent the direction instead, if it is to move at all.
+        For a robot that steers itself, the message is the direction instead, if the robot may move
+        at all.
 
         Args:
-            row: The robot's place in the setup.
+            row: The robot's index in the setup.
             left: Speed of the left wheel [mm/s].
             right: Speed of the right wheel [mm/s].
         """
@@ -201,7 +210,7 @@ class Ros2Robots(SpeedRobots):
         return self._send(ports, messages)
 
     def _send(self, ports: list[SerialPort], messages: list[bytes]) -> int:
-        """Send each port its message, even if another port fails; return the last time [ns].
+        """Send each port its message, even if another port fails, and return the last time [ns].
 
         Raises:
             AbortError: If a port has failed.
@@ -215,17 +224,17 @@ class Ros2Robots(SpeedRobots):
 
 
 def _vector(action: Steer | Turn) -> Vector3:
-    """Return the vector of a direction; z is 1 if robots are to turn on the spot."""
+    """Create the vector message of a direction. z is 1 if robots should turn on the spot."""
     if isinstance(action, Steer):
         return Vector3(math.cos(action.direction), math.sin(action.direction), 0.0)
     return Vector3(math.cos(action.facing), math.sin(action.facing), 1.0)
 
 
 def stop_all(section: Ros2Section, setup: Setup, clock: Clock, alone: bool) -> str:
-    """Stop every robot by ten messages within 200 ms, and return a summary.
+    """Stop every robot with ten messages within 200 ms, and return a summary.
 
-    While nobody subscribes to some of the topics, for at most DISCOVERY_S, the other robots are
-    sent more of these messages.
+    As long as some topics have no subscriber, but for at most DISCOVERY_S, further stops are sent
+    to the other robots.
 
     Args:
         section: The fields of the actuator in the spec.
@@ -234,7 +243,7 @@ def stop_all(section: Ros2Section, setup: Setup, clock: Clock, alone: bool) -> s
         alone: Whether to open the topics exclusively.
 
     Raises:
-        AbortError: If nobody subscribes to a robot's topic; the others are stopped.
+        AbortError: If a robot's topic has no subscriber. The other robots are stopped.
     """
     robots = Ros2Robots(section, setup, clock)
     return stop_all_at(robots.stopping_ports, partial(robots.stop, emergency=True), clock, alone)

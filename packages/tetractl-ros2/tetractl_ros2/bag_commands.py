@@ -1,4 +1,4 @@
-"""`tetractl rosbag-tables` and `tetractl export-rosbag`: between rosbag2 and tetractl."""
+"""`tetractl rosbag-tables` and `tetractl export-rosbag`: convert from and to ROS 2 recordings."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,12 +13,16 @@ def rosbag_tables(
     bag: Annotated[
         Path, argument("BAG", "A rosbag2 recording: its folder, or one .mcap or .db3 file.")
     ],
-    out: Annotated[Path, out_option("DIR", "Folder for poses.csv and commands.csv.")],
+    out: Annotated[Path, out_option("DIR", "Folder to write poses.csv and commands.csv to.")],
     topic: Annotated[
-        str | None, option("NAME", "Take poses from this topic only. [all, one for each robot]")
+        str | None,
+        option("NAME", "Use poses from this topic only. [all topics, one for each robot]"),
     ] = None,
     frame: Annotated[
-        str | None, option("NAME", "Take poses in this frame only. [the only one]")
+        str | None,
+        option(
+            "NAME", "Use poses in this coordinate frame only. [the only frame in the recording]"
+        ),
     ] = None,
 ) -> int:
     """Write the poses and commands of a rosbag2 recording as CSV tables for `identify`.
@@ -33,7 +37,9 @@ def rosbag_tables(
 
     contents = read_bag(bag)
     if not contents.poses:
-        raise UsageError(f"{printable(str(bag))}: has no poses of a kind that is read")
+        raise UsageError(
+            f"{printable(str(bag))}: the recording has no poses in a message type that can be read"
+        )
     tables = {"poses.csv": pose_table(contents, topic, frame)}
     if contents.commands:
         tables["commands.csv"] = command_table(contents)
@@ -45,7 +51,7 @@ def rosbag_tables(
 
 
 def export_rosbag(
-    log: Log, out: Annotated[Path, out_option("DIR", "Folder of the recording to make.")]
+    log: Log, out: Annotated[Path, out_option("DIR", "Folder to create for the recording.")]
 ) -> int:
     """Write a trial as a rosbag2 recording (MCAP): poses, commands, plans and targets.
 

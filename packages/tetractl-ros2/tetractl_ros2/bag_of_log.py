@@ -1,15 +1,13 @@
-"""A trial's log as a rosbag2 recording, for `ros2 bag play`, RViz, Foxglove and PlotJuggler.
+"""Converts a trial's log to a rosbag2 recording, for `ros2 bag play`, RViz and other viewers.
 
-| topic | message | what it holds |
-|---|---|---|
-| /tf | tf2_msgs/TFMessage | the measured pose of each tracked robot, a child frame of `world` |
-| /ROBOT/cmd_vel | geometry_msgs/TwistStamped | what each robot on wheels was sent |
-| /direction | geometry_msgs/Vector3Stamped | the common direction, length 1; a stop has length 0 |
-| /ROBOT/plan | nav_msgs/Path | where the controller expects each robot to drive |
-| /targets | geometry_msgs/PoseArray | the targets, at the start |
+| topic | message | content | |---|---|---| | /tf | tf2_msgs/TFMessage | the measured pose of each
+tracked robot, a child frame of `world` | | /ROBOT/cmd_vel | geometry_msgs/TwistStamped | the
+command to each robot on wheels | | /direction | geometry_msgs/Vector3Stamped | the common
+direction, length 1; a stop has length 0 | | /ROBOT/plan | nav_msgs/Path | where the controller
+expects each robot to drive | | /targets | geometry_msgs/PoseArray | the targets, at the start |
 
-Positions are in m. A header's stamp is the time of exposure or sending. The time of recording is
-when a message reached or left the computer.
+Positions are in m. The stamp in a header is the time of exposure or sending. The time of recording
+is the time at which a message reached or left the computer.
 """
 
 import math
@@ -52,9 +50,13 @@ def write_bag(trial: TrialLog, folder: Path) -> int:
     except ImportError:
         raise UsageError(NEEDS_ROSBAGS, INSTALL) from None
     if folder.exists():
-        raise UsageError(f"{printable(str(folder))}: exists already", "name another with --out")
+        raise UsageError(
+            f"{printable(str(folder))}: exists already", "choose another name with --out"
+        )
     if not folder.parent.is_dir():
-        raise UsageError(f"{printable(str(folder))}: there is no folder {folder.parent}")
+        raise UsageError(
+            f"{printable(str(folder))}: the parent folder {folder.parent} does not exist"
+        )
     store = get_typestore(Stores.ROS2_HUMBLE)
     entries = sorted(BagMessages(trial, store).entries(), key=lambda entry: entry[0])
     try:
@@ -72,13 +74,13 @@ def write_bag(trial: TrialLog, folder: Path) -> int:
 
 
 def topic_part(name: str, index: int) -> str:
-    """Return a robot's name as a part of a topic's name: letters, digits and underscores."""
+    """Convert a robot's name to a part of a topic's name: letters, digits and underscores."""
     part = re.sub(r"[^A-Za-z0-9_]", "_", name)
     return part if re.match(r"[A-Za-z]", part) else f"robot_{index}_{part}"
 
 
 class BagMessages:
-    """Makes the messages of a trial, of the types in `store`, a type store of rosbags."""
+    """Creates the messages of a trial, with the types in `store`, a type store of rosbags."""
 
     def __init__(self, trial: TrialLog, store: Any) -> None:
         self._trial = trial

@@ -1,9 +1,9 @@
-"""Poses and commands of a rosbag2 recording as the two tables that `tetractl identify` reads.
+"""Converts a rosbag2 recording to the two tables that `tetractl identify` reads.
 
-ROS 2 defines units and axes (m, rad, s, z up), so that only names are left to decide. A robot is
-the part of its topic's or frame's name before the first slash: `/green/cmd_vel` and the child frame
-`green/base_link` are both `green`. Commands on a topic without such a part, `/cmd_vel`, have no
-robot.
+ROS 2 fixes the units and axes (m, rad, s, z up), so only the names of robots must be found. The
+name of a robot is the part of the topic or frame before the first slash. For example,
+`/green/cmd_vel` and the child frame `green/base_link` both belong to `green`. Commands on a topic
+without such a part, such as `/cmd_vel`, belong to no named robot.
 """
 
 from collections.abc import Iterator, Sequence
@@ -42,13 +42,13 @@ class BagPose:
     """A pose in a recording.
 
     Attributes:
-        topic: The topic that holds it.
+        topic: The topic with the pose.
         robot: The robot.
-        frame: The frame of its coordinates.
-        time_ns: The stamp of its header [ns], or when it was recorded if it has none.
+        frame: The coordinate frame of the pose.
+        time_ns: The stamp in its header [ns]. Without a stamp, the time of recording.
         x: Position [m].
         y: Position [m].
-        heading: Anticlockwise from the frame's x axis [rad].
+        heading: Angle, anticlockwise from the frame's x axis [rad].
     """
 
     topic: str
@@ -65,9 +65,9 @@ class BagCommand:
     """A twist in a recording.
 
     Attributes:
-        topic: The topic that holds it.
-        robot: The robot; "" if the topic's name has no such part.
-        time_ns: The stamp of its header [ns], or when it was recorded if it has none.
+        topic: The topic with the twist.
+        robot: The robot. Empty if the topic's name has no such part.
+        time_ns: The stamp in its header [ns]. Without a stamp, the time of recording.
         v: Speed [m/s].
         w: Turning rate [rad/s].
     """
@@ -125,10 +125,10 @@ def read_bag(path: Path) -> BagContents:
 
 
 def _message_store() -> Any:
-    """Return the definitions of all messages that are read.
+    """Return the definitions of all messages that can be read.
 
-    Those in a recording are not used: they are the same, and MCAP files also hold definitions that
-    rosbags does not understand, of services for example.
+    The definitions inside a recording are not used. They are the same, and MCAP files also contain
+    definitions that rosbags does not understand, for example of services.
     """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -147,7 +147,7 @@ def _command(topic: str, time_ns: int, message: Any) -> BagCommand:
 
 
 def _poses(topic: str, time_ns: int, message: Any, kind: str) -> Iterator[BagPose]:
-    """Yield the poses in a message that are finite and have a rotation."""
+    """Yield the poses in a message that are finite and have a valid rotation."""
     for seen in sightings(POSES[kind], message):
         planar = planar_pose(seen.rigid, UpAxis.Z)
         if planar is not None:
@@ -161,15 +161,15 @@ def _first_part(name: str) -> str:
 
 
 def pose_table(contents: BagContents, topic: str | None, frame: str | None) -> Table:
-    """Return the table of poses: time, robot, x, y, heading.
+    """Create the table of poses: time, robot, x, y, heading.
 
     Args:
-        contents: What the recording holds.
-        topic: The topic to take poses from. None if each robot has poses on one topic only.
-        frame: The frame to take poses in. None if all poses are in one frame.
+        contents: The contents of the recording.
+        topic: The topic to read poses from. None if each robot has poses on only one topic.
+        frame: The coordinate frame of the poses. None if all poses have the same frame.
 
     Raises:
-        UsageError: If it is left open which poses are meant.
+        UsageError: If `topic` or `frame` is needed to choose the poses.
     """
     poses = [o for o in contents.poses if topic in (None, o.topic) and frame in (None, o.frame)]
     if not poses:
@@ -193,7 +193,7 @@ def pose_table(contents: BagContents, topic: str | None, frame: str | None) -> T
 
 
 def command_table(contents: BagContents) -> Table:
-    """Return the table of commands: time, robot, speed and turning rate.
+    """Create the table of commands: time, robot, speed and turning rate.
 
     If no topic names a robot, the column `robot` is left out.
     """
@@ -210,12 +210,12 @@ def command_table(contents: BagContents) -> Table:
 
 
 def begin(contents: BagContents) -> int:
-    """Return the earliest time of a recording [ns], from which its tables count."""
+    """Return the earliest time of a recording [ns]. The times in its tables count from it."""
     return min(o.time_ns for o in (*contents.poses, *contents.commands))
 
 
 def _in_order(poses: Sequence[BagPose]) -> list[BagPose]:
-    """Return poses in order of time; of a robot's poses with one time, the first."""
+    """Sort poses by time. If a robot has several poses at one time, only the first is kept."""
     seen = set[tuple[str, int]]()
     ordered: list[BagPose] = []
     for pose in sorted(poses, key=lambda o: o.time_ns):
@@ -230,5 +230,6 @@ def _refuse_several(what: str, names: set[str], name_option: str) -> None:
     if len(names) > 1:
         listed = printable(", ".join(sorted(names)))
         raise UsageError(
-            f"poses of a robot in more than one {what}: {listed}", f"add {name_option}"
+            f"the recording has poses of a robot in more than one {what}: {listed}",
+            f"add {name_option}",
         )

@@ -1,4 +1,4 @@
-"""What a message of poses says: which body is where, in which frame, and when."""
+"""Reads bodies from a ROS 2 message with poses: their places, coordinate frames and times."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -9,13 +9,13 @@ from tetractl.lab.cameras.optitrack.natnet import RigidBody
 
 @dataclass(frozen=True, slots=True)
 class BodySighting:
-    """One body in a message.
+    """One body in a message with poses.
 
     Attributes:
-        body: What the message calls the body; None if the topic says which one it is.
-        frame: The frame of its coordinates.
-        stamp_ns: When it was there, on the sender's clock [ns]; 0 if the message does not say.
-        rigid: Where it was [m], and how it was turned.
+        body: Name of the body in the message. None if the topic says which body it is.
+        frame: The coordinate frame.
+        stamp_ns: Time of the pose, on the sender's clock [ns]. 0 if the message states none.
+        rigid: Position [m] and orientation.
     """
 
     body: str | None
@@ -25,15 +25,15 @@ class BodySighting:
 
 
 def sightings(kind: str, message: Any) -> list[BodySighting]:
-    """Return the bodies in a message, in its order.
+    """Read the bodies in a message, in its order.
 
     Args:
         kind: The message's type in ROS 2, without its package, such as PoseStamped.
-        message: The message. Its class may come from any library that names the fields as ROS 2
+        message: The message. Its class can come from any library that names the fields as ROS 2
             does.
 
     Raises:
-        TypeError: If messages of this kind hold no poses.
+        TypeError: If messages of this kind contain no poses.
     """
     match kind:
         case "PoseStamped":
@@ -54,7 +54,7 @@ def stamp_ns(header: Any) -> int:
 
 
 def bare(frame: str) -> str:
-    """Return the name of a frame without the slash that old programs put before it."""
+    """Remove the leading slash that old programs put before the name of a frame."""
     return frame.removeprefix("/")
 
 

@@ -1,8 +1,9 @@
-"""Poses on topics of a ROS 2 graph as a `Camera`.
+"""A camera that receives poses on topics of a ROS 2 graph.
 
-Stamps come from the sender's clock. The message that came quickest, of the last 600 of a topic,
-took the section's `latency`; another one took so much longer as it came later. So the clocks need
-not agree. If they do, `check` compares `latency` with the true age of the stamps.
+Time stamps come from the sender's clock, which may differ from this computer's clock. Among the
+last 600 messages of a topic, the quickest one is assumed to have taken the section's `latency`. The
+age of any other message follows from how much later it arrived, relative to its stamp. If both
+clocks agree, `check` compares `latency` with the true age of the stamps.
 """
 
 import threading
@@ -45,22 +46,23 @@ BODIES_MAX = 20
 """Maximum number of streamed bodies that a message lists."""
 NAME_MAX = 60
 """Maximum number of characters shown of a name that any node may choose."""
-HINT = "is the node running, in the same ROS domain, and does it publish this topic?"
+HINT = "is the ROS node running, in the same ROS domain, and does it publish this topic?"
 
 
 class Ros2Camera:
     """Tracks the setup's robots by their poses in a ROS 2 graph.
 
-    It is a `tetractl.core.protocols.Camera`. Each topic has a thread that receives. These
-    threads take messages under `_lock`, and `check` reads under it what they have taken.
+    The class implements `tetractl.core.protocols.Camera`. Each topic has a thread that receives
+    messages. The threads process messages while they hold `_lock`, and `check` reads the results in
+    the same way.
 
     Args:
         section: The camera's section of the spec.
         setup: The robots.
         clock: The run's clock.
         wake: Called after each frame.
-        ports: Makes other ports, such as those in memory.
-        unix_ns: The time since 1970 [ns], to compare stamps with.
+        ports: Creates ports instead of the default ones, for example ports in memory.
+        unix_ns: Returns the time since 1970 [ns], to compare stamps with.
     """
 
     def __init__(
@@ -111,7 +113,10 @@ class Ros2Camera:
         )
 
     def __enter__(self) -> Self:
-        """Subscribe; return once every robot has a pose, or after FIRST_S if only some have."""
+        """Subscribe to the topics, and wait until every robot has a pose.
+
+        If only some robots have a pose after FIRST_S, the method returns anyway.
+        """
         try:
             for port in (*self._ports, self._marker):
                 port.open()
@@ -127,7 +132,7 @@ class Ros2Camera:
         self._close()
 
     def check(self) -> Health:
-        """Report robots without poses, what their stamps tell, and whether they are emulated."""
+        """Report robots without poses, wrong time stamps, and whether the tracker is emulated."""
         with self._lock:
             problems = (*self._missing(), *self._crowded())
             warnings = tuple(self._stamp_warnings())
@@ -143,18 +148,20 @@ class Ros2Camera:
         return all(reading.pose is not None for reading in self._group.last)
 
     def _silence(self) -> AbortError:
-        """Return the error that no pose has come."""
+        """Create the error for a camera that has sent no pose."""
         failure = next((port.failure for port in self._ports if port.failure), None)
         if failure is not None:
             return AbortError(failure, HINT)
         if self._first_damaged:
-            many = f"none of {self.damaged} messages on {self.section.address} could be read"
-            return AbortError(f"{many}; the first: {self._first_damaged}", "is `message` right?")
+            many = f"{self.damaged} messages came on {self.section.address}, but none could be read"
+            return AbortError(
+                f"{many}; error of the first: {self._first_damaged}", "is `message` right?"
+            )
         missing = self._missing()
         return AbortError(missing[0] if missing else "no pose came", HINT)
 
     def _missing(self) -> tuple[str, ...]:
-        """Describe each robot that no message has shown."""
+        """Describe each robot that no message has contained yet."""
         lines: list[str] = []
         for row, (name, reading) in enumerate(
             zip(self._setup.names, self._group.last, strict=True)
@@ -168,10 +175,10 @@ class Ros2Camera:
                 lines.append(f"{name}'s poses are in the frame {shown}, not {self.section.frame}")
             elif len(self._ports) > 1:
                 topic = self.section.topics(self._setup)[row]
-                lines.append(f"{name} has no pose: no message came on {topic}")
+                lines.append(f"{name} has no pose, because no message came on {topic}")
             else:
-                where = f"{self.section.topic_pattern}; bodies there: {self._body_list()}"
-                lines.append(f"{name} has no body {body} on {where}")
+                where = f"{self.section.topic_pattern}; it has the bodies {self._body_list()}"
+                lines.append(f"there is no body {body} for {name} on {where}")
         return tuple(lines)
 
     def _body_list(self) -> str:
@@ -181,17 +188,17 @@ class Ros2Camera:
         return f"{text} and {more} more" if more > 0 else text
 
     def _crowded(self) -> tuple[str, ...]:
-        """Describe each topic with poses of more than one node; /tf has many by its nature."""
+        """Describe each topic on which several nodes publish poses. For /tf, this is normal."""
         if self.section.message == "TFMessage":
             return ()
         return tuple(
-            f"{port.end.partners} nodes publish {port.end.topic.name}: stop all but one"
+            f"{port.end.partners} ROS nodes publish {port.end.topic.name}: stop all but one"
             for port in self._ports
             if isinstance(port, TopicPort) and port.end.partners > 1
         )
 
     def _quickest_age_ns(self) -> int | None:
-        """Return the age of the stamp of the quickest message, by this computer's clock [ns]."""
+        """Return how old the quickest message's stamp was on arrival, by our clock [ns]."""
         gaps = [clock.quickest_ns for clock in self._clocks]
         known = [gap for gap in gaps if gap is not None]
         if not known or self._emulated or self._unstamped:
@@ -202,8 +209,8 @@ class Ros2Camera:
         latency_s = self.section.latency
         if self._unstamped:
             yield (
-                f"poses have no stamp: each counts as {latency_s:g} s old when it arrives, "
-                "however late it is"
+                f"the poses have no time stamp: each is taken as {latency_s:g} s old when it "
+                "arrives, even if it is late"
             )
         age_ns = self._quickest_age_ns()
         if age_ns is None:
@@ -211,13 +218,15 @@ class Ros2Camera:
         age_s = age_ns / SECOND
         if not 0 <= age_ns <= SAME_CLOCK_NS:
             yield (
-                f"stamps are {age_s:.3f} s old on arrival, so the sender's clock differs from this "
-                f"computer's: `latency`, {latency_s:g} s, cannot be checked"
+                f"time stamps are {age_s:.3f} s old on arrival, so the sender's clock "
+                f"differs from this computer's clock, and `latency`, {latency_s:g} s, cannot "
+                "be checked"
             )
         elif abs(age_ns - latency_s * SECOND) > LATENCY_OFF_NS:
             yield (
-                f"stamps are {age_s:.3f} s old on arrival, not {latency_s:g} s as `latency` says: "
-                "if both computers' clocks are synchronised, set `latency` to it"
+                f"time stamps are {age_s:.3f} s old on arrival, but `latency` says "
+                f"{latency_s:g} s: if the clocks of both computers are synchronised, set "
+                "`latency` to the first value"
             )
 
     def _hear_marker(self, data: bytes, _at_ns: int) -> None:
@@ -226,7 +235,7 @@ class Ros2Camera:
                 self._emulated = self._emulated or Bool.deserialize(data).data
 
     def _hear(self, topic: int, data: bytes, at_ns: int) -> None:
-        """Take a message of a topic; without data, its port has failed."""
+        """Process a message of a topic. None as data means that the topic's port has failed."""
         with self._lock:
             if not data:
                 self._take_failure(topic, at_ns)
@@ -235,7 +244,7 @@ class Ros2Camera:
         self._wake()
 
     def _take_failure(self, topic: int, at_ns: int) -> None:
-        fault = self._ports[topic].failure or f"the topic {self.section.address} has failed"
+        fault = self._ports[topic].failure or (f"reading the topic {self.section.address} failed")
         self._number += 1
         none = (None,) * len(self._setup.names)
         self._waiting.append(CameraFrame(self._number, at_ns, at_ns, none, fault=fault))
@@ -263,7 +272,7 @@ class Ros2Camera:
             self._pass_on(complete[-1], at_ns)
 
     def _row(self, topic: int, sighting: BodySighting) -> int | None:
-        """Return the place in the setup of the robot that is shown, None if it is none of ours."""
+        """Find the index of the robot that a sighting belongs to. None if it is another body."""
         if sighting.body is not None:
             self._bodies.add(sighting.body)
         row = topic if sighting.body is None else self._rows.get(sighting.body)
@@ -273,9 +282,10 @@ class Ros2Camera:
         return row
 
     def _exposed_ns(self, topic: int, stamp_ns: int, at_ns: int) -> int:
-        """Return when the bodies were there that a message shows with this stamp [ns].
+        """Compute when the bodies in a message with this stamp were seen, by our clock [ns].
 
-        The stamp counts once, however many bodies have it. A stamp of 0 means that there is none.
+        A stamp is used only once, even if several bodies have it. A stamp of 0 means that there is
+        none.
         """
         late_ns = 0
         if stamp_ns > 0:
@@ -285,7 +295,7 @@ class Ros2Camera:
         return max(0, at_ns - round(self.section.latency * SECOND) - late_ns)
 
     def _pass_on(self, readings: Readings, at_ns: int) -> None:
-        """Let the frame of these readings wait to be read, if it is newer than the last one."""
+        """Queue the frame with these readings, if it is newer than the last one."""
         newest_ns = max(reading.exposed_ns for reading in readings)
         if newest_ns <= self._newest_ns:
             return

@@ -1,8 +1,9 @@
-"""Collects poses that come one by one to frames: poses with one stamp belong together.
+"""Joins poses that arrive one by one to frames. Poses with the same time stamp belong together.
 
-A motion-capture node sends one message for each body, all with the same stamp: a frame is complete
-once every robot that kept step before has come. Robots that localise themselves have stamps of
-their own: each of their poses is a frame, in which the others keep their last poses and times.
+A motion-capture node sends one message for each body, all with the same stamp. A frame is complete
+once all robots of the previous frames have arrived. Robots that localise themselves have different
+stamps. Each of their poses then is a frame, in which the other robots keep their last poses and
+times.
 
     group = FrameGroup(robots=3)
     group.add(stamp, {0: RobotReading(pose, exposed_ns)})     [] or the readings of all robots
@@ -16,7 +17,7 @@ from tetractl.core.poses import Pose
 
 @dataclass(frozen=True, slots=True)
 class RobotReading:
-    """The pose of a robot, None if it is not tracked, and when it was there [ns]."""
+    """The pose of a robot, or None if it is not tracked, with the time of its exposure [ns]."""
 
     pose: Pose | None
     exposed_ns: int
@@ -29,11 +30,11 @@ Readings = tuple[RobotReading, ...]
 
 
 class FrameGroup:
-    """The last readings of N robots, and the frame that is being collected.
+    """Collects the readings of N robots until a frame is complete.
 
-    A pose that comes after its frame is complete is shown in the next frame, and starting with that
-    one its robot is waited for. A frame that lacks such a robot is complete when a pose with
-    another stamp comes; then the robot is no longer waited for.
+    A pose that arrives after its frame was completed is shown in the next frame. From then on, its
+    robot is waited for. If such a robot is missing, the frame is completed when a pose with another
+    stamp arrives. The robot is then no longer waited for.
     """
 
     def __init__(self, robots: int) -> None:
@@ -50,11 +51,11 @@ class FrameGroup:
         return tuple(self._last)
 
     def add(self, stamp: int, readings: Mapping[int, RobotReading]) -> list[Readings]:
-        """Take readings with one stamp.
+        """Add readings that have the same time stamp.
 
         Args:
-            stamp: The time in their header, on whatever clock.
-            readings: The readings, by the robots' places in the setup.
+            stamp: The stamp in their header, on any clock.
+            readings: The readings, by the robots' indices in the setup.
 
         Returns:
             The frames that are now complete, oldest first: none, one or two.
@@ -76,7 +77,7 @@ class FrameGroup:
         return complete
 
     def _close(self) -> Readings:
-        """Complete the pending frame; return the readings of all robots."""
+        """Complete the pending frame, and return the readings of all robots."""
         if len(self._pending) > 1:
             self._in_step = self._pending
         elif self._pending <= self._in_step:

@@ -1,4 +1,4 @@
-"""What this package brings in addition to its devices: parts of `tetractl init --lab`."""
+"""The parts that this package adds to `tetractl init --lab`."""
 
 from pathlib import Path
 

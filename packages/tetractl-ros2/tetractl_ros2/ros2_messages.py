@@ -30,7 +30,7 @@ def _zeros() -> Any:
 @final
 @dataclass
 class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
-    """A time since 1970, or since any other zero that all nodes share."""
+    """A time since 1970, or since another origin that all nodes share."""
 
     sec: types.int32 = 0
     nanosec: types.uint32 = 0
@@ -48,7 +48,7 @@ class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
 @final
 @dataclass
 class Bool(IdlStruct, typename="std_msgs::msg::dds_::Bool_"):
-    """A truth value."""
+    """A Boolean value."""
 
     data: bool = False
 
@@ -132,7 +132,7 @@ class Vector3Stamped(IdlStruct, typename="geometry_msgs::msg::dds_::Vector3Stamp
 @final
 @dataclass
 class Transform(IdlStruct, typename="geometry_msgs::msg::dds_::Transform_"):
-    """Where a frame is in its parent [m], and how it is turned."""
+    """The position of a frame in its parent [m], and its orientation."""
 
     translation: Vector3 = field(default_factory=Vector3)
     rotation: Quaternion = field(default_factory=Quaternion)
@@ -151,7 +151,7 @@ class TransformStamped(IdlStruct, typename="geometry_msgs::msg::dds_::TransformS
 @final
 @dataclass
 class TFMessage(IdlStruct, typename="tf2_msgs::msg::dds_::TFMessage_"):
-    """Some transforms, as on /tf."""
+    """A list of transforms, as on the topic /tf."""
 
     transforms: types.sequence[TransformStamped] = field(default_factory=_empty)
 
@@ -208,7 +208,7 @@ class NamedPoseArray(
 @final
 @dataclass
 class BatteryState(IdlStruct, typename="sensor_msgs::msg::dds_::BatteryState_"):
-    """A battery: its voltage [V], its charge as a fraction (`percentage`), NaN if unknown."""
+    """The state of a battery: voltage [V] and charge as a fraction (`percentage`), or NaN."""
 
     header: Header = field(default_factory=Header)
     voltage: types.float32 = UNKNOWN

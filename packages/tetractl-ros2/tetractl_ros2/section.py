@@ -42,9 +42,9 @@ USUAL_TOPICS: dict[str, str] = {
 
 
 def _full_name(topic: str) -> str:
-    """Return the name of a topic if it is one."""
+    """Check that a text is the full name of a topic, and return it."""
     if NAME.fullmatch(topic) is None:
-        raise ValueError("must be a full name such as /green/cmd_vel")
+        raise ValueError("must be a full topic name, such as /green/cmd_vel")
     return topic
 
 
@@ -62,7 +62,7 @@ class BodyOfRobot(RobotPart):
 
 
 class Ros2CameraSection(CameraSection):
-    """Poses on topics of a ROS 2 graph: of a motion-capture node, /tf, or robots' odometry."""
+    """Poses on topics of a ROS 2 graph, from a motion-capture node, /tf, or robots' odometry."""
 
     device: ClassVar[str] = "tetractl_ros2.camera:Ros2Camera"
     type: Literal["ros2"]
@@ -88,7 +88,7 @@ class Ros2CameraSection(CameraSection):
 
     @property
     def topic_pattern(self) -> str:
-        """The name of the topic, or of all topics with {body} in it."""
+        """The name of the topic. If each body has its own topic, it contains {body}."""
         return self.topic or USUAL_TOPICS[self.message]
 
     @property
@@ -97,7 +97,7 @@ class Ros2CameraSection(CameraSection):
         return f"ros2://{self.domain}{self.topic_pattern}"
 
     def topics(self, setup: Setup) -> tuple[str, ...]:
-        """Return the names of the topics: one for all robots, or one for each, in their order."""
+        """Return the names of the topics: one for all robots, or one for each of them in order."""
         pattern = self.topic_pattern
         if BODY not in pattern:
             return (pattern,)
@@ -105,19 +105,22 @@ class Ros2CameraSection(CameraSection):
         return tuple(pattern.replace(BODY, body) for body in bodies)
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the place and text of each problem with robots, bodies and topics."""
+        """Yield the place and a message for each problem with robots, bodies and topics."""
         yield from mismatches(self.robots, setup.names, ("body",))
         pattern = self.topic_pattern
         if self.message in ("PoseStamped", "Odometry") and BODY not in pattern:
             yield (
                 ("topic",),
-                f"must hold {BODY}: a {self.message} does not say which robot it shows",
+                f"must contain {BODY}, because a {self.message} does not say which robot it shows",
             )
         if pattern.replace(BODY, "").count("{"):
-            yield ("topic",), f"may hold {BODY}, and no other braces"
+            yield ("topic",), f"may contain {BODY}, but no other braces"
         for i, robot in enumerate(self.robots):
             if BODY in pattern and NAME.fullmatch(f"/{robot.body}") is None:
-                yield ("robots", i, "body"), "must be letters, digits and _, as it names a topic"
+                yield (
+                    ("robots", i, "body"),
+                    ("must consist of letters, digits and _, because it is part of a topic's name"),
+                )
 
     def bounds(self) -> dict[str, str]:
         """Return the topic and the frame as {name: text}, for display."""
@@ -139,7 +142,7 @@ class Ros2Robot(SpeedRobot):
 
 
 class Ros2Section(SpeedSection):
-    """Robots of a ROS 2 graph that take twists, or the common direction."""
+    """Robots of a ROS 2 graph that receive twists, or the common direction."""
 
     device: ClassVar[str] = "tetractl_ros2.actuator:Ros2Robots"
     stopping: ClassVar[str] = "tetractl_ros2.actuator:stop_all"
@@ -164,28 +167,38 @@ class Ros2Section(SpeedSection):
     """One entry for each robot of the spec."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield place and text of each problem with robots, topics, wheels, speeds and rate."""
+        """Yield place and message for each problem with robots, topics, wheels, speeds and rate."""
         yield from mismatches(self.robots, setup.names, ("topic", "battery"))
         yield from self.wheel_contradictions(setup, self.robots)
         for i, robot in enumerate(self.robots):
             for key in ("topic", "battery"):
                 if "{" in (getattr(robot, key) or ""):
-                    yield ("robots", i, key), "must be a full name such as /green/cmd_vel"
+                    yield ("robots", i, key), ("must be a full topic name, such as /green/cmd_vel")
         if self.stops_after is None:
             if math.isfinite(setup.watchdog_s):
-                text = f"is missing, though wheels.watchdog says {setup.watchdog_s:g} s"
+                text = (
+                    "is missing, although wheels.watchdog says that the robots stop "
+                    f"after {setup.watchdog_s:g} s"
+                )
                 yield ("stops_after",), text
             return
         if setup.watchdog_s > self.stops_after:
-            yield (), f"stop after {self.stops_after:g} s: set wheels.watchdog to it"
+            yield (
+                (),
+                (
+                    f"stop after {self.stops_after:g} s without a command: set "
+                    "wheels.watchdog to this value"
+                ),
+            )
         if self.rate * self.stops_after < RATE_PER_WATCHDOG:
             yield (
                 ("rate",),
-                f"must be {RATE_PER_WATCHDOG} commands in {self.stops_after:g} s or more",
+                f"must be high enough for {RATE_PER_WATCHDOG} commands within "
+                f"{self.stops_after:g} s",
             )
 
     def beside(self, camera: CameraSection) -> Iterator[tuple[Loc, str]]:
-        """Yield that robots which steer themselves have other axes than the spec."""
+        """Yield an error if robots that steer themselves would use other axes than the spec."""
         rotated = isinstance(camera, Ros2CameraSection) and camera.rotation != 0
         if self.message == DIRECTION and rotated:
             text = "sends directions in the spec's axes, so camera.rotation must be 0"
@@ -206,7 +219,7 @@ class Ros2Section(SpeedSection):
             UsageError: If the robots steer themselves.
         """
         if self.message == DIRECTION:
-            raise UsageError("robots that steer themselves cannot be calibrated")
+            raise UsageError("robots that steer themselves cannot be calibrated by tetractl")
         return super().calibrate(lab, make_rig, setup, names, limit, report)
 
     def bounds(self) -> dict[str, str]:

@@ -1,9 +1,10 @@
-"""Topics of a ROS 2 graph, used like ports: this process joins the graph as a DDS participant.
+"""ROS 2 topics that are used like ports. This process joins the ROS 2 graph as a DDS participant.
 
-ROS 2 sends the topic `/cmd_vel` as the DDS topic `rt/cmd_vel`. A `Topic` says which messages it
-carries and with which quality of service (QoS); a `TopicEnd` publishes or subscribes to it; and a
-`TopicPort` is such an end as the port of a camera or actuator. What passes through a port are the
-bytes of one message, so that emulated devices can pass the same bytes in memory.
+ROS 2 sends the topic `/cmd_vel` as the DDS topic `rt/cmd_vel`. A `Topic` says which messages a
+topic carries, and with which quality of service (QoS). A `TopicEnd` publishes on a topic, or
+subscribes to it. A `TopicPort` makes such an end the port of a camera or actuator. Each write or
+read of a port is the bytes of one message, so that emulated devices can pass the same bytes in
+memory.
 
     twist = Topic("/green/cmd_vel", Twist, publishes=True)
     port = TopicPort(twist, "ros2://0/green/cmd_vel", 0, "green", clock, hear, "is green on?")
@@ -66,7 +67,7 @@ _participants_lock = threading.Lock()
 
 
 def participant(domain: int) -> DomainParticipant:
-    """Return this process's participant of a ROS domain. It leaves the graph once nobody uses it.
+    """Return this process's participant of a ROS domain. It leaves the graph when it is unused.
 
     Raises:
         AbortError: If DDS cannot open its sockets.
@@ -79,7 +80,7 @@ def participant(domain: int) -> DomainParticipant:
             except core.DDSException as error:
                 raise AbortError(
                     f"cannot join ROS domain {domain}: {error.msg}",
-                    "does CYCLONEDDS_URI name a network interface of this computer?",
+                    "does CYCLONEDDS_URI name a network interface that this computer has?",
                 ) from None
             _participants[domain] = joined
         return joined
@@ -87,14 +88,13 @@ def participant(domain: int) -> DomainParticipant:
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic of a ROS 2 graph, and this process's part in it.
+    """A topic of a ROS 2 graph, and how this process uses it.
 
     Attributes:
         name: Its name in ROS 2, such as `/green/cmd_vel`.
         message: The class of its messages, one of `ros2_messages`.
-        publishes: Whether this process publishes to it. If not, it subscribes.
-        latched: Whether a subscriber that comes later still receives the last message (QoS
-            transient local).
+        publishes: Whether this process publishes on it. If not, the process subscribes.
+        latched: Whether a later subscriber still receives the last message (QoS transient local).
     """
 
     name: str
@@ -108,11 +108,11 @@ class Topic:
 
     @property
     def qos(self) -> Qos:
-        """The quality of service.
+        """The quality of service (QoS).
 
-        A publisher is reliable, so that it reaches subscribers of both kinds, and keeps only its
-        last message: an old command is never sent again. A subscriber asks for best effort, so that
-        it receives from publishers of both kinds.
+        A publisher is reliable, so that it reaches subscribers of both kinds. It keeps only its
+        last message, so that an old command is never sent again. A subscriber asks for best effort,
+        so that it receives from publishers of both kinds.
         """
         durability = (
             Policy.Durability.TransientLocal if self.latched else Policy.Durability.Volatile
@@ -128,7 +128,7 @@ class Topic:
 
 
 class TopicEnd:
-    """This process's publisher or subscription of a topic in a domain, while it is open."""
+    """An open publisher or subscription of this process, for a topic in a domain."""
 
     def __init__(self, topic: Topic, domain: int) -> None:
         self.topic = topic
@@ -138,7 +138,11 @@ class TopicEnd:
         self._arrivals: WaitSet | None = None
 
     def open(self) -> None:
-        """Announce the publisher or subscription to the graph; AbortError if that fails."""
+        """Announce the publisher or subscription to the graph.
+
+        Raises:
+            AbortError: If that fails.
+        """
         joined = participant(self._domain)
         try:
             dds_topic = DdsTopic(joined, PREFIX + self.topic.name, self.topic.message)
@@ -151,30 +155,30 @@ class TopicEnd:
                 self._arrivals.attach(ReadCondition(self._reader, unread))
         except core.DDSException as error:
             raise AbortError(
-                f"{self.topic.name}: {error.msg}", "is the topic's name valid?"
+                f"{self.topic.name}: {error.msg}", "is the name of the topic valid?"
             ) from None
 
     def close(self) -> None:
-        """Leave the topic; may be called twice."""
+        """Leave the topic. Can be called repeatedly."""
         self._arrivals = None
         self._reader = None
         self._writer = None
 
     def publish(self, data: bytes) -> None:
-        """Publish the message with these bytes.
+        """Publish a message, given as bytes.
 
         Raises:
-            DDSException: If DDS does not take the message.
+            DDSException: If DDS does not accept the message.
             AbortError: If the end is not open.
         """
         if self._writer is None:
-            raise AbortError(f"{self.topic.name} is not open")
+            raise AbortError(f"the topic {self.topic.name} is not open")
         self._writer.write(self.topic.message.deserialize(data))
 
     def wait(self) -> list[bytes]:
-        """Wait for messages, at most WAIT_NS, and return the bytes of those that have come.
+        """Wait for messages, for at most WAIT_NS, and return the bytes of each.
 
-        For a message that cannot be decoded, UNDECODABLE is returned.
+        A message that cannot be decoded is returned as UNDECODABLE.
         """
         arrivals = self._arrivals
         reader = self._reader
@@ -195,13 +199,13 @@ class TopicEnd:
 
     @property
     def partners(self) -> int:
-        """How many publishers (of a subscription) or subscriptions (of a publisher) there are."""
+        """Number of publishers or subscribers at the other end of the topic."""
         if self._writer is not None:
             return len(self._writer.get_matched_subscriptions())
         return 0 if self._reader is None else len(self._reader.get_matched_publications())
 
     def rivals(self) -> int:
-        """Return how many other publishers of the topic there are in the graph."""
+        """Count the other publishers of the topic in the graph."""
         name = PREFIX + self.topic.name
         own = None if self._writer is None else self._writer.guid
         reader = BuiltinDataReader(participant(self._domain), BuiltinTopicDcpsPublication)
@@ -210,7 +214,7 @@ class TopicEnd:
 
 
 class TopicPort(ClientPort):
-    """A topic as the port of a device; see `SerialPort`, whose `baud` has no meaning here."""
+    """A topic used as the port of a device; see `SerialPort`. Its `baud` is ignored."""
 
     def __init__(
         self,
@@ -230,11 +234,11 @@ class TopicPort(ClientPort):
     def open(self, alone: bool = True) -> None:
         """Join the topic.
 
-        A publisher is ready once somebody subscribes, or DISCOVERY_S later. If nobody subscribes,
+        A publisher is ready once somebody subscribes, or after DISCOVERY_S. If nobody subscribes,
         `refusal` says so.
 
         Raises:
-            PortHeldError: If `alone` and another program of this computer publishes here.
+            PortHeldError: If `alone` is set, and another program on this computer publishes here.
             AbortError: If the topic cannot be joined.
         """
         if alone and self.end.topic.publishes:
@@ -244,25 +248,25 @@ class TopicPort(ClientPort):
         self._ready_ns = self._clock.now() + round(DISCOVERY_S * SECOND)
 
     def is_ready(self) -> bool:
-        """Return whether any node subscribes, or there was time enough for it to appear.
+        """Check whether any node subscribes, or has had enough time to appear.
 
-        A subscription is ready at once.
+        A subscription is always ready.
         """
         if not self.end.topic.publishes:
             return True
         return self.look_for_subscribers() or self._clock.now() >= self._ready_ns
 
     def look_for_subscribers(self) -> bool:
-        """Return whether any node subscribes to the topic, and keep the answer in `refusal`."""
+        """Check whether any node subscribes to the topic. If none does, `refusal` says so."""
         is_received = self.end.partners > 0
         self.refusal = None if is_received else f"no node subscribes to {self.end.topic.name}"
         return is_received
 
     def write(self, data: bytes) -> int:
-        """Publish a message, given by its bytes; return the time [ns].
+        """Publish a message, given as bytes, and return the time [ns].
 
         Raises:
-            AbortError: If the topic is not open, or DDS does not take the message.
+            AbortError: If the topic is not open, or if DDS does not accept the message.
         """
         with self._sending:
             if self.failure:
@@ -270,14 +274,14 @@ class TopicPort(ClientPort):
             try:
                 self.end.publish(data)
             except core.DDSException as error:
-                raise self._fail(f"takes no message: {error}") from None
+                raise self._fail(f"accepts no message: {error}") from None
             return self._clock.now()
 
     def connect(self) -> None:
-        """Do nothing: `open` has joined the topic."""
+        """Do nothing, because `open` has already joined the topic."""
 
     def wait(self) -> None:
-        """Pass on the messages that come."""
+        """Pass on the messages that have arrived."""
         if self.end.topic.publishes:
             super().wait()
         else:
@@ -285,7 +289,7 @@ class TopicPort(ClientPort):
                 self.take(message)
 
     def close(self) -> None:
-        """Leave the topic; may be called twice, never raises."""
+        """Leave the topic. Can be called repeatedly, and never raises."""
         super().close()
         with suppress(core.DDSException):
             self.end.close()
@@ -295,12 +299,12 @@ class TopicPort(ClientPort):
 
 
 def domain_of(name: str) -> int:
-    """Return the ROS domain in the name of a port, ros2://DOMAIN/TOPIC."""
+    """Extract the ROS domain from the name of a port, ros2://DOMAIN/TOPIC."""
     return int(name.removeprefix(SCHEME).partition("/")[0])
 
 
 def ports_of(topics: Iterable[Topic]) -> Ports:
-    """Return a function that makes the port of each of these topics by its name."""
+    """Create a function that makes the port of each of these topics, given its name."""
     by_name = {topic.name: topic for topic in topics}
 
     def make(name: str, *arguments: Any) -> TopicPort:

@@ -1,4 +1,4 @@
-"""Which topics the devices of a spec use, and in which direction."""
+"""Lists the topics that the devices of a spec use, and the direction of each."""
 
 from cyclonedds.idl import IdlStruct
 
@@ -46,7 +46,7 @@ def pose_topics(section: Ros2CameraSection, setup: Setup, publishes: bool = Fals
 
 
 def emulated_topic(publishes: bool = False) -> Topic:
-    """Return the topic at which an emulated tracker says that it is not real."""
+    """Return the topic on which an emulated tracker says that it is not real."""
     return Topic(EMULATED, Bool, publishes, latched=True)
 
 
@@ -66,7 +66,7 @@ def command_topics(section: Ros2Section, setup: Setup, publishes: bool = True) -
 def battery_topics(
     section: Ros2Section, setup: Setup, publishes: bool = False
 ) -> list[Topic | None]:
-    """Return the topics of the robots' batteries in the setup's order. None for a robot without.
+    """Return the topics of the robots' batteries, in the setup's order. None if it has none.
 
     Args:
         section: The fields of the actuator in the spec.
@@ -78,7 +78,7 @@ def battery_topics(
 
 
 def emergency_topic(section: Ros2Section, publishes: bool = True) -> Topic | None:
-    """Return the topic of the emergency stop, None if there is none."""
+    """Return the topic of the emergency stop. None if there is none."""
     if section.emergency_stop is None:
         return None
     return Topic(section.emergency_stop, Bool, publishes, latched=True)

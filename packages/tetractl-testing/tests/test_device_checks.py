@@ -1,4 +1,4 @@
-"""A good camera and a good actuator pass their checks; each fault fails the check that names it."""
+"""Tests that a good camera and actuator pass all checks, and that each fault fails its check."""
 
 from dataclasses import replace
 from functools import partial
@@ -135,20 +135,20 @@ def test_small_errors_of_poses_are_no_problem(good):
         ({"frame": lambda frame: replace(frame, poses=frame.poses[1:])}, "frames: one pose per"),
         ({"silent": 99}, "wake: after each frame"),
         ({"damaged": 2}, "damaged: 0"),
-        ({"frame": lambda frame: replace(frame, fault="cut")}, "frames: neither a fault nor a"),
+        ({"frame": lambda frame: replace(frame, fault="cut")}, "frames: without faults and"),
         (with_pose(x=6.0 * MM), "poses: in the spec's coordinates"),
         (with_pose(y=-6.0 * MM), "poses: in the spec's coordinates"),
         (with_pose(heading=0.06), "poses: headings of the robots"),
         (with_pose(heading=-0.06), "poses: headings of the robots"),
         (with_pose(height=120.0 * MM, tilt=0.0), "poses: height of the body on the floor"),
         (with_pose(height=60.0 * MM, tilt=0.3), "poses: tilt of a robot on the floor"),
-        ({"unhidden": True}, "poses: None for a robot out of sight"),
-        ({"hides_all": True}, "poses: those of the others go on"),
+        ({"unhidden": True}, "poses: None for a robot that is out of sight"),
+        ({"hides_all": True}, "poses: the other robots are still tracked"),
         ({"health": Health(problems=("dirty",))}, "check: no problems"),
-        ({"health": Health(facts={"rate": 3})}, "check: facts are text"),
+        ({"health": Health(facts={"rate": 3})}, "check: facts are strings"),
         ({"enters": None}, "__enter__: returns the camera"),
         ({"goes_on": True}, "__exit__: no frame comes afterwards"),
-        ({"leaves": True}, "__exit__: may be called again, and before __enter__"),
+        ({"leaves": True}, "__exit__: can be called again, and before __enter__"),
     ],
 )
 def test_a_fault_of_a_camera_is_found(fault, what):
@@ -270,14 +270,17 @@ def test_small_errors_of_an_actuator_are_no_problem(good):
         (steered(delivered=lambda delivered: (False, *delivered[1:])), "steer: action, robots"),
         (steered(left=lambda _: np.zeros(1)), "steer: wheels (N,) or None; outputs are numbers"),
         (steered(outputs=lambda _: {"a": "1"}), "steer: wheels (N,) or None; outputs are numbers"),
-        ({"stopped": lambda sent: replace(sent, action=Turn(0.0))}, "stop: says that it stops"),
+        (
+            {"stopped": lambda sent: replace(sent, action=Turn(0.0))},
+            "stop: reports that it stops the robots",
+        ),
         ({"stopped": lambda sent: replace(sent, speed=sent.speed + 1)}, "stop: robots stand still"),
         ({"rolls_on": True}, "stop: robots stand still"),
-        ({"cannot_turn": True}, "turn: robots that halt, no others"),
-        (turned(speed=lambda _: SETUP.speed), "turn: on the spot"),
-        (turned(turning=lambda turning: -turning), "turn: towards the direction"),
-        ({"unnoticed": True}, "failure: a device that is gone"),
-        ({"stops_on": True}, "stop: AbortError when the device is gone"),
+        ({"cannot_turn": True}, "turn: only for robots that can stand still"),
+        (turned(speed=lambda _: SETUP.speed), "turn: turns robots on the spot"),
+        (turned(turning=lambda turning: -turning), "turn: turns robots towards the direction"),
+        ({"unnoticed": True}, "failure: reports a device that is gone"),
+        ({"stops_on": True}, "stop: raises AbortError when the device is gone"),
     ],
 )
 def test_a_fault_of_an_actuator_is_found(fault, what):
@@ -287,5 +290,5 @@ def test_a_fault_of_an_actuator_is_found(fault, what):
 def test_robots_that_cannot_halt_need_not_turn_on_the_spot():
     assert actuator_problems(halts=False, moves=lambda world: (True,) * len(world.moving)) == [
         "poll, check: nothing moves",
-        "moving: one robot is held, the others move",
+        "moving: holds one robot while the others move",
     ]

@@ -1,4 +1,4 @@
-"""What checks expect, and which problem they name."""
+"""Tests of the comparisons that checks use, and of the problems that they report."""
 
 import math
 import random

@@ -1,4 +1,4 @@
-"""Every kind of tetractl passes the checks of `tetractl_testing`, as those of plug-ins should."""
+"""Tests that every kind of tetractl passes the checks that plug-ins must pass."""
 
 import pytest
 from testkit.controllers import CONTROLLERS, SMALL

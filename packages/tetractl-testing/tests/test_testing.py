@@ -1,4 +1,4 @@
-"""`tetractl_testing` and `tetractl kinds --check`: each thing wrong with a kind is found."""
+"""Tests that `tetractl_testing` and `tetractl kinds --check` find every fault of a kind."""
 
 import re
 import shutil
@@ -55,12 +55,12 @@ SETUP = parse_spec(template("check", "check"), "check").experiment.setup
 EXACT = MOTIONS.load("exact")
 USAGE = """
 kinds --check nowhere:X | nowhere:X: cannot be imported: ModuleNotFoundError
-kinds --check json | json: must be MODULE:NAME | such as pivot:PIVOT
-kinds --check : | :: must be MODULE:NAME | such as pivot:PIVOT
-kinds --check json:dumps --set =3 | --set =3: must be FIELD=VALUE
-kinds --check json:dumps | json:dumps: there is no check for this kind
+kinds --check json | json: write it as MODULE:NAME | for example pivot:PIVOT
+kinds --check : | :: write it as MODULE:NAME | for example pivot:PIVOT
+kinds --check json:dumps --set =3 | --set =3: write it as FIELD=VALUE
+kinds --check json:dumps | json:dumps: there is no check for an object of this kind
 kinds --check tetractl.model.shapes:Circle | Circle: center: is missing
-kinds --check tetractl.control.search.stop:PaperStop | PaperStop: there is no check for this kind
+kinds --check tetractl.control.search.stop:PaperStop | PaperStop: there is no check for an object
 """
 
 
@@ -107,13 +107,16 @@ def northward(x, y, heading, u, a, v, t):
     ("motion", "what"),
     [
         (replace(EXACT, step=drifting), "step: repeats exactly"),
-        (replace(EXACT, step=northward), "step: turns with heading and u"),
-        (replace(EXACT, hold=lambda x, y, h, held, a, v, t: (x, y, h)), "hold: same x as step"),
+        (replace(EXACT, step=northward), "step: the motion turns with heading and u"),
+        (
+            replace(EXACT, hold=lambda x, y, h, held, a, v, t: (x, y, h)),
+            "hold: gives the same x as step",
+        ),
         (
             compiled(advance=lambda correct: lambda x, y, c, s, cu, su, k: (x, y, c, s)),
-            "advance: same x as step",
+            "advance: gives the same x as step",
         ),
-        (compiled(differentiate=scaled(0, 0, 1.01)), "differentiate: same dx as step"),
+        (compiled(differentiate=scaled(0, 0, 1.01)), "differentiate: gives the same dx as step"),
         (compiled(differentiate=scaled(1, 0, 1.01)), "differentiate: d(dx)/dheading"),
         (compiled(differentiate=scaled(2, 1, -1)), "differentiate: d(dy)/du"),
         (compiled(differentiate=scaled(2, 2, 1.01)), "differentiate: d(heading')/du"),
@@ -155,7 +158,7 @@ del Untyped.model_fields["type"]
     [
         (((0, 0), (0, 2), (2, 2)), 0, "outline: anticlockwise"),
         (((0, 0), (2, 0), (0, 2), (2, 2)), 0, "corners: edges do not cross"),
-        (((0, 0), (4, 0), (4, 4), (3, 1)), 1, "corners: convex if there is a radius"),
+        (((0, 0), (4, 0), (4, 4), (3, 1)), 1, "corners: are convex if there is a radius"),
         (((0, 0), (4, 0), (4, 4)), -1, "radius: finite, at least 0"),
         ((), 1, "corners: an array (K, 2)"),
     ],
@@ -186,7 +189,7 @@ class Other(Pso):
     ("fault", "what"),
     [
         ("", None),
-        ("key", "12 signals: same search for the same key"),
+        ("key", "12 signals: the same key gives the same search"),
         ("warm", "12 signals, warm start: not changed"),
         ("budget", "12 signals: evaluations: in budget"),
         ("cost", "12 signals: cost: equals J of signals"),
@@ -230,12 +233,12 @@ class Faulty(SequenceSection):
 @pytest.mark.parametrize(
     ("fault", "what"),
     [
-        ("end", "plan: a Plan, an Outcome or an End that can be sent and logged"),
-        ("random", "random numbers: from the key"),
-        ("random", "key: same key, same decisions"),
-        ("random number", "key: same key, same decisions"),
+        ("end", "plan: returns a Plan, an Outcome or an End that can be sent and logged"),
+        ("random", "random numbers: come only from the key"),
+        ("random", "key: the same key gives the same decisions"),
+        ("random number", "key: the same key gives the same decisions"),
         ("clock", "clock: only timer"),
-        ("nan", "plan: a Plan, an Outcome or an End that can be sent and logged"),
+        ("nan", "plan: returns a Plan, an Outcome or an End that can be sent and logged"),
     ],
 )
 def test_what_is_wrong_with_a_controller_is_found(fault, what):
@@ -275,11 +278,11 @@ class IllOne(Disturbance):
 @pytest.mark.parametrize(
     ("fault", "what"),
     [
-        ("at once", "moved: finite, and unmoved in no time"),
+        ("at once", "moved: finite, and unchanged if no time passes"),
         ("in place", "moved: arguments unchanged"),
-        ("random", "varied: same seed, same results"),
-        ("negative", "varied: finite, not below 0, (N,)"),
-        ("lost", "received: not before the exposure; None only with loses_frames"),
+        ("random", "varied: the same seed gives the same results"),
+        ("negative", "varied: finite, at least 0, shape (N,)"),
+        ("lost", "received: not before the exposure, and None only if loses_frames is set"),
     ],
 )
 def test_what_is_wrong_with_a_disturbance_is_found(fault, what):
@@ -324,7 +327,10 @@ class FakeActuatorSection(ActuatorSection):
 def test_what_is_wrong_with_a_device_is_found_and_nothing_moves():
     of_camera = findings_of(partial(check_camera, FakeCameraSection(type="fake"), SETUP))
     assert of_camera[0].problem == "lacks damaged"
-    assert of_camera[1].what == "not opened, so its frames are not checked (no camera answers)"
+    assert (
+        of_camera[1].what
+        == "the camera was not opened, so its frames were not checked (no camera answers)"
+    )
     of_actuator = findings_of(partial(check_actuator, FakeActuatorSection(type="fake"), SETUP))
     assert of_actuator[1].problem == "lacks __enter__, __exit__, check, poll, send, stop"
     problems = wrong(check_actuator, FakeActuatorSection(type="fake"), SETUP)
@@ -409,7 +415,7 @@ def test_a_kind_is_checked_with_the_robots_of_a_spec(tmp_path):
     done = tetractl(tmp_path, *words, "--spec", "one.yaml")
     assert done.returncode in (0, 1), done.stderr
     done = tetractl(tmp_path, "kinds", "--spec", "one.yaml")
-    assert (done.returncode, "need --check" in done.stderr) == (2, True)
+    assert (done.returncode, "together with --check" in done.stderr) == (2, True)
     done = tetractl(tmp_path, *words, "--spec", "none.yaml")
     assert (done.returncode, "none.yaml" in done.stderr) == (2, True)
     words = ("init", "robots", "--lab", "--robots", "twist", "--camera", "optitrack")
@@ -427,7 +433,7 @@ def test_what_cannot_be_checked_is_one_line(tmp_path, row):
 def test_the_command_says_what_was_checked(tmp_path):
     done = tetractl(tmp_path, "kinds", "--check", "tetractl.model.motion.euler:EULER")
     assert (done.returncode, done.stderr) == (0, "")
-    assert "ok     advance: same x as step" in done.stdout.splitlines()
+    assert "ok     advance: gives the same x as step" in done.stdout.splitlines()
     assert done.stdout.endswith("tetractl.model.motion.euler:EULER: 0 of 27 checks failed\n")
     (tmp_path / "mine.py").write_text(
         "from dataclasses import replace\nfrom tetractl.model.motion.exact import EXACT\n"
@@ -435,7 +441,7 @@ def test_the_command_says_what_was_checked(tmp_path):
     )
     done = tetractl(tmp_path, "kinds", "--check", "mine:MINE")
     assert done.returncode == 1
-    assert "WRONG  step: turns with heading and u" in done.stdout
+    assert "WRONG  step: the motion turns with heading and u" in done.stdout
 
 
 class Contradictory(Sketch):
@@ -449,7 +455,7 @@ class Contradictory(Sketch):
 @pytest.mark.parametrize(
     ("kind", "told"),
     [
-        (Untyped, "mine:KIND: the field `type` must be a Literal with one name"),
+        (Untyped, "mine:KIND: the field `type` must be a Literal with a single name"),
         (Contradictory, "mine:KIND: its fields contradict each other"),
     ],
 )
@@ -470,7 +476,7 @@ def test_nothing_is_sent_to_the_port_of_a_network():
 
     findings = findings_of(partial(check_actuator, NetworkSection(), SETUP))
     assert not any(finding.problem for finding in findings)
-    assert findings[-1].what.startswith("send: not called")
+    assert findings[-1].what.startswith("send: not checked")
 
 
 def test_robots_with_ports_of_their_own_are_not_steered_there(monkeypatch):

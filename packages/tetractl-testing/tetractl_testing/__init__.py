@@ -1,9 +1,9 @@
-"""Checks code that extends tetractl, such as your own camera, against what tetractl requires of it.
+"""Checks whether code that extends tetractl, such as your own camera, does what tetractl requires.
 
-A kind is a motion, or the section of a shape, optimiser, controller, disturbance, camera or
-actuator. In a test of your own, a check raises AssertionError for the first thing that is wrong;
-`tetractl kinds --check` lists all that it finds. Random numbers come from a fixed seed, so findings
-repeat.
+tetractl calls such an extension a kind. It is a motion, or the section of a shape, optimiser,
+controller, disturbance, camera or actuator. In your own tests, a check raises AssertionError for
+the first fault. `tetractl kinds --check` lists all faults instead. Random numbers come from a fixed
+seed, so the findings repeat.
 """
 
 from collections.abc import Callable, Mapping
@@ -37,7 +37,7 @@ __all__ = [
 
 @runtime_checkable
 class Checked(Protocol):
-    """A kind of another package's interface, which brings its check."""
+    """A kind that another package has defined, together with its own check."""
 
     def checked(self) -> None:
         """Check this section."""
@@ -63,11 +63,14 @@ def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> list[Findi
         setup: The robots of the experiment.
 
     Raises:
-        UsageError: If the object cannot be imported, or is something else.
+        UsageError: If the object cannot be imported, or is no kind that can be checked.
     """
     module, _, name = code.partition(":")
     if not module or not name:
-        raise UsageError(f"{code}: must be MODULE:NAME", "such as pivot:PIVOT of a file pivot.py")
+        raise UsageError(
+            f"{code}: write it as MODULE:NAME",
+            "for example pivot:PIVOT for PIVOT in the file pivot.py",
+        )
     try:
         kind = resolve_name(code)
     except (Exception, SystemExit) as error:  # a module may raise anything, or leave
@@ -81,8 +84,8 @@ def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> list[Findi
             return findings_of(partial(check, _section(code, kind, fields), setup))
     with_a_check = ", ".join(base.__name__ for base in CHECKS)
     raise UsageError(
-        f"{code}: there is no check for this kind",
-        f"kinds with a check: {with_a_check} and Motion",
+        f"{code}: there is no check for an object of this kind",
+        f"these kinds can be checked: {with_a_check} and Motion",
     )
 
 
@@ -90,12 +93,12 @@ def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
     """Create a section of a kind with the given fields.
 
     Raises:
-        UsageError: If they are wrong.
+        UsageError: If a field is wrong.
     """
     stated = kind.model_fields.get("type")
     names = get_args(stated.annotation) if stated else ()
     if len(names) != 1:
-        raise UsageError(f"{code}: the field `type` must be a Literal with one name")
+        raise UsageError(f"{code}: the field `type` must be a Literal with a single name")
     try:
         return kind.model_validate({"type": names[0], **fields})
     except ValidationError as error:
@@ -104,6 +107,6 @@ def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
         text = words(details, details["input"])
         if not field:  # of a check of the whole section
             raise UsageError(f"{code}: {text}") from None
-        hint = f"give the value by --set {field}=VALUE"
-        in_python = f'give the value by "{field}=VALUE"'
+        hint = f"give this field a value with --set {field}=VALUE"
+        in_python = f'give this field a value with "{field}=VALUE"'
         raise UsageError(f"{code}: {field}: {text}", hint, in_python) from None

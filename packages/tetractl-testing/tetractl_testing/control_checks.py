@@ -86,19 +86,19 @@ def _check_search(
         same(f"{what}not changed", [start], [before])
     shape = np.shape(search.signals)
     if shape != (length,):
-        expect(f"{what}signals", f"have shape {shape}, not ({length},)")
+        expect(f"{what}signals", f"have the shape {shape} instead of ({length},)")
         return
     record = (search.signals, search.history, search.evaluations)
     record_again = (again.signals, again.history, again.evaluations)
-    same(f"{what}same search for the same key", record, record_again)
+    same(f"{what}the same key gives the same search", record, record_again)
     cost = float(compiled_costs(problem, 1)(search.signals[:, None])[0])
     near(f"{what}cost: equals J of signals", search.cost, cost, max(abs(cost), 1e-9))
-    near(f"{what}history: ends with cost", search.history[-1], search.cost, 1 + cost)
+    near(f"{what}history: its last value is the cost", search.history[-1], search.cost, 1 + cost)
     true(f"{what}history: never rises", np.diff(search.history) <= 0, "it rises")
-    true(f"{what}evaluations: at least 1", search.evaluations >= 1, "there are none")
+    true(f"{what}evaluations: are at least 1", search.evaluations >= 1, "there are none")
     most = optimizer.evaluations_max
     if most is not None:
-        text = f"{what}evaluations: at most evaluations_max"
+        text = f"{what}evaluations: are at most evaluations_max"
         true(text, search.evaluations <= most, str(search.evaluations))
     budget = optimizer.evaluations_min + EXTRA_EVALUATIONS
     spent = optimizer.search(problem, length, start, SEED, Limits(budget)).evaluations
@@ -110,9 +110,9 @@ class SimulatedRun:
     """The decisions of a controller in one simulation.
 
     Attributes:
-        first: The poses first observed, shape (N, 3).
-        decisions: The decisions before the first that is refused.
-        wrong: What is wrong with that one. Empty if none is refused.
+        first: The first observed poses, shape (N, 3).
+        decisions: The decisions before the first refused one.
+        wrong: Why that decision was refused. Empty if none was.
         wraps: Whether the controller wraps its optimiser.
     """
 
@@ -138,7 +138,7 @@ class SimulatedRun:
 
 
 def simulate_run(section: ControllerSection, setup: Setup) -> SimulatedRun:
-    """Run a controller in an undisturbed simulation until it ends, or its time limit is over."""
+    """Run a controller in an undisturbed simulation, until it ends or until the time limit."""
     run = SimulatedRun(first=setup.starts.array())
 
     def wrap(optimizer: OptimizerSection) -> Optimizer:
@@ -211,43 +211,45 @@ def check_controller(section: ControllerSection, setup: Setup) -> None:
     with random_watched() as used, clocks_watched(package) as clock_calls:
         run = simulate_run(section, setup)
         again = simulate_run(section, setup)
-    expect("plan: a Plan, an Outcome or an End that can be sent and logged", run.wrong)
+    expect("plan: returns a Plan, an Outcome or an End that can be sent and logged", run.wrong)
     if run.wrong:
         return
     _check_plans(run.plans, section, setup, run.first)
     _check_ends(run, section, setup)
     searches = any(isinstance(value, OptimizerSection) for _, value in section)
-    true("wrap: gets the optimiser", run.wraps or not searches)
-    same("key: same key, same decisions", run.numbers, again.numbers)
-    expect("random numbers: from the key", " and ".join(used))
+    true("wrap: receives the optimiser", run.wraps or not searches)
+    same("key: the same key gives the same decisions", run.numbers, again.numbers)
+    expect("random numbers: come only from the key", " and ".join(used))
     expect("clock: only timer", ", ".join(sorted(clock_calls)))
 
 
 def _check_plans(
     plans: list[Plan], section: ControllerSection, setup: Setup, first: Floats
 ) -> None:
-    """Check each plan, and that the first one begins at the poses `first` (N, 3)."""
+    """Check each plan, and check that the first one begins at the poses `first` (N, 3)."""
     finite = [np.isfinite(plan.path).all() for plan in plans]
-    true("plan: path is finite", finite)
+    true("plan: its path is finite", finite)
     largest = [np.abs(plan.signals).max(initial=0.0) for plan in plans]
-    true("plan: signals from -pi to pi", np.array(largest) <= SIGNAL_MAX)
+    true("plan: its signals are from -pi to pi", np.array(largest) <= SIGNAL_MAX)
     chosen = [np.array_equal(plan.signals, plan.search.signals) for plan in plans]
-    true("plan: signals of the chosen search", chosen)
+    true("plan: its signals are those of the chosen search", chosen)
     consistent = [_consistent(search) for plan in plans for search in plan.searches]
     true("searches: signals, history and cost fit together", consistent)
     if plans:
         path = plans[0].path
         size = max(plans[0].target_cost, 1e-9)
-        near("plan: path from the observed poses", path[0], first, 1.0)
+        near("plan: its path starts at the observed poses", path[0], first, 1.0)
         to_targets = path[-1, :, :2] - setup.targets
         distance = np.hypot(to_targets[:, 0], to_targets[:, 1]).sum()
-        near("plan: target_cost of the path's end", plans[0].target_cost, distance, size)
+        near(
+            "plan: target_cost is the cost of the path's end", plans[0].target_cost, distance, size
+        )
     fields = [section.switches_field or not isinstance(plan.instead, FieldOff) for plan in plans]
-    true("plan: FieldOff only with switches_field", fields)
+    true("plan: is FieldOff only if switches_field is set", fields)
 
 
 def _check_ends(run: SimulatedRun, section: ControllerSection, setup: Setup) -> None:
-    """Check that a trial ends at its time limit, and where all robots are at their targets."""
+    """Check that a trial ends at its time limit, and when all robots are at their targets."""
     count_of_plans = len(run.plans)
     in_time = count_of_plans < len(run.decisions) and count_of_plans <= STEPS_MAX + 1
     if count_of_plans == STEPS_MAX + 1:
@@ -266,7 +268,7 @@ def _check_ends(run: SimulatedRun, section: ControllerSection, setup: Setup) -> 
 
 
 def _consistent(search: Search) -> bool:
-    """Check that the record of a search agrees with itself."""
+    """Check that the record of a search does not contradict itself."""
     history = np.asarray(search.history)
     finite = bool(np.isfinite(history).all())
     falls = bool((np.diff(history) <= 0).all())

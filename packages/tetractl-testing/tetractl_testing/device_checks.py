@@ -1,7 +1,7 @@
 """Checks of a camera and an actuator.
 
-Real devices get only the checks that move no robot. Emulated devices get checks of everything that
-the lab relies on.
+Real devices only get checks that do not move a robot. Emulated devices are checked for everything
+that the lab relies on.
 
     check_camera      building, opening, ten frames, health, leaving
                       with a scene also: frames show it; a hidden robot has no pose
@@ -63,13 +63,13 @@ DIRECTION = 0.5
 
 @dataclass(frozen=True)
 class SeenRobots:
-    """What an emulated camera sees.
+    """The robots that an emulated camera sees.
 
     Attributes:
         clock: The clock.
         poses: Returns the true poses in the spec's coordinates, shape (N, 3).
-        hide: Puts a robot out of the camera's sight.
-        ports: Creates the camera's port. None for its own.
+        hide: Hides a robot from the camera.
+        ports: Creates the camera's port. None for the default.
     """
 
     clock: Clock
@@ -80,13 +80,13 @@ class SeenRobots:
 
 @dataclass(frozen=True)
 class MovedRobots:
-    """What an emulated actuator moves.
+    """The robots that an emulated actuator moves.
 
     Attributes:
         clock: The clock.
         moves: Returns which robots truly move, N entries.
-        unplug: Takes the device away. None if nothing can tell that it is gone, as in a network.
-        ports: Creates the actuator's ports. None for its own.
+        unplug: Disconnects the device. None if a missing device cannot be noticed, as in a network.
+        ports: Creates the actuator's ports. None for the default.
     """
 
     clock: Clock
@@ -120,7 +120,7 @@ def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None 
         try:
             entered = stack.enter_context(camera)
         except AbortError as error:
-            expect(f"not opened, so its frames are not checked ({error.message})")
+            expect(f"the camera was not opened, so its frames were not checked ({error.message})")
             return
         true("__enter__: returns the camera", entered is camera)
         camera.frames()  # while it connects, it may not know its clock yet
@@ -157,7 +157,7 @@ def _next_frames(camera: Camera, clock: Clock, patience_s: float) -> list[Camera
 
 
 def _check_frames(frames: Sequence[CameraFrame], now_ns: int, robots: int) -> None:
-    """Check the order of frames that have arrived by `now_ns`, and their number of poses."""
+    """Check the order and the number of poses of frames that arrived by `now_ns`."""
     numbers = [frame.number for frame in frames]
     times = [frame.sampled_ns for frame in frames]
     rise = numbers == sorted(set(numbers))
@@ -172,9 +172,9 @@ def _check_frames(frames: Sequence[CameraFrame], now_ns: int, robots: int) -> No
 def _check_scene(
     camera: Camera, setup: Setup, scene: SeenRobots, frames: Sequence[CameraFrame]
 ) -> None:
-    """Check that frames show a scene, and what they show after a robot is hidden."""
+    """Check that frames show a scene, and that they no longer show a robot after it is hidden."""
     healthy = [frame.fault == "" and frame.unknown_objects == () for frame in frames]
-    true("frames: neither a fault nor a stranger", healthy)
+    true("frames: without faults and unknown objects", healthy)
     true("damaged: 0", camera.damaged == 0, str(camera.damaged))
     poses = [pose for pose in frames[-1].poses if pose is not None]
     true_poses = scene.poses()
@@ -191,13 +191,13 @@ def _check_scene(
             last = frame
         return last.poses[0] is None
 
-    true("poses: None for a robot out of sight", wait_for(scene.clock, hidden, EMULATED_S))
+    true("poses: None for a robot that is out of sight", wait_for(scene.clock, hidden, EMULATED_S))
     others_go_on = [pose is not None for pose in last.poses[1:]]
-    true("poses: those of the others go on", others_go_on)
+    true("poses: the other robots are still tracked", others_go_on)
 
 
 def _check_poses(poses: Sequence[Pose], true_poses: Floats, metres: float) -> None:
-    """Check the poses of robots against the true ones (N, 3), in lengths of `metres`."""
+    """Compare robots' poses with the true poses (N, 3). `metres` is the length unit in metres."""
     measured = np.array([(pose.x, pose.y, pose.heading) for pose in poses])
     differences = measured - true_poses
     gaps_m = np.hypot(differences[:, 0], differences[:, 1]) * metres
@@ -267,9 +267,9 @@ def _contradictions(section: ActuatorSection, setup: Setup) -> list[str]:
 
 
 def _check_sending(section: ActuatorSection, setup: Setup) -> None:
-    """Steer and stop with an actuator that nobody listens to.
+    """Check that an actuator can steer and stop without any device at its ports.
 
-    Its port is a pseudo-terminal, or its robots have their own ports that take everything.
+    Its port is a pseudo-terminal, or its robots have their own ports that accept everything.
     """
     nobody = MovedRobots(MonotonicClock(), list, None)
     if isinstance(section, OwnSection):
@@ -277,7 +277,7 @@ def _check_sending(section: ActuatorSection, setup: Setup) -> None:
             _SteeringChecks(actuator, section, setup, nobody).check_sent()
         return
     if not isinstance(section, OnPort) or type(section.port) is not str:  # but that of a network
-        expect("send: not called, as the section has no field `port` for a serial port")
+        expect("send: not checked, because the section has no field `port` for a serial port")
         return
     with ExitStack() as stack:
         everywhere = _at_port(section.model_dump(), _pseudo_terminal(stack))
@@ -285,13 +285,16 @@ def _check_sending(section: ActuatorSection, setup: Setup) -> None:
         try:
             actuator = stack.enter_context(to_nowhere.build(setup, nobody.clock))
         except AbortError as error:
-            expect(f"send: not called, as a port without a device is refused ({error.message})")
+            expect(
+                "send: not checked, because the actuator refuses a port without a device "
+                f"({error.message})"
+            )
             return
         _SteeringChecks(actuator, section, setup, nobody).check_sent()
 
 
 def _at_port(data: Any, port: str) -> Any:
-    """Replace each port in a section's data by this one, also the ports of single robots."""
+    """Replace each port in a section's data by this port, including the ports of single robots."""
     match data:
         case dict():
             return {
@@ -329,12 +332,12 @@ class _Nowhere(SerialPort):
         """Do nothing."""
 
     def write(self, data: bytes) -> int:
-        """Take bytes."""
+        """Accept bytes, and drop them."""
         return self._clock.now()
 
 
 class _SteeringChecks:
-    """Checks of an actuator that is open, by the robots it moves."""
+    """Checks of an open actuator, by the motion of its emulated robots."""
 
     def __init__(
         self,
@@ -352,7 +355,7 @@ class _SteeringChecks:
         self.all = (True,) * len(self.poses)
 
     def check(self) -> None:
-        """Steer, stop, turn, hold, stop in an emergency, and lose the device."""
+        """Run all checks: steer, stop, turn, hold, stop in an emergency, and lose the device."""
         actuator = self.actuator
         self.check_sent()
         self._steer(DIRECTION, self.all)
@@ -365,15 +368,15 @@ class _SteeringChecks:
         self._check_stop("emergency stop", actuator.stop(emergency=True))
         true("failure: None", actuator.failure is None)
         if self.robots.unplug is None:
-            expect("failure: not checked, as nothing tells that the device is gone")
+            expect("failure: not checked, because nothing shows that the device is gone")
             return
         self.robots.unplug()
-        true("failure: a device that is gone", self._wait(self._failed))
+        true("failure: reports a device that is gone", self._wait(self._failed))
         _check_aborts("steer", lambda: self._steer(DIRECTION, self.all))
         _check_aborts("stop", actuator.stop)
 
     def check_sent(self) -> None:
-        """Steer, and check what was sent; then stop."""
+        """Check the record of a sent command, and then stop."""
         speed = self.setup.speed
         for direction in (0.0, 1.5, -2.5, DIRECTION):
             sent = self._steer(direction, self.all)
@@ -390,37 +393,37 @@ class _SteeringChecks:
         true("steer: wheels (N,) or None; outputs are numbers", of_each and numbers)
         sent = self._steer(DIRECTION, (self.together, *self.all[1:]), first_tracked=False)
         finite = np.isfinite([sent.speed, sent.turning]).all()
-        true("steer: past a robot that is not tracked", finite)
+        true("steer: works while a robot is not tracked", finite)
         true("steer: then stop", self.actuator.stop().action == Stop())
 
     def _check_turning(self, what: str, sent: Transmission, towards: float) -> None:
-        """Check the turning rates [rad/s] towards a direction [rad] by the paper's equation (3)."""
+        """Compare turning rates [rad/s] towards a direction [rad] with the paper's equation (3)."""
         setup = self.setup
         _, _, turning = rates(setup.starts.heading, towards, setup.a, setup.speed)
         near(what, sent.turning, turning, float(setup.a.max()), TURNING)
 
     def _check_stop(self, name: str, stop: Transmission) -> None:
-        """Check a stop."""
-        true(f"{name}: says that it stops", stop.action == Stop())
+        """Check that a stop is reported as one, and that the robots stand still."""
+        true(f"{name}: reports that it stops the robots", stop.action == Stop())
         if self.actuator.halts:
             rests = not (stop.speed.any() or stop.turning.any())
             true(f"{name}: robots stand still", rests and self._wait(self._resting))
 
     def _check_turn(self) -> None:
-        """Check that robots that halt turn on the spot, and that others cannot."""
+        """Check that robots that can stand still turn on the spot, and that others cannot."""
         turn = Turn(1.5)
         try:
             sent = self.actuator.send(turn, self.poses, self.all, self.robots.clock.now())
         except AbortError as error:
             unfounded = self.actuator.halts or "on the spot" not in error.message
             problem = error.message if unfounded else ""
-            expect("turn: robots that halt, no others", problem)
+            expect("turn: only for robots that can stand still", problem)
             return
         as_asked = sent.action == turn and sent.delivered == self.all
-        true("turn: robots that halt, no others", as_asked and self.actuator.halts)
+        true("turn: only for robots that can stand still", as_asked and self.actuator.halts)
         fastest = np.abs(sent.speed).max()
-        true("turn: on the spot", fastest < SPEED * self.setup.speed.min())
-        self._check_turning("turn: towards the direction", sent, turn.facing)
+        true("turn: turns robots on the spot", fastest < SPEED * self.setup.speed.min())
+        self._check_turning("turn: turns robots towards the direction", sent, turn.facing)
 
     def _check_held(self) -> None:
         """Check that one robot can be held while the others move."""
@@ -432,19 +435,19 @@ class _SteeringChecks:
         held = not (sent.delivered[0] or sent.speed[0] or sent.turning[0])
         others_move = self._wait(lambda: all(self.robots.moves()[1:]))
         stands = others_move and not self.robots.moves()[0]
-        true("moving: one robot is held, the others move", held and stands)
+        true("moving: holds one robot while the others move", held and stands)
 
     def _steer(
         self, direction: float, moving: Sequence[bool], first_tracked: bool = True
     ) -> Transmission:
-        """Steer, with the first robot tracked or not, and let a period pass."""
+        """Steer for one period, with the first robot tracked or untracked."""
         clock = self.robots.clock
         clock.sleep_until(clock.now() + self.actuator.period_ns)
         poses = [self.poses[0] if first_tracked else None, *self.poses[1:]]
         return self.actuator.send(Steer(direction), poses, moving, clock.now())
 
     def _wait(self, moving: Callable[[], bool]) -> bool:
-        """Wait until robots move as they should; return whether they do."""
+        """Wait until the robots move as they should, and return whether they do."""
         return wait_for(self.robots.clock, moving, EMULATED_S)
 
     def _resting(self) -> bool:
@@ -460,8 +463,8 @@ class _SteeringChecks:
 
 
 def _check_aborts(name: str, call: Callable[[], object]) -> None:
-    """Check that a call of a device that is gone raises AbortError."""
-    what = f"{name}: AbortError when the device is gone"
+    """Check that a call raises AbortError when the device is gone."""
+    what = f"{name}: raises AbortError when the device is gone"
     problem = "none is raised"
     try:
         call()
@@ -479,15 +482,15 @@ def _check_health(device: Device, healthy: bool) -> None:
     """
     reports: list[Health] = [device.check(), device.check()]
     facts = [fact for health in reports for fact in health.facts.values()]
-    true("check: facts are text", all(isinstance(fact, str) for fact in facts))
+    true("check: facts are strings", all(isinstance(fact, str) for fact in facts))
     if healthy:
         problems = [problem for health in reports for problem in health.problems]
         expect("check: no problems", "; ".join(problems))
 
 
 def _check_leaving(closed: Device, unopened: Device) -> None:
-    """Leave a device once more that was left, and one twice that was never entered."""
-    what = "__exit__: may be called again, and before __enter__"
+    """Check that a device can be left twice, and that another can be left before it was entered."""
+    what = "__exit__: can be called again, and before __enter__"
     problem = ""
     try:
         for device in (closed, unopened, unopened):

@@ -1,4 +1,4 @@
-"""Checks of a disturbance, each method called as the plant does."""
+"""Checks of a disturbance. Each method is called in the same way as by the simulation."""
 
 from collections.abc import Callable
 from dataclasses import astuple, is_dataclass
@@ -25,14 +25,14 @@ FRAMES = 180
 FRAMES_OF_PERIOD = 12
 """Number of frames in a control period, 0.2 s."""
 FITS = {
-    "parameters": "finite, not below 0, (N,)",
+    "parameters": "finite, at least 0, shape (N,)",
     "placed": "finite",
-    "varied": "finite, not below 0, (N,)",
+    "varied": "finite, at least 0, shape (N,)",
     "planning_s": "from 0 to planning_max_s",
-    "sent": "reaches no further robots, not before it was sent",
-    "moved": "finite, and unmoved in no time",
+    "sent": "reaches no additional robots, and not before it was sent",
+    "moved": "finite, and unchanged if no time passes",
     "measured": "finite where valid",
-    "received": "not before the exposure; None only with loses_frames",
+    "received": "not before the exposure, and None only if loses_frames is set",
 }
 """What the result of each method must be; `_fits` tells whether it is."""
 
@@ -46,22 +46,22 @@ numbers in the result.
 
 
 def check_disturbance(section: DisturbanceSection, setup: Setup) -> None:
-    """Check the results of each method, and that the seed alone determines them."""
+    """Check the results of each method, and check that they depend only on the seed."""
     with random_watched() as used:
         calls = _calls(section, setup)
         calls_again = _calls(section, setup)
-    expect("methods: at least one", "" if calls else "overrides none")
+    expect("methods: there is at least one", "" if calls else "overrides none")
     for method, of_method in calls.items():
         fits, unchanged, numbers = zip(*of_method, strict=True)
         *_, numbers_again = zip(*calls_again[method], strict=True)
         true(f"{method}: {FITS[method]}", fits)
         true(f"{method}: arguments unchanged", unchanged, "changed")
-        same(f"{method}: same seed, same results", numbers, numbers_again)
-    expect("random numbers: from rng", " and ".join(used))
+        same(f"{method}: the same seed gives the same results", numbers, numbers_again)
+    expect("random numbers: come only from rng", " and ".join(used))
 
 
 def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:
-    """Call the methods that a disturbance overrides as the plant does, for `FRAMES` frames.
+    """Call each overridden method of a disturbance for `FRAMES` frames, as the simulation does.
 
     Returns:
         The calls of each method.
@@ -104,13 +104,13 @@ def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[Call]]:
 
 
 def _command(now_ns: int, reached: Bools) -> DelayedCommand:
-    """Return a command that is sent, and due, now."""
+    """Create a command that is both sent and due now."""
     wheels = np.ones((2, len(reached)))
     return DelayedCommand(now_ns, now_ns, Steer(0.5), reached, wheels=wheels)
 
 
 def _fits(method: str, section: DisturbanceSection, arguments: Any, result: Any) -> Any:
-    """Check whether the result of a method is as `FITS` requires."""
+    """Check whether the result of a method fulfils the requirements in `FITS`."""
     match method:
         case "planning_s":
             return 0 <= result <= section.planning_max_s
@@ -142,7 +142,7 @@ def _finite(value: Any) -> bool:
 
 
 def _flat(value: Any) -> Floats:
-    """Return all numbers of a value in a row, NaN for None."""
+    """Flatten a value to an array of all its numbers. None becomes NaN."""
     if is_dataclass(value) and not isinstance(value, type):
         value = astuple(value)
     if isinstance(value, tuple | list):

@@ -1,7 +1,7 @@
-"""Comparisons with which the checks of plug-ins express what they expect.
+"""Comparisons that the checks of plug-ins use to state expectations.
 
-An expectation that does not hold raises AssertionError, as in any test with pytest. Within
-`findings_of`, all expectations are listed instead, whether they hold or not.
+An expectation that fails raises AssertionError, as in any test with pytest. Within `findings_of`,
+all expectations are listed instead, whether they hold or fail.
 """
 
 import random
@@ -64,7 +64,8 @@ def expect(what: str, problem: str = "") -> None:
 def findings_of(check: Callable[[], object]) -> list[Finding]:
     """Run a check, and return the results of all its expectations.
 
-    An exception in the code under test ends the check. It is the last finding.
+    If the code under test raises an exception, the check ends, and the exception is the last
+    finding.
     """
     findings: list[Finding] = []
     token = _FINDINGS.set(findings)
@@ -131,7 +132,7 @@ def same(what: str, ours: Any, theirs: Any) -> None:
 
 @contextmanager
 def random_watched() -> Iterator[list[str]]:
-    """Seed the global random generators; after the `with` block, the list names those used."""
+    """Watch the global random generators in a `with` block, and list the ones that were used."""
     random.seed()
     mtrand.set_bit_generator(np.random.MT19937())
     used = list[str]()
@@ -145,5 +146,5 @@ def random_watched() -> Iterator[list[str]]:
 
 
 def _numpy_state() -> str:
-    """Return the state of NumPy's global generator as text, which can be compared."""
+    """Convert the state of NumPy's global generator to a text that can be compared."""
     return repr(mtrand.get_bit_generator().state)

@@ -1,7 +1,7 @@
 """Checks of a motion and of a shape.
 
-A motion's step, hold, compiled step and derivatives must agree. A shape's corners must be drawable,
-and its edges must not cross.
+The different forms of a motion must agree: its step, hold, compiled step and derivatives. The
+corners of a shape must be drawable, and its edges must not cross.
 """
 
 import math
@@ -30,7 +30,7 @@ TURNED = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Cases:
-    """COUNT random robots, each with its signal.
+    """COUNT random robots, each with a signal to follow.
 
     Attributes:
         x: x [length unit].
@@ -50,12 +50,12 @@ class Cases:
 
     @property
     def reach(self) -> Floats:
-        """How far each robot may move in a step [length unit]."""
+        """Maximum distance that each robot can move in a step [length unit]."""
         return self.v * STEP_S
 
     @property
     def parameters(self) -> Floats:
-        """PARAMETERS (COUNT, 2)."""
+        """The values of PARAMETERS for each robot, shape (COUNT, 2)."""
         return np.column_stack([self.a, self.v])
 
     def moved(self, motion: Motion, turned: float = 0.0, seconds: float = STEP_S) -> XYHeading:
@@ -84,7 +84,7 @@ def _random_cases() -> Cases:
 
 
 def check_motion(motion: Motion) -> None:
-    """Check the NumPy step, the plant's `hold`, the compiled step and its derivatives."""
+    """Check the NumPy step, the `hold` of the simulation, the compiled step and its derivatives."""
     cases = _random_cases()
     moved = cases.moved(motion)
     _check_step(motion, cases, moved)
@@ -94,49 +94,53 @@ def check_motion(motion: Motion) -> None:
 
 
 def _check_step(motion: Motion, cases: Cases, moved: XYHeading) -> None:
-    """Check the NumPy step, by which the robots `moved`."""
+    """Check the NumPy step, with which the robots have `moved`."""
     true("step: finite", np.isfinite(moved), "a pose is not finite")
     same("step: repeats exactly", moved, cases.moved(motion))
     distance = cases.distance(moved)
     in_reach = distance <= cases.reach * (1 + NEAR)
-    true("step: moves by <= v t", in_reach, "a robot moves further")
+    true(
+        "step: moves a robot by at most v t",
+        in_reach,
+        "a robot moves further than its speed allows",
+    )
     in_no_time = cases.moved(motion, seconds=0.0)
-    near("step: keeps x, y if t = 0", cases.distance(in_no_time), 0.0, cases.reach)
+    near("step: leaves x and y unchanged if t = 0", cases.distance(in_no_time), 0.0, cases.reach)
     turned = cases.moved(motion, turned=TURNED)
     towards = np.arctan2(moved[1] - cases.y, moved[0] - cases.x) + TURNED
     dx = distance * np.cos(towards)
-    near("step: turns with heading and u", turned[0] - cases.x, dx, cases.reach)
+    near("step: the motion turns with heading and u", turned[0] - cases.x, dx, cases.reach)
 
 
 def _check_hold(motion: Motion, cases: Cases, moved: XYHeading) -> None:
-    """Check that the plant's robots move as by the step, and do not while they stand."""
+    """Check that `hold` moves driven robots like the step, and no stationary robot."""
     _, _, turning = rates(cases.heading, cases.u, cases.a, cases.v)
     seconds = np.full(COUNT, STEP_S)
     driving = Held(cases.u, turning, cases.heading, np.ones(COUNT))
     driven = motion.hold(cases.x, cases.y, cases.heading, driving, cases.a, cases.v, seconds)
-    near("hold: same x as step", driven[0], moved[0], cases.reach)
-    near("hold: same y as step", driven[1], moved[1], cases.reach)
+    near("hold: gives the same x as step", driven[0], moved[0], cases.reach)
+    near("hold: gives the same y as step", driven[1], moved[1], cases.reach)
     standing = Held(cases.u, 0 * cases.u, cases.heading, np.zeros(COUNT))
     stood = motion.hold(cases.x, cases.y, cases.heading, standing, cases.a, 0 * cases.v, seconds)
     near("hold: does not move a stopped robot", cases.distance(stood), 0, cases.v)
 
 
 def _check_advance(compiled: Any, cases: Cases, moved: XYHeading) -> None:
-    """Check that the compiled step is the NumPy step."""
+    """Check that the compiled step gives the same poses as the NumPy step."""
     constants = compiled.of(cases.parameters, STEP_S)
     if constants.rows.shape != (COUNT, constants.size):
-        expect("advance: rows", f"have shape {constants.rows.shape}, not (N, size)")
+        expect("advance: rows", f"have the shape {constants.rows.shape} instead of (N, size)")
         return
     states = [_advanced(constants, cases, i) for i in range(COUNT)]
     x, y, cos_heading, sin_heading = np.array(states, dtype=float).T
-    near("advance: same x as step", x, moved[0], cases.reach)
-    near("advance: same y as step", y, moved[1], cases.reach)
-    near("advance: same cos(heading) as step", cos_heading, np.cos(moved[2]), 1.0)
-    near("advance: same sin(heading) as step", sin_heading, np.sin(moved[2]), 1.0)
+    near("advance: gives the same x as step", x, moved[0], cases.reach)
+    near("advance: gives the same y as step", y, moved[1], cases.reach)
+    near("advance: gives the same cos(heading) as step", cos_heading, np.cos(moved[2]), 1.0)
+    near("advance: gives the same sin(heading) as step", sin_heading, np.sin(moved[2]), 1.0)
 
 
 def _advanced(constants: Any, cases: Cases, i: int) -> tuple[float, float, float, float]:
-    """Return x, y, cos and sin of the heading of a robot after all pieces of the compiled step."""
+    """Return x, y, cos and sin of a robot's heading after all pieces of the compiled step."""
     cos_u = math.cos(cases.u[i])
     sin_u = math.sin(cases.u[i])
     heading = cases.heading[i]
@@ -147,12 +151,12 @@ def _advanced(constants: Any, cases: Cases, i: int) -> tuple[float, float, float
 
 
 def _check_derivatives(motion: Motion, cases: Cases, moved: XYHeading) -> None:
-    """Check the compiled step with derivatives against the NumPy step and its differences."""
+    """Compare the compiled step and its derivatives with the NumPy step and its differences."""
     step, *derivatives = _differentiated(motion.lanes, cases)
     turned = wrap(moved[2] - cases.heading)
-    near("differentiate: same dx as step", step[0], moved[0] - cases.x, cases.reach)
-    near("differentiate: same dy as step", step[1], moved[1] - cases.y, cases.reach)
-    near("differentiate: same dheading as step", wrap(step[2] - turned), 0.0, 1.0)
+    near("differentiate: gives the same dx as step", step[0], moved[0] - cases.x, cases.reach)
+    near("differentiate: gives the same dy as step", step[1], moved[1] - cases.y, cases.reach)
+    near("differentiate: gives the same dheading as step", wrap(step[2] - turned), 0.0, 1.0)
     variables = ("dheading", "du", *(f"d(ln {name})" for name in PARAMETERS))
     for k, derivative in enumerate(derivatives):
         shift = STEP / 2 * np.eye(len(variables))[k]
@@ -166,7 +170,7 @@ def _check_derivatives(motion: Motion, cases: Cases, moved: XYHeading) -> None:
 
 
 def _differentiated(compiled: Any, cases: Cases) -> Floats:
-    """Return dx, dy, dheading of the compiled step with their derivatives, (4, 3, COUNT).
+    """Compute dx, dy, dheading of the compiled step and their derivatives, shape (4, 3, COUNT).
 
     The derivatives are with respect to the heading, u and each of PARAMETERS.
     """
@@ -185,9 +189,9 @@ def _differentiated(compiled: Any, cases: Cases) -> Floats:
 
 
 def _shifted(motion: Motion, cases: Cases, shift: Floats) -> XYHeading:
-    """Return the step of cases with a shifted heading, u and each of PARAMETERS.
+    """Compute the step of cases with a shifted heading, u and each of PARAMETERS.
 
-    The parameters are shifted in their logarithms.
+    The logarithms of the parameters are shifted.
     """
     heading = cases.heading + shift[0]
     u = cases.u + shift[1]
@@ -211,19 +215,19 @@ def check_shape(section: ShapeSection, setup: Setup) -> None:
     onward = np.roll(ends, -1, axis=0)
     anticlockwise = turn(*corners.T, *ends.T, *onward.T) >= 0
     convex = anticlockwise | (shape.radius == 0)
-    true("corners: convex if there is a radius", convex, "turns right")
+    true("corners: are convex if there is a radius", convex, "turns right")
     outline = shape.outline()
-    clockwise = "encloses no area, or runs clockwise"
+    clockwise = "the outline encloses no area, or runs clockwise"
     after = np.roll(outline, -1, axis=0)
     twice_area = np.sum(outline[:, 0] * after[:, 1] - after[:, 0] * outline[:, 1])
     true("outline: anticlockwise", twice_area > 0, clockwise)
     size = float(np.ptp(outline, axis=0).max())
     gap = shape.distance(*outline.T)
-    near("outline: corners at distance 0", gap, 0.0, size)
+    near("outline: has the corners at distance 0", gap, 0.0, size)
 
 
 def _crossed(corners: Floats) -> Bools:
-    """Check for each two edges between corners (K, 2) whether they cross.
+    """Check for each pair of edges between corners (K, 2) whether they cross.
 
     Edges that share a corner do not cross.
     """

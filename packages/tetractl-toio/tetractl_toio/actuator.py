@@ -150,7 +150,9 @@ class ToioActuator(WheeledActuator):
     def _status(self, name: str, charge: int | None) -> RobotStatus:
         """Describe a robot by its battery charge [%]. None if its cube did not answer."""
         if charge is None:
-            return RobotStatus(False, problems=(f"{name} does not answer: is its cube on?",))
+            return RobotStatus(
+                False, problems=(f"{name} does not answer: is its cube switched on?",)
+            )
         if charge < EMPTY:
             empty = (f"{name}'s battery is at {charge} %: charge it",)
             return RobotStatus(True, problems=empty, charge=charge)

@@ -69,7 +69,7 @@ class BluetoothPort(SerialPort):
         self._thread.start()
         if not self._ready.wait(CONNECT_S) or self.failure:
             self.close()
-            raise AbortError(self.failure or f"{self._device} does not answer", self._hint)
+            raise AbortError(self.failure or f"the cube {self._device} does not answer", self._hint)
 
     def write(self, data: bytes) -> int:
         """Send packed messages as writes or, if they have no data, as read requests.
@@ -81,7 +81,9 @@ class BluetoothPort(SerialPort):
             AbortError: If the cube is not connected.
         """
         if self.failure or self._client is None:
-            raise AbortError(self.failure or f"{self._device} is not connected", self._hint)
+            raise AbortError(
+                self.failure or f"the cube {self._device} is not connected", self._hint
+            )
         for number, payload in self._unpacker.feed(data):
             call = self._pass(Characteristic(number), payload)
             asyncio.run_coroutine_threadsafe(call, self._loop)
@@ -107,7 +109,9 @@ class BluetoothPort(SerialPort):
         except ImportError:
             self._fail("needs bleak: pip install bleak")
         except FileNotFoundError:
-            self._fail("cannot be connected: this computer's Bluetooth service does not run")
+            self._fail(
+                "cannot be connected, because this computer's Bluetooth service is not running"
+            )
         except Exception as error:  # bleak's backends raise what their systems do
             self._fail(f"cannot be connected: {str(error) or type(error).__name__}")
         finally:

@@ -158,7 +158,7 @@ class ToioCamera:
         """Report each robot that does not see the mat."""
         _, reports = self._reports.now()
         problems = tuple(
-            f"{name} does not see the mat: is it on it, and clean below?"
+            (f"{name} does not see the mat: is the cube on the mat, and is its underside clean?")
             for name, report in zip(self.setup.names, reports, strict=True)
             if report.pose is None
         )

@@ -14,10 +14,10 @@ from tetractl.lab.serial_port import OnReceived, Ports, SerialPort
 from tetractl.lab.udp_port import SCHEME, UdpPort
 from tetractl_toio.messages import TOGETHER_S, Characteristic, Unpacker, pack, refused
 
-UDP_HINT = "does `tetractl lab emulate` run in another terminal, with the same spec?"
+UDP_HINT = "is `tetractl lab emulate` running in another terminal, with the same spec?"
 HINT = (
-    "a cube that another program has connected is driven on by it, others stop by themselves; are "
-    "the cubes on and charged?"
+    "are the cubes on and charged? A cube that is connected to another program is still "
+    "driven by that program; all other cubes stop by themselves"
 )
 SPEED = 1_000_000  # bits a second of Bluetooth Low Energy
 Listener = Callable[[int, bytes, int], None]
@@ -106,7 +106,9 @@ class Cubes:
                 if characteristic == Characteristic.EMULATED:
                     self.emulated = True
                 if characteristic == Characteristic.CONFIGURATION and refused(payload):
-                    self._links[cube].failure = f"cube {cube} refuses a setting: {payload.hex()}"
+                    self._links[
+                        cube
+                    ].failure = f"cube {cube} refuses a setting: it answered {payload.hex()}"
             # of what came together, the earlier is as old as the connection's events are apart
             for characteristic, payload in dict(messages).items():
                 for listener in self._listeners.get(cube, ()):

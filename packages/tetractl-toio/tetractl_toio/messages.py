@@ -99,7 +99,7 @@ def decode_reading(data: bytes) -> CubeReading | None:
             return CubeReading(x, y, angle)
     elif (len(data), data[:1]) in ((1, b"\x03"), (1, b"\x04"), (7, b"\x02")):
         return None
-    raise WireError(f"no reading of a mat: {data.hex()}")
+    raise WireError(f"these bytes are not a reading of the mat: {data.hex()}")
 
 
 def encode_reading(reading: CubeReading | None) -> bytes:
@@ -126,7 +126,9 @@ def encode_motor(left_speed: int, right_speed: int, duration_ms: int) -> bytes:
     """
     is_too_fast = max(abs(left_speed), abs(right_speed)) > SPEED_MAX
     if is_too_fast or not 10 <= duration_ms <= 2550:
-        raise ValueError(f"motor speeds {left_speed}, {right_speed} for {duration_ms} ms")
+        raise ValueError(
+            f"motor speeds {left_speed}, {right_speed} for {duration_ms} ms are out of range"
+        )
     motors = (*_motor(LEFT_MOTOR, left_speed), *_motor(RIGHT_MOTOR, right_speed))
     return bytes([0x02, *motors, duration_ms // DURATION_MS])
 
@@ -144,12 +146,12 @@ def decode_motor(data: bytes) -> MotorCommand:
             because it contains the same motor twice.
     """
     if (len(data), data[:1]) not in ((8, b"\x02"), (7, b"\x01")):
-        raise WireError(f"no motor command: {data.hex()}")
+        raise WireError(f"these bytes are not a motor command: {data.hex()}")
     speeds: dict[int, int] = {}
     for motor, direction, size in (data[1:4], data[4:7]):
         is_motor = motor in (LEFT_MOTOR, RIGHT_MOTOR) and motor not in speeds
         if not is_motor or direction not in (FORWARD, BACKWARD):
-            raise WireError(f"a motor command that a cube ignores: {data.hex()}")
+            raise WireError(f"a cube would ignore this motor command: {data.hex()}")
         speeds[motor] = size if direction == FORWARD else -size
     duration_ms = DURATION_MS * data[7] if len(data) == 8 else 0
     return MotorCommand(speeds[LEFT_MOTOR], speeds[RIGHT_MOTOR], duration_ms)

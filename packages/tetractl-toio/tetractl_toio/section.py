@@ -112,7 +112,7 @@ class ToioSection(ActuatorSection):
         for i, robot in enumerate(self.robots):
             camera_cube = camera_cubes.get(robot.name, robot.cube)
             if camera_cube != robot.cube:
-                text = f"is not {robot.name}'s cube in 'camera', {camera_cube}"
+                text = f"differs from the cube of {robot.name} in 'camera', {camera_cube}"
                 yield ("robots", i, "cube"), text
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:

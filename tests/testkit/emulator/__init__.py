@@ -1,1 +1,1 @@
-"""What tests share that need tetractl-emulator."""
+"""Helpers for tests that need tetractl-emulator."""

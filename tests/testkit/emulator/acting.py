@@ -1,4 +1,4 @@
-"""Lets faults act on a device without a script."""
+"""Activates faults on a device without a script."""
 
 from types import SimpleNamespace
 

@@ -1,10 +1,10 @@
-"""The same trials on the simulated bench and in the emulated lab, to be compared.
+"""Runs the same trials on the simulated bench and in the emulated lab, to compare them.
 
-Both have one controller at 20 Hz that is given the dead time and neither identifies nor goes round,
-so that nothing hides what went wrong, and what the emulated lab has of the bench: its latencies,
-radio, packet loss, counts, lag, gains, radii, start errors and planning times, each trial's drawn
-from the same distributions. The emulated camera errs in nothing and loses nothing and the emulated
-wheels do not slip, so the bench's do not either.
+Both use one controller at 20 Hz. It is given the dead time, and neither identifies the robots nor
+plans detours, so that it cannot hide differences. The bench takes its latencies, radio, packet
+loss, counts, lag, gains, radii, start errors and planning times from the same distributions as the
+emulated lab. The emulated camera has no errors and loses nothing, and the emulated wheels do not
+slip. Therefore the bench also has no such errors.
 """
 
 import json

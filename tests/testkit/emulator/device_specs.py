@@ -1,4 +1,4 @@
-"""The lab of two robots with another actuator, a field or lines, or another camera, of tags."""
+"""Specs of a lab with two robots and another actuator (a field or lines) or an AprilTag camera."""
 
 from testkit.lab_specs import SPEC
 

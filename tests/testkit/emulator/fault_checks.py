@@ -1,5 +1,8 @@
-"""What a fault script expects of a play, checked on the runner's exit, words and log, and on what
-the robots truly did by the emulator's own record."""
+"""Checks the expectations of a fault script after a run.
+
+It compares the exit code, the output and the log of the run, and what the robots truly did
+according to the emulator's own record.
+"""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Cameras that show robots elsewhere than they are, in the emulated lab in virtual time."""
+"""Cameras that show robots at false poses, in the emulated lab in virtual time."""
 
 import cmath
 import math
@@ -34,10 +34,9 @@ class Ghost:
     `against` it or `sideways`. The `heading` shown turns by the speed at the wheels, or the whole
     ghost does, and drives on as a robot does (`curve`); a `turn` is a curve whose speed is in
     rad/s, and a `slip` turns only while its robot drives. A `push` moves it by `speed` [m] within
-    PUSH_S, and `steps` by 4 mm each half second.
-    Of the whole picture, the `origin` moves [m/s], the `scale` grows [1/s], or it turns
-    about its origin (`rotation`) [rad/s]. Two robots that have exchanged their `numbers` are shown
-    where they are, but each does what the other is commanded.
+    PUSH_S, and `steps` by 4 mm each half second. Of the whole picture, the `origin` moves [m/s],
+    the `scale` grows [1/s], or it turns about its origin (`rotation`) [rad/s]. Two robots that have
+    exchanged their `numbers` are shown where they are, but each does what the other is commanded.
     """
 
     kind: str

@@ -1,7 +1,7 @@
-"""Runs in an emulated lab in which nothing goes wrong, and what is expected of each.
+"""Runs without faults in an emulated lab, with the expected result of each.
 
-`RUNS` are, by name: the script's emulation, settings of both sides, and after how many seconds of
-standing still the robots are put back on their starts.
+`RUNS` contains for each name the section `emulation` of a script, settings of both sides, and for
+how many seconds robots stand still before they are put back on their starts.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Runs of a lab of which camera, actuator, both or neither are real, and what must hold of each."""
+"""Runs of a lab in which camera, actuator, both or neither are real, with checks of each."""
 
 from testkit.emulator.lab_processes import SPEC, flags
 from tetractl.log.read.reader import read_trial

@@ -1,4 +1,4 @@
-"""A device's end of a port in memory, for tests that play the device."""
+"""The device's end of a port in memory, for tests that play the device."""
 
 from tetractl_emulator.memory_wires import MemoryPort
 

@@ -1,4 +1,4 @@
-"""The logs of short trials of the emulated lab and of the emulated microscope."""
+"""Logs of short trials in the emulated lab and with the emulated microscope."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,7 @@
-"""The emulated lab on this computer's wires: in a process, or turned by hand in this one.
+"""Runs the emulated lab over real connections, in another process or step by step in this one.
 
-`play` plays a fault script end to end: emulator process, runner process, and what became of it.
-Nothing sleeps: the emulator says when things happen, and the stage waits for it to say so.
+`play` plays a fault script from start to end, with an emulator process and a runner process, and
+returns what happened. Nothing sleeps: the emulator reports events, and the tests wait for them.
 """
 
 import json

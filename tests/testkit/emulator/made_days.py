@@ -1,4 +1,4 @@
-"""Events and logs of rehearsed days that tests make up."""
+"""Made-up events and logs of rehearsed days for tests."""
 
 from tetractl.log.read.trial_log import TrialLog
 

@@ -1,4 +1,4 @@
-"""Emulated robots whose program is twist.py, run by MicroPython under Node.js."""
+"""Emulated robots whose program twist.py is run by MicroPython under Node.js."""
 
 import os
 import shutil

@@ -1,4 +1,4 @@
-"""Datagrams with something of everything, for every protocol version."""
+"""Sample datagrams with every kind of content, for every protocol version."""
 
 import struct
 

@@ -1,4 +1,4 @@
-"""What a fault script tells the test that plays it, in its sections `runner` and `expect`."""
+"""The sections `runner` and `expect` of a fault script, for the test that plays it."""
 
 from typing import Literal
 

@@ -1,4 +1,4 @@
-"""Batches in emulated labs in which nothing goes wrong, which must have nothing to report."""
+"""Batches without faults in emulated labs, which must report nothing unusual."""
 
 from pathlib import Path
 

@@ -1,8 +1,8 @@
-"""The emulated lab and our side of it in this process: in virtual time, on wires in memory.
+"""Runs the emulated lab and the program that drives it in this process, in virtual time.
 
-Command line, plant, guard, inner loop, camera, actuator, frames, module, radio, firmware, cells and
-pictures are the real ones; wires, threads and the clock are not, so that a loaded host changes
-nothing.
+Command line, plant, guard, inner loop, camera, actuator, frames, radio module, firmware, cells and
+images are the real ones. Only connections, threads and the clock are replaced, so that a busy
+computer does not change the result.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""What the emulated lab reads, and what the server that it plays may send, to be fuzzed."""
+"""The parsers of the emulated lab and of its server's messages, as targets for fuzzing."""
 
 import math
 import struct

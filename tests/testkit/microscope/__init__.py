@@ -1,1 +1,1 @@
-"""What tests share that need tetractl-microscope."""
+"""Helpers for tests that need tetractl-microscope."""

@@ -1,4 +1,4 @@
-"""Short synthetic films for tests, and how well the live tracker follows the cells in them."""
+"""Short synthetic films, with measures of how well the live tracker follows their cells."""
 
 from dataclasses import dataclass
 

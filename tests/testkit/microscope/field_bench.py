@@ -1,4 +1,4 @@
-"""A current driver, a section of the spec for it, in virtual time."""
+"""A current driver with its section of a spec, in virtual time."""
 
 from tetractl_emulator.loop import Timeline
 from tetractl_emulator.memory_wires import MemoryNetwork

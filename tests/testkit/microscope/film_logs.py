@@ -1,4 +1,4 @@
-"""Logs with the film of a dish: frames and pictures of a synthetic film, and no control step."""
+"""Logs with a synthetic film of a dish: frames and images, but no control steps."""
 
 from dataclasses import replace
 

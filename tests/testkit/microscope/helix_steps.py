@@ -1,5 +1,7 @@
-"""The filter of one swimming cell with whole matrices, to be read: what the kernels `helix_steps`
-and `helix_path` compute. Derivatives of the motion are those of differences.
+"""A readable filter of one swimming cell, as a reference for the kernels.
+
+It uses full matrices, and computes the same as the kernels `helix_steps` and `helix_path`.
+Derivatives of the motion are finite differences.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Skips the tests that import it where OpenCV is not installed, and writes films with it."""
+"""Skips the tests that import it if OpenCV is not installed, and writes films with OpenCV."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What a network camera may answer, searched for cells, to be fuzzed."""
+"""Searches any answer of a network camera for cells, as a target for fuzzing."""
 
 import math
 from functools import cache

@@ -1,4 +1,4 @@
-"""A source of pictures as another package brings it: the same picture again and again."""
+"""A source of images as a plug-in could provide it, which repeats the same image."""
 
 from typing import ClassVar, Literal
 

@@ -1,6 +1,6 @@
 """A synthetic film of swimming cells with its truth.
 
-Cells start so that pairs of them cross in view; the field's direction is known.
+Cells start in such places that pairs of them cross in view. The field's direction is known.
 """
 
 import math

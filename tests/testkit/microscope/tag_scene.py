@@ -1,4 +1,4 @@
-"""An arena of 1.6 x 1.8 m with three robots under an emulated camera, and errors against truth."""
+"""An arena of 1.6 x 1.8 m with three robots under an emulated camera, and errors of its poses."""
 
 import math
 from dataclasses import replace

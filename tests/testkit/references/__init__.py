@@ -1,1 +1,1 @@
-"""Slow implementations of what the product computes, to compare it with."""
+"""Slow reference implementations, to compare the product with."""

@@ -1,5 +1,4 @@
-"""What a bank of filters says as a whole, in whole arrays: `control.estimation.kernels.bank`, to be
-read."""
+"""A readable reference in whole arrays for the kernel `control.estimation.kernels.bank`."""
 
 import math
 

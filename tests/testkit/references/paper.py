@@ -1,7 +1,7 @@
-"""The paper once more, one number at a time: slow, without arrays, from the equations alone.
+"""The paper implemented once more: slow, without arrays, only from the equations.
 
-Nothing here comes from tetractl.control. Draw i of a key is SplitMix64's; which draw goes where is
-the layout that both implementations promise: coordinate j of particle n is number j * np + n.
+Nothing here comes from tetractl.control. Random number i of a key is the one of SplitMix64. Both
+implementations use the same order: coordinate j of particle n is number j * np + n.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""How much of tetractl a command imports before it does anything: each module delays it."""
+"""Tests that a command imports only few modules before it starts, because each one delays it."""
 
 import subprocess
 import sys

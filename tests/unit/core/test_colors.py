@@ -1,4 +1,4 @@
-"""Colours have one meaning, stated in one place."""
+"""Tests that each colour has one meaning, stated in one place."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Functions that give the same bits everywhere: how exact they are, and that all forms agree."""
+"""Tests of functions that give the same bits on every computer: accuracy, and equal variants."""
 
 import math
 import random

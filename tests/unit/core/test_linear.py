@@ -1,4 +1,4 @@
-"""Products and systems of small matrices."""
+"""Tests of products and linear systems of small matrices."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Kinds by name: built in, installed with other packages, and broken ones."""
+"""Tests of finding kinds by name: built-in, installed and broken ones."""
 
 import pytest
 from testkit.packages import install
@@ -60,8 +60,8 @@ def test_of_two_packages_with_one_name_the_first_in_the_alphabet_counts(site):
         ("broken_one:x", "1 / 0", "ZeroDivisionError: division by zero"),
         ("broken_one:x", "x: (", "SyntaxError: '(' was never closed"),
         ("broken_one:x", "", "AttributeError: module 'broken_one' has no attribute 'x'"),
-        ("broken_one:x", "x = 3", "the object is not a class derived from builtins:dict"),
-        ("broken_one:x", "class x: pass", "the object is not a class derived from builtins:dict"),
+        ("broken_one:x", "x = 3", "the object is not a subclass of builtins:dict"),
+        ("broken_one:x", "class x: pass", "the object is not a subclass of builtins:dict"),
     ],
 )
 def test_a_broken_package_is_named_with_its_entry_point(site, monkeypatch, target, code, why):

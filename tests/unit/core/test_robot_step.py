@@ -1,4 +1,4 @@
-"""The record of a robot's step."""
+"""Tests of the record of a robot's step."""
 
 import math
 

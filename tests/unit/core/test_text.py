@@ -1,4 +1,4 @@
-"""Text of others on a terminal, and of errors."""
+"""Tests of printing foreign text and error messages safely on a terminal."""
 
 import pytest
 
@@ -25,9 +25,14 @@ def test_nothing_is_left_that_a_terminal_obeys(text, printed):
 
 
 def test_the_text_of_an_error_has_its_hint_in_words_of_python():
-    error = UsageError("out: holds logs already", "name another with --out", "give a folder=")
+    error = UsageError(
+        "out: holds logs already", "choose another file with --out", "give a folder="
+    )
     assert str(error) == "out: holds logs already\nhint: give a folder="
-    assert (error.message, error.hint) == ("out: holds logs already", "name another with --out")
+    assert (error.message, error.hint) == (
+        "out: holds logs already",
+        "choose another file with --out",
+    )
     assert str(UsageError("alone")) == "alone"
 
 

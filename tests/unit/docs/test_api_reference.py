@@ -1,4 +1,4 @@
-"""The generated reference of the API names what `import tetractl` provides."""
+"""Tests that the generated API reference lists what `import tetractl` provides."""
 
 import re
 from types import FunctionType

@@ -1,4 +1,4 @@
-"""The runner of the documentation's examples (docs/console.py)."""
+"""Tests of the runner of the documentation's examples (docs/console.py)."""
 
 import console
 import pytest

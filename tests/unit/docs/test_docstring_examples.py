@@ -1,4 +1,4 @@
-"""Examples in docstrings run, and public functions describe each of their parameters."""
+"""Tests that docstring examples run, and that public functions describe all parameters."""
 
 import ast
 import doctest

@@ -1,4 +1,4 @@
-"""The script of the lesson has the commands of the lesson's page, in their order."""
+"""Tests that the lesson's script has the commands of its page, in the same order."""
 
 import re
 import shlex

@@ -1,7 +1,7 @@
-"""Each folder of logs is written by the examples of one page only.
+"""Tests that the examples of different pages write their logs to different folders.
 
-A folder that holds logs is refused, so a reader who has followed one page could not follow the
-other: the lesson failed in front of the class after the tutorial.
+A folder that holds logs is refused, so a reader of one page could not follow another page with the
+same folder. This once happened in front of a class, in the lesson after the tutorial.
 """
 
 import re

@@ -1,8 +1,8 @@
-"""Pages that specs, templates, sources and error messages name exist.
+"""Tests that all pages named in specs, templates, sources and error messages exist.
 
-A page is named by its path from the top of the repository or, in a file of a package, from the top
-of that package; `docs/PAGE.md of tetractl-NAME` is a page of that package. Links between pages are
-checked where the site is made.
+A page is named by its path from the top of the repository. In a file of a package, the path starts
+at the top of the package. `docs/PAGE.md of tetractl-NAME` is a page of that package. Links between
+pages are checked when the site is built.
 """
 
 import re

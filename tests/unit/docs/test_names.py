@@ -1,4 +1,4 @@
-"""One name, one meaning: of classes, modules, packages, and of what pages and specs name."""
+"""Tests that each name has one meaning: of classes, modules, packages, and in pages and specs."""
 
 import ast
 import re

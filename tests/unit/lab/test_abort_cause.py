@@ -1,4 +1,4 @@
-"""Which of one robot, the camera, the radio and two numbers is named, of robots seen at 120 Hz."""
+"""Tests of naming the cause of an abort: robot, camera, radio, or two swapped numbers."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""The buffer of accepted frames: each reader gets each frame once, in order; the newest stay."""
+"""Tests of the buffer of accepted frames: each reader gets each frame once, in order."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""What `lab calibrate` refuses before a device is opened, and what it finds of a robot's wheels."""
+"""Tests of what `lab calibrate` refuses in advance, and of what it measures."""
 
 import math
 from dataclasses import dataclass, field, replace

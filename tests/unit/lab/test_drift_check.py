@@ -1,4 +1,4 @@
-"""Poses that leave their robots slowly, of three robots that drive as commanded, at 120 Hz."""
+"""Tests of finding poses that drift away slowly from three driven robots, at 120 Hz."""
 
 import re
 import sys

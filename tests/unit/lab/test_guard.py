@@ -1,4 +1,4 @@
-"""The guard of two robots: which frames it accepts, who may move, and why it ends a run."""
+"""Tests of the guard with two robots: accepted frames, allowed motion, and reasons to end a run."""
 
 import math
 import random
@@ -566,7 +566,7 @@ def test_slow_pictures_are_named_where_a_robot_is_blamed(hz, named, suspect):
     else:
         course.guard.abort(f"green moves{PUSHED}", suspect=suspect)
     course.guard.name_cause(shown)
-    slow = f"; only {hz} pictures per second came, 20 or more are needed: is this computer busy?"
+    slow = f"; only {hz} images per second came, but at least 20 are needed: is this computer busy?"
     assert course.guard.reason == "green moves" + (slow if named else PUSHED)
 
 

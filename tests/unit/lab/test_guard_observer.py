@@ -1,4 +1,4 @@
-"""What the guard reports without acting, and what acts all the same."""
+"""Tests of the guard's reports without action, and of the actions that remain."""
 
 from dataclasses import replace
 

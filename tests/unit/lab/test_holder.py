@@ -1,4 +1,4 @@
-"""What `lab stop` does about the process that has the port: real processes on a pseudo-terminal."""
+"""Tests of how `lab stop` ends the process that uses the port, with real processes."""
 
 import os
 import signal
@@ -82,8 +82,8 @@ def test_a_run_is_asked_to_end_even_when_suspended(port, hold, suspended):
     said = stopping(port)
     assert process.wait() == -signal.SIGTERM
     assert f"{port}: process {process.pid} (" in said
-    assert "asked the process to stop its robots and end" in said
-    assert "sent stops, while that process has the port open" in said
+    assert "asked the process to stop its robots and to end" in said
+    assert "sent stops, while this process has the port open" in said
     assert "the process released the port" in said
 
 
@@ -148,7 +148,7 @@ def test_another_users_run_is_named_and_left_alone(port, hold, monkeypatch):
 
     process = hold("tetractl")
     monkeypatch.setattr(os, "kill", forbidden)
-    with pytest.raises(AbortError, match="belongs to another user"):
+    with pytest.raises(AbortError, match="cannot be ended, because it belongs to another user"):
         stopping(port)
     monkeypatch.undo()
     assert process.poll() is None
@@ -173,7 +173,9 @@ def test_that_no_stop_could_be_sent_next_to_another_program_is_said(port, hold):
     def refused():
         raise AbortError("the radio is stuck")
 
-    with pytest.raises(AbortError, match="can be ended; the stops failed: the radio is stuck"):
+    with pytest.raises(
+        AbortError, match="can be ended; the stops failed as well: the radio is stuck"
+    ):
         stop_beside(port, refused, lambda line: None)
 
 

@@ -1,4 +1,4 @@
-"""The inner loop where its other thread hangs; all else is tested through the plant."""
+"""Tests of the inner loop when its other thread hangs. Tests of the plant cover the rest."""
 
 import math
 import threading

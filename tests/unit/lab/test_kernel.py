@@ -1,4 +1,4 @@
-"""The kernel: the rules under which robots may move."""
+"""Tests of the kernel: the rules that decide when robots may move."""
 
 import math
 from dataclasses import replace

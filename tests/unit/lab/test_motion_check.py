@@ -1,4 +1,4 @@
-"""Robots, and what is not one, against their commands: frames at 120 Hz, noisy as real ones."""
+"""Tests of comparing motion with commands, for robots and false poses in noisy frames at 120 Hz."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What is checked before robots move, in virtual time, of a fake camera and a fake actuator."""
+"""Tests of the checks before robots move, with a fake camera and actuator in virtual time."""
 
 import math
 from dataclasses import replace

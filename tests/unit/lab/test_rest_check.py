@@ -1,4 +1,4 @@
-"""Whether standing robots are distinguished from poses that drift, in virtual time."""
+"""Tests of distinguishing stationary robots from drifting poses, in virtual time."""
 
 import re
 from dataclasses import replace
@@ -190,7 +190,7 @@ def test_a_robot_that_is_not_seen_to_stand_is_named():
     lab = fake_lab(SETUP)
     show(lab, lambda frame: (*frame.poses[:2], None))
     rest, _, _ = rest_of(lab, aborted=True)
-    assert rest.unrest == "not seen to stand: red: look at it"
+    assert rest.unrest == "not seen to stand still: red: look at it"
     assert "red" in rest.fault
 
 

@@ -1,4 +1,4 @@
-"""Which poses a robot can have reached since it was last seen."""
+"""Tests of which poses a robot can have reached since it was last seen."""
 
 from dataclasses import replace
 

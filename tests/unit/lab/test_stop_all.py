@@ -1,4 +1,4 @@
-"""`lab stop` of robots that have a port each: one that is away keeps no other from its stops."""
+"""Tests of `lab stop` for robots with a port each: a missing robot does not delay the others."""
 
 from functools import partial
 from types import SimpleNamespace
@@ -116,7 +116,7 @@ def test_each_robot_gets_ten_stops(stopped):
 def test_a_robot_that_is_away_is_named_and_the_other_gets_its_stops(stopped, away):
     """Regression: nothing was sent if one of the ports could not be opened."""
     ports = Ports(away=away)
-    with pytest.raises(AbortError, match=f"but not to all: {away}: there is no such port"):
+    with pytest.raises(AbortError, match=f"but not to all robots: {away}: there is no such port"):
         stopped(ports)
     (lines,) = ports.taken.values()
     assert len(lines) == 10
@@ -124,7 +124,7 @@ def test_a_robot_that_is_away_is_named_and_the_other_gets_its_stops(stopped, awa
 
 def test_a_port_that_is_stuck_ends_no_other_stop(stopped):
     ports = Ports(stuck="a")
-    with pytest.raises(AbortError, match="but not to all: a is stuck"):
+    with pytest.raises(AbortError, match="but not to all robots: a is stuck"):
         stopped(ports)
     assert len(ports.taken["b"]) == 10
 

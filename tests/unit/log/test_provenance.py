@@ -1,4 +1,4 @@
-"""Facts of the machine and the source tree."""
+"""Tests of facts about the computer and the source tree."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""What is written is what is read, bit for bit."""
+"""Tests that a log is read exactly as it was written, bit for bit."""
 
 from dataclasses import replace
 

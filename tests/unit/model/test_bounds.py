@@ -1,4 +1,4 @@
-"""Lower bounds of the total error, against plans that a good optimiser finds."""
+"""Tests of lower bounds of the total error, against plans from a good optimiser."""
 
 import math
 from dataclasses import replace

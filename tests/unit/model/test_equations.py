@@ -1,4 +1,4 @@
-"""Each of the paper's equations has one function, and the motion (1)-(6) stands nowhere else."""
+"""Tests that each of the paper's equations has one function, and that motion has one place."""
 
 import inspect
 import re

@@ -1,4 +1,4 @@
-"""Derivatives, compiled steps and held commands of both motions, against their plain steps."""
+"""Tests of derivatives, compiled steps and held commands of both motions, against plain steps."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Whether a target is walled off: never said where there is a way."""
+"""Tests of deciding whether a target is walled off, which must never be claimed wrongly."""
 
 from dataclasses import replace
 

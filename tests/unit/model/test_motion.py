@@ -1,6 +1,6 @@
-"""Steps of the two motion models, against integrations and by hand.
+"""Tests of steps of the two motion models, against integrations and by hand.
 
-Headings and signals u [rad], a [rad/s], v [mm/s]; phi is the angle from the heading to u.
+Headings and signals u [rad], a [rad/s], v [mm/s]. phi is the angle from the heading to u.
 """
 
 import itertools

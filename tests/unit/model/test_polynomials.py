@@ -1,4 +1,4 @@
-"""Elementary functions as polynomials, against the standard library."""
+"""Tests of elementary functions as polynomials, against the standard library."""
 
 import math
 

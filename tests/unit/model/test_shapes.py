@@ -1,4 +1,4 @@
-"""What holds for every shape: NumPy against textbook geometry, and scalars against NumPy."""
+"""Tests of every shape: NumPy against textbook geometry, and scalars against NumPy."""
 
 import math
 

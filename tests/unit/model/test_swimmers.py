@@ -1,4 +1,4 @@
-"""Cells as they swim: the helix, the field, walls, and what can happen to a cell."""
+"""Tests of swimming cells: the helix, the field, walls, and events such as a division."""
 
 import math
 

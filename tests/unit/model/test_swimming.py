@@ -1,4 +1,4 @@
-"""Steps of swimming cells, against an integration by SciPy and by symmetry."""
+"""Tests of steps of swimming cells, against an integration by SciPy and by symmetry."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Steps of robots that turn faster to one side, and of motors that saturate."""
+"""Tests of steps of robots that turn faster to one side, and of motors that saturate."""
 
 import math
 

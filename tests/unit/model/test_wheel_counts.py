@@ -1,4 +1,4 @@
-"""Counts that one robot's wheels are sent for wished speeds [mm/s], left and right."""
+"""Tests of converting wished wheel speeds [mm/s] to counts, left and right."""
 
 import math
 from typing import NamedTuple

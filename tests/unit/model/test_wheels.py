@@ -1,4 +1,4 @@
-"""Robots on wheels: the paper's (21)-(25), headings that a lag leaves, and the compiled host."""
+"""Tests of robots on wheels: the paper's (21)-(25), lag, and the compiled host."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Simulated robots that are cells of the one model."""
+"""Tests of simulated robots that are cells of the swimming model."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What a simulated host sends, when it acts, and which robots it reaches."""
+"""Tests of when a simulated host sends commands, when they act, and which robots receive them."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Trials in the lab that send given directions, in virtual time: what ends them."""
+"""Tests of lab trials that send given directions, in virtual time, and of how they end."""
 
 import pytest
 from testkit.labs import fake_lab

@@ -1,4 +1,4 @@
-"""The lab as a plant, in virtual time, between a fake camera and a fake actuator."""
+"""Tests of the lab as a plant in virtual time, with a fake camera and a fake actuator."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Robots on wheels in a simulation, against formulas."""
+"""Tests of robots on wheels in a simulation, against formulas."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""A disturbance whose poses or times no log can hold ends the trial before they are logged."""
+"""Tests that a disturbance whose poses cannot be logged ends the trial before logging."""
 
 import numpy as np
 import pytest

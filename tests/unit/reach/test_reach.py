@@ -1,4 +1,4 @@
-"""What the common signal can reach, and which robots move alike."""
+"""Tests of what the common signal can reach, and of which robots move in the same way."""
 
 import sys
 from collections import Counter

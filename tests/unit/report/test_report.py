@@ -1,4 +1,4 @@
-"""What a report holds of its trials, and the figures of its batches."""
+"""Tests of a report's trials, and of the figures of its batches."""
 
 import json
 import re

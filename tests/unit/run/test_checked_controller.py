@@ -1,4 +1,4 @@
-"""What a controller of another package returns is checked before it is sent and logged."""
+"""Tests that the results of a foreign controller are checked before they are sent and logged."""
 
 from dataclasses import replace
 from itertools import count

@@ -1,4 +1,4 @@
-"""How trials are handed out to a cluster, with a scheduler made for the test."""
+"""Tests of distributing trials to a cluster, with a fake scheduler."""
 
 import logging
 from importlib.util import find_spec

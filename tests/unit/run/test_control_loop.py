@@ -1,4 +1,4 @@
-"""A trial of a fake plant, controller and observers: its order of calls, faults, and ends."""
+"""Tests of a trial with fake plant, controller and observers: order of calls, faults and ends."""
 
 import threading
 import time

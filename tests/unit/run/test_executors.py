@@ -1,4 +1,4 @@
-"""Which requests end the trial of a worker, and which its process."""
+"""Tests of which requests end a worker's trial, and which end its process."""
 
 import gc
 import os

@@ -1,4 +1,4 @@
-"""A trial that a person steers is the trial of `sequence` with the directions given."""
+"""Tests that a trial steered by hand equals the trial of `sequence` with the same directions."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Robots that are lost: the trial ends, goes on without them, or with others in their places."""
+"""Tests of lost robots: the trial ends, goes on without them, or replaces them."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is said of robots that move while all should stand."""
+"""Tests of warnings about robots that move while all should stand still."""
 
 import numpy as np
 import pytest

@@ -95,9 +95,9 @@ lab.camera.version=2
 lab.camera.version=2.10
   camera.version: 2.10: must be at least 2.5; if 2.10 is
 lab.camera.version='4.1'
-  camera.version: '4.1': can only be requested in unicast
+  camera.version: '4.1': can be requested only in unicast
 lab.camera.version=4.1
-  camera.version: 4.1: can only be requested in unicast
+  camera.version: 4.1: can be requested only in unicast
 lab.camera.server=256.1.1.1
   lab.camera.server: must be IPv4, such as
 lab.camera.type=kinect
@@ -107,7 +107,7 @@ lab.actuator.type=m3pi
 lab.type=sim
   lab.type: must be one of lab
 lab.actuator.robots.0.limit=9 lab.actuator.robots.0.left.dead_zone=9
-  must be below the limit of 9
+  must be below the robot's limit of 9
 """
 
 
@@ -164,5 +164,5 @@ def test_a_calibration_that_never_ends_is_not_read(tmp_path):
     os.mkfifo(tmp_path / "m.yaml")
     (tmp_path / "spec.yaml").write_text(SPEC.read_text())
     loaded = load_spec(tmp_path / "spec.yaml", ["lab.calibration=m.yaml"])
-    with pytest.raises(SpecError, match=r"m.yaml: is not a regular file"):
+    with pytest.raises(SpecError, match=r"m.yaml: this is not a regular file"):
         on_plant(loaded, "lab")

@@ -118,9 +118,9 @@ type: rectangle,  -> (nothing)
   s.yaml:4:5: robots.0.a: is missing; add it: turning rate a towards the common direction
     [rad/s], in the paper's equation (3)
 obstacles:\n -> plant: {camera_rate: 120, truth_rate: 60}\nobstacles:\n
-  s.yaml:6:39: plant.truth_rate: 60: must be at least camera_rate, 120
+  s.yaml:6:39: plant.truth_rate: 60: must be at least as high as camera_rate, 120
 obstacles:\n -> plant: {type: sim, truth_rate: 60}\nobstacles:\n
-  s.yaml:6:32: plant.truth_rate: 60: must be at least camera_rate, 120
+  s.yaml:6:32: plant.truth_rate: 60: must be at least as high as camera_rate, 120
 start: [10, 10] -> start: [45, 50]
   s.yaml:4:24: robots.0.start: [45, 50]: is inside obstacles.0, a rectangle; move one of them
 target: [90, 80] -> target: [63, 22]
@@ -233,7 +233,7 @@ def test_problems_of_settings_name_the_setting(setting, line):
     [
         (
             "controller.period=1e6",
-            "gives 1.92e+09 poses in a control period of 1e+06 s; at most 2e+06 are allowed",
+            "gives 1.92e+09 poses in each control period of 1e+06 s; at most 2e+06 are allowed",
         ),
         (
             "controller.optimizer={type: pso, particles: 1000000}",

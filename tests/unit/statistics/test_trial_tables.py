@@ -102,7 +102,7 @@ def test_columns_that_do_not_fit_are_one_line(path, tmp_path, spoil):
     spoil(step)
     replaced = {entry: entry._replace(data=step.SerializeToString())}
     spoilt = rewrite(contents, tmp_path / "trial.mcap", replaced)
-    with pytest.raises(LogError, match="contains a value that tetractl does not write"):
+    with pytest.raises(LogError, match="contains a value that tetractl never writes"):
         of_log(spoilt, TABLES)
 
 

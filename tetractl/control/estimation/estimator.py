@@ -108,7 +108,7 @@ class StateEstimator:
         replaced = [i for frame in (*earlier, observation) for i in self.losses.add_frame(frame)]
         self.robots_changed = self.losses.changes > changes_before
         if self.robots_changed and not self.present.any():
-            raise ControlError("every robot is lost")
+            raise ControlError("all robots of the trial are lost")
         self._predictor.add_frames(observation, earlier)
         self._predictor.restart(replaced)
         forecast = self._predictor.forecast(self.sending_ns(observation))

@@ -28,7 +28,10 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
         now_s = time.monotonic()
         if said_s and now_s - said_s[-1] < AGAIN_S:
             return
-        duration = "about a minute, longer if the computer is busy; cached for later runs"
+        duration = (
+            "this takes about a minute, longer if the computer is busy; later runs "
+            "reuse the compiled code"
+        )
         if said_s:
             duration = f"{now_s - began_s:.0f} s so far"
         announce(f"compiling for {compiled_for(experiment)}: {duration} ...")

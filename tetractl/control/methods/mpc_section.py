@@ -212,7 +212,7 @@ class RecommendedMpc(SearchFields):
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield an error if robots that cannot stand still are to pause."""
         if self.collision.stop_before_collision and not setup.on_wheels:
-            message = "is only for robots that can stand still, which have wheels"
+            message = "is only for robots that can stand still; such robots have wheels"
             yield ("collision", "stop_before_collision"), message
 
     def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:

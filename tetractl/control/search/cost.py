@@ -166,5 +166,6 @@ def require_finite(costs: Floats) -> None:
         raise ControlError(
             f"the cost is not finite for {np.count_nonzero(~np.isfinite(costs))} of {costs.size} "
             "sequences",
-            "look for a pose that is not a number, or for lengths near the largest float",
+            "look in the spec for a pose that is not a number, or for lengths near the "
+            "largest floating-point number",
         )

@@ -19,7 +19,7 @@ from tetractl.model.wheels import CountArray
 from tetractl.spec.lab_section import entry
 
 ROBOT_BAUD = 57600  # of serial ports
-SILENT_ROBOT_HINT = "is the robot on, and in this computer's network?"
+SILENT_ROBOT_HINT = "is the robot switched on, and in the same network as this computer?"
 
 
 class SpeedRobots(WheeledActuator):

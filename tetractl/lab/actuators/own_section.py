@@ -46,10 +46,19 @@ class OwnSection(SpeedSection):
             if robot.address.startswith(SCHEME) and address_of(robot.address) is None:
                 yield ("robots", i, "address"), f"must be {SCHEME}HOST:PORT"
         if setup.watchdog_s > self.watchdog_s:
-            text = f"stop after {self.watchdog_s:g} s without a command: set wheels.watchdog to it"
+            text = (
+                f"stop after {self.watchdog_s:g} s without a command: set wheels.watchdog "
+                "to this value"
+            )
             yield (), f"robots of type {self.type} {text}"
         if self.rate * self.watchdog_s < 3:
-            yield ("rate",), f"must be three commands in {self.watchdog_s:g} s, as some are lost"
+            yield (
+                ("rate",),
+                (
+                    "must be high enough for three commands within "
+                    f"{self.watchdog_s:g} s, because some commands are lost"
+                ),
+            )
 
     def bounds(self) -> dict[str, str]:
         """Return addresses, rate and the largest wheel speed as {name: text}, for display."""

@@ -322,10 +322,10 @@ def robot_status(name: str, reply: Reply | None, warn_v: float) -> RobotStatus:
         warn_v: Voltage below which its battery is low [V].
     """
     if reply is None:
-        line = f"{name} does not answer: is it on, and is its index right?"
+        line = f"{name} does not answer: is the robot switched on, and is its index right?"
         return RobotStatus(False, problems=(line,))
     volts = reply.battery_mv / 1000 or None
-    low = "" if volts is None else f"{name}'s battery is at {volts:.2f} V"
+    low = "" if volts is None else f"{name}'s battery has {volts:.2f} V"
     if reply.status & Status.EMERGENCY_STOPPED:
         line = f"{name} is emergency-stopped: switch it off and on again"
         return RobotStatus(True, volts, (line,))

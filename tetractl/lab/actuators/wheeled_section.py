@@ -54,8 +54,8 @@ def wheel_gains(calibrated: Found, unit_mm: float) -> dict[str, float]:
     """
     if calibrated.swap or calibrated.left.invert or calibrated.right.invert:
         raise AbortError(
-            "a wheel turns the wrong way, or the wheels are swapped",
-            "change its motor's wires, or the robot's program",
+            "a wheel turns backwards, or the two wheels are swapped",
+            "swap the wires of the motor, or correct the robot's program",
         )
     return {
         "radius_mm": calibrated.radius_mm,

@@ -37,7 +37,7 @@ class PortCamera(ABC):
     """
 
     connect_s = 3.0  # longest wait for the first frame
-    hint = "does the camera's program run, at this address?"
+    hint = "does the camera's program run, and does it use this address?"
     emulated = False
 
     def __init__(
@@ -96,8 +96,13 @@ class PortCamera(ABC):
         if not came or self._port.failure:
             self._port.close()
             if self._first_damaged:
-                many = f"none of {self.damaged} messages of the camera could be read; the first"
-                raise AbortError(f"{many}: {self._first_damaged}", "does `poses` read this form?")
+                many = (
+                    f"{self.damaged} messages came from the camera, but none could be "
+                    "read; the first"
+                )
+                raise AbortError(
+                    f"{many}: {self._first_damaged}", "can the method `poses` read this format?"
+                )
             raise AbortError(self._port.failure or "no camera frame came", self.hint)
         return self
 

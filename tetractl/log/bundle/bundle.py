@@ -81,7 +81,9 @@ def write_bundle(paths: Sequence[Path], out: Path, names: Iterable[str]) -> Bund
         LogError: If a log cannot be read.
     """
     if out.exists():
-        raise UsageError(f"{out}: this file exists already", "name another with --out")
+        raise UsageError(
+            f"{out}: a file of this name exists already", "choose another file with --out"
+        )
     logs = [log for path in paths if _has_logs(path) for log in find_logs([path])]
     others = [path for path in paths if not _has_logs(path)]
     contents = [scan(log) for log in logs]
@@ -103,7 +105,7 @@ def write_bundle(paths: Sequence[Path], out: Path, names: Iterable[str]) -> Bund
             archive.writestr(CONTENTS, contents_text(bundle))
         part.replace(out)
     except FileNotFoundError:
-        raise UsageError(f"{out}: there is no folder {out.parent}") from None
+        raise UsageError(f"{out}: the folder {out.parent} does not exist") from None
     except OSError as error:
         raise LogError(f"{out}: cannot be written: {error.strerror}") from error
     finally:
@@ -132,7 +134,7 @@ def _add_log(
     The number is needed because logs of several folders may have the same name.
     """
     if not log.records:
-        raise LogError(f"{log.path}: nothing in the log can be read")
+        raise LogError(f"{log.path}: the log is damaged, and nothing in it can be read")
     name = f"logs/{number:03d}-{log.path.name.removesuffix('.part')}"
     with tempfile.TemporaryDirectory() as scratch:
         copy = Path(scratch) / "copy.mcap"
@@ -170,7 +172,9 @@ def _aliased(record: Record, aliases: Aliases) -> Record:
     try:
         message = CHANNELS[record.topic].FromString(record.data)
     except DecodeError:
-        raise LogError(f"a record of {record.topic} cannot be read: send the log itself") from None
+        raise LogError(
+            f"a record of {record.topic} cannot be read; send the log itself instead"
+        ) from None
     _alias_strings(message, aliases)
     return record._replace(data=message.SerializeToString())
 
@@ -210,11 +214,14 @@ def _add_file(archive: zipfile.ZipFile, path: Path, aliases: Aliases, bundle: Bu
         UsageError: If the file is neither.
     """
     if path.stat().st_size > BYTES_MAX:
-        raise UsageError(f"{path}: is larger than {BYTES_MAX // 1_000_000} MB")
+        raise UsageError(f"{path}: the file is larger than {BYTES_MAX // 1000000} MB")
     data = path.read_bytes()
     name = f"files/{path.name}"
     if name in archive.namelist():
-        raise UsageError(f"{path}: there are two files of this name", "rename one of them")
+        raise UsageError(
+            f"{path}: another file with the same name is already in the bundle",
+            "rename one of the two files",
+        )
     if is_capture(data):
         try:
             capture = aliased_capture(data, aliases)
@@ -229,7 +236,7 @@ def _add_file(archive: zipfile.ZipFile, path: Path, aliases: Aliases, bundle: Bu
             raise ValueError
     except ValueError:
         raise UsageError(
-            f"{path}: is neither a log, nor a capture in pcap format, nor a text",
+            f"{path}: the file is neither a log, nor a capture in pcap format, nor a text",
             "attach images and videos to the report yourself, after you have looked at them",
         ) from None
     archive.writestr(name, aliases.text(text))

@@ -65,10 +65,12 @@ def aliased_capture(data: bytes, aliases: Aliases) -> AliasedCapture:
     """
     order = MAGICS[data[:4]]
     if len(data) < HEADER:
-        raise UsageError("the capture is cut off in its header")
+        raise UsageError("the capture ends within its header")
     link = struct.unpack_from(order + "I", data, 20)[0] & 0x0FFFFFFF
     if link not in (ETHERNET, RAW_IP, COOKED, COOKED_2):
-        raise UsageError(f"a capture of link type {link} cannot be copied", "use tcpdump -i any")
+        raise UsageError(
+            f"a capture with link type {link} cannot be copied", "capture again with tcpdump -i any"
+        )
     copy = bytearray(data[:HEADER])
     packets = left_out = 0
     at = HEADER

@@ -54,7 +54,7 @@ def without_others(paths: Iterable[Path | str]) -> list[Path]:
     remaining = [path for path in listed if not (_NO_LOGS.search(path.name) and path.is_file())]
     if listed and not remaining:
         first = listed[0]
-        raise UsageError(f"{first}: is not a log (*{SUFFIX})", _hint_without_logs(first))
+        raise UsageError(f"{first}: this is not a log (*{SUFFIX})", _hint_without_logs(first))
     return remaining
 
 
@@ -64,8 +64,8 @@ def _hint_without_logs(path: Path) -> str | None:
         return f"run it with: tetractl run {path}"
     logs = sorted(path.parent.glob(f"*{SUFFIX}"), key=_natural)
     if logs:
-        return f"name a log, such as {logs[0]}"
-    return f"name the folder: {path.parent}" if path.parent.name else None
+        return f"name the log of a trial, such as {logs[0]}"
+    return f"name the folder instead: {path.parent}" if path.parent.name else None
 
 
 def find_log(path: Path | str) -> Path:
@@ -76,7 +76,7 @@ def find_log(path: Path | str) -> Path:
     """
     logs = find_logs([path])
     if len(logs) > 1:
-        raise UsageError(f"{path}: {len(logs)} logs", f"name one of them, such as {logs[0]}")
+        raise UsageError(f"{path}: {len(logs)} logs", f"name one of its logs, such as {logs[0]}")
     return logs[0]
 
 
@@ -92,25 +92,28 @@ def _expand(path: Path, attempts: bool) -> list[Path]:
     if path.is_dir():
         logs = _in_folder(path, attempts)
         if not logs:
-            hint = "of tables, name the files of poses and of commands to `tetractl identify`"
+            hint = (
+                "if these are tables, give the files of poses and of commands to "
+                "`tetractl identify`"
+            )
             has_tables = any(path.glob("*.csv"))
             raise UsageError(
-                f"{path}: no logs (*{SUFFIX}) in this folder", hint if has_tables else None
+                f"{path}: this folder contains no logs (*{SUFFIX})", hint if has_tables else None
             )
         return logs
     if path.is_file():
         return [path]
     if path.exists():  # reading a FIFO or a device may never end
-        raise UsageError(f"{path}: is not a regular file")
+        raise UsageError(f"{path}: this is not a regular file")
     if not has_magic(str(path)):
-        raise UsageError(f"{path}: no such file or folder")
+        raise UsageError(f"{path}: there is no such file or folder")
     logs = [
         log
         for match in _matches(path)
         for log in (_in_folder(match, attempts) or _logs([match], attempts))
     ]
     if not logs:
-        raise UsageError(f"{path}: matches no log")
+        raise UsageError(f"{path}: no log matches this pattern")
     return logs
 
 

@@ -38,7 +38,8 @@ def seconds_limit() -> float:
 def too_much(path: Path, what: str) -> LogError:
     """Create the error for a file that exceeds a limit. `what` describes the excess."""
     return LogError(
-        f"{path}: contains {what}, more than tetractl reads; {FACTOR}=2 allows twice as much"
+        f"{path}: the log contains {what}, more than tetractl reads; with {FACTOR}=2, it "
+        "reads twice as much"
     )
 
 

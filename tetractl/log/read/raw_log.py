@@ -26,7 +26,7 @@ from tetractl.log.read.limits import file_limit, too_much
 from tetractl.log.read.trial_log import Damage
 from tetractl.log.read.validate import stated_result
 
-ALTERED = "the content does not match the digest that the log states"
+ALTERED = "the content of the log does not match the digest stated in it"
 UNKNOWN = "an unknown program"
 BEFORE_ATTACHMENTS = (channels.RUN, channels.HOST)
 """Topics of the messages that tetractl writes before any attachment."""
@@ -109,8 +109,11 @@ class RawLog:
             text = f"the record of the run cannot be read: {_reason(error)}"
             raise LogError(f"{self.path}: {text}") from None
         if run.format_version != channels.FORMAT_VERSION:
-            text = f"is in format {run.format_version}, not {channels.FORMAT_VERSION}"
-            text += f"; read it by what wrote it, {writer(self.facts)}"
+            text = (
+                f"is in format {run.format_version}, but this version of tetractl reads "
+                f"format {channels.FORMAT_VERSION}"
+            )
+            text += f"; read the log with the version that wrote it, {writer(self.facts)}"
             raise LogError(f"{self.path}: {text}")
         return run
 
@@ -118,13 +121,15 @@ class RawLog:
         """Create the error for a file that does not contain the record of a run."""
         if self.has_loose_messages:
             return LogError(
-                f"{self.path}: was written again without chunks by another program: its messages "
-                "are not read",
+                f"{self.path}: another program has rewritten this log without chunks, so its "
+                "messages cannot be read",
                 "use the log that tetractl wrote, or a copy with chunks",
             )
         if self.problems:
-            return LogError(f"{self.path}: damaged: the record of the run is lost")
-        text = f"an MCAP file, but not a log of tetractl in format {channels.FORMAT_VERSION}"
+            return LogError(f"{self.path}: the log is damaged, and the record of the run is lost")
+        text = (
+            f"this is an MCAP file, but not a log of tetractl in format {channels.FORMAT_VERSION}"
+        )
         return LogError(f"{self.path}: {text}")
 
     @property
@@ -144,13 +149,15 @@ class RawLog:
     def result_or_why_not(self) -> Result | str:
         """The result, or why it cannot be read."""
         if not self.by_topic[channels.RESULT]:
-            return "the log has no result: the run was cut short or the log's end is lost"
+            return (
+                "the log has no result, because the run was cut short or the end of the log is lost"
+            )
         try:
             message = next(self.messages(channels.RESULT))
             end = next(self.messages(channels.HOST_END), None)
             return stated_result(message, end, len(self.run.robots), self.run.unit)
         except (DecodeError, LogError, OverflowError, ValueError) as error:
-            return f"the result has values that tetractl does not write: {_reason(error)}"
+            return f"the result has values that tetractl never writes: {_reason(error)}"
 
     @property
     def warnings(self) -> int:
@@ -233,7 +240,7 @@ class RawLog:
         record = self._stated(channels.RECOVERED)
         if record.source and not record.lost:
             return None
-        source = f"recovered from {record.source or 'a log'}, which was damaged"
+        source = f"this log was recovered from {record.source or 'another log'}, which was damaged"
         return Damage(
             problems=tuple(map(printable, (source, *record.problems))),
             lost=tuple(map(printable, record.lost)),
@@ -262,9 +269,9 @@ def read_file(path: Path) -> bytes:
     try:
         size = path.stat().st_size
         if path.is_dir():
-            raise LogError(f"{path}: is a folder, not a log")
+            raise LogError(f"{path}: this is a folder, not a log")
         if not path.is_file():  # reading a FIFO may never end
-            raise LogError(f"{path}: is not a regular file")
+            raise LogError(f"{path}: this is not a regular file")
         if size > file_limit():
             raise too_much(path, f"{size} bytes")
         data = path.read_bytes()

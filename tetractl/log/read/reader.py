@@ -105,7 +105,7 @@ def decode_errors(contents: RawLog) -> Iterator[None]:
         yield
     except (DecodeError, LookupError, OverflowError, RecursionError, ValueError) as error:
         raise LogError(
-            f"{contents.path}: contains a value that tetractl does not write: {error}"
+            f"{contents.path}: the log contains a value that tetractl never writes: {error}"
         ) from None
 
 
@@ -175,7 +175,7 @@ def _result_of_poses(trial: TrialLog) -> Result:
     """
     path, has_pose = trial_path(trial)
     if not has_pose.any(axis=0).all():
-        raise LogError(f"{trial.log}: contains no result, and no poses to compute it from")
+        raise LogError(f"{trial.log}: the log contains no result, and no poses to compute it from")
     last = len(path) - 1 - has_pose[::-1].argmax(axis=0)
     final = Poses.from_array(path[last, np.arange(path.shape[1])])
     return Result.from_verdict(
@@ -219,9 +219,11 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
     run = contents.run
     resolved = contents.text(channels.RESOLVED_SPEC)
     if resolved is None:
-        raise LogError(f"{contents.path}: damaged: the resolved spec is lost")
+        raise LogError(f"{contents.path}: the log is damaged, and its resolved spec is lost")
     if len(resolved) > MAX_BYTES:
-        raise LogError(f"{contents.path}: its resolved spec is longer than {MAX_BYTES} characters")
+        raise LogError(
+            f"{contents.path}: the log's resolved spec is longer than {MAX_BYTES} characters"
+        )
     try:
         experiment, spec_hash = _parse_spec(resolved)
         robots = len(experiment.robots)
@@ -237,7 +239,7 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
         ]
         raise LogError(
             f"{contents.path}: the record of the run cannot be read: {error}",
-            f"the log was written with {', '.join(plugins) or writer(contents.facts)}: "
+            f"this log was written with {', '.join(plugins) or writer(contents.facts)}: "
             "install this version",
         ) from None
     return experiment, Start(

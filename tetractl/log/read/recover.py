@@ -65,7 +65,7 @@ def recover(log: Path, out: Path | None = None) -> Recovery:
     """
     contents = scan(log)
     if not contents.records:
-        raise LogError(f"{log}: nothing in the log can be recovered")
+        raise LogError(f"{log}: the log is damaged, and nothing in it can be recovered")
     damage = _examine(contents)
     path = out or (recovered_path(log) if damage.problems or damage.lost else None)
     if path is not None:

@@ -141,7 +141,7 @@ class _Scan:
         if self._problems:
             self._search()
         if not (begins or self._by_offset):
-            raise LogError(f"{self._path}: not an MCAP file")
+            raise LogError(f"{self._path}: this is not an MCAP file")
         raw = self._collected()
         if expected is None and self._problems:
             raw.lost.append("the messages of every missing or damaged chunk")
@@ -202,7 +202,7 @@ class _Scan:
         footer = len(self._data) - len(MAGIC) - _FOOTER.size
         head = self._data[max(0, footer - _RECORD.size) : max(0, footer)]
         if head != _FOOTER_HEAD or not self._data.endswith(MAGIC):
-            self._problems.append("the file breaks off: the index at its end is missing")
+            self._problems.append("the file breaks off before the index at its end")
             return None
         index, _, _ = _FOOTER.unpack_from(self._data, footer)
         if index == 0 and self._is_foreign:

@@ -172,11 +172,14 @@ def _next_step(text: str) -> str:
     Logs do not contain them.
     """
     if text.endswith(" is lost"):
-        return ": no poses of it arrived; is it hidden, out of view, off its mat or switched off?"
+        return (
+            ": no poses of this robot arrived; is it hidden, out of view, off its mat or "
+            "switched off?"
+        )
     if text.startswith("the model does not fit"):
         return (
-            ": `tetractl identify` measures a, speed and dead time, which is longer if frames are "
-            "later than `latency`; with --wheels the lag of wheels"
+            ": `tetractl identify` measures a, speed and dead time (longer if frames are "
+            "later than `latency`), and with --wheels the lag of the wheels"
         )
     return ""
 

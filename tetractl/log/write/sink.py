@@ -78,7 +78,9 @@ class Sink:
         must_be_new = (path,) if is_copy else (path, self._part)
         for name in must_be_new:  # never overwrite a log
             if os.path.lexists(name):
-                raise LogError(f"{name}: this log exists already", "write to another folder")
+                raise LogError(
+                    f"{name}: a log of this name exists already", "write the log to another folder"
+                )
         try:
             self._file = _owned(self._part) if is_copy else self._part.open("x+b")
             _sync_folder(path.parent)
@@ -184,7 +186,7 @@ class Sink:
             self._release()
         hint = None
         if os.path.lexists(self._part) and self._part.stat().st_size > 0:
-            hint = f"the log so far is in {self._part}"
+            hint = f"the log written so far is in {self._part}"
         why = error.strerror or str(error)
         raise LogError(f"{self._path}: cannot write the log: {why}", hint) from error
 
@@ -209,7 +211,7 @@ def _owned(path: Path) -> BinaryIO:
         file.truncate(0)
     except BlockingIOError:
         file.close()
-        raise OSError(errno.EBUSY, "another process is writing this log") from None
+        raise OSError(errno.EBUSY, "another process is already writing this log") from None
     return file
 
 

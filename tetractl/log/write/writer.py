@@ -78,8 +78,8 @@ class LogWriter(Relay):
             wait_s=0.0 if self._real_time else DISK_PATIENCE_S,
             patience_s=DISK_PATIENCE_S,
             too_slow=LogError(
-                f"{self._path}: the disk is too slow for this log",
-                f"the log so far is in {self._path}{self._part}",
+                f"{self._path}: the disk is too slow to write this log",
+                f"the log written so far is in {self._path}{self._part}",
             ),
             idle=sink.flush_if_due,
             batch_s=0.0 if self._real_time else BATCH_S,

@@ -1,4 +1,6 @@
-"""What every play on real wires needs: compiled code, and a host that keeps its time."""
+"""Pytest fixtures for tests on real connections: compiled code, and a computer that is not too
+busy.
+"""
 
 import os
 

@@ -1,4 +1,4 @@
-"""The emulated microscope and driver in a process of their own: real sockets, a real port."""
+"""Tests of the emulated microscope and coil driver in a process of their own, over real sockets."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""`tetractl lab emulate` as a command: ready, ended by signals, nothing left behind."""
+"""Tests of the command `tetractl lab emulate`: its start, its end by signals, and its clean-up."""
 
 import signal
 import subprocess
@@ -28,5 +28,5 @@ def test_it_says_ready_and_ends_cleanly(tmp_path, number):
         process.send_signal(number)
         out, errors = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, out) == (0, "")
-    assert errors == "the emulation has ended\n"
+    assert errors == "the emulation has stopped\n"
     assert list(tmp_path.iterdir()) == []

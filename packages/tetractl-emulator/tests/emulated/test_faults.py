@@ -1,8 +1,8 @@
-"""Faults on real wires, of processes, ports and pictures: the emulator plays them on a run.
+"""Tests of faults of processes, ports and images during a run, over real connections.
 
-All others are played in virtual time; terminals, suspended runs and wanted ports are also of
-test_lab_commands.py, silent sockets of test_udp_port.py. What the robots truly did is read from the
-emulator's own record, not from the runner's log.
+All other faults are tested in virtual time. Faults of terminals, suspended runs and ports in use
+are also tested in test_lab_commands.py, and silent sockets in test_udp_port.py. The tests read what
+the robots truly did from the emulator's own record, not from the log of the run.
 """
 
 import pytest

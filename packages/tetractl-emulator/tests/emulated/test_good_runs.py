@@ -1,4 +1,4 @@
-"""Runs in an emulated lab in which nothing goes wrong, on real wires."""
+"""Tests of runs without faults in an emulated lab, over real connections."""
 
 import pytest
 from testkit.emulator.good_runs import RUNS, check, script_of

@@ -1,4 +1,4 @@
-"""`tetractl lab check`, `stop`, `calibrate`, and what `tetractl run --plant lab` adds, emulated."""
+"""Tests of `tetractl lab check`, `stop`, `calibrate` and `tetractl run --plant lab`, emulated."""
 
 import os
 import signal

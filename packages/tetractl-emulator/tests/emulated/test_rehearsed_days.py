@@ -1,5 +1,6 @@
-"""Days on which each fault of the table is met; what a night of new seeds finds becomes a script of
-faults.
+"""Tests of rehearsals in which each fault of the table occurs at least once.
+
+If a night of rehearsals with new seeds finds a defect, a script of its faults is added here.
 """
 
 from random import Random

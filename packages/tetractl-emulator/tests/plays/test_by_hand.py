@@ -1,4 +1,4 @@
-"""`tetractl play --plant emulated`: robots of an emulated lab, steered by hand."""
+"""Tests of steering an emulated lab by hand with `tetractl play --plant emulated`."""
 
 import re
 

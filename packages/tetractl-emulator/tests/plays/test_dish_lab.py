@@ -1,4 +1,4 @@
-"""Cells that a trial finds and steers through synthetic pictures, emulated, in virtual time."""
+"""Tests in which a trial finds cells and steers them through synthetic images, in virtual time."""
 
 import contextlib
 import json
@@ -115,7 +115,7 @@ def test_a_cell_that_divides_is_replaced(tmp_path):
     text = " ".join(note.text for note in log.notes)
     assert "cell 2 has divided" in text
     assert "the run goes on without this robot" in text
-    assert "cell 2 is another cell now" in text
+    assert "cell 2 is now another cell" in text
     assert verify(tmp_path / "trial-000.mcap").problems == ()
     assert max(result.robot_errors) < 60
 
@@ -136,7 +136,7 @@ def test_a_survey_sees_by_the_turning_of_cells_that_the_picture_is_mirrored(tmp_
     with virtual_dish(tmp_path, 3, SMALL, script) as dish:
         done = survey(dish, tmp_path, "--yes", "--plans", "1")
         assert not driver_after(dish).running
-    assert "warning: cells turn right where the field turns left" in done.stderr
+    assert "warning: cells turn right when the field turns left" in done.stderr
     assert "is towards the mirror image of the field" in done.stdout
 
 
@@ -179,7 +179,7 @@ def test_a_person_at_a_terminal_is_asked_before_the_field_turns(tmp_path, monkey
         done = survey(dish, tmp_path, stdin="n\n")
         assert dish.events("run") == []
     assert done.returncode != 0
-    assert "The field will turn the cells for" in done.stderr
+    assert "The magnetic field will turn the cells for" in done.stderr
     assert done.stdout.strip() == ""
 
 

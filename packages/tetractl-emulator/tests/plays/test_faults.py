@@ -1,4 +1,4 @@
-"""The rows of the fault table in virtual time: plant `emulated` plays every script."""
+"""Tests of every fault script in virtual time, on the plant `emulated`."""
 
 import pytest
 from testkit.emulator.fault_checks import SCRIPTS, check

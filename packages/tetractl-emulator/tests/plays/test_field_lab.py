@@ -1,4 +1,4 @@
-"""Cells under a field, end to end: camera, guard, inner loop, driver, coils; emulated."""
+"""Tests of emulated cells in a field, from the camera to the driver and the coils."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Runs in an emulated lab in which nothing goes wrong, over every kind of wire, in virtual time."""
+"""Tests of runs without faults in an emulated lab, over every kind of wire, in virtual time."""
 
 import pytest
 from testkit.cli import tetractl

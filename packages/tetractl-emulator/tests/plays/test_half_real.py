@@ -1,5 +1,7 @@
-"""A lab of which camera, actuator, both or neither are real, in virtual time: the real ones are an
-emulated lab's, on wires in memory."""
+"""Tests of labs in which camera, actuator, both or neither are real, in virtual time.
+
+Here, the "real" devices belong to another emulated lab, over connections in memory.
+"""
 
 from unittest import mock
 
@@ -32,7 +34,7 @@ def test_a_real_actuator_is_not_calibrated_by_an_emulated_camera(tmp_path, answe
     with mock.patch.object(EmulatedPlantSection, "rig") as rig:
         done = tetractl(tmp_path, *words, *answer)
     assert done.returncode == 2
-    assert "error: plant.real=actuator: the camera shows emulated robots" in done.stderr
-    assert "hint: calibrate with --plant lab" in done.stderr
+    assert "error: plant.real=actuator makes the robots real" in done.stderr
+    assert "hint: calibrate real robots with --plant lab" in done.stderr
     rig.assert_not_called()
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""A batch in the lab after an abort: it goes on only if nobody has to touch a robot or a device."""
+"""Tests of a batch after an abort: it goes on only if nobody has to touch a robot or device."""
 
 import json
 
@@ -14,7 +14,7 @@ from tetractl.log.read.reader import read_result
 pytestmark = pytest.mark.slow
 
 PATHS = {path.stem: path for path in SCRIPTS}
-HINT = "hint: with --keep-going a batch goes on after such an abort"
+HINT = "hint: with --keep-going, a batch goes on after an abort like this one"
 
 
 def run(folder, fault, *words, trials=3):

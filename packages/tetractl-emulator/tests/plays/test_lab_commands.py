@@ -1,5 +1,4 @@
-"""`tetractl lab check`, `stop`, `calibrate`, and what `tetractl run --plant lab` adds, in virtual
-time over the lab's whole wires."""
+"""Tests of `tetractl lab check`, `stop`, `calibrate` and `run --plant lab`, in virtual time."""
 
 import contextlib
 import json
@@ -162,13 +161,13 @@ def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
 
     log = ("rerun", "first/trial-000.mcap", "--out")
     again = run(*log, "simulated").ok()
-    assert "the log is of the lab, the new one simulated" in again.stderr
+    assert "the log is of the lab, but the new one from simulated" in again.stderr
     assert read_trial(tmp_path / "simulated" / "trial-000.mcap").start.plant.simulated
     refused = run(*log, "lab", "--plant", "lab")
     assert (refused.returncode, refused.stdout) == (2, "")
     started = 2
     again = run(*log, "lab", "--plant", "lab", "--yes").ok()
-    assert "both logs are of the lab: they are not compared" in again.stderr
+    assert "both logs are of the lab, so they are not compared" in again.stderr
 
 
 @pytest.mark.long
@@ -237,7 +236,7 @@ def test_check_asks_about_a_radio_that_it_does_not_know(lab, tmp_path):
     assert done.returncode == 1
     says = "the module (HV 7F44, VR 10EC) is not in tetractl's list: does it run"
     assert says in done.stdout
-    assert "questions not answered: add --yes if there is no terminal" in done.stderr
+    assert "the questions were not answered: without a terminal, add --yes" in done.stderr
     done = tetractl(tmp_path, *command, "--yes").ok()
     assert f"warning: {tmp_path / 'radio'}: the module" in done.stdout
 
@@ -288,6 +287,6 @@ def test_a_person_at_a_terminal_is_asked_before_robots_are_calibrated(lab, tmp_p
     words = ("lab", "calibrate", SPEC, *flags(emulated.settings))
     done = tetractl(tmp_path, *words, stdin="n\n")
     assert done.returncode != 0
-    assert "green, blue, red will move up to 0.3 m each. Continue?" in done.stderr
+    assert "green, blue, red will move by up to 0.3 m each. Continue?" in done.stderr
     assert done.stdout.strip() == ""
     assert emulated.events("run") == []

@@ -1,4 +1,4 @@
-"""Robots whose program MicroPython runs drive as those with the program in C do."""
+"""Tests that robots whose program MicroPython runs drive like those with the program in C."""
 
 import pytest
 from testkit.cli import tetractl

@@ -1,4 +1,4 @@
-"""Robots of an emulated lab driven open loop by a sequence, and identified from it."""
+"""Tests of robots of an emulated lab that are driven open loop by a sequence, and identified."""
 
 import json
 

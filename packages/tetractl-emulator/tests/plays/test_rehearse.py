@@ -1,4 +1,4 @@
-"""`tetractl lab rehearse`: days of a fixed seed, and what it says of a defect that is planted."""
+"""Tests of `tetractl lab rehearse` with a fixed seed, and with a planted defect."""
 
 import json
 
@@ -83,7 +83,7 @@ def test_a_lab_with_a_real_device_is_not_rehearsed(tmp_path):
         events = lab.events("run")
     assert events == []
     assert done.returncode == 2
-    assert "a device of this one is real" in done.stderr
+    assert "a device of this lab is real" in done.stderr
 
 
 @pytest.mark.long

@@ -1,6 +1,7 @@
-"""Every lab that is shipped, as an example or as a template of `init --lab`, runs silently in its
-emulator: no trial of a batch is flagged, since nothing goes wrong in it. The templates of other
-packages have such a test in those packages.
+"""Tests that every shipped lab runs in its emulator without warnings or flagged trials.
+
+The labs are the examples and the templates of `init --lab`. Other packages have such a test for
+their own templates.
 """
 
 import pytest

@@ -1,4 +1,4 @@
-"""A terminal that takes nothing, in virtual time: a loaded host changes nothing."""
+"""Tests of a run whose terminal accepts no more output, in virtual time."""
 
 import io
 import itertools

@@ -1,4 +1,4 @@
-"""The simulated bench and the emulated lab: the same trials, alike in distribution."""
+"""Tests that trials on the simulated bench and in the emulated lab have similar distributions."""
 
 import math
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
-"""Cameras and actuators of a lab pass the checks of `tetractl_testing`, before emulated robots.
+"""Tests that cameras and actuators of a lab pass the checks of `tetractl_testing`.
 
-All but the AprilTag camera, which draws and searches pictures in threads of its own, are in virtual
-time.
+The robots are emulated, in virtual time. The exception is the AprilTag camera, which draws and
+searches images in threads of its own.
 """
 
 import threading

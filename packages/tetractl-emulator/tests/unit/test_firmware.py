@@ -1,4 +1,4 @@
-"""The robot's C core against the Python codec, byte by byte."""
+"""Tests of the robots' C firmware against the Python codec, byte by byte."""
 
 import contextlib
 import random
@@ -152,7 +152,7 @@ def test_a_source_that_does_not_compile_is_one_clear_line(tmp_path, monkeypatch)
     for name in ("m3pi_core.c", "m3pi_core.h", "framing.c", "framing.h"):
         (tmp_path / name).write_text("this is not C\n")
     monkeypatch.setattr(firmware, "source_folder", lambda: tmp_path)
-    with pytest.raises(TetractlError, match=r"could not build the firmware's core: .*error") as got:
+    with pytest.raises(TetractlError, match=r"could not compile .* firmware: .*error") as got:
         firmware.load("m3pi", tmp_path / "out")
     assert "\n" not in got.value.message
     assert list((tmp_path / "out").iterdir()) == []

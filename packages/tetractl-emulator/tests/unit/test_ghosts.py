@@ -1,4 +1,4 @@
-"""A camera that shows robots elsewhere than they are, in the emulated lab in virtual time.
+"""Tests of a camera that shows robots at false poses, in the emulated lab in virtual time.
 
 Frames are noisy, each wheel is up to 10 % off, and 5 % of the packets are lost.
 """

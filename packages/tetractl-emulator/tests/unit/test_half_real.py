@@ -1,4 +1,4 @@
-"""A real actuator and an emulated one, whose radio may fail as its script wants."""
+"""Tests of a real and an emulated actuator whose radio fails as a script demands."""
 
 import threading
 

@@ -1,4 +1,4 @@
-"""Whatever a camera server may send, and whatever stands in a script."""
+"""Tests that no datagram of a camera server and no content of a script can do harm."""
 
 import pytest
 from testkit.bounded_work import withstands

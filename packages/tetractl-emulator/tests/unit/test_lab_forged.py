@@ -1,4 +1,4 @@
-"""The log of an emulated lab cannot pass for one of a real lab, even if all its digests fit."""
+"""Tests that the log of an emulated lab is never accepted as the log of a real lab."""
 
 from collections.abc import Callable
 from typing import Any

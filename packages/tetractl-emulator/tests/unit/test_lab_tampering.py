@@ -1,8 +1,8 @@
-"""What `verify` notices of the log of a lab in which somebody changed one thing.
+"""Tests of what `verify` notices in the log of a lab in which one value was changed.
 
-`verify` computes the decisions of a lab's log again from the logged frames, and compares the
-errors, the final poses and the entered obstacles with them. Everything else is protected by the
-digests alone, and the digests are made to fit here.
+`verify` computes the decisions in a lab's log again from the logged frames, and compares the
+errors, the final poses and the entered obstacles with them. Only digests protect everything else,
+and these tests make the digests fit.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The fault `rests`: one cell of an emulated dish stops swimming, and goes on."""
+"""Tests of the fault `rests`: one cell of an emulated dish stops swimming, and starts again."""
 
 from types import SimpleNamespace
 

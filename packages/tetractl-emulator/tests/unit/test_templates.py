@@ -1,4 +1,4 @@
-"""What the specs that `tetractl init --lab` writes say of the emulated lab."""
+"""Tests of what the specs from `tetractl init --lab` say about the emulated lab."""
 
 import pytest
 from testkit.cli import tetractl

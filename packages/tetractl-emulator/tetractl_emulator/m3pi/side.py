@@ -75,7 +75,7 @@ def _renumber(fault: Any, device: Any) -> Undo:
 FAULTS = (
     fault_kind(
         "veer",
-        "A robot's motors get these counts in place of every count other than 0.",
+        "A robot's motors run at these counts whenever they should run at any count other than 0.",
         fields={"robot": Name, "counts": tuple[Count, Count]},
     ),
     fault_kind(

@@ -297,8 +297,9 @@ ELSEWHERE = f"only an emergency stop|{MOTION}|{PLACE}"
 SENDER = {"counts": pair(signed(3, 60)), "rate": one_of(20.0, OUR_HZ, 100.0, 200.0)}
 DRIVEN_ELSEWHERE = fault_kind(
     "driven_elsewhere",
-    "Another program on the radio sends all robots these counts, at this rate [Hz]. Its numbers "
-    "are its own or, if it follows, as if its commands came next after ours.",
+    "Another program on the radio sends these counts to all robots, at this rate [Hz]. Its "
+    "commands have sequence numbers of their own. If `follows` is set, they continue the "
+    "sequence numbers of our commands.",
     fields={
         "counts": tuple[Count, Count],
         "rate": (Positive, 100.0),
@@ -323,38 +324,39 @@ WHEELED_FAULTS = (
     *port_faults("radio", RADIO, RADIO),
     fault_kind(
         "loss",
-        "Robots do not receive this fraction of the transmissions.",
+        "This fraction of the transmissions reaches no robot.",
         fields={"share": Share},
         rows=[FaultRow("radio silent", LINK, {"share": lost})],
     ),
     fault_kind(
         "deaf",
-        "A robot does not receive this fraction of the transmissions.",
+        "This fraction of the transmissions does not reach one of the robots.",
         fields={"robot": Name, "share": Share},
         rows=[FaultRow("robot deaf", LINK, {"share": lost})],
     ),
     fault_kind(
         "swapped_numbers",
-        "Two robots have exchanged numbers: each obeys what is sent to the other.",
+        "Two robots have swapped numbers: each obeys the commands for the other.",
         fields={"robot": Name, "other": Name},
         rows=[FaultRow("numbers swapped", MOVED, at_once=True, start=1.0)],
         begin=_swap_numbers,
     ),
     fault_kind(
         "late_radio",
-        "Transmissions arrive late [s].",
+        "Transmissions arrive late by this time [s].",
         fields={"by": Positive},
         rows=[FaultRow("radio late", LINK, {"by": between(0.005, 1)})],
     ),
     fault_kind(
         "stopped_elsewhere",
-        "Robots hear `tetractl lab stop` by another radio: ten emergency stops.",
+        "Robots receive `tetractl lab stop` from another radio: ten emergency stops.",
         rows=[FaultRow("stopped elsewhere", f"emergency-stopped|{LINK}", at_once=True)],
         begin=lambda f, d: d.stop_elsewhere(),
     ),
     fault_kind(
         "overtaken_packets",
-        "Transmissions are late by a random time up to this one [s], so that some overtake others.",
+        "Transmissions arrive late by a random time of up to this value [s], so that some "
+        "overtake others.",
         fields={"by": Positive},
         rows=[FaultRow("packets overtaken", LINK, {"by": between(0.02, 1)})],
     ),
@@ -365,31 +367,31 @@ WHEELED_FAULTS = (
     ),
     fault_kind(
         "radio_resets",
-        "The radio's module restarts: it takes and gives no bytes until it is up again.",
+        "The radio's module restarts: it neither accepts nor sends bytes until it has started.",
         rows=[FaultRow("radio resets", LINK)],
     ),
     fault_kind(
         "baud",
-        "The radio's module has another baud rate.",
+        "The radio's module is set to another baud rate.",
         fields={"baud": Literal[9600, 19200, 38400, 115200]},
         rows=[FaultRow("other baud rate", LINK, {"baud": 9600})],
     ),
     fault_kind(
         "bad_bytes",
-        "This fraction of the bytes on the wire to the radio is changed, both ways.",
+        "This fraction of the bytes on the wire to and from the radio is changed.",
         fields={"share": Share},
         rows=[FaultRow("bad bytes", LINK, {"share": between(2e-4, 0.5)})],
     ),
     fault_kind(
         "weak_wheel",
-        "A wheel turns at this share of its speed.",
+        "A wheel turns at this fraction of its commanded speed.",
         fields={"robot": Name, "wheel": Wheel, "share": Share},
         rows=[FaultRow("wheel weak", MOVED, {"wheel": WHEEL, "share": less(0.02, 1.2)})],
     ),
     fault_kind(
         "pushed",
-        "Somebody moves a robot on the floor: by this distance [mm] and angle [rad], within 0.2 s, "
-        "or at once if it is put elsewhere.",
+        "Somebody moves a robot on the floor by this distance [mm] and angle [rad]. The move "
+        "takes 0.2 s, or no time if the robot is lifted and put elsewhere.",
         fields={"robot": Name, "by": Point, "turn": (Finite, 0.0), "at_once": (bool, False)},
         rows=[
             FaultRow("pushed", MOVED, {"by": off(3, 200), "turn": signed(0.01, 2)}, at_once=True),
@@ -411,7 +413,7 @@ WHEELED_FAULTS = (
     ),
     fault_kind(
         "reboots",
-        "A robot starts again, and from then on obeys by this time [s] late.",
+        "A robot restarts. Afterwards it obeys commands late by this time [s].",
         fields={"robot": Name, "by": Positive},
         rows=[FaultRow("late after a reboot", LINK, {"by": between(0.05, 3)})],
         begin=lambda f, d: d.robot(f.robot).switch(True),

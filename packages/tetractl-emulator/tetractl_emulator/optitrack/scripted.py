@@ -125,16 +125,18 @@ FAULTS = (
         SENT,
         rows=[FaultRow("server silent", f"{SIGHT}|{CLOCK}")],
     ),
-    fault_kind("no_frames", "No frames are sent.", SENT, rows=[FaultRow("frames lost", SIGHT)]),
+    fault_kind(
+        "no_frames", "The server sends no frames.", SENT, rows=[FaultRow("frames lost", SIGHT)]
+    ),
     fault_kind(
         "freeze",
-        "The same frame is sent repeatedly.",
+        "The server sends the same frame repeatedly.",
         SENT,
         rows=[FaultRow("frames frozen", SIGHT)],
     ),
     fault_kind(
         "counter_back",
-        "The frame number goes back by this number.",
+        "The frame number goes back by this count.",
         EXPOSED,
         fields={"frames": Frames},
         rows=[FaultRow("counter back", "counter", {"frames": 30})],
@@ -151,28 +153,29 @@ FAULTS = (
     ),
     fault_kind(
         "other_version",
-        "Frames have another protocol version than the server reports.",
+        "Frames use another protocol version than the one that the server reports.",
         SENT,
         fields={"version": VersionText},
         rows=[FaultRow("other version", f"damaged|{SIGHT}", {"version": one_of("2.9", "3.0")})],
     ),
     fault_kind(
         "outdated",
-        "Frames have exposure times that are too early by this time [s].",
+        "The exposure times stated in the frames are too early by this time [s].",
         EXPOSED,
         fields={"by": Positive},
         rows=[FaultRow("frames of the past", LATE, {"by": between(0.05, 30)})],
     ),
     fault_kind(
         "late_frames",
-        "Frames are late [s].",
+        "Frames arrive late by this time [s].",
         SENT,
         fields={"by": Positive},
         rows=[FaultRow("frames late", LATE, {"by": between(0.003, 0.4)})],
     ),
     fault_kind(
         "reordered",
-        "Frames are late by a random time up to this one [s], so that some overtake others.",
+        "Frames arrive late by a random time of up to this value [s], so that some overtake "
+        "others.",
         SENT,
         fields={"by": Positive},
         rows=[FaultRow("frames reordered", LATE, {"by": between(0.002, 0.3)})],
@@ -185,15 +188,15 @@ FAULTS = (
     ),
     fault_kind(
         "slow_frames",
-        "At most this number of frames is sent each second.",
+        "The server sends at most this number of frames per second.",
         SENT,
         fields={"rate": Positive},
         rows=[FaultRow("frames slow", MOVED, {"rate": between(100, 1)})],
     ),
     fault_kind(
         "picture",
-        "The whole picture is displaced [mm], grown by a factor and turned [rad], by so much in "
-        "each frame if it creeps; what it has crept remains.",
+        "All poses are displaced [mm], scaled by a factor and turned [rad]. If `creeps` is "
+        "true, this is added in each frame, and the displacement remains after the fault.",
         EXPOSED,
         fields={
             "by": (Point, (0.0, 0.0)),
@@ -212,14 +215,15 @@ FAULTS = (
     ),
     fault_kind(
         "untracked",
-        "A body is not tracked; its last pose is repeated.",
+        "A body is not tracked; the frames repeat its last pose.",
         EXPOSED,
         fields={"robot": Name},
         rows=[FaultRow("untracked", SIGHT)],
     ),
     fault_kind(
         "half_tracked",
-        "A body is not tracked in this fraction of the frames, or but in one of so many.",
+        "A body is not tracked in this fraction of the frames, or is tracked in only one of "
+        "this number of frames.",
         EXPOSED,
         fields={"robot": Name, "share": (Share, 0.0), "every": (Frames, 1)},
         rows=[
@@ -241,8 +245,9 @@ FAULTS = (
     ),
     fault_kind(
         "ghost",
-        "A body's pose moves away from its robot: by this distance [mm] and angle [rad] in each "
-        "frame, along the spec's axes or along and left of the robot's heading.",
+        "A body's pose drifts away from its robot: by this distance [mm] and angle [rad] in "
+        "each frame. The distance is along the spec's axes, or along and to the left of the "
+        "robot's heading.",
         EXPOSED,
         fields={"robot": Name, "by": Point, "axes": (Axes, "floor"), "turn": (Finite, 0.0)},
         rows=[
@@ -254,22 +259,22 @@ FAULTS = (
     ),
     fault_kind(
         "slip",
-        "A robot's marker plate slips by this distance along and left of its heading [mm], and "
-        "turns by an angle [rad].",
+        "A robot's marker plate slips along and to the left of its heading by this distance "
+        "[mm], and turns by this angle [rad].",
         EXPOSED,
         fields={"robot": Name, "by": Point, "turn": (Finite, 0.0)},
         rows=[FaultRow("plate slips", MOVED, {"by": off(2, 60), "turn": signed(0.02, 1.5)})],
     ),
     fault_kind(
         "lifted",
-        "A body is seen at this height above the floor [mm].",
+        "The camera sees a body at this height above the floor [mm].",
         EXPOSED,
         fields={"robot": Name, "height": Finite},
         rows=[FaultRow("lifted", SIGHT, {"height": between(80, 2e3)})],
     ),
     fault_kind(
         "tipped",
-        "A body is seen rolled about its own x axis by this angle [rad].",
+        "The camera sees a body rolled about its own x axis by this angle [rad].",
         EXPOSED,
         fields={"robot": Name, "angle": Finite},
         rows=[FaultRow("tipped", SIGHT, {"angle": signed(0.05, 3.1)})],
@@ -290,7 +295,7 @@ FAULTS = (
     ),
     fault_kind(
         "repeat",
-        "The pose of a body, or of all bodies, is repeated in new frames.",
+        "New frames repeat the old pose of one body, or of all bodies.",
         EXPOSED,
         fields={"robot": (Name | None, None)},
         rows=[
@@ -314,13 +319,13 @@ FAULTS = (
     ),
     fault_kind(
         "clock_jump",
-        "The server's clock is set forward by a time [s].",
+        "The server's clock is set forward by this time [s].",
         fields={"by": Finite},
         rows=[FaultRow("camera's clock jumps", LATE, {"by": signed(5e-4, 5)})],
     ),
     fault_kind(
         "clock_rate",
-        "The server's clock advances by this time [s] each second.",
+        "The server's clock gains this time [s] every second.",
         fields={"rate": Positive},
         rows=[FaultRow("camera's clock drifts", LATE, {"rate": factor(2e-4, 0.5)})],
         begin=_run_clock,

@@ -181,7 +181,10 @@ def _row(fault: Any, device: Any) -> int:
     """
     names = [body.name for body in device.bodies]
     if fault.cell not in names:
-        raise UsageError(f"no cell is named {fault.cell}", f"the cells are {', '.join(names)}")
+        raise UsageError(
+            f"the fault script names the cell {fault.cell}, but no cell has this name",
+            f"the cells are {', '.join(names)}",
+        )
     return names.index(fault.cell)
 
 
@@ -201,7 +204,7 @@ FAULTS = (
     *port_faults("driver", DRIVER, DRIVER),
     fault_kind(
         "off",
-        "The driver is switched off.",
+        "The current driver is switched off.",
         rows=[
             FaultRow("driver off", FIELD),
             FaultRow("driver resets", FIELD, {"for": between(0.01, 1)}),
@@ -210,7 +213,7 @@ FAULTS = (
     ),
     fault_kind(
         "low_supply",
-        "The driver's supply has this voltage [mV].",
+        "The supply of the current driver has this voltage [mV].",
         fields={"millivolts": Annotated[int, Field(ge=0, le=60_000)]},
         rows=[FaultRow("supply low", FIELD, {"millivolts": whole_number(12_000, 5_000)})],
     ),
@@ -243,24 +246,24 @@ FAULTS = (
     ),
     fault_kind(
         "late_driver",
-        "What the driver receives arrives late [s].",
+        "The current driver receives everything late by this time [s].",
         fields={"by": Positive},
         rows=[FaultRow("driver late", FIELD, {"by": between(0.005, 1)})],
     ),
     fault_kind(
         "doubled_commands",
-        "The driver receives each command twice.",
+        "The current driver receives each command twice.",
         rows=[FaultRow("commands doubled", NOTHING, weight=0.5)],
     ),
     fault_kind(
         "bad_bytes",
-        "This fraction of the bytes on the driver's wire is changed, both ways.",
+        "This fraction of the bytes on the wire to and from the current driver is changed.",
         fields={"share": Share},
         rows=[FaultRow("bad bytes", FIELD, {"share": between(2e-4, 0.5)})],
     ),
     fault_kind(
         "weak_coils",
-        "A coil pair makes this share of its field: less than 0, the other way.",
+        "A coil pair makes this fraction of its field. A negative fraction reverses the field.",
         fields={"axis": Literal["x", "y"], "share": Annotated[float, Field(ge=-1, le=1)]},
         rows=[
             FaultRow("coils weak", SEEN, {"axis": one_of("x", "y"), "share": less(0.02, 2, -1.0)})
@@ -273,7 +276,9 @@ FAULTS = (
         rows=[FaultRow("coils turned", SEEN, {"by": signed(0.02, 3.1)})],
     ),
     fault_kind(
-        "mute", "The driver receives but does not reply.", rows=[FaultRow("driver silent", DRIVER)]
+        "mute",
+        "The current driver receives commands but does not reply.",
+        rows=[FaultRow("driver silent", DRIVER)],
     ),
 )
 

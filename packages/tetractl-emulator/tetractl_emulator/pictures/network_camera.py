@@ -155,7 +155,9 @@ class EmulatedNetworkCamera:
         try:
             self._server = ThreadingHTTPServer(("127.0.0.1", port), Answer)
         except OSError as error:
-            raise TetractlError(f"port {port} cannot be opened: {error.strerror}") from error
+            raise TetractlError(
+                f"cannot open port {port} for the emulated camera: {error.strerror}"
+            ) from error
         self._server.daemon_threads = True
         self._threads = [
             threading.Thread(

@@ -62,31 +62,34 @@ class StreamSettings(Model):
 
 STREAM_FAULTS = (
     fault_kind(
-        "no_frames", "No pictures are exposed.", Visible.SENT, rows=[FaultRow("no pictures", SEEN)]
+        "no_frames",
+        "The camera takes no images.",
+        Visible.SENT,
+        rows=[FaultRow("no pictures", SEEN)],
     ),
     fault_kind(
         "repeat",
-        "The same picture is sent repeatedly, at the camera's rate.",
+        "The camera sends the same image repeatedly, at its usual rate.",
         Visible.SENT,
         rows=[FaultRow("picture frozen", SEEN)],
     ),
     fault_kind(
         "half_rate",
-        "Only every second picture, or every n-th, is sent.",
+        "The camera sends only every second image, or every n-th.",
         Visible.SENT,
         fields={"every": (Annotated[int, Field(ge=2, le=1000)], 2)},
         rows=[FaultRow("pictures slow", SEEN, {"every": whole_number(2, 60)})],
     ),
     fault_kind(
         "late_pictures",
-        "Pictures come later by this time [s].",
+        "Images arrive late by this time [s].",
         fields={"by": Positive},
         rows=[FaultRow("pictures late", SEEN, {"by": between(0.01, 1)})],
     ),
     fault_kind(
         "bad_pictures",
-        "A fraction of the pictures is cut short, with or without an end marker, has a header that "
-        "states 32767 x 32767 pixels, is lost or is sent twice.",
+        "This fraction of the images is faulty: cut short (with or without an end marker), "
+        "with a header that states 32767 x 32767 pixels, lost, or sent twice.",
         Visible.SENT,
         fields={
             "share": Share,
@@ -203,8 +206,8 @@ class StreamedCamera(ABC):
         served = MjpegSource if http else (MjpegSource, DeviceSource)
         if not isinstance(source, served):
             raise SpecError(
-                f"a source of type {source.type} cannot be emulated",
-                "use {type: mjpeg, url: 'http://127.0.0.1:8080/'}",
+                f"a camera source of type {source.type} cannot be emulated",
+                "set the source to {type: mjpeg, url: 'http://127.0.0.1:8080/'}",
             )
         port = stage.options.command_port
         named = urlsplit(source.url).port or 80 if isinstance(source, MjpegSource) else 0

@@ -1,1 +1,1 @@
-"""Rehearsals: days with random faults, checked by an observer that knows the truth."""
+"""Rehearsals: randomised test runs with faults, checked by an observer that knows the truth."""

@@ -1,20 +1,20 @@
-"""The seven invariants that hold on every day of robots in an emulated lab.
+"""The seven invariants that every randomised test run (a *day*) of an emulated lab must fulfil.
 
-The observer knows what truly happened, and shares no code with the guard. Each invariant is a
-function, whose docstring says all that is checked:
+An emulated lab records what truly happened. An observer compares this record with the invariants.
+The observer shares no code with the guard. Each invariant is a function, and its docstring says
+everything that is checked:
 
-| invariant | function | main bound |
-|---|---|---|
-| no robot is driven blind | `driven_blind` | limits of the spec, and `reaction` |
-| robots rest after a stop | `rests_after_a_stop` | `TRANSIT_S`, the watchdog, `ROLL_S` |
-| robots stay inside the arena, apart | `stays_inside` | wrong poses, pushes, the way to stand |
-| poses and the result are true | `poses_are_true` | `POSE_MM`, `POSE_RAD`; `RESULT_MM` |
-| the log is readable, and says what was | `log_is_readable` | in `outcome_invariants` |
-| the exit code is right | `exit_code_is_right` | in `outcome_invariants` |
-| the reason names a fault that was there | `reason_names_a_fault` | in `outcome_invariants` |
+| invariant | function | main bound | |---|---|---| | no robot is driven blind | `driven_blind` |
+limits of the spec, and `reaction` | | robots rest after a stop | `rests_after_a_stop` |
+`TRANSIT_S`, the watchdog, `ROLL_S` | | robots stay inside the arena, apart | `stays_inside` | wrong
+poses, pushes, the way to stand | | poses and the result are true | `poses_are_true` | `POSE_MM`,
+`POSE_RAD`; `RESULT_MM` | | the log is readable and complete | `log_is_readable` | in
+`outcome_invariants` | | the exit code is right | `exit_code_is_right` | in `outcome_invariants` | |
+the reason names a fault that occurred | `reason_names_a_fault` | in `outcome_invariants` |
 
-Coarse on purpose: unless a docstring says otherwise, a fault widens a bound, or lifts it, for all
-robots and the whole day, also before it begins. This may miss a violation, and invents none.
+The checks are coarse on purpose. Unless a docstring says otherwise, a fault widens or removes a
+bound for all robots and for the whole day, even before the fault begins. The checks may therefore
+miss a violation, but they never report a false one.
 
 Distances are in mm, times in s. As in `truth`, T counts exposures and N robots.
 """
@@ -103,7 +103,7 @@ STOPS_FAIL = (
 
 
 def violations(truth: Truth) -> list[Violation]:
-    """List where a day of robots violated an invariant."""
+    """List the violations of all invariants in a test run with robots."""
     return [violation for invariant in INVARIANTS for violation in invariant(truth)]
 
 
@@ -113,9 +113,9 @@ def violations(truth: Truth) -> list[Violation]:
 def driven_blind(truth: Truth) -> Iterator[Violation]:
     """Check that no robot is driven blindly.
 
-    A robot must not be driven if the camera has not shown it for long or shows it too seldom, or
-    without a direction from the controller. Only the first finding is reported. Days on which poses
-    froze like those of stationary robots are not checked.
+    A robot is driven blindly if the camera has not shown it for too long, if the camera shows it
+    too seldom, or if the controller gives no direction. Only the first finding is reported. Test
+    runs in which poses froze like those of stationary robots are not checked.
     """
     if truth.froze_as_rest:
         return
@@ -127,19 +127,21 @@ def driven_blind(truth: Truth) -> Iterator[Violation]:
 
 
 def _first_blind_command(truth: Truth) -> Violation | None:
-    """Return the first command that drives a robot blindly.
+    """Find the first command that drives a robot blindly.
 
-    A command does so if
+    A command does so in three cases:
 
-    - a robot that it drives has not been shown for `stale` + `reaction` when it stops acting, or
-    - any robot, even a stationary one, has not been shown for `untracked_abort` + `reaction` then,
-      or
-    - the controller has given no direction for `reaction` plus the longer of `stream_lost` and
-      `late_steps` + 1 periods when it is sent.
+    1. When the command stops acting, a robot that it drives has not been shown for `stale` +
+      `reaction`.
+    2. When the command stops acting, any robot, even a stationary one, has not been shown for
+       `untracked_abort` + `reaction`.
+    3. When the command is sent, the controller has given no direction for too long: `reaction` plus
+       the longer of `stream_lost` and `late_steps` + 1 control periods.
 
-    Frames that are late without showing it add `late_s` to the first two. On a day on which nothing
-    could be sent, or our process was killed, the next command may be missing for that reason: the
-    first two are then checked when a command is sent, and the last is not.
+    If frames are late but their times do not show it, `late_s` is added in the first two cases. If
+    nothing could be sent in a test run, or if our process was killed, the next command may be
+    missing for this reason. The first two cases are then checked when a command is sent, and the
+    third is not checked.
     """
     limits = truth.limits
     driven_max_s = limits.stale + limits.reaction + truth.late_s
@@ -155,9 +157,9 @@ def _first_blind_command(truth: Truth) -> Violation | None:
         unseen_s = _unseen_s(truth, command, 0.0 if mute else truth.acting_s[k], off_floor)
         undirected_s = truth.undirected_s[k]
         if unseen_s[driven].max() > driven_max_s or unseen_s.max() > any_max_s:
-            finding = f"unseen for {unseen_s.max():.3f} s"
+            finding = f"robots were driven although one had been unseen for {unseen_s.max():.3f} s"
         elif undirected_s > undirected_max_s and not mute:
-            finding = f"without a direction for {undirected_s:.2f} s"
+            finding = f"robots were driven without a new direction for {undirected_s:.2f} s"
         else:
             continue
         return Violation("driven blind", time_s(command), finding)
@@ -167,9 +169,10 @@ def _first_blind_command(truth: Truth) -> Violation | None:
 def _unseen_s(
     truth: Truth, command: Event, acts_s: float, off_floor: Sequence[VisibleFault]
 ) -> Floats:
-    """Compute how long each robot was not shown when a command had acted for `acts_s`, (N,).
+    """Compute how long each robot was not shown when a command had acted for `acts_s`, shape (N,).
 
-    A robot that is `off_floor` when the command is sent was taken off.
+    Robots that are `off_floor` when the command is sent are excluded, because somebody had lifted
+    them.
     """
     unseen_s = np.array(command["unseen_ms"]) / 1000 + acts_s
     at_s = time_s(command)
@@ -181,12 +184,11 @@ def _unseen_s(
 
 
 def _first_seldom_shown(truth: Truth) -> Violation | None:
-    """Return the first time at which a robot was unseen for more than half of `DRIVING_WINDOW_S`.
+    """Find the first time at which a robot was unseen for more than half of `DRIVING_WINDOW_S`.
 
-    The window is the last such time in which the guard let robots be driven: it leaves out pauses,
-    and joins what was driven before and after them. A robot counts as unseen once it has not been
-    shown for `stale` and the longest delay of frames: `_first_blind_command` says how old a pose
-    may be.
+    The window is the last `DRIVING_WINDOW_S` during which the guard let robots be driven. It leaves
+    out pauses. A robot counts as unseen if it has not been shown for `stale` plus the longest delay
+    of frames. `_first_blind_command` checks how old a pose may be.
     """
     row_s = np.diff(truth.times_s, append=truth.alive_s).clip(0.0, FRAME_S * 2)
     driving_s = np.where(_may_be_driven(truth), row_s, 0.0)
@@ -199,12 +201,12 @@ def _first_seldom_shown(truth: Truth) -> Violation | None:
     if not is_seldom.any():
         return None
     at_s = float(truth.times_s[is_seldom.argmax()])
-    finding = f"a robot is unseen for half of {DRIVING_WINDOW_S:g} s"
+    finding = f"a driven robot was unseen for half of {DRIVING_WINDOW_S:g} s"
     return Violation("driven blind", at_s, finding)
 
 
 def _may_be_driven(truth: Truth) -> Bools:
-    """Return at which exposures the guard lets robots be driven (T,)."""
+    """Find the exposures at which the guard lets robots be driven, shape (T,)."""
     may_drive = np.zeros(len(truth.times_s), bool)
     for span in truth.driven_spans:
         may_drive |= (truth.times_s >= span.began_s) & (truth.times_s < span.ended_s)
@@ -217,10 +219,13 @@ def _may_be_driven(truth: Truth) -> Bools:
 def rests_after_a_stop(truth: Truth) -> Iterator[Violation]:
     """Check that robots stay stopped after a stop.
 
-    After the end, no wheel turns and no command drives, an emergency stop stays, stationary robots
-    are not driven again, and enough stops are sent as long as a robot is not seen standing still. A
-    run also begins at standstill. Stops are not counted on a day on which nothing could be sent, or
-    our process was killed.
+    - After the end, no wheel turns, and no command drives a robot.
+    - An emergency stop is never released.
+    - Stationary robots are not driven again.
+    - Enough stops are sent as long as the camera has not shown that a robot stands still.
+    - A run also begins at standstill.
+
+    Stops are not counted if nothing could be sent in the test run, or if our process was killed.
     """
     yield from _wheels_stand(truth)
     yield from _none_is_left_driving(truth)
@@ -239,15 +244,16 @@ def _unrest(at_s: float, finding: str) -> Violation:
 
 
 def _radio_late_s(truth: Truth) -> float:
-    """Return the total delay of commands that faults of the radio cause [s]."""
+    """Compute the total delay of commands that faults of the radio cause [s]."""
     return truth.delay_s("late_radio", "overtaken_packets", "reboots")
 
 
 def _wheels_stand(truth: Truth) -> Iterator[Violation]:
-    """Check that no wheel turns after the end or a kill, whichever was first.
+    """Check that no wheel turns after the end, or after a kill if it came first.
 
-    A command may still arrive, a watchdog pass and wheels coast before. Days on which another
-    program drove the robots are not checked, because it may begin at any time.
+    Before the check, a last command may still arrive, a watchdog may expire, and wheels may coast.
+    Test runs in which another program drove the robots are not checked, because it may start at any
+    time.
     """
     if truth.met(*ELSEWHERE):
         return
@@ -260,15 +266,16 @@ def _wheels_stand(truth: Truth) -> Iterator[Violation]:
 
 
 def _none_is_left_driving(truth: Truth) -> Iterator[Violation]:
-    """Check that no robot drives on after our process has ended, and that those that do are named.
+    """Check that no robot is left driving after our process has ended, or that the run names it.
 
-    A robot drives on if its wheels turn `AFTER_NS` later, when everything that was sent has ended,
-    and turned in the last `LEFT_SEEN_S` of our process, so that it could be seen. A robot may be
-    left driving if the camera did not show it then, if it did not receive commands, or if a signal
-    hurried the end; but it must be named.
+    A robot is left driving if its wheels turn `AFTER_NS` later, when everything that was sent has
+    ended. They must also have turned in the last `LEFT_SEEN_S` of our process, so that this could
+    be seen. It is allowed if the camera did not show the robot at this time, if the robot did not
+    receive commands, or if a signal hurried the end. Even then, the run must name the robot.
 
-    It is not checked after a kill, or if nothing could be sent; if poses were false or repeated, so
-    that robots seemed to stand still; and for robots that no camera showed before a run began.
+    Not checked: test runs with a kill; runs in which nothing could be sent; runs with false or
+    repeated poses, which made robots seem to stand still; and robots that no camera showed before a
+    run began.
     """
     hidden = truth.creeping or truth.met("repeat", "freeze", "swap", *MUTE)
     if truth.killed or hidden or not len(truth.times_s):
@@ -281,13 +288,13 @@ def _none_is_left_driving(truth: Truth) -> Iterator[Violation]:
     for i in np.flatnonzero(drives_on & (is_shown | (truth.began_s < np.inf))).tolist():
         name = truth.setup.names[i]
         if name not in truth.named_at_the_end:
-            yield _unrest(truth.alive_s, f"{name} is left driving, and not named")
+            yield _unrest(truth.alive_s, f"{name} is left driving, and the report does not name it")
         elif is_shown[i] and could_be_held:
             yield _unrest(truth.alive_s, f"{name} is left driving")
 
 
 def _no_command_drives(truth: Truth) -> Iterator[Violation]:
-    """Check that no command after the end drives robots, unless it is replaced in `TRANSIT_S`."""
+    """Check that no command drives robots after the end, unless it is replaced in `TRANSIT_S`."""
     for command, acts_s in zip(truth.commands, truth.acting_s.tolist(), strict=True):
         if time_s(command) > truth.ended_s and acts_s > TRANSIT_S and any(truth.drives(command)):
             yield _unrest(time_s(command), "a command drives")
@@ -297,10 +304,10 @@ def _no_command_drives(truth: Truth) -> Iterator[Violation]:
 def _emergency_stop_is_sent(truth: Truth) -> Iterator[Violation]:
     """Check that an emergency stop is sent soon after the operator presses it.
 
-    If the day's first press is after the beginning of a run, a command with the flag of an
-    emergency stop must be sent within `TRANSIT_S`, before or after. Each command that is later by
-    more than that must have the flag. Days on which nothing could be sent, or on which our process
-    ended within that time, are not checked.
+    The check applies if the operator's first press comes after a run has begun. A command with the
+    flag of an emergency stop must then be sent within `TRANSIT_S`, before or after. All commands
+    later than this must also have the flag. The check is skipped if nothing could be sent, or if
+    our process ended within `TRANSIT_S`.
     """
     pressed_s = truth.pressed_s
     is_in_run = truth.first_s("run") < pressed_s < truth.alive_s - TRANSIT_S
@@ -317,26 +324,26 @@ def _emergency_stop_is_sent(truth: Truth) -> Iterator[Violation]:
 def _latched_robots_stay(truth: Truth) -> Iterator[Violation]:
     """Check that a robot that has latched an emergency stop stays latched.
 
-    Days on which any robot restarted are not checked, because it is free then.
+    Test runs in which a robot restarted are not checked, because a restart releases the stop.
     """
     latched = truth.has_status(LATCHED)
     freed = (latched[:-1] & ~latched[1:]).any(axis=1)
     if freed.any() and not truth.met(*STARTS_AGAIN):
         freed_row = 1 + freed.argmax()
-        yield _unrest(float(truth.times_s[freed_row]), "a robot is free again")
+        yield _unrest(float(truth.times_s[freed_row]), "the emergency stop of a robot is released")
 
 
 def _none_runs_again(truth: Truth) -> Iterator[Violation]:
-    """Check that a stationary robot that has received the end does not run again.
+    """Check that a stationary robot that has received the final stop does not run again.
 
-    Only a command that a later command has overtaken could drive it. What does drive it is not
-    checked. Robots with commands that have no number cannot know that a command was overtaken: it
-    may drive them as long as any is on its way. Robots with numbered commands forget a number after
-    `FORGET_S`: a later command may drive them.
+    Only a command that a later command has overtaken could drive it. Such a command is not checked.
+    Robots whose commands have no number cannot know that a command was overtaken, so it may drive
+    them as long as it is on its way. Robots with numbered commands forget a number after
+    `FORGET_S`, and an old command may drive them after that.
 
-    A robot that does not run counts as having received the end, unless its watchdog stops it. A
-    radio that delays all commands equally also delays the end. Days on which another program drove
-    the robots are not checked.
+    A robot that stands still counts as having received the final stop, unless its watchdog stopped
+    it. A radio that delays all commands equally also delays the final stop. Test runs in which
+    another program drove the robots are not checked.
     """
     heard_s = truth.ended_s + TRANSIT_S + truth.delay_s("late_radio", "reboots")
     overtaken_s = truth.delay_s("overtaken_packets")
@@ -349,31 +356,34 @@ def _none_runs_again(truth: Truth) -> Iterator[Violation]:
     has_stood = np.maximum.accumulate(stands, axis=0)
     runs_again = (has_stood & runs).any(axis=1)
     if runs_again.any() and not truth.met(*ELSEWHERE):
-        yield _unrest(float(truth.times_s[runs_again.argmax()]), "a robot is driven again")
+        yield _unrest(
+            float(truth.times_s[runs_again.argmax()]), "a robot is driven again after its stop"
+        )
 
 
 def _stops_are_sent(truth: Truth) -> Iterator[Violation]:
     """Check that enough stops are sent after each time of driving.
 
-    From `TRANSIT_S` before its end until a watchdog after it, at least `STOPS_MIN` commands that
-    drive no robot must be sent. Only the first time that lacks some is reported. Nothing is checked
-    if our process ended within that time.
+    From `TRANSIT_S` before the end of driving until one watchdog time after it, at least
+    `STOPS_MIN` commands that drive no robot must be sent. Only the first violation is reported.
+    Nothing is checked if our process ended within this time.
     """
     for span in truth.driven_spans:
         until_s = span.ended_s + truth.watchdog_s
         sent = [at_s for at_s in truth.halts_s if span.ended_s - TRANSIT_S < at_s < until_s]
         if len(sent) < STOPS_MIN and until_s < truth.alive_s:
-            yield _unrest(span.ended_s, f"{len(sent)} stops are sent")
+            yield _unrest(span.ended_s, f"only {len(sent)} stops were sent")
             return
 
 
 def _stops_go_on(truth: Truth) -> Iterator[Violation]:
-    """Check that stops continue after the end while a robot is not seen standing still.
+    """Check that stops continue after the end until the camera shows that all robots stand still.
 
-    In the first `WATCHED_S` after the end, the last stop must never be older than `MOTION_SEEN_S`
-    plus `TRANSIT_S` once a robot was not seen standing still for `ROLL_S` plus `MOTION_SEEN_S`. A
-    robot is not seen standing still while it moves and is shown, while a fault shows motion, and
-    while it was shown later than another robot by more than a watchdog.
+    The check covers the first `WATCHED_S` after the end. If a robot has not been seen standing
+    still for `ROLL_S` plus `MOTION_SEEN_S`, the last stop must never be older than `MOTION_SEEN_S`
+    plus `TRANSIT_S`. In three cases, a robot is not seen standing still: while it moves and is
+    shown; while a fault makes it seem to move; and while it has not been shown for one watchdog
+    time longer than another robot.
     """
     stops_s = np.array([-np.inf, *truth.halts_s])
     times_s = truth.times_s
@@ -390,33 +400,36 @@ def _stops_go_on(truth: Truth) -> Iterator[Violation]:
     too_old = must_stop & (stop_age_s > MOTION_SEEN_S + TRANSIT_S)
     if too_old.any():
         row = int(too_old.argmax())
-        finding = f"no stop for {stop_age_s[row]:.2f} s though a robot is not seen to rest"
+        finding = (
+            f"no stop was sent for {stop_age_s[row]:.2f} s although the cameras had not "
+            "shown that a robot stands still"
+        )
         yield _unrest(float(times_s[row]), finding)
 
 
 def _run_begins_at_rest(truth: Truth) -> Iterator[Violation]:
     """Check that the first run does not begin while a fault shows motion.
 
-    The fault must have shown it for as long as it takes to be seen.
+    The fault must have shown the motion for long enough to be seen.
     """
     begins_s = truth.first_s("run")
     shown_s = MOTION_SEEN_S + truth.limits.latency + TRANSIT_S
     for fault in truth.shown_moving:
         if fault.span.began_s + shown_s < begins_s < fault.span.ended_s:
-            yield _unrest(begins_s, f"a run begins though the camera shows motion: {fault.kind}")
+            yield _unrest(begins_s, f"a run starts although the camera shows motion: {fault.kind}")
 
 
 # 3: robots stay inside the arena and apart
 
 
 def stays_inside(truth: Truth) -> Iterator[Violation]:
-    """Check that no robot leaves the arena, enters an obstacle or comes too close to another.
+    """Check that no robot leaves the arena, enters an obstacle or comes too close to another robot.
 
-    Each robot may exceed the limits by the maximum error of its pose so far, the path of its
-    fastest wheel so far within `_rolls_on_s`, half the noise, and all pushes of the day. The
-    distance between robots is `separation_mm`. The worst place of one robot, and of one pair, is
-    reported. Days on which another program drove the robots, or on which false poses look like true
-    ones, are not checked.
+    Each robot may exceed the limits by the sum of four values: the maximum error of its pose so
+    far, the distance that its fastest wheel so far covers within `_rolls_on_s`, half the noise, and
+    all pushes of the test run. The minimum distance between robots is `separation_mm`. The worst
+    place of a single robot and the worst place of a pair are reported. Test runs in which another
+    program drove the robots, or in which false poses look like true ones, are not checked.
     """
     if not len(truth.times_s) or truth.met(*ELSEWHERE) or truth.false_as_true:
         return
@@ -440,18 +453,19 @@ def stays_inside(truth: Truth) -> Iterator[Violation]:
 
 
 def _pushed_mm(truth: Truth) -> float:
-    """Sum the distances by which people pushed robots on the day [mm].
+    """Sum the distances by which people pushed robots in the test run [mm].
 
-    No frame shows a push at once.
+    The pushes must be added, because no frame shows a push immediately.
     """
     return sum(math.hypot(*fault.fields["by"]) for fault in truth.faults_of("pushed"))
 
 
 def _rolls_on_s(truth: Truth) -> Floats:
-    """Compute how long robots may roll on beyond the guard's `reaction` [s], shape (T, N).
+    """Compute how long robots may roll on, in addition to the guard's `reaction` [s], shape (T, N).
 
-    This is the sum of the longest time so far for which it was driven unseen, the delay of frames,
-    the way of a stop to the robot and its lag; and of its watchdog, where a stop may fail.
+    It is the sum of several times: the longest time so far for which a robot was driven unseen, the
+    delay of frames, the delay of a stop on its way to the robot, and the robot's lag. If a stop may
+    fail, the robot's watchdog is added.
     """
     stops_s = TRANSIT_S + LAG_MAX_S + _radio_late_s(truth)
     if truth.met(*STOPS_FAIL):
@@ -462,10 +476,10 @@ def _rolls_on_s(truth: Truth) -> Floats:
 
 
 def _worst_place(truth: Truth, beyond_mm: Floats, names: Sequence[str]) -> Iterator[Violation]:
-    """Yield the place that is furthest beyond a limit, among these robots or pairs of robots."""
+    """Yield the worst violation of a limit, among these robots or pairs of robots."""
     if (beyond_mm > 0).any():
         row, i = np.unravel_index(int(beyond_mm.argmax()), beyond_mm.shape)
-        finding = f"{names[int(i)]} by {beyond_mm[row, i]:.0f} mm more than allowed"
+        finding = f"{names[int(i)]}: {beyond_mm[row, i]:.0f} mm beyond what is allowed"
         at_s = float(truth.times_s[row])
         yield Violation("outside", at_s, finding)
 
@@ -474,11 +488,15 @@ def _worst_place(truth: Truth, beyond_mm: Floats, names: Sequence[str]) -> Itera
 
 
 def poses_are_true(truth: Truth) -> Iterator[Violation]:
-    """Check that the log and the result have true poses.
+    """Check that the poses in the log and in the result are true.
 
-    Accepted poses of driven robots are true, refused false poses stay refused, the log has no pose
-    of a hidden robot, and the errors of a complete trial are true. The first and the last are not
-    checked on a day on which false poses look like true ones.
+    - The accepted poses of driven robots are true.
+    - False poses that were refused stay refused.
+    - The log has no pose of a hidden robot.
+    - The errors in the result of a complete trial are true.
+
+    The first and the last point are not checked in a test run in which false poses look like true
+    ones.
     """
     yield from _false_poses_stay_refused(truth)
     yield from _hidden_robots_have_no_pose(truth)
@@ -490,10 +508,10 @@ def poses_are_true(truth: Truth) -> Iterator[Violation]:
 def _accepted_poses_are_true(truth: Truth) -> Iterator[Violation]:
     """Check that no logged pose of a driven robot before the end is wrong.
 
-    A position may be off by `POSE_MM` plus all pushes of the day, a heading by `POSE_RAD` plus all
-    turns by people. The first wrong pose is reported, preferably one with a wrong position. A pose
-    is compared in its own frame with where its robot was when it may have been exposed: what a
-    robot does until the next frame is its own motion.
+    The allowed error of a position is `POSE_MM` plus all pushes of the test run. The allowed error
+    of a heading is `POSE_RAD` plus all turns by people. The first wrong pose is reported,
+    preferably one with a wrong position. A pose in a frame is only compared with the true poses at
+    the times at which it may have been exposed, because the robot moves until the next frame.
     """
     is_driven = truth.wheel_speed_mm_s > DRIVEN_MM_S
     is_before_end = (truth.times_s < truth.ended_s)[:, None]
@@ -507,7 +525,10 @@ def _accepted_poses_are_true(truth: Truth) -> Iterator[Violation]:
         wrong = checked & (errors > most)
         if wrong.any():
             row, i = np.argwhere(wrong)[0]
-            finding = f"{truth.setup.names[i]} by {errors[row, i]:.3g} {unit}"
+            finding = (
+                f"the accepted pose of {truth.setup.names[i]} is wrong by "
+                f"{errors[row, i]:.3g} {unit}"
+            )
             at_s = float(truth.times_s[row])
             yield Violation("untrue", at_s, finding)
             return
@@ -516,14 +537,13 @@ def _accepted_poses_are_true(truth: Truth) -> Iterator[Violation]:
 def _least_pose_errors(truth: Truth) -> tuple[Floats, Floats]:
     """Compute the distance of each accepted pose from the nearest true pose of its robot.
 
-    Only the time in which the pose may have been exposed counts. It ends at the row's exposure and
-    lasts for `late_s`. A pose that repeats the previous one to the last bit may be older, because a
-    frozen pose looks like that of a stationary robot: by `stale`, `TRANSIT_S` and the watchdog,
-    after which no command acts any more.
+    Only true poses from the time in which the pose may have been exposed are compared. This time
+    ends at the row's exposure, and lasts `late_s`. It is longer if the pose repeats the previous
+    one to the last bit, because a frozen pose looks like the pose of a stationary robot. `stale`,
+    `TRANSIT_S` and the watchdog are then added, because no command acts longer than this.
 
-    Returns:
-        The distance to the nearest position [mm] (T, N), and to the nearest heading [rad] (T, N),
-        which may be from another exposure. Infinite where no pose was accepted.
+    Returns: The distance to the nearest position [mm] (T, N), and to the nearest heading [rad] (T,
+        N). The two may come from different exposures. Infinite if no pose was accepted.
     """
     frozen_s = truth.limits.stale + TRANSIT_S + truth.watchdog_s
     may_be_old_s = truth.late_s + np.where(truth.repeated, frozen_s, 0.0)
@@ -546,10 +566,11 @@ def _least_pose_errors(truth: Truth) -> tuple[Floats, Floats]:
 def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:
     """Check that false and frozen poses stay refused.
 
-    While they last, no pose of their robot may be accepted once those of `REFUSED_S` were refused,
-    even after an abort, unless the guard was `ready` in between. The first pose of one fault is
-    reported. This is not checked while another fault acts that may have been the cause, nor for
-    readings of a mat, which repeat while a robot stands still.
+    Once the guard has refused the poses of `REFUSED_S`, it must not accept a pose of this robot
+    while the fault lasts, even after an abort. The exception is that the guard was `ready` in
+    between. For each fault, the first accepted pose is reported. The check is skipped if another
+    fault may have been the cause, and for readings of a mat, which also repeat while a robot stands
+    still.
     """
     if truth.setup.sight.coarse or truth.trial is None:
         return
@@ -570,7 +591,9 @@ def _false_poses_stay_refused(truth: Truth) -> Iterator[Violation]:
                 alone = not any(o.began_s < at_s and o.ended_s > accepted_s for o in others)
                 paused = any(accepted_s < ready < at_s for ready in ready_s)
                 if was_refused and lasts and alone and not paused:
-                    finding = f"{truth.setup.names[i]} is accepted again: {fault.kind}"
+                    finding = (
+                        f"a false pose of {truth.setup.names[i]} is accepted again: {fault.kind}"
+                    )
                     yield Violation("untrue", at_s, finding)
                     return
                 accepted_s = at_s
@@ -581,8 +604,8 @@ def _hidden_robots_have_no_pose(truth: Truth) -> Iterator[Violation]:
     """Check that the log has no pose of a hidden robot.
 
     Two frames at the beginning and the end of the fault are exempt. The first pose of one robot is
-    reported. Readings of a mat have the times of their arrival: until `READING_WAITS_S` after the
-    beginning, one may be from before.
+    reported. Readings of a mat have the times of their arrival. Therefore, a reading until
+    `READING_WAITS_S` after the beginning may come from before the fault.
     """
     arrives_s = READING_WAITS_S if truth.setup.sight.coarse else 2 * FRAME_S
     for fault in hiding(truth):
@@ -592,27 +615,27 @@ def _hidden_robots_have_no_pose(truth: Truth) -> Iterator[Violation]:
         is_shown = is_hidden & truth.fresh[:, truth.robot_of(fault)]
         if is_shown.any():
             at_s = float(truth.times_s[is_shown.argmax()])
-            yield Violation("untrue", at_s, f"{fault.fields['robot']} is not hidden")
+            yield Violation("untrue", at_s, f"the name {fault.fields['robot']} is not hidden")
             return
 
 
 def _result_is_true(truth: Truth) -> Iterator[Violation]:
-    """No error of a robot in the result of a complete trial is wrong by more than `RESULT_MM`."""
+    """Check that no error in the result of a complete trial is wrong by more than `RESULT_MM`."""
     log = truth.trial
     if log is None or log.result is None or not log.result.outcome.complete:
         return
     most_mm = float(_result_off_mm(truth, log.result.robot_errors).max())
     if most_mm > RESULT_MM:
-        finding = f"a result by {most_mm:.0f} mm"
+        finding = f"the result is wrong by {most_mm:.0f} mm"
         at_s = float(truth.times_s[-1])
         yield Violation("untrue", at_s, finding)
 
 
 def _result_off_mm(truth: Truth, robot_errors: Sequence[float]) -> Floats:
-    """Compare each robot's error in a result with the nearest true error, (N,).
+    """Compare each robot's error in a result with the nearest true error, shape (N,).
 
-    True errors of the last `stale` before the last frame count: a robot that is moved by hand at
-    the end is known by its earlier pose.
+    True errors in the last `stale` before the last frame are compared, because a robot that is
+    moved by hand at the end is known by its earlier pose.
     """
     final_s = truth.times_s[truth.final_exposure]
     is_recent = (truth.times_s > final_s - truth.limits.stale) & (truth.times_s <= final_s)
@@ -625,10 +648,11 @@ def _result_off_mm(truth: Truth, robot_errors: Sequence[float]) -> Floats:
 
 
 def hiding(truth: Truth) -> Iterator[VisibleFault]:
-    """Yield the faults that hide a robot.
+    """Yield the faults that hide a robot from the camera.
 
-    It is not tracked, or lifted or tipped by more than the spec and a camera's noise allow. Nothing
-    is yielded if robots were swapped on the day, because each is then shown as another.
+    The robot is untracked, or lifted or tipped by more than the spec and a camera's noise allow.
+    Nothing is yielded if robots were swapped in the test run, because each is then shown as
+    another.
     """
     if truth.met("swap"):
         return
@@ -644,9 +668,10 @@ def hiding(truth: Truth) -> Iterator[VisibleFault]:
 
 
 def _highest_mm(truth: Truth, fault: VisibleFault) -> float:
-    """Return the maximum height at which a body may be seen [mm].
+    """Compute the maximum height at which a body may be seen [mm].
 
-    In a run in which a fault finds the robot driving, it is LIFTED_MM above its place on the robot.
+    If the fault begins while the robot drives in a run, it is LIFTED_MM above the body's place on
+    the robot.
     """
     limit_mm = truth.limits.height_mm[1]
     if fault.span.began_s <= truth.first_s("run"):

@@ -1,4 +1,4 @@
-"""Checks that the log agrees with what happened: each command as sent, and each frame as shown."""
+"""Checks that the log contains each command that was sent, and each frame that was shown."""
 
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
@@ -25,7 +25,7 @@ def logged(truth: Truth) -> Iterator[Violation]:
     if not truth.met(*MUTE):
         yield from _commands(truth)
     if len(log.frames) and (np.diff(log.mocap_ns) <= 0).any():
-        yield Violation("log", 0.0, "a frame comes twice, or late")
+        yield Violation("log", 0.0, "a frame is logged twice, or too late")
     if not truth.met(*STREAM, *FAULTY):
         yield from _whole(truth, truth.logged_exposures.tolist())
 
@@ -42,7 +42,9 @@ def _commands(truth: Truth) -> Iterator[Violation]:
     driven_s = [time_s(command) for command in truth.commands if any(truth.drives(command))]
     stop_s = truth.trial.commands[-1].sent_ns / 1e9
     if driven_s and driven_s[-1] > stop_s + NOTED_S:
-        yield Violation("log", stop_s, "its last stop came before robots were last driven")
+        yield Violation(
+            "log", stop_s, "the last logged stop came before the robots were last driven"
+        )
         return
     # a driver hears a last stop as its port is closed
     ends_s = max([*driven_s, *logged_s])
@@ -65,14 +67,14 @@ def _false_command(truth: Truth, command: Command, logged_s: Floats) -> str:
     is_noted = (truth.commanded_s >= at_s) & (truth.commanded_s <= at_s + NOTED_S)
     messages = [truth.commands[k] for k in np.flatnonzero(is_noted)]
     if not messages:
-        return "has a command that was not sent"
+        return "the log has a command that was not sent"
     if command.action == Stop() and all(message["flags"] & RUN for message in messages):
-        return "says stop, and robots were driven"
+        return "the log has a stop where robots were driven"
     if (logged_s == at_s).sum() > len(messages):
-        return "has a command twice"
+        return "the log has a command twice"
     drives = [truth.drives(message) for message in messages]
     if isinstance(command.action, Steer) and not _reached(command.delivered, drives):
-        return "says that a robot was driven that was not"
+        return "the log has a robot driven that was not"
     return ""
 
 
@@ -83,7 +85,7 @@ def _reached(delivered: Sequence[bool], drives: Sequence[Sequence[bool]]) -> boo
 
 
 def _whole(truth: Truth, rows: list[int]) -> Iterator[Violation]:
-    """Check that frames are only missing from the log if the camera showed no robot."""
+    """Check that a frame is missing from the log only if the camera showed no robot in it."""
     for row, next_row in pairwise(rows):
         if next_row <= row + FRAMES:
             continue

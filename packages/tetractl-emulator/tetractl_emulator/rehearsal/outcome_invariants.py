@@ -1,4 +1,4 @@
-"""The three invariants about what a trial leaves behind: its log, exit code, and abort reason.
+"""The three invariants about the result of a trial: its log, exit code, and abort reason.
 
 They hold for robots and for cells.
 """
@@ -28,7 +28,7 @@ PROGRAM_ERROR = re.compile(r"\b[A-Z]\w*(Error|Exception|Interrupt)\b|Traceback")
 
 
 def outcome_violations(truth: Truth) -> list[Violation]:
-    """Check a day of cells: its log, its exit code and the reason of its abort.
+    """List the violations in a test run with cells: of the log, exit code and reason of an abort.
 
     Cells swim on when the field is off, so the invariants about standstill and places do not apply.
     """
@@ -48,9 +48,9 @@ def log_is_readable(truth: Truth) -> Iterator[Violation]:
 def log_is_whole(truth: Truth) -> Iterator[Violation]:
     """Check that there is a complete log once a run has begun.
 
-    It must be readable, have a result and no damage, and not contradict itself; the first
-    contradiction is reported. On a day with a full disk or a kill, it may be damaged or lack its
-    result, but must exist and be readable. On a day that hangs, it is not checked.
+    The log must be readable, have a result and no damage, and not contradict itself. The first
+    contradiction is reported. In a test run with a full disk or a kill, the log may be damaged or
+    lack its result, but it must exist and be readable. It is not checked if the run hangs.
     """
     if truth.day.exit_code == HUNG:
         return
@@ -61,7 +61,7 @@ def log_is_whole(truth: Truth) -> Iterator[Violation]:
             yield Violation("log", 0.0, log or "none was written")
     elif log.result is None or log.damage is not None:
         if not may_be_damaged:
-            yield Violation("log", 0.0, f"damaged, or without a result: {log.damage}")
+            yield Violation("log", 0.0, f"the log is damaged or has no result: {log.damage}")
     elif log.stop is None:
         yield Violation("log", 0.0, "has no stop")
     else:
@@ -76,10 +76,10 @@ def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
     """Check that a run ends properly and with the right exit code.
 
     A run must not hang, print an error of our program, or leave anything behind. It must end with
-    the code of `_expected_code`, at the latest after `late_steps` late steps in a row. A trial that
-    ends with 0 must deserve it, according to `_counts`. A process that got a signal and never began
-    a run, because it waited for robots, may also end with 130. If it hangs, its end is not checked
-    further.
+    the code of `_expected_code`, at the latest after `late_steps` late steps in a row. A trial may
+    end with 0 only if `_counts` allows it. If a process received a signal while it waited for
+    robots, so that no run began, it may also end with 130. After a run that hangs, nothing else is
+    checked.
     """
     day = truth.day
     for text in (truth.reason, day.output):
@@ -96,7 +96,9 @@ def exit_code_is_right(truth: Truth) -> Iterator[Violation]:
     if day.exit_code != expected and not (waited and day.exit_code == INTERRUPTED):
         yield _wrong_end(f"{day.exit_code}, not {expected}")
     if truth.trial is not None and _late_in_a_row(truth) > truth.limits.late_steps:
-        yield _wrong_end("a trial goes on though more than `late_steps` were late in a row")
+        yield _wrong_end(
+            "a trial goes on although more than `late_steps` control steps in a row were late"
+        )
     if day.exit_code == 0:
         yield from _counts(truth)
 
@@ -107,11 +109,11 @@ def _wrong_end(finding: str, at_s: float = 0.0) -> Violation:
 
 
 def _expected_code(truth: Truth) -> int:
-    """Return the exit code that a day must have.
+    """Determine the exit code that a test run must have.
 
     It follows from the result in the log. Without a result, it is -9 if the process was killed, and
-    otherwise 1. No kill comes after the result: a kill acts in a tick of the emulation, and the log
-    gets its result after the emulation's last tick.
+    otherwise 1. A kill cannot come after the result, because a kill acts in a tick of the
+    emulation, and the log gets its result after the last tick.
     """
     if truth.trial is None or truth.trial.result is None:
         return KILLED if truth.killed and truth.day.exit_code < 0 else 1
@@ -122,25 +124,30 @@ def _expected_code(truth: Truth) -> int:
 
 
 def _counts(truth: Truth) -> Iterator[Violation]:
-    """Check that a trial counts only if nothing forbids it.
+    """Check that a trial does not count as valid when it must not.
 
-    A trial must not count in three cases: an emergency stop was pressed after the run began, and
-    earlier than `TRANSIT_S` before the end; a robot was unseen for longer than `stream_lost` at the
-    end, unless poses froze like those of robots that stand still; or the camera showed motion from
-    the end of driving to the end of the process. Other limits of the spec are not checked here.
+    A trial must not count in three cases:
+
+    - The emergency stop was pressed after the run began, and earlier than `TRANSIT_S` before the
+      end.
+    - At the end, a robot had been unseen for longer than `stream_lost`, unless poses froze like
+      those of robots that stand still.
+    - The camera showed motion from the end of driving to the end of the process.
+
+    Other limits of the spec are not checked here.
     """
     end_s = truth.alive_s
     pressed_s = truth.pressed_s
     if truth.first_s("run") < pressed_s < end_s - TRANSIT_S:
-        yield _wrong_end("a trial counts though an emergency stop was pressed", pressed_s)
+        yield _wrong_end("a trial counts although the emergency stop was pressed", pressed_s)
     is_before_end = truth.times_s <= end_s
     last_unseen_s = truth.unseen_s[is_before_end][-1:]
     most_s = last_unseen_s.max(initial=0.0)
     if most_s > truth.limits.stream_lost and not truth.froze_as_rest:
-        yield _wrong_end(f"a trial counts though a robot was unseen for {most_s:.2f} s", end_s)
+        yield _wrong_end(f"a trial counts although a robot was unseen for {most_s:.2f} s", end_s)
     for fault in truth.shown_moving:
         if fault.span.began_s < truth.ended_s + TRANSIT_S and fault.span.ended_s > end_s:
-            finding = f"a trial counts though the camera shows motion: {fault.kind}"
+            finding = f"a trial counts although the camera shows motion: {fault.kind}"
             yield _wrong_end(finding, end_s)
 
 
@@ -148,10 +155,10 @@ def _late_in_a_row(truth: Truth) -> int:
     """Find the maximum number of successive late control steps in the log.
 
     A step is late if it takes longer than a period. It begins when its frame has arrived and the
-    previous step has ended. A silent camera therefore makes frames old, but no step late. Robots
-    stand still from a step that stops them until the next step has ended. Neither of these steps is
-    late for any robot, and a sequence ends with them. The same holds for robots that turn on the
-    spot.
+    previous step has ended. A silent camera therefore makes frames old, but it makes no step late.
+    From a step that stops the robots until the next step has ended, the robots stand still. These
+    two steps do not count as late, and they end a sequence of late steps. The same holds for robots
+    that turn on the spot.
     """
     assert truth.trial is not None
     period_ns = truth.setup.period_s * 1e9
@@ -175,15 +182,16 @@ def _late_in_a_row(truth: Truth) -> int:
 
 
 def reason_names_a_fault(truth: Truth) -> Iterator[Violation]:
-    """Check that the reason of an abort or a refusal names a fault of the day.
+    """Check that the reason of an abort or a refusal names a fault of the test run.
 
-    In capitals or not, it must match
+    The reason must match one of these patterns, in upper or lower case:
 
-    - a pattern that the table of faults has for a fault that became visible,
-    - `PLACE`, for robots near the rim, an obstacle or each other, or
-    - `MOTION`, on a day on which poses froze like those of stationary robots.
+    - a pattern that the table of faults contains for a fault that became visible;
+    - `PLACE`, for robots near the edge, an obstacle or each other;
+    - `MOTION`, in a test run in which poses froze like those of stationary robots.
 
-    On a day planned without a fault, each reason is wrong: the lab is as the spec allows.
+    In a test run that was planned without faults, every reason is wrong, because the lab is as the
+    spec allows.
     """
     reason = truth.reason
     if not reason:

@@ -45,7 +45,7 @@ def row_of(day: int, truth: Truth, violations: Sequence[Violation], observed_s: 
 def _noticed_s(truth: Truth, began_s: float) -> float | None:
     """Return the time from the beginning of a fault to the guard's next abort or hold [s].
 
-    It is None if there was neither.
+    It is None if the guard did neither.
     """
     for event in truth.events("guard"):
         at_s = time_s(event)

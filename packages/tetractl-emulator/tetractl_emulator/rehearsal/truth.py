@@ -1,19 +1,19 @@
-"""What truly happened on a day of a rehearsal, and what our program took for true, as arrays.
+"""The true course of a test run, and our program's view of it, as arrays.
 
-An emulation records events as JSON lines, each with its kind (`event`) and its time (`t_ns`):
+A test run of a rehearsal is called a day. The emulation records its events as JSON lines, each with
+its kind (`event`) and its time (`t_ns`):
 
-| event | recorded | holds |
-|---|---|---|
-| `truth` | at an exposure of the camera | poses and wheels, for how long each is unseen |
-| `command` | as it leaves the wire | flags, what it drives, for how long each is unseen |
-| `guard` | when the guard changes its state | the state: `wait`, `run`, `hold`, `abort` ... |
-| `fault` | when a fault begins and ends | its row in the day's plan |
+| event | recorded | content | |---|---|---| | `truth` | at an exposure of the camera | poses,
+wheels, and for how long each robot is unseen | | `command` | as it leaves the wire | flags, driven
+robots, and for how long each is unseen | | `guard` | when the guard changes its state | the state:
+`wait`, `run`, `hold`, `abort` ... | | `fault` | when a fault begins and ends | its row in the day's
+plan |
 
-`Truth` makes arrays of these and of the trial's log. T counts exposures, N robots, C commands, F
-frames of the log, K corners of a shape. Times are seconds since the emulation began, lengths mm,
-headings rad. An exposure is named by its row in arrays of T.
+`Truth` converts these events and the trial's log to arrays. T counts exposures, N robots, C
+commands, F frames of the log, K corners of a shape. Times are seconds since the emulation began,
+lengths are in mm, and headings in rad. An exposure is identified by its row in arrays of length T.
 
-The observer of a rehearsal shares no code with the guard: distances are computed here.
+The observer of a rehearsal shares no code with the guard, so distances are computed here.
 """
 
 import math
@@ -125,28 +125,28 @@ class VisibleFault:
 
     @property
     def name(self) -> str:
-        """Its name in a script, such as `ghost`."""
+        """Name of the fault in a script, such as `ghost`."""
         return str(self.fields["fault"])
 
     @property
     def kind(self) -> str:
-        """Name of its variant in the table of faults, such as `pose creeps`."""
+        """Name of the fault's variant in the table of faults, such as `pose creeps`."""
         return str(self.fields["kind"])
 
     @property
     def is_kill(self) -> bool:
-        """Whether it kills our process."""
+        """Whether the fault kills our process."""
         return self.fields.get("signal") == "KILL"
 
     @property
     def speed_mm_s(self) -> float:
-        """The speed at which a creeping fault moves a pose at FROM_ORIGIN_MM [mm/s]."""
+        """Speed at which a creeping fault moves a pose at FROM_ORIGIN_MM [mm/s]."""
         grows_mm = abs(self.fields.get("scale", 1.0) - 1.0) * FROM_ORIGIN_MM
         return (math.hypot(*self.fields.get("by", (0.0, 0.0))) + grows_mm) / FRAME_S
 
     @property
     def rate_rad_s(self) -> float:
-        """The rate at which a creeping fault turns poses [rad/s]."""
+        """Rate at which a creeping fault turns poses [rad/s]."""
         return abs(self.fields.get("turn", 0.0)) / FRAME_S
 
 
@@ -158,10 +158,10 @@ def time_s(event: Event) -> float:
 def nearest_exposures(
     stamps_s: Floats, exposures_s: Floats, suspended: Sequence[TimeSpan]
 ) -> Integers:
-    """Find the exposure nearest to the time of each image, (F,).
+    """Find the exposure that is nearest to the time of each image, shape (F,).
 
-    An image that arrives while our program is suspended waits, and gets its time when it is finally
-    read: it is not known which exposure it shows.
+    An image that arrives while our program is suspended waits, and gets its time only when it is
+    read. Its exposure is therefore unknown.
 
     Args:
         stamps_s: Times of the images [s], shape (F,).
@@ -169,7 +169,7 @@ def nearest_exposures(
         suspended: When our program was suspended.
 
     Returns:
-        The index of the exposure. UNKNOWN if none is near.
+        The index of each exposure. UNKNOWN if no exposure is near.
     """
     apart_s = np.abs(exposures_s[:, None] - stamps_s)
     is_certain = apart_s.min(axis=0) < NEAR_S
@@ -219,7 +219,7 @@ class Truth:
         return [event for event in of_kind if facts.items() <= event.items()]
 
     def first_s(self, kind: str, **facts: Any) -> float:
-        """Return the time of the first such event [s]. inf if there is none."""
+        """Return the time of the first event of a kind with these facts [s], or inf."""
         return min(map(time_s, self.events(kind, **facts)), default=np.inf)
 
     # Exposures
@@ -313,7 +313,8 @@ class Truth:
     def acting_s(self) -> Floats:
         """How long each command acts, shape (C,) [s].
 
-        It acts until the next command, or until the watchdog of a robot that receives none expires.
+        A command acts until the next one, or until the watchdog of a robot that receives none
+        expires.
         """
         next_s = np.append(self.commanded_s[1:], self.alive_s)
         return np.clip(next_s - self.commanded_s, 0.0, self.watchdog_s)
@@ -369,9 +370,10 @@ class Truth:
 
     @cached_property
     def ended_s(self) -> float:
-        """Time since when our side no longer drives robots [s].
+        """Time from which our side no longer drives robots [s].
 
-        It is the time of the abort, or when the guard finally left its driving states.
+        It is the time of the abort, or the time at which the guard left its driving states for
+        good.
         """
         left_run_s = np.inf
         is_driving = False
@@ -391,7 +393,7 @@ class Truth:
 
     @cached_property
     def left_s(self) -> float:
-        """Time since when no process drives robots [s]: the end or a kill, whichever was first."""
+        """Time from which no process drives robots [s]: the end or a kill, whichever came first."""
         return min([self.ended_s, *(fault.span.began_s for fault in self.faults if fault.is_kill)])
 
     # Faults
@@ -447,8 +449,9 @@ class Truth:
     def false_as_true(self) -> bool:
         """Whether false poses look like true ones, so that no camera can detect them.
 
-        They then move no faster than wheels within `wheel_error` could move robots, or they crept
-        before the run, and all poses are measured in the displaced image.
+        This is the case if they move no faster than wheels within `wheel_error` could move robots.
+        It is also the case if they crept before the run, so that all poses are measured in the
+        displaced image.
         """
         setup = self.setup
         off_mm_s = self.limits.wheel_error * float(setup.speed.max()) * self.unit_mm
@@ -475,7 +478,7 @@ class Truth:
 
     @cached_property
     def dated(self) -> bool:
-        """Whether the camera's frames have their own times.
+        """Whether the camera's frames state their own times.
 
         Readings of a mat only have times of arrival.
         """
@@ -483,7 +486,7 @@ class Truth:
 
     @cached_property
     def late_s(self) -> float:
-        """How much older frames without their own times can be than they seem [s]."""
+        """How much older than they seem frames without their own times can be [s]."""
         return 0.0 if self.dated else self.longest_delay_s
 
     @cached_property
@@ -498,7 +501,7 @@ class Truth:
 
     @cached_property
     def log(self) -> TrialLog | str:
-        """The trial's log. If it cannot be read, the error message; "" if there is none."""
+        """The trial's log. If it cannot be read, the error message. Empty if there is no log."""
         if self.day.log is None:
             return ""
         try:
@@ -523,7 +526,7 @@ class Truth:
 
     @property
     def reason(self) -> str:
-        """Why the trial was aborted or the run was refused. "" if neither happened."""
+        """Why the trial was aborted or the run was refused. Empty if neither happened."""
         if self.trial is not None and self.trial.result is not None:
             result = self.trial.result
             return result.reason if result.outcome == "aborted" else ""
@@ -532,8 +535,8 @@ class Truth:
 
     @cached_property
     def named_at_the_end(self) -> set[str]:
-        """The robots that the run named as still moving, or as not seen to stand still."""
-        named = re.findall(r"(?:still moves|not seen to stand): ([^:;\n]*):", self.day.output)
+        """The robots that the run named as still moving, or as not shown to stand still."""
+        named = re.findall(r"(?:still moves|not seen to stand still): ([^:;\n]*):", self.day.output)
         if "the cameras do not show that the robots stand" in self.day.output:
             named.append(", ".join(self.setup.names))
         return {name for names in named for name in names.split(", ")}
@@ -589,10 +592,10 @@ class Truth:
 
     @cached_property
     def accepted(self) -> Floats:
-        """The newest pose that our side has accepted, at each exposure.
+        """The newest pose that our side had accepted at each exposure.
 
-        Its shape is (T, N, 3) [mm, mm, rad]. It is NaN if there is none, and after the end of an
-        incomplete log.
+        Its shape is (T, N, 3) [mm, mm, rad]. It is NaN before the first one, and after the end of
+        an incomplete log.
         """
         poses = np.full((len(self.times_s), len(self.setup.names), 3), np.nan)
         if self.trial is None or not len(self.trial.frames):
@@ -610,7 +613,7 @@ class Truth:
 
     @cached_property
     def fresh(self) -> Bools:
-        """Whether the log has a pose of each robot that was exposed then, shape (T, N)."""
+        """Whether the log has a pose of each robot from this exposure, shape (T, N)."""
         fresh = np.zeros((len(self.times_s), len(self.setup.names)), bool)
         if self.trial is None:
             return fresh
@@ -657,9 +660,9 @@ def distances_to_shape(shape: Shape, x: Floats, y: Floats) -> Floats:
     """Compute the distance of points (...) to a shape, negative inside.
 
     A shape is the polygon of its corners (K,), grown by its radius. A circle has one corner. The
-    plane is complex: a point is nearest to an edge from a to b at a + s (b - a), with s = Re((p -
-    a) / (b - a)) clipped to [0, 1]. It is inside if the angles under which it sees the edges add up
-    to a full turn.
+    plane is treated as complex. The point of an edge from a to b that is nearest to p is a + s (b -
+    a), where s is Re((p - a) / (b - a)) clipped to [0, 1]. The point p is inside if the angles
+    under which it sees the edges add up to a full turn.
 
     Args:
         shape: The shape.

@@ -1,4 +1,4 @@
-"""`tetractl track`: cells from tracks of other programs, in pixels and pictures."""
+"""Tests of `tetractl track` with tracks from other programs, in pixels and image numbers."""
 
 import json
 import os
@@ -63,8 +63,8 @@ def test_a_film_is_refused_and_the_way_to_its_tracks_is_named(tmp_path):
     done = tetractl(tmp_path, "track", "dish.avi", "--scale", 2)
     assert done.returncode == 2
     assert done.stderr == (
-        "error: dish.avi: is a film, but tracks are needed\n"
-        "hint: follow its cells with trackpy or TrackMate, and give their table\n"
+        "error: dish.avi: the file is a video, but this command needs tracks\n"
+        "hint: track the cells with trackpy or TrackMate, and give the table that it writes\n"
     )
 
 
@@ -88,7 +88,7 @@ def test_particles_that_drift_in_a_flow_get_no_a(dish):
     ("header", "options", "says"),
     [
         ("particle,frame,y,x", (), "its tracks do not state"),
-        ("particle,frame,y,z", (), "no column of tracks: x missing"),
+        ("particle,frame,y,z", (), "columns of the tracks are missing: x"),
         ("particle,frame,y,x", ("--scale", 2), "its tracks do not state"),
     ],
 )
@@ -126,7 +126,7 @@ def test_rare_pictures_show_no_turning_but_ways(dish):
     words = ("track", name, "--scale", UM_PX, "--rate", RATE_HZ / 15)
     refused = tetractl(folder, *words, "--field", "field.csv")
     assert refused.returncode == 2
-    assert "pictures are 0.5 s apart, but a heading is the direction of motion" in refused.stderr
+    assert "images are 0.5 s apart, which is too long, because a heading" in refused.stderr
     assert "film at 7 pictures/s or more" in refused.stderr
     done = tetractl(folder, *words, "--json").ok()
     assert [cell["speed_um_s"] for cell in json.loads(done.stdout)["cells"]] == [None, None]

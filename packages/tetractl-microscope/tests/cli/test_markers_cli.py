@@ -1,4 +1,4 @@
-"""`tetractl lab markers`: tags are read from the pages again, at their size and place."""
+"""Tests that the printed tags of `tetractl lab markers` have the right place and size."""
 
 import re
 
@@ -68,7 +68,7 @@ def test_an_arrow_beside_the_corner_points_to_the_front(angle):
 
 
 def test_a_tag_that_no_page_holds_is_refused():
-    with pytest.raises(UsageError, match="tag 3: 200 mm"):
+    with pytest.raises(UsageError, match="tag 3: the tag of 200 mm"):
         list(arranged(PAPERS["a4"], [Card(3, 200.0, "x")]))
 
 
@@ -76,7 +76,7 @@ def test_a_tag_that_no_page_holds_is_refused():
 def test_a_new_spec_with_tags_is_printed_on_true_pages(tmp_path):
     tetractl(tmp_path, "init", "shelf", "--lab", "--camera", "apriltag", "--robots", "twist").ok()
     done = tetractl(tmp_path, "lab", "markers", "shelf.yaml", "-o", "tags.pdf").ok()
-    assert done.stderr == "print it without scaling: 7 tags on 5 pages of a4 paper\n"
+    assert done.stderr == "wrote 7 tags on 5 pages of a4 paper\n"
     pages = re.findall(
         rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", (tmp_path / "tags.pdf").read_bytes()
     )
@@ -95,6 +95,4 @@ def test_a_camera_without_tags_is_one_line(tmp_path):
     tetractl(tmp_path, "init", "first", "--lab").ok()
     done = tetractl(tmp_path, "lab", "markers", "first.yaml")
     assert done.returncode == 2
-    assert done.stderr.startswith(
-        "error: first.yaml: lab.camera is of type optitrack, which has no"
-    )
+    assert done.stderr.startswith("error: first.yaml: lab.camera has type optitrack, which uses no")

@@ -1,4 +1,4 @@
-"""Without OpenCV a command that draws pictures says in one line what to install."""
+"""Tests that commands which draw images say in one line what to install if OpenCV is missing."""
 
 import subprocess
 import sys

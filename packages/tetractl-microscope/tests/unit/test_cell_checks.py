@@ -1,4 +1,4 @@
-"""What the guard makes of cells: they wander, swim on without a field, and cannot be stopped."""
+"""Tests of the guard with cells, which wander, swim on without a field, and cannot be stopped."""
 
 import numpy as np
 import pytest

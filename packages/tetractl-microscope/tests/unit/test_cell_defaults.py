@@ -1,4 +1,4 @@
-"""What the recommended controller does by default for cells, which cannot stand still."""
+"""Tests of the recommended controller's defaults for cells, which cannot stand still."""
 
 import pytest
 from testkit.paths import EXAMPLES

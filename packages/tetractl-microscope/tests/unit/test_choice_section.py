@@ -1,4 +1,4 @@
-"""`robots: {choose: N, ...}`: trials choose their robots among the cells of a dish."""
+"""Tests of `robots: {choose: N, ...}`, which chooses robots among the cells of a dish."""
 
 import re
 
@@ -50,14 +50,17 @@ def test_a_simulated_trial_chooses_among_cells_drawn_from_its_seed(tmp_path):
 @pytest.mark.parametrize(
     ("robots", "line"),
     [
-        ("{choose: 3, a: 4, speed: 420}", "robots.targets: give either targets or a ring"),
+        (
+            "{choose: 3, a: 4, speed: 420}",
+            "robots.targets: give either targets or a ring, and only one of them",
+        ),
         (
             "{ring: {center: [1, 1], radius: 5}, a: 4, speed: 4}",
             "robots: .* have the key choose",
         ),
         (
             "{choose: 2, targets: [[9, 9]], a: 4, speed: 4}",
-            "must be at least 2, one for each robot",
+            "must be at least 2, so that there is one",
         ),
         ("{choose: 1, targets: [[9, 9]], a: -4, speed: 4}", "robots.a: -4: must be greater than 0"),
     ],

@@ -1,4 +1,4 @@
-"""The closed loop of a plan, linearised: against simulations of the same noise."""
+"""Tests of the linearised closed loop of a plan against simulations with the same noise."""
 
 from dataclasses import dataclass, replace
 

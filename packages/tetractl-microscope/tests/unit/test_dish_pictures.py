@@ -1,4 +1,4 @@
-"""The microscope's pictures of a log: under the paths, where the cells were."""
+"""Tests of drawing a log's microscope images under the paths of its cells."""
 
 import base64
 import io

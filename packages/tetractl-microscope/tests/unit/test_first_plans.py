@@ -1,4 +1,4 @@
-"""The plans along which choices of cells are compared."""
+"""Tests of the plans along which choices of cells are compared."""
 
 import pytest
 from testkit.trials import experiment

@@ -1,4 +1,4 @@
-"""Whatever a camera answers, and whatever stands in a table of the field."""
+"""Tests that no answer of a camera and no table of the field can do harm."""
 
 import random
 

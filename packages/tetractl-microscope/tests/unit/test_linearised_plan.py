@@ -1,4 +1,4 @@
-"""A plan linearised, against the ends of changed plans."""
+"""Tests of a linearised plan against the ends of changed plans."""
 
 from dataclasses import dataclass, replace
 

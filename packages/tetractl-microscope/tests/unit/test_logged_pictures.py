@@ -1,4 +1,4 @@
-"""The pictures in a log: what the camera adds to its frames is logged as it is."""
+"""Tests that the images of a camera are logged unchanged."""
 
 import pytest
 from testkit.microscope.dish_films import film

@@ -1,4 +1,4 @@
-"""Organisms are found by name, and their ranges are ordered and say where they come from."""
+"""Tests that organisms are found by name, with ordered ranges and sources."""
 
 import sys
 from types import ModuleType

@@ -1,4 +1,4 @@
-"""The slope of turning rates against the field's strength, from simulated tracks."""
+"""Tests of the slope of turning rates against field strength, from simulated tracks."""
 
 import numpy as np
 import pytest

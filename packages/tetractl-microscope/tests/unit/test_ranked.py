@@ -1,4 +1,4 @@
-"""Choices of cells, ranked by what is predicted for steering them together."""
+"""Tests of ranking choices of cells by their predicted errors."""
 
 from dataclasses import replace
 

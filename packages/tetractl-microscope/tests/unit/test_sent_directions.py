@@ -1,4 +1,4 @@
-"""Which directions robots turn by, where several explain their turning."""
+"""Tests of deciding which directions acted if several explain the turning of robots."""
 
 from dataclasses import replace
 
@@ -55,8 +55,8 @@ def check(turned: list[TurnedCourse], sent: SentDirections, least: float = 0.0) 
 @pytest.mark.parametrize(
     ("clock_s", "says"),
     [
-        (1.2, "robots turn 1.2 s before its directions"),
-        (-3.4, "robots turn 3.4 s after its directions"),
+        (1.2, "robots turn 1.2 s before the directions"),
+        (-3.4, "robots turn 3.4 s after the directions"),
     ],
 )
 @pytest.mark.parametrize("sent", [RANDOM, EVEN_AT_FIRST], ids=["random", "even at first"])
@@ -71,13 +71,15 @@ def test_a_clock_within_a_regular_cycle_is_refused():
     """Regression: a warning that the field is rotated by 2 rad, and an a of -1.4 for 4."""
     turned = [course_by(REGULAR, late_s=-1.1)]
     readings = other_readings("c.csv", REGULAR, 1 / 30)
-    with pytest.raises(UsageError, match=r"robots turn 1\.1 s before its directions"):
+    with pytest.raises(UsageError, match=r"robots turn 1\.1 s before the directions"):
         check_directions("p.csv", turned, REGULAR, AT_ONCE_S, readings)
 
 
 def test_a_mirror_image_that_no_dead_time_explains_is_refused():
     mirrored = replace(RANDOM, angles=-RANDOM.angles)
-    with pytest.raises(UsageError, match=r"p\.csv: robots turn right where c\.csv turns left"):
+    with pytest.raises(
+        UsageError, match=r"p\.csv: robots turn right when the directions in c\.csv turn left"
+    ):
         check([course_by(mirrored)], RANDOM)
 
 
@@ -94,7 +96,9 @@ def test_directions_in_degrees_that_count_on_by_small_steps_are_refused(name):
     right = SentDirections(np.arange(0.0, DRIVE_S, 0.2), TURNING_ON[name])
     turned = [course_by(right, late_s=0.1)]
     check(turned, right)
-    with pytest.raises(UsageError, match=r"c.csv: robots turn by its directions if .* degrees"):
+    with pytest.raises(
+        UsageError, match=r"c.csv: the motion of robots fits the directions only if .* degrees"
+    ):
         check(turned, replace(right, angles=np.degrees(right.angles)))
 
 
@@ -121,7 +125,7 @@ def test_directions_that_robots_follow_explain_most_turns(name):
 def test_directions_of_another_robot_explain_few_turns():
     """Regression: an a of 1.50 (1.30 to 1.74) for 4, exit code 0."""
     of_another = sent_every_1_5_s(np.random.default_rng(8).uniform(-3, 3, 16))
-    with pytest.raises(UsageError, match=r"p\.csv: the commands explain 1?\d% of the turns"):
+    with pytest.raises(UsageError, match=r"p\.csv: the commands explain only 1?\d% of the turns"):
         check([course_by(RANDOM)], of_another, least=0.2)
 
 

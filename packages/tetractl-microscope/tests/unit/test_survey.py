@@ -1,4 +1,4 @@
-"""`tetractl lab survey -o`: the spec that it writes, in any folder."""
+"""Tests of the spec that `tetractl lab survey -o` writes, in any folder."""
 
 from pathlib import Path
 from types import SimpleNamespace

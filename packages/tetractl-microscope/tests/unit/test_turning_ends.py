@@ -1,5 +1,7 @@
-"""However the turning of the field before a trial ends, the field is stopped before the camera is
-closed, which may take long."""
+"""Tests that the field is stopped before the camera is closed, however the survey ends.
+
+Closing the camera may take long.
+"""
 
 from dataclasses import replace
 

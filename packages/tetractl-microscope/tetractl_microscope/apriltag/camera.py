@@ -164,7 +164,13 @@ def _findings(
         yield True, f"floor {_tags(missing)} not seen{others}"
     double = [tag for tag in floor if tag in twice]
     if double:
-        yield True, f"floor {_tags(double)} seen twice: each number may be used only once"
+        yield (
+            True,
+            (
+                f"the camera sees floor {_tags(double)} twice, but each tag number may be "
+                "used only once"
+            ),
+        )
     plane = tracker.floor.plane or tracker.floor.misfit
     if plane is not None:
         yield from _calibrated(section, plane)
@@ -173,16 +179,22 @@ def _findings(
     for i, robot in enumerate(tracker.robots):
         sizes = stated(search.result.sizes[i] for search in searches)
         if robot.tag in twice:
-            yield True, f"{robot.name}: tag {robot.tag} is seen twice, so the robot is not tracked"
+            yield (
+                True,
+                (
+                    f"{robot.name}: the camera sees tag {robot.tag} twice, so the robot is "
+                    "not tracked"
+                ),
+            )
         elif robot.tag not in shown_tags:
-            yield True, f"{robot.name}: tag {robot.tag} is not seen{others}"
+            yield True, f"{robot.name}: the camera does not see tag {robot.tag}{others}"
         elif sizes:
             ratio = statistics.median(sizes)
             if _is_unexplained(ratio, min(sides_px), robot.size_mm, above_mm - robot.height_mm):
                 off = f"{abs(100 * (ratio - 1)):.1f} % {'larger' if ratio > 1 else 'smaller'}"
                 yield (
                     abs(ratio - 1) >= ODD_SIZE,
-                    f"{robot.name}: its tag looks {off} than it should: are size_mm and "
+                    f"{robot.name}: the tag looks {off} than the spec says: are size_mm and "
                     "height_mm right, and were all tags printed at 100 %?",
                 )
 
@@ -193,13 +205,14 @@ def _calibrated(section: AprilTagSection, plane: Plane) -> Iterator[Finding]:
         yield (
             not plane.worst_mm <= MISFIT_MM,
             f"the floor tags are up to {plane.worst_mm:.1f} mm away from their places in "
-            "lab.camera.floor: measure the fields at, size_mm and heading again",
+            "lab.camera.floor: measure the tags again, and correct their fields at, size_mm "
+            "and heading",
         )
     if section.lens is None and plane.doubt_mm > MISPLACED_MM:
         yield (
             plane.doubt_mm > MISFIT_MM,
-            f"the floor tags do not determine the lens well: robots may be {plane.doubt_mm:.0f} mm "
-            "off; tilt the camera more or set lab.camera.lens",
+            "the floor tags do not determine the lens well, so that robots may be located "
+            f"{plane.doubt_mm:.0f} mm off: tilt the camera more, or set lab.camera.lens",
         )
 
 
@@ -267,8 +280,8 @@ class AprilTagCamera(PictureCamera[Seen]):
         sides = stated(search.result.side_px for search in searches)
         if blurs and statistics.median(blurs) > BLURRED:
             warnings.append(
-                f"tags are too small or blurred, the smallest {min(sides):.0f} px wide: focus the "
-                "lens, use larger tags or more pixels, or shorten the exposure"
+                f"tags look too small or blurred, the smallest is {min(sides):.0f} px wide: "
+                "focus the lens, use larger tags or more pixels, or shorten the exposure"
             )
         facts = {"latency": f"{section.latency:g} s, as the spec says"}
         if plane is not None:

@@ -41,7 +41,9 @@ class Lens(Model):
     @model_validator(mode="after")
     def _known_model(self) -> Self:
         if len(self.distortion) not in (0, 4, 5):
-            raise inconsistent("distortion", "needs 4 or 5 coefficients: k1, k2, p1, p2 and k3")
+            raise inconsistent(
+                "distortion", "needs 4 or 5 lens coefficients, in the order k1, k2, p1, p2 and k3"
+            )
         return self
 
 
@@ -91,7 +93,9 @@ class AprilTagSection(PictureSection):
     def _each_once(self) -> Self:
         for tag, count in Counter(printed.tag for printed in (*self.robots, *self.floor)).items():
             if count > 1:
-                raise inconsistent("floor", f"tag {tag} is used twice: numbers must differ")
+                raise inconsistent(
+                    "floor", f"uses tag {tag} twice; each tag number may be used only once"
+                )
         if _flat([tag.at for tag in self.floor]):
             raise inconsistent("floor", "the floor tags must not lie on one line")
         return self

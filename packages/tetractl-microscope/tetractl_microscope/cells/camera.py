@@ -275,7 +275,7 @@ class CellCamera(PictureCamera[SeenDish]):
             number: Number of the cell.
         """
         robots = self._robots
-        assert robots.cells, "only a robot that was seen can be replaced"
+        assert robots.cells, "a cell can be replaced only after the camera has seen it"
         # the other robots' cells are the same objects: what is noted of them meanwhile is not lost
         cells = list(robots.cells)
         cells[robot] = RobotCell(number)

@@ -66,7 +66,9 @@ class CellWatch:
         """Yield each robot whose cell has divided or cannot be identified."""
         for robot in self._camera.divided:
             name = self._setup.names[robot]
-            yield Lose(robot, f"{name} has divided, or has parted from an unknown cell")
+            yield Lose(
+                robot, f"{name} has divided, or has parted from an unknown cell that it had met"
+            )
         for robot, why in self._identities.unknown.items():
             yield Lose(robot, why)
 
@@ -87,4 +89,4 @@ class CellWatch:
         self._camera.replace(robot, candidate.number)
         self._identities.forget(robot)
         what = f"a {candidate.a:.2f} rad/s, speed {candidate.speed:.0f} {self._setup.unit}/s"
-        return f"is another cell now: {what}"
+        return f"is now another cell: {what}"

@@ -104,26 +104,27 @@ def dish_lines(
     warnings = list[str]()
     level = statistics.median(search.result.level for search in searches)
     if level < DARK:
-        problems.append(f"the picture is black (median {level:.0f} of 255): is the lamp on?")
+        problems.append(f"the image is black (median {level:.0f} of 255): is the lamp on?")
     elif level > SATURATED:
         problems.append(
-            f"the picture is saturated (median {level:.0f} of 255): use less light or a shorter "
+            f"the image is saturated (median {level:.0f} of 255): use less light or a shorter "
             "exposure"
         )
     if newest.light.lost:
         problems.append(
-            f"{100 * newest.light.changed:.0f} % of the picture differs from the "
-            "background: was the stage or the lamp moved? Start again"
+            f"{100 * newest.light.changed:.0f} % of the image differs from the background: was "
+            "the stage or the lamp moved? Start again"
         )
     lost = [name for name, pose in zip(names, newest.poses, strict=True) if pose is None]
     if lost:
         problems.append(
-            f"{', '.join(lost)} not tracked: {cell_count(searches)} cells are in view, "
+            f"{', '.join(lost)} not tracked: {cell_count(searches)} cells are in view, but "
             f"{len(names)} are needed"
         )
     elif newest.sure < SURE:
         warnings.append(
-            "cells have met, and it is uncertain which is which: let the field turn a few times"
+            "cells have met, and it is uncertain which cell is which: let the field turn a few "
+            "times"
         )
     contrasts = stated(search.result.light.contrast for search in searches)
     contrast = statistics.median(contrasts) if contrasts else None
@@ -132,9 +133,13 @@ def dish_lines(
         warnings.append(faint)
     sharp = stated(search.result.sharpness for search in searches)
     if sharp and statistics.median(sharp) < BLURRED:
-        warnings.append("the rims of cells are blurred: focus, or shorten the exposure")
+        warnings.append(
+            "the outlines of the cells are blurred: focus the microscope, or shorten the exposure"
+        )
     if width_px < SMALL_PX:
-        warnings.append(f"a cell is {width_px:.0f} px wide; {SMALL_PX:.0f} px or more are needed")
+        warnings.append(
+            f"a cell is only {width_px:.0f} px wide, but at least {SMALL_PX:.0f} px are needed"
+        )
     return problems, warnings
 
 
@@ -149,11 +154,14 @@ def faint_line(contrast: float | None, limit: float) -> str | None:
         The warning. None if the contrast is high enough.
     """
     if contrast is None:
-        said = f"no object differs from the medium by the {limit:.0f} grey levels that are needed"
+        said = (
+            f"no object differs from the medium by {limit:.0f} grey levels, the minimum for "
+            "detection"
+        )
     elif contrast < FAINT * limit:
         said = (
-            f"objects differ from the medium by {contrast:.0f} grey levels in the median, and "
-            f"those below {limit:.0f} are missed"
+            f"objects differ from the medium by a median of {contrast:.0f} grey levels, and "
+            f"objects below {limit:.0f} are missed"
         )
     else:
         return None

@@ -39,13 +39,18 @@ class IdentityWatch:
         ):
             if probability < SURE and i not in self._since_ns:
                 self._since_ns[i] = now
-                text = f"{name} has met another cell: the probability of its identity is"
+                text = (
+                    f"{name} has met another cell; the probability that the two have not "
+                    "been confused is"
+                )
                 yield Note(now, "warning", f"{text} {probability:.2f}")
             elif probability >= SURE and self._since_ns.pop(i, None) is not None:
-                yield Note(now, "info", f"{name} is known again, probability {probability:.2f}")
+                yield Note(
+                    now, "info", f"{name} is identified again, with probability {probability:.2f}"
+                )
             elif i not in self.unknown and now - self._since_ns.get(i, now) > self._patience_ns:
                 seconds = self._patience_ns / SECOND
-                self.unknown[i] = f"for {seconds:g} s it has not been known which cell is {name}"
+                self.unknown[i] = f"for {seconds:g} s it has been uncertain which cell is {name}"
 
     def forget(self, i: int) -> None:
         """Forget the identity of a robot that is now another cell."""

@@ -62,13 +62,15 @@ class CellsSection(PictureSection):
         long = math.hypot(across, up)
         if long < LEAST_PX:
             raise UsageError(
-                f"the two points are {long:.3g} px from each other; at least {LEAST_PX} are needed"
+                f"the two points are only {long:.3g} px apart, but at least {LEAST_PX} px are "
+                "needed"
             )
         um_px = um / long
         rotation = -math.atan2(up, across)
         off = math.sqrt(2) * PLACED_PX / long
         lines = (
-            f"{um_px:.4f} um/px +- {off * um_px:.4f}, if points are accurate to {PLACED_PX:g} px",
+            f"{um_px:.4f} um/px +- {off * um_px:.4f}, if the points are accurate to "
+            f"{PLACED_PX:g} px",
             f"rotation {rotation:.4f} rad +- {off:.4f}",
         )
         return Measured({"um_px": um_px, "rotation": rotation}, lines=lines)

@@ -34,8 +34,9 @@ def chosen_from(experiment: Experiment, cells: Sequence[RobotCandidate]) -> list
     able = [cell for cell in cells if cell.magnetised]
     if len(able) < choice.choose:
         raise AbortError(
-            f"{len(able)} of {len(cells)} cells respond to the field, {choice.choose} are needed",
-            "use more cells, a stronger field, or fewer robots",
+            f"only {len(able)} of {len(cells)} cells respond to the field, but {choice.choose} "
+            "are needed",
+            "use more cells or a stronger field, or choose fewer robots in the spec",
         )
     able = sorted(able, key=lambda cell: -cell.a)[:14]  # more would have very many combinations
     if choice.wanted:
@@ -152,8 +153,8 @@ def _found_again(choice: Choice, cells: Sequence[RobotCandidate]) -> list[RobotC
         if np.abs(want - in_view[i]).max() > MISSED:
             a, speed = np.exp(want)
             raise AbortError(
-                f"the cell with turning rate {a:.2f} rad/s and speed {speed:.0f} "
-                "length units/s cannot be found",
-                "survey the dish again",
+                f"the cell with turning rate {a:.2f} rad/s and speed {speed:.0f} length units/s "
+                "was not found again",
+                "survey the dish again with `tetractl lab survey`",
             )
     return [cells[i] for i in dealt_cells]

@@ -71,5 +71,7 @@ def tracker_of(rig: Rig) -> TracksCells:
         AbortError: If the camera cannot track cells other than its robots.
     """
     if not isinstance(rig.camera, TracksCells):
-        raise AbortError("this camera tracks its robots only, and finds no others")
+        raise AbortError(
+            "this camera only tracks the robots of the spec, and cannot find other cells"
+        )
     return rig.camera

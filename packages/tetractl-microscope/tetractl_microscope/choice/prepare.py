@@ -51,7 +51,7 @@ def prepare(
     if isinstance(plant, RigSection):
         return _in_a_dish(plant, experiment, clock, seed, supervision)
     if not isinstance(plant, SimSection):
-        raise UsageError(f"a plant of type {plant.type} has no robots to choose from")
+        raise UsageError(f"a plant of type {plant.type} has no cells to choose the robots from")
     random = generator(seed, RandomStream.TRIAL_ROBOTS)
     cells = scattered_cells(choice_of(experiment), experiment.setup, random)
     chosen_experiment = settled(experiment, chosen_from(experiment, cells))

@@ -81,11 +81,13 @@ class Choice(TrialRobots):
     @model_validator(mode="after")
     def _fits(self) -> "Choice":
         if (self.ring is None) == (not self.targets):
-            raise inconsistent("targets", "give either targets or a ring")
+            raise inconsistent("targets", "give either targets or a ring, and only one of them")
         if self.targets and len(self.targets) < self.choose:
-            raise inconsistent("targets", f"must be at least {self.choose}, one for each robot")
+            raise inconsistent(
+                "targets", f"must be at least {self.choose}, so that there is one for each robot"
+            )
         if self.wanted and len(self.wanted) != self.choose:
-            raise inconsistent("wanted", f"must be {self.choose}, one for each robot")
+            raise inconsistent("wanted", f"must have {self.choose} entries, one for each robot")
         return self
 
     @property
@@ -112,5 +114,7 @@ class Choice(TrialRobots):
 
 def choice_of(experiment: Experiment) -> Choice:
     """Return the rule by which an experiment's trials choose their robots."""
-    assert isinstance(experiment.chosen, Choice), "the spec must have robots: {choose: N}"
+    assert isinstance(experiment.chosen, Choice), (
+        "the spec must say which robots to choose, with robots: {choose: N}"
+    )
     return experiment.chosen

@@ -89,8 +89,9 @@ def turn_field(
     rate = (rig.loop.frames.count - before) * SECOND / max(rig.clock.now() - began, 1)
     if sum(cell.magnetised for cell in cells) < choice.choose and rate < least:
         raise AbortError(
-            f"{rate:.1f} pictures per second were searched; to follow cells that swim "
-            f"{choice.speed:g} {rig.setup.unit}/s, {least:.0f} are needed",
-            "do other programs keep this computer busy? searching smaller pictures takes less time",
+            f"only {rate:.1f} images per second were searched, but {least:.0f} are needed to "
+            f"follow cells that swim {choice.speed:g} {rig.setup.unit}/s",
+            "do other programs keep this computer busy? Smaller images also take less time to "
+            "search",
         )
     return cells

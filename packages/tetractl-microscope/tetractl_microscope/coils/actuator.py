@@ -124,7 +124,7 @@ class FieldActuator:
         half a circle passes through 0.
         """
         if isinstance(action, Turn):
-            raise AbortError("cells cannot turn on the spot")
+            raise AbortError("cells cannot turn on the spot: they swim all the time")
         failure = self.failure
         if failure is not None:
             raise AbortError(failure, HINT)
@@ -221,9 +221,12 @@ def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -
     """
     if reply is None:
         where = f"{section.port} at {section.baud} baud"
-        return Health((f"no current driver answers on {where}: is it on?",))
+        return Health((f"no current driver answers on {where}: is the driver switched on?",))
     if reply.version != VERSION:
-        text = f"the current driver uses version {reply.version} of its protocol, not {VERSION}"
+        text = (
+            f"the current driver uses protocol version {reply.version}, but tetractl needs "
+            f"version {VERSION}"
+        )
         return Health((text,))
     most_a = reply.current_max_ma / 1000
     slew_a_s = reply.slew_ma_s / 1000
@@ -244,26 +247,38 @@ def inspect(reply: FieldReply | None, section: FieldSection, wanted_mt: float) -
     if has_temperature:
         facts["field_driver_temperature_c"] = f"{celsius:g}"
     problems = {
-        f"the current driver allows {most_a:g} A, not the spec's {section.current_max_a:g} A: "
-        "lower current_max_a": reply.current_max_ma < limit_ma,
-        f"the current driver allows {slew_a_s:g} A/s, not the spec's {section.slew_max_a_s:g} A/s: "
-        "lower slew_max_a_s": reply.slew_ma_s < round(1000 * section.slew_max_a_s),
-        f"the current driver's watchdog is {reply.watchdog_ms / 1000:g} s, not the spec's "
-        f"{section.watchdog:g} s": reply.watchdog_ms != round(1000 * section.watchdog),
-        "the current driver stopped because it was too hot: let the coils cool down": (
+        (
+            f"the current driver allows only {most_a:g} A, but the spec {section.current_max_a:g} "
+            "A: lower current_max_a in the spec"
+        ): reply.current_max_ma < limit_ma,
+        (
+            f"the current driver allows only {slew_a_s:g} A/s, but the spec "
+            f"{section.slew_max_a_s:g} A/s: lower slew_max_a_s in the spec"
+        ): reply.slew_ma_s < round(1000 * section.slew_max_a_s),
+        (
+            f"the current driver's watchdog is {reply.watchdog_ms / 1000:g} s, but the spec's is "
+            f"{section.watchdog:g} s"
+        ): reply.watchdog_ms != round(1000 * section.watchdog),
+        "the current driver has stopped because the coils were too hot: let them cool down": (
             DriverStatus.HOT in reply.status
         ),
         "the current driver is emergency-stopped: switch it off and on again": (
             DriverStatus.EMERGENCY_STOPPED in reply.status
         ),
-        f"the current driver's supply is at {volts:.2f} V": 0 < volts < section.supply_min_v,
+        f"the supply voltage of the current driver is {volts:.2f} V": 0
+        < volts
+        < section.supply_min_v,
         f"the coils are at {celsius:.0f} °C: let them cool down": has_temperature and celsius >= 60,
     }
     warnings = {
-        f"only {least_mt:.3g} of {wanted_mt:g} mT can be reached in every direction: in "
-        "some directions, cells turn more slowly": least_mt < wanted_mt,
-        f"the current driver allows {most_a:g} A: only this program limits the current to "
-        f"{section.current_max_a:g} A": reply.current_max_ma > limit_ma,
+        (
+            f"the coils can make only {least_mt:.3g} of {wanted_mt:g} mT in every direction: in "
+            "some directions, cells will turn more slowly"
+        ): least_mt < wanted_mt,
+        (
+            f"the current driver allows {most_a:g} A: only tetractl, and not the driver, limits "
+            f"the current to {section.current_max_a:g} A"
+        ): reply.current_max_ma > limit_ma,
         "the current driver does not report its supply voltage": section.supply_min_v > volts == 0,
     }
     return Health(_holding(problems), _holding(warnings), facts)
@@ -287,9 +302,9 @@ def stop_all(section: FieldSection, setup: Setup, clock: Clock, alone: bool) -> 
             clock.sleep_until(clock.now() + STOP_GAP_NS)
         if alone and not wait_for(clock, lambda: driver.is_emergency_stopped, REPLY_S):
             raise AbortError(
-                f"sent {STOPS} stops, but no current driver replies on {section.port} at "
-                f"{section.baud} baud that it is stopped",
-                "switch the driver's supply off",
+                f"sent {STOPS} stops, but no current driver on {section.port} at {section.baud} "
+                "baud has confirmed that it stopped",
+                "switch off the power supply of the current driver",
             )
     finally:
         driver.close()

@@ -116,7 +116,7 @@ def decode_reply(frame: bytes) -> FieldReply:
 SILENCE_NS = SECOND // 2
 REPLY_S = 0.1
 """Longest wait for a reply [s]: a driver needs 4 ms at 115200 baud, 50 ms at 9600."""
-HINT = "the driver switches the field off by its watchdog; cells swim on"
+HINT = "the watchdog of the current driver switches the field off; the cells swim on"
 
 
 class Driver:
@@ -156,7 +156,10 @@ class Driver:
         if self._unanswered > 5 and now_ns - self._unanswered_ns > SILENCE_NS:
             return "the current driver does not answer any more"
         if newest is not None and DriverStatus.HOT in newest.status:
-            return f"the current driver stopped: it is {newest.temperature_dc / 10:.0f} °C hot"
+            return (
+                "the current driver has stopped because it is "
+                f"{newest.temperature_dc / 10:.0f} °C hot"
+            )
         if self.is_emergency_stopped:
             return "the current driver is emergency-stopped"
         return None

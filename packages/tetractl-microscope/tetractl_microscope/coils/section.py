@@ -51,7 +51,7 @@ class CoilPair(Model):
     @classmethod
     def _makes_a_field(cls, gain: float) -> float:
         if gain == 0:
-            raise ValueError("a gain of 0 makes no field")
+            raise ValueError("must not be 0, because a coil with gain 0 makes no field")
         return gain
 
 
@@ -158,7 +158,7 @@ class FieldSection(ActuatorSection):
     def _limits_agree(self) -> Self:
         for name, pair in (("x", self.coils.x), ("y", self.coils.y)):
             if abs(pair.offset_mt) >= abs(pair.gain_mt_a) * self.current_max_a:
-                message = f"too small to cancel the ambient field coils.{name}.offset_mt"
+                message = f"is too small to cancel the ambient field coils.{name}.offset_mt"
                 raise inconsistent("current_max_a", message)
         if self.rate * self.watchdog < FRAMES_PER_WATCHDOG:
             least = FRAMES_PER_WATCHDOG / self.rate
@@ -168,11 +168,20 @@ class FieldSection(ActuatorSection):
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the location and a message for each contradiction with the spec's strength."""
         if setup.strength is not None and setup.strength_unit != "mT":
-            yield (), f"coils make a field in mT, not in {setup.strength_unit}"
+            yield (
+                (),
+                (
+                    "needs a strength in mT, because coils make a magnetic field; the spec's "
+                    f"strength is in {setup.strength_unit}"
+                ),
+            )
         if setup.strength is None and self.strength_mt is None:
-            yield (), "strength is unknown: add strength [mT] to the spec"
+            yield (), "needs the field's strength: add strength [mT] to the spec"
         if setup.strength is not None and self.strength_mt is not None:
-            yield ("strength_mt",), "is stated by the spec's strength already; remove one of them"
+            yield (
+                ("strength_mt",),
+                ("repeats a value that the spec's strength already gives; remove one of them"),
+            )
 
     def reference_mt(self, setup: Setup) -> float:
         """Return the field strength at which cells turn at the setup's rates [mT].

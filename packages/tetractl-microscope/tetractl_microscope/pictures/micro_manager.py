@@ -48,7 +48,7 @@ def adapter_folder() -> Path:
     """
     folder = Path(os.environ.get(FOLDER) or INSTALLED.get(sys.platform, INSTALLED["linux"]))
     if not folder.is_dir():
-        hint = f"name its folder: {FOLDER}=FOLDER tetractl ..."
+        hint = f"tell tetractl the folder of Micro-Manager: {FOLDER}=FOLDER tetractl ..."
         raise AbortError(f"Micro-Manager is not installed in {folder}", hint)
     return folder.resolve()
 
@@ -69,7 +69,9 @@ def require_adapters(config: Path, folder: Path) -> None:
             another folder.
     """
     if not config.is_file() or config.stat().st_size > CONFIG_MAX:
-        raise AbortError(f"{config}: is not a file of at most {CONFIG_MAX >> 20} MiB")
+        raise AbortError(
+            f"{config}: the configuration must be a file of at most {CONFIG_MAX >> 20} MiB"
+        )
     lines = config.read_bytes().decode(errors="replace").split("\n")
     for number, line in enumerate(lines, start=1):
         fields = [field for field in line.partition("\r")[0].split(",") if field]
@@ -78,15 +80,15 @@ def require_adapters(config: Path, folder: Path) -> None:
         if fields[0] == "Device" and len(fields) > 2:
             is_name = re.fullmatch(r"[\w-]+", fields[2])
             if not is_name or not (folder / LIBRARY.format(fields[2])).is_file():
-                text = f"{folder} contains no device adapter {fields[2]!r}"
+                text = f"{folder} does not contain the device adapter {fields[2]!r}"
                 raise AbortError(f"{config}:{number}: {text}")
         elif fields[0] == "Label" or fields[-2:-1] == ["Label"]:
             del fields[-1]
         for field in filter(_PLACE.search, fields):
-            text = f"{field!r} may name a file, which a device adapter would run"
+            text = f"{field!r} may name a file, which a device adapter would then run"
             raise AbortError(
                 f"{config}:{number}: {text}",
-                "save a configuration with the camera alone, without / and \\",
+                "save a configuration that contains only the camera, and no / or \\",
             )
 
 
@@ -107,7 +109,7 @@ class MicroManagerFeed(Feed):
             core = import_module("pymmcore").CMMCore
         except ModuleNotFoundError as error:
             raise AbortError(
-                "a source of type micromanager needs pymmcore, which is not installed",
+                "a camera source of type micromanager needs pymmcore, which is not installed",
                 "pip install './packages/tetractl-microscope[micro-manager]'",
             ) from error
         self._clock = clock
@@ -126,7 +128,9 @@ class MicroManagerFeed(Feed):
         except FAILURES as error:
             self._core.reset()
             text = f"{config}: {' '.join(str(error).split())}"
-            raise AbortError(text, "does Micro-Manager itself show this camera live?") from error
+            raise AbortError(
+                text, "does Micro-Manager itself show live images from this camera?"
+            ) from error
 
     def read(self) -> Picture:
         """Wait for the next image.
@@ -144,7 +148,7 @@ class MicroManagerFeed(Feed):
             except FAILURES as error:
                 raise SourceEndedError(f"Micro-Manager reports: {error}") from error
             if not running or self._clock.now() > silent:
-                raise SourceEndedError("Micro-Manager's camera delivers no more pictures")
+                raise SourceEndedError("Micro-Manager's camera sends no more images")
             self._clock.sleep_until(self._clock.now() + SECOND // 500)
         raise SourceEndedError("Micro-Manager's camera was closed")
 

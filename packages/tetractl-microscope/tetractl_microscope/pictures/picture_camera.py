@@ -156,7 +156,7 @@ class PictureSearches(Generic[R]):
     def fail(self, thread: str, error: Exception) -> None:
         """Record the error that ended a thread, so that the program's own thread raises it."""
         with self.changed:
-            self.end_reason = f"the {thread} of pictures has ended: {text_of(error)}"
+            self.end_reason = f"the {thread} of images has stopped: {text_of(error)}"
             self.failure = error
             self.changed.notify_all()
 
@@ -311,11 +311,13 @@ class PictureCamera(ABC, Generic[R]):
             name = self._source.source_name
             if self._newest_picture is not None and not ended:
                 raise AbortError(
-                    f"pictures come from {name}, but after {wait_s:g} s no search has ended",
-                    "is this computer busy? lab.camera.connect waits longer",
+                    f"images come from {name}, but none was searched to its end within "
+                    f"{wait_s:g} s",
+                    "is this computer busy? With a larger lab.camera.connect, tetractl waits "
+                    "longer",
                 )
-            damaged = f"{self.damaged} pictures were damaged" if self.damaged else None
-            raise AbortError(f"no picture comes from {name} ({wait_s:g} s)", ended or damaged)
+            damaged = f"{self.damaged} images were damaged" if self.damaged else None
+            raise AbortError(f"no image came from {name} within {wait_s:g} s", ended or damaged)
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -55,7 +55,7 @@ class PictureSource(Model):
         try:
             feed = self.open(clock, 5.0)
         except AbortError as error:
-            expect(f"not opened, so its pictures are not checked ({error.message})")
+            expect(f"the camera was not opened, so its images were not checked ({error.message})")
             return
         try:
             readings = [feed.read() for _ in range(5)]

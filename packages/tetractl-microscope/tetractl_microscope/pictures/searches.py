@@ -73,23 +73,23 @@ def stream_lines(
     if end_reason:
         problems.append(end_reason)
     elif not searches or now_ns - searches[-1].received_ns > SECOND // 2:
-        problems.append(f"no picture comes from {source} any more")
+        problems.append(f"no images come from {source} any more")
     rate = searched_hz(searches)
     if rate is not None and declared_hz is not None and rate < 0.8 * declared_hz:
         warnings.append(
-            f"{rate:.0f} pictures per second come instead of {declared_hz:.0f}: is there too "
+            f"only {rate:.0f} images per second come instead of {declared_hz:.0f}: is there too "
             "little light for short exposures, or is the cable too slow?"
         )
     elif rate is not None and rate < SLOW_HZ:
         warnings.append(
-            f"only {rate:.0f} pictures per second come: {SLOW_HZ:.0f} or more are needed"
+            f"only {rate:.0f} images per second come, but at least {SLOW_HZ:.0f} are needed"
         )
     came = searches[-1].number - searches[0].number + 1 if searches else 0
     if came > len(searches):
         warnings.append(
-            f"{came - len(searches)} of the last {came} pictures were not searched: searching one "
-            f"takes {search_ms(searches):.0f} ms"
+            f"{came - len(searches)} of the last {came} images were not searched, because "
+            f"searching one takes {search_ms(searches):.0f} ms"
         )
     if damaged:
-        warnings.append(f"{damaged} pictures were damaged")
+        warnings.append(f"{damaged} images were damaged")
     return problems, warnings

@@ -92,7 +92,7 @@ class DeviceFeed(Feed):
         if not capture.isOpened():
             raise AbortError(
                 f"{self._name} cannot be opened",
-                "is the camera plugged in, is lab.camera.source.index its number, does another "
+                "is the camera plugged in? Is lab.camera.source.index its number? Does another "
                 "program use it?",
             )
         capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*source.format))
@@ -111,16 +111,18 @@ class DeviceFeed(Feed):
             ):
                 capture.release()
                 raise AbortError(
-                    f"{self._name} does not take {what} {value:g}: it has {capture.get(prop):g}",
-                    "its limits: v4l2-ctl --list-ctrls",
+                    f"{self._name} does not accept {what} {value:g}, and keeps "
+                    f"{capture.get(prop):g}",
+                    "this command lists the camera's limits: v4l2-ctl --list-ctrls",
                 )
         width = round(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
         height = round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         if (width, height) != (source.width, source.height):
             capture.release()
             raise AbortError(
-                f"{self._name} gives {width}x{height}, not {source.width}x{source.height}",
-                "choose a size that the camera supports: v4l2-ctl --list-formats-ext",
+                f"{self._name} gives images of {width}x{height}, not "
+                f"{source.width}x{source.height}",
+                "choose a size from the list that this command prints: v4l2-ctl --list-formats-ext",
             )
 
     def read(self) -> Picture:
@@ -130,11 +132,11 @@ class DeviceFeed(Feed):
             SourceEndedError: If the camera delivers no more images.
         """
         if not self._capture.grab():
-            raise SourceEndedError(f"{self._name} delivers no more pictures")
+            raise SourceEndedError(f"{self._name} sends no more images")
         received = self._clock.now()  # taken before the picture is decompressed
         read, pixels = self._capture.retrieve()
         if not read:
-            raise SourceEndedError(f"{self._name} delivers no more pictures")
+            raise SourceEndedError(f"{self._name} sends no more images")
         return Picture(pixels, received)
 
     def close(self) -> None:
@@ -174,13 +176,15 @@ class FileFeed(Feed):
         except (Exception, StopIteration) as error:  # imageio does not document what it raises
             self.close()
             raise AbortError(
-                f"{source.path} is not a film that imageio can read",
+                f"{source.path} is not a video that imageio can read",
                 f"convert it to MP4, AVI or TIFF, or {INSTALL_FILMS}",
             ) from error
         self.rate_hz = source.rate or own_rate_hz
         if not self.rate_hz:
             self.close()
-            raise AbortError(f"{source.path} states no rate", "set lab.camera.source.rate")
+            raise AbortError(
+                f"{source.path} does not state its frame rate", "set lab.camera.source.rate"
+            )
         self._shift = max(0, int(first.max()).bit_length() - 8)
         self._images = chain([first], self._images)
         self._start_ns: int | None = None
@@ -256,7 +260,7 @@ class MjpegFeed(Feed):
             late = time.monotonic() >= until
             said = f"not within {timeout_s:g} s" if late else error or type(error).__name__
             raise AbortError(
-                f"{source.url} does not answer: {said}",
+                f"the camera at {source.url} does not answer: {said}",
                 "is the camera on, and is lab.camera.source.url its address?",
             ) from error
         kind = self._answer.headers.get_content_type()
@@ -266,8 +270,9 @@ class MjpegFeed(Feed):
         if self._answer.status != 200 or kind != "multipart/x-mixed-replace" or not boundary:
             self.close()
             raise AbortError(
-                f"{source.url} is not an MJPEG stream: it answers {self._answer.status}, {kind}",
-                "the camera's answer must be multipart/x-mixed-replace with a boundary",
+                f"the camera at {source.url} does not send an MJPEG stream: it answers with "
+                f"status {self._answer.status}, {kind}",
+                "the camera must answer with multipart/x-mixed-replace and a boundary",
             )
         self.emulated = EMULATED_NAME in self._answer.getheader("Server", "")
         self._socket.settimeout(None)  # from now on, closing the socket interrupts the reader
@@ -291,7 +296,7 @@ class MjpegFeed(Feed):
             except (OSError, ValueError, http.client.HTTPException) as error:
                 raise SourceEndedError(f"{self._url} failed: {error}") from error
             if not data:
-                raise SourceEndedError(f"{self._url} closed the stream")
+                raise SourceEndedError(f"the camera at {self._url} closed the stream")
             self._waiting = self._parts.feed(data)
         return Picture(self._waiting.pop(0), self._clock.now())
 

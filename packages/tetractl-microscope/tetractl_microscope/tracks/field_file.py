@@ -39,8 +39,8 @@ def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]
         The warnings. Empty if the directions are right or if too few cells were seen.
     """
     mirrored = (
-        "the directions run clockwise (--y-down), or the picture is mirrored; do not use a, bias "
-        "and magnet"
+        "the directions run clockwise (give --y-down), or the image is mirrored; until this is "
+        "corrected, do not use the values of a, bias and magnet"
     )
     turning = handedness(paths, field.at)
     lines = [] if turning is None else wrong_sides(turning, mirrored, "is it rotated?")
@@ -73,9 +73,9 @@ def clock_remarks(
 def _no_column(path: Path, name: str, headers: Sequence[str]) -> UsageError:
     """Create the error for a table without a required column."""
     if not headers:
-        return UsageError(f"{path}: has no rows")
+        return UsageError(f"{path}: the file has no rows below its header")
     has = printable(", ".join(headers[:8]))
-    return UsageError(f"{path}: has no column {name}: its columns are {has}")
+    return UsageError(f"{path}: the column {name} is missing; the columns are {has}")
 
 
 def no_field(start: float, end: float) -> Sequence[Piece]:
@@ -115,7 +115,11 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
         strength = 1.0 if math.isnan(strength) else strength
         if abs(strength) > STRONGEST:
             said = f"{path}, line {row.line}: {STRENGTH}: {strength:g} is too large"
-            raise UsageError(said, f"it is relative to the reference field, at most {STRONGEST:g}")
+            raise UsageError(
+                said,
+                "the strength is relative to the reference field, and can "
+                f"be at most {STRONGEST:g}",
+            )
         strengths.append(strength)
         angles.append(angle.number(path, row))
         lines.append(row.line)

@@ -90,7 +90,7 @@ class AxisStep:
 
 TRACK_MAX = 2.0**53
 """Largest number of a track: Imaris counts them from 1e9."""
-FROM_ONE = "pictures are numbered from 1: that is taken as the first of the film, at 0 s"
+FROM_ONE = "images are numbered from 1; image 1 is taken as the first of the video, at 0 s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,19 +142,19 @@ def spot_tracks(
         AbortError: If software for GEFF graphs is not installed.
     """
     spots = _graph(path) if path.is_dir() else _spot_table(path, rate_hz, remarks)
-    um = _size(path, "--scale", "its places are in a unit of length", um_px, spots.across)
+    um = _size(path, "--scale", "the file gives places in a unit of length", um_px, spots.across)
     period = None if rate_hz is None else 1 / rate_hz
     seconds = _size(path, "--rate", "it states times", period, spots.time)
     missing = list[str]()
     if um is None:
         missing.append("a unit of length")
     if seconds is None:
-        missing.append("the time of a picture")
+        missing.append("the time of an image")
     if um is None or seconds is None:
         said = f"{path}: its tracks do not state {' and '.join(missing)}"
-        raise UsageError(said, "give --scale UM_PER_PIXEL and --rate PICTURES_PER_SECOND")
+        raise UsageError(said, "give --scale UM_PER_PIXEL and --rate IMAGES_PER_SECOND")
     if not np.isfinite(spots.rows).all():
-        raise UsageError(f"{path}: has a value that is not finite")
+        raise UsageError(f"{path}: the file contains a value that is not finite")
     tracks = list[SpotTrack]()
     for number in np.unique(spots.rows[:, 0]).tolist():
         is_on_track = spots.rows[:, 0] == number
@@ -177,7 +177,7 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     rows = read_csv(path)
     first = next(rows, None)
     if first is None:
-        raise UsageError(f"{path}: has no rows")
+        raise UsageError(f"{path}: the file has no rows of data")
     quantities = {header: _name_and_unit(header) for header in first.cells}
     words = [header for header, (name, _) in quantities.items() if name == WORDS_BELOW]
     while first and words and not is_number(first.cells[words[0]]):
@@ -201,7 +201,7 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
                 number = column.optional(path, row) if is_place else column.number(path, row)
                 numbers.append(number)
     if not numbers:
-        raise UsageError(f"{path}: has no spot of a track")
+        raise UsageError(f"{path}: the file has no point that belongs to a track")
     table = np.reshape(numbers, (-1, len(columns)))
     values = dict(zip(columns, table.T, strict=True))
     if "time" in values and ("frame" not in values or rate_hz is None):
@@ -220,7 +220,7 @@ def _spot_table(path: Path, rate_hz: float | None, remarks: list[str]) -> SpotTa
     spots = np.column_stack([values["track"], when, values["x"], values["y"]])
     spots = spots[np.isfinite(spots).all(axis=1)]
     if not len(spots):
-        raise UsageError(f"{path}: has no spot of a track")
+        raise UsageError(f"{path}: the file has no point that belongs to a track")
     return SpotTable(
         spots,
         across=AxisStep(um_across, um_across is None),
@@ -281,9 +281,12 @@ def _require_columns(path: Path, headers: Mapping[str, str], listed: Sequence[st
     if missing:
         listed = ", ".join(printable(header) for header in listed[:COLUMNS_SHOWN])
         said = (
-            f"{path}: no column of tracks: {'; '.join(missing)} missing; its columns are {listed}"
+            f"{path}: columns of the tracks are missing: {'; '.join(missing)}; the file's "
+            f"columns are {listed}"
         )
-        raise UsageError(said, "tracks have the columns particle, frame, x, y, in the first line")
+        raise UsageError(
+            said, "the first line of the file must name the columns particle, frame, x and y"
+        )
 
 
 def _require_whole(path: Path, column: str, frames: Floats) -> None:
@@ -295,13 +298,18 @@ def _require_whole(path: Path, column: str, frames: Floats) -> None:
     is_fraction = frames % 1 != 0
     if is_fraction.any():
         first = frames[is_fraction][0]
-        said = f"{path}: column {printable(column)}: {first:g} is not a frame number"
+        said = (
+            f"{path}: column {printable(column)}: {first:g} is no whole number, and no frame number"
+        )
         raise UsageError(
             said, f"if these are times in seconds, name the column {printable(column)}_s"
         )
     if frames.min() < 0:
-        said = f"{path}: column {printable(column)}: {frames.min():g} is not a frame number"
-        raise UsageError(said, "the first frame of a film has the number 0")
+        said = (
+            f"{path}: column {printable(column)}: {frames.min():g} is below 0, so it is not "
+            "a frame number"
+        )
+        raise UsageError(said, "number the first frame of the video 0")
 
 
 def _from_first_picture(path: Path, frames: Floats, remarks: list[str]) -> Floats:
@@ -323,8 +331,8 @@ def _note_sparse(path: Path, column: str, frames: Floats, remarks: list[str]) ->
     if step >= SPARSE:
         name = printable(column)
         remarks.append(
-            f"warning: {path}: column {name} counts in steps of {step}: if these are milliseconds, "
-            f"name it {name}_ms"
+            f"warning: {path}: the values in column {name} increase in steps of {step}; if they "
+            f"are milliseconds, name the column {name}_ms"
         )
 
 
@@ -335,7 +343,8 @@ def _note_other_times(
     most = float(np.abs((stated - stated[0]) - (times - times[0])).max())
     if most > 0.5 / rate_hz:
         remarks.append(
-            f"warning: {path}: --rate {rate_hz:g} replaces its times, up to {most:.3g} s off"
+            f"warning: {path}: --rate {rate_hz:g} replaces the times in the file, which differ "
+            f"by up to {most:.3g} s"
         )
 
 
@@ -349,8 +358,8 @@ def _require_one_place(path: Path, number: float, times: Floats) -> None:
     if is_twice.any():
         when = times[:-1][is_twice][0]
         raise UsageError(
-            f"{path}: cell {number:.0f} is at two places at {when:.15g} s",
-            "are these several tracks, or times that are rounded?",
+            f"{path}: cell {number:.0f} has two different places at the time {when:.15g} s",
+            "do several tracks have the same number, or are the times rounded?",
         )
 
 
@@ -365,7 +374,7 @@ def _size(
     if stated is None:
         return step.size
     if not step.counted:
-        said = f"{path}: {states}, so that {option} has no meaning"
+        said = f"{path}: {states}, so the option {option} must be left out"
         raise UsageError(said, f"leave out {option}")
     return stated
 
@@ -382,7 +391,7 @@ def _graph(path: Path) -> SpotTable:
     try:
         from geff.core_io import read_to_memory
     except ModuleNotFoundError as error:
-        said = f"{path}: is a folder, and GEFF graphs are read by geff, which is not installed"
+        said = f"{path}: reading a GEFF graph (a folder) needs geff, which is not installed"
         raise AbortError(said, "pip install './packages/tetractl-microscope[geff]'") from error
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -394,15 +403,18 @@ def _graph(path: Path) -> SpotTable:
         nodes = [properties[axis.name]["values"].astype(float) for axis in axes]
     except Exception as error:  # geff and zarr do not document what they raise
         raise UsageError(
-            f"{path}: cannot be read as a GEFF graph of t, x, y: {_problem_of(error)}",
-            "write it again with a newer version of the program that wrote it, or as CSV",
+            f"{path}: cannot be read as a GEFF graph with t, x and y: {_problem_of(error)}",
+            "export the tracks again with a newer version of the program that wrote them, or "
+            "as CSV",
         ) from error
     ids = graph["node_ids"]
     edges = graph["edge_ids"]
     if len(ids) > POSES_MAX:
-        raise UsageError(f"{path}: has {len(ids)} nodes; at most {POSES_MAX} are read")
+        raise UsageError(
+            f"{path}: the graph has {len(ids)} nodes, but at most {POSES_MAX} can be read"
+        )
     if not len(edges):
-        raise UsageError(f"{path}: has no edges, and so no tracks")
+        raise UsageError(f"{path}: the graph has no edges, and therefore no tracks")
     order = np.argsort(ids)
     first, last = order[np.searchsorted(ids, edges, sorter=order)].T
     single = np.bincount(first, minlength=len(ids))[first] == 1

@@ -44,7 +44,7 @@ if their speed varies by a fifth.
 """
 STEPS_MIN = 40
 """Minimum number of steps for that finding."""
-TO_AND_FRO = "what moves goes to and fro, as beads do: nothing swims"
+TO_AND_FRO = "nothing swims: everything that moves goes back and forth, as beads do"
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,29 +85,33 @@ def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool)
     long_tracks = [track for track in tracks if np.ptp(track.rows[:, 0]) >= SHORTEST_S]
     brief = [f"{track.number:.0f}" for track in tracks if np.ptp(track.rows[:, 0]) < SHORTEST_S]
     if not long_tracks:
-        raise UsageError(f"{source}: has no cell that is seen for {SHORTEST_S:g} s")
+        raise UsageError(f"{source}: no cell was seen for {SHORTEST_S:g} s")
     remarks = list[str]()
     if brief:
-        remarks.append(f"seen for less than {SHORTEST_S:g} s, so left out: {_cells(brief)}")
+        remarks.append(
+            f"left out, because they were seen for less than {SHORTEST_S:g} s: {_cells(brief)}"
+        )
     gaps_s = np.concatenate([np.diff(track.rows[:, 0]) for track in long_tracks])
     period_s = float(np.median(gaps_s))
     if with_field and period_s * RATE_MIN > 1:
         raise UsageError(
-            f"{source}: pictures are {period_s:.3g} s apart, but a heading is the direction of "
-            f"motion over {COURSE_S:g} s",
-            f"film at {math.ceil(RATE_MIN)} pictures/s or more; if times are in ms, name their "
-            "column time_ms",
+            f"{source}: images are {period_s:.3g} s apart, which is too long, because a heading "
+            f"is the direction of motion over {COURSE_S:g} s",
+            f"film at {math.ceil(RATE_MIN)} images/s or more; if the times are in ms, name "
+            "their column time_ms",
         )
     going_on = [track_goes_on(track.rows[:, 0], track.rows[:, 1:]) for track in long_tracks]
     if hardly_any_goes_on(going_on):
-        raise TetractlError(f"{source}: {TO_AND_FRO}", "give the tracks of cells that swim")
+        raise TetractlError(f"{source}: {TO_AND_FRO}", "give tracks of cells that swim")
     to_and_fro = [
         f"{track.number:.0f}"
         for track, goes_on in zip(long_tracks, going_on, strict=True)
         if not goes_on
     ]
     if to_and_fro:
-        remarks.append(f"warning: to and fro, as beads do, go, so left out: {_cells(to_and_fro)}")
+        remarks.append(
+            f"warning: left out, because they go back and forth, as beads do: {_cells(to_and_fro)}"
+        )
     swimming = compress(long_tracks, going_on)
     paths = tuple(
         CellPath(round(track.number), track.rows[:, 0], track.rows[:, 1:]) for track in swimming
@@ -142,8 +146,11 @@ def stage_remarks(paths: Sequence[CellPath], field: FieldRecord | None = None) -
             return ()
     of_field = "" if field is None else ", and no a is fitted"
     return (
-        f"warning: all cells move together, by {speed_um_s:.0f} um/s, and by {own_um_s:.0f} um/s "
-        "apart from that: does the stage move, or the medium flow? It is part of their speeds"
+        (
+            f"warning: all cells move together at {speed_um_s:.0f} um/s, in addition to "
+            f"{own_um_s:.0f} um/s of their own: does the stage move, or does the medium flow? "
+            "Their speeds include this common motion"
+        )
         + of_field,
     )
 
@@ -184,9 +191,12 @@ def track_record(
         field: The field over time. None if there was none.
     """
     summaries = fit_tracks(cells.paths, organism, field, cells.period_s)
-    note = f"cells are followed as {organism.name}; --organism names another"
+    note = f"the cells are tracked as {organism.name}; choose another organism with --organism"
     if 1 / cells.period_s < RATE_MIN:
-        note = f"at fewer than {math.ceil(RATE_MIN)} pictures/s, cells have no speed along a helix"
+        note = (
+            f"with fewer than {math.ceil(RATE_MIN)} images/s, the speed of cells along their "
+            "helix cannot be measured"
+        )
     notes = [note]
     items = [cell.items() for cell in summaries]
     turning: list[str] = []
@@ -198,7 +208,9 @@ def track_record(
             turning.append(str(item["cell"]))
     if turning:
         names = _cells(turning)
-        notes.append(f"without speed and a, as they turn by themselves, as no helix does: {names}")
+        notes.append(
+            f"have no speed and no a, because they turn by themselves, unlike a helix: {names}"
+        )
     return plain(
         {
             "tracks": source.name,

@@ -1,4 +1,4 @@
-"""An emulated motion-capture system: a run in which nothing goes wrong, and its process's end."""
+"""Tests of an emulated motion-capture system: a normal run, and the end of its process."""
 
 import pytest
 from testkit.cli import tetractl

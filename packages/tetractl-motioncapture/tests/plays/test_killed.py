@@ -1,5 +1,8 @@
-"""A run in real time: the camera's process is real, with a library in its place that shows robots
-which stand; the robots are emulated, and what is shown is moved as they drive."""
+"""Tests of a run in real time whose camera process is killed.
+
+The process is real, but a fake library in it shows robots. The robots are emulated, and what the
+library shows moves with them.
+"""
 
 import json
 import os

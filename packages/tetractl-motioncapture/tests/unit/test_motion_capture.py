@@ -1,4 +1,4 @@
-"""Bodies to poses, and the library's process with a library in its place that has the same API."""
+"""Tests of converting bodies to poses, with a fake of the motion-capture library."""
 
 import io
 import json
@@ -94,7 +94,9 @@ def camera_of(*names):
 
 def test_a_robot_without_a_body_is_named():
     with camera_of("G", "X") as camera:
-        assert camera.check().problems == ("blue has no rigid body B; streamed are G, X",)
+        assert camera.check().problems == (
+            "the system streams no rigid body B for blue; it streams G, X",
+        )
         assert [pose is None for pose in camera.frames()[0].poses] == [False, True]
 
 

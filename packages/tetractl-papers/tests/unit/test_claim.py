@@ -1,4 +1,4 @@
-"""Verdicts on claims: one rule, by intervals, and none on the number of an experiment."""
+"""Tests of verdicts on claims: they depend only on intervals, and experiments get none."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The papers' controllers keep the promises of a controller, and pass the checks of plug-ins."""
+"""Tests that the papers' controllers pass the checks that every plug-in must pass."""
 
 import pytest
 from testkit.controller_promises import ControllerPromises, experiment_of

@@ -1,5 +1,6 @@
-"""Feedback Ensemble Control: two modes by turns, and a sum of distances that falls with the field
-off."""
+"""Tests of Feedback Ensemble Control: two alternating modes, and distances that fall without a
+field.
+"""
 
 import numpy as np
 import pytest

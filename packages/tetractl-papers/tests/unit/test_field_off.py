@@ -1,5 +1,7 @@
-"""A log whose robots drove with the field off: read, verified and shown, and refused where every
-step has to have a direction."""
+"""Tests of logs in which robots drove with the field off.
+
+Such logs can be read, verified and shown. Commands that need a direction in every step refuse them.
+"""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Papers are run once, their tables printed, and the page shows what the command printed."""
+"""Tests that papers run only once, print their tables, and match the page."""
 
 import re
 import signal
@@ -186,7 +186,7 @@ def test_no_row_on_an_experiment_has_a_verdict_or_a_p_value():
 
 
 def test_an_unknown_paper_is_refused():
-    with pytest.raises(UsageError, match="there is no paper 'oo'"):
+    with pytest.raises(UsageError, match="there is no paper named 'oo'"):
         command.reproduce(["oo"])
 
 

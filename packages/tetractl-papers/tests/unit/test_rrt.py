@@ -1,4 +1,4 @@
-"""RRT with feedback: the tree's path keeps clear, and the robot follows it."""
+"""Tests of RRT with feedback: the path keeps clear of obstacles, and the robot follows it."""
 
 import numpy as np
 import pytest
@@ -78,9 +78,9 @@ def test_the_robot_goes_round_the_obstacle_to_its_target(key):
 
 def test_several_robots_and_one_that_stands_are_refused():
     text = experiment().model_dump_json()
-    with pytest.raises(InvalidSpecError, match="steers one robot, but there are 3"):
+    with pytest.raises(InvalidSpecError, match="can steer only one robot, but the spec has 3"):
         parse_spec(text, "s.yaml", ["controller={type: rrt}"])
     still = dict(THREE_M3PI["robots"][0], speed=0)
     text = experiment(robots=[still]).model_dump_json()
-    with pytest.raises(InvalidSpecError, match="speed is 0"):
+    with pytest.raises(InvalidSpecError, match="speed in the spec is 0"):
         parse_spec(text, "s.yaml", ["controller={type: rrt}"])

@@ -1,4 +1,4 @@
-"""The figure of a search's particles: what it shows, and which logs it refuses."""
+"""Tests of the figure of a search's particles: its contents, and the logs that it refuses."""
 
 from dataclasses import replace
 
@@ -50,5 +50,5 @@ def test_what_has_no_swarm_is_told(log):
     with pytest.raises(LogError, match="its optimiser is multistart"):
         draw("swarm", [replace(log, experiment=other)])
     late = (replace(log.steps[0], k=3), *log.steps[1:])
-    with pytest.raises(LogError, match="cannot be run again"):
+    with pytest.raises(LogError, match="cannot be repeated"):
         draw("swarm", [replace(log, steps=late)])

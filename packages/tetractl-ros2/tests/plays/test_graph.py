@@ -1,8 +1,8 @@
-"""Real DDS on the loopback interface: emulated robots, and robots of another vendor's DDS in C++.
+"""Tests over real DDS on the loopback interface, with robots that another vendor's DDS drives.
 
-The witness (`tests/witness`) shares no code with tetractl: eProsima Fast DDS, with types generated
-from ROS 2's definitions. What is killed is killed by SIGKILL; the robots must stand within their
-watchdog.
+Some robots are emulated by tetractl. The others run in the witness (`tests/witness`), a C++ program
+that shares no code with tetractl: it uses eProsima Fast DDS, with types generated from ROS 2's
+definitions. Some tests kill a process by SIGKILL; the robots must then stop within their watchdog.
 """
 
 import contextlib

@@ -1,4 +1,4 @@
-"""Robots and a tracker of a ROS 2 graph, emulated: runs, faults and days, in virtual time."""
+"""Tests with an emulated tracker and emulated robots of a ROS 2 graph, in virtual time."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Recordings of ROS 2: what is read from them, and what is written, against independent readers."""
+"""Tests of reading and writing ROS 2 recordings, against independent readers."""
 
 import csv
 import math
@@ -132,7 +132,7 @@ def test_poses_in_two_frames_are_not_mixed(tmp_path):
     two_frames(tmp_path)
     done = tetractl(tmp_path, "rosbag-tables", "bag", "-o", "tables")
     assert done.returncode == 2
-    assert "poses of a robot in more than one frame: map, odom" in done.stderr
+    assert "the recording has poses of a robot in more than one frame: map, odom" in done.stderr
     tetractl(tmp_path, "rosbag-tables", "bag", "-o", "tables", "--frame", "odom").ok()
     (posed,) = rows(tmp_path / "tables" / "poses.csv")
     assert posed["x_m"] == "3.0"

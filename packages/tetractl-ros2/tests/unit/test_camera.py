@@ -1,4 +1,4 @@
-"""Messages to poses, and what the camera reports of frames, stamps and bodies."""
+"""Tests of the ROS 2 camera: decoding messages, and reporting frames, time stamps and bodies."""
 
 import math
 
@@ -152,14 +152,16 @@ def test_a_slash_before_a_frame_is_the_same_frame():
 
 
 def test_without_any_pose_the_topic_is_named():
-    with pytest.raises(AbortError, match="green has no pose: no message came on /G/pose"):
+    with pytest.raises(AbortError, match="green has no pose, because no message came on /G/pose"):
         camera_of("PoseStamped", [])
 
 
 def test_bodies_that_are_streamed_are_listed_if_one_is_missing():
     array = NamedPoseArray(header(SECOND), [NamedPose("G", pose(1.0)), NamedPose("X", pose(2.0))])
     camera, _ = camera_of("NamedPoseArray", [("/poses", array, SECOND)])
-    assert camera.check().problems == ("blue has no body B on /poses; bodies there: G, X",)
+    assert camera.check().problems == (
+        "there is no body B for blue on /poses; it has the bodies G, X",
+    )
 
 
 def test_long_names_of_bodies_are_cut_and_many_are_counted():
@@ -216,20 +218,22 @@ def warnings(age_ns):
 def test_the_age_of_stamps_is_compared_with_latency_if_clocks_agree():
     assert warnings(12 * MILLISECOND) == ()
     (wrong,) = warnings(80 * MILLISECOND)
-    assert wrong.startswith("stamps are 0.080 s old on arrival, not 0.01 s as `latency` says")
+    assert wrong.startswith("time stamps are 0.080 s old on arrival, but `latency` says 0.01 s")
 
 
 @pytest.mark.parametrize("age_ns", [3 * SECOND, -2 * SECOND])
 def test_clocks_that_differ_are_reported(age_ns):
     (text,) = warnings(age_ns)
     assert "the sender's clock differs from this computer's" in text
-    assert text.startswith(f"stamps are {age_ns / SECOND:.3f} s old")
+    assert text.startswith(f"time stamps are {age_ns / SECOND:.3f} s old")
 
 
 def test_poses_without_stamps_are_reported():
     camera, _ = camera_of("PoseStamped", both(SECOND, 0))
     (text,) = camera.check().warnings
-    assert text.startswith("poses have no stamp: each counts as 0.01 s old when it arrives")
+    assert text.startswith(
+        "the poses have no time stamp: each is taken as 0.01 s old when it arrives"
+    )
 
 
 def test_a_tilted_body_has_its_tilt_and_a_quaternion_that_is_none_is_no_pose():

@@ -1,4 +1,4 @@
-"""Poses that come one by one, as frames."""
+"""Tests of joining single poses to frames."""
 
 import pytest
 

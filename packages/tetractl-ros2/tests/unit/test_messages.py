@@ -1,4 +1,6 @@
-"""Messages on the wire: the same bytes as an independent program packs from ROS 2's definitions."""
+"""Tests of messages on the wire: bytes equal those of an independent encoder of ROS 2's
+definitions.
+"""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Twists, emergency stops and batteries, before emulated robots and a graph that a test plays."""
+"""Tests of twists, emergency stops and batteries, with emulated robots and a fake graph."""
 
 import math
 
@@ -160,8 +160,8 @@ def test_an_emergency_stop_that_no_robot_receives_is_a_problem(monkeypatch, part
     robots = Ros2Robots(experiment.lab.actuator, experiment.setup, VirtualClock())
     problems = robots.check().problems
     said = (
-        "the emergency stop reaches no robot: no node subscribes to /emergency_stop: "
-        "is the robot's driver running, in the same ROS domain?"
+        "the emergency stop does not reach any robot: no node subscribes to /emergency_stop: "
+        "is the robot's driver running, and in the same ROS domain?"
     )
     assert problems == (said,) * count
 
@@ -182,7 +182,7 @@ def test_low_batteries_are_reported():
     low, empty, silent = robots.poll(0.1)
     assert low.warnings == ("green's battery is at 15 %",) and low.charge == 15
     assert empty.problems == ("blue's battery is at 5 %: charge it",)
-    assert silent.warnings == ("red sends no battery state on /red/battery_state",)
+    assert silent.warnings == ("red sends no battery state on the topic /red/battery_state",)
 
 
 def predicted_heading(delay_s):

@@ -1,4 +1,4 @@
-"""What a spec may not say of a ROS 2 lab."""
+"""Tests that wrong fields of a ROS 2 lab in a spec are refused."""
 
 import pytest
 
@@ -18,16 +18,20 @@ def spec(old="", new=""):
 @pytest.mark.parametrize(
     ("old", "new", "what"),
     [
-        ("/green/cmd_vel", "green/cmd_vel", "must be a full name such as /green/cmd_vel"),
+        ("/green/cmd_vel", "green/cmd_vel", "must be a full topic name, such as /green/cmd_vel"),
         ("/green/cmd_vel", "/blue/cmd_vel", "is also that of"),
-        ("/green/cmd_vel", "'/{body}/cmd_vel'", "must be a full name"),
-        ("message: TFMessage", "message: PoseStamped", r"must hold \{body\}"),
+        ("/green/cmd_vel", "'/{body}/cmd_vel'", "must be a full topic name"),
+        ("message: TFMessage", "message: PoseStamped", r"must contain \{body\}"),
         ("message: TFMessage", "message: Pose", "Odometry"),
         ("topic: /tf", "topic: /{robot}/pose", "no other braces"),
-        ("watchdog: 0.5", "watchdog: 0.6", "set wheels.watchdog to it"),
+        ("watchdog: 0.5", "watchdog: 0.6", "set wheels.watchdog to this value"),
         ("stops_after: 0.5", "stops_after: 0.5\n    rate: 10\n    delay: -1", "delay"),
-        ("stops_after: 0.5", "stops_after: 0.2\n    rate: 10", "must be 3 commands in 0.2 s"),
-        ("stops_after: 0.5", "stops_after: null", "is missing, though wheels.watchdog says 0.5 s"),
+        ("stops_after: 0.5", "stops_after: 0.2\n    rate: 10", "for 3 commands within 0.2 s"),
+        (
+            "stops_after: 0.5",
+            "stops_after: null",
+            "is missing, although wheels.watchdog says that the robots stop after 0.5 s",
+        ),
         ("speed_max_mm_s: 320", "speed_max_mm_s: 100", "is below the speed of"),
         ("domain: 0 ", "domain: 233 ", "232"),
     ],

@@ -1,4 +1,4 @@
-"""Topics as ports, at ends whose partners a test plays."""
+"""Tests of topics used as ports, with fake partners."""
 
 import contextlib
 import struct
@@ -90,7 +90,7 @@ def test_stops_are_sent_to_whoever_is_there_while_others_are_waited_for(ports_to
     with pytest.raises(AbortError) as caught:
         stop_all_at(ports, lambda: link.send([Twist().serialize()] * 3), clock, alone=True)
     not_to = "no node subscribes to /green/cmd_vel"
-    assert caught.value.message == f"sent {STOPS} stops, but not to all: {not_to}"
+    assert caught.value.message == f"sent {STOPS} stops, but not to all robots: {not_to}"
     silent, late, prompt = (port.end.sent_ns for port in ports)
     end_ns = DISCOVERY_NS + STOPS * STOP_GAP_NS
     assert clock.now() == end_ns

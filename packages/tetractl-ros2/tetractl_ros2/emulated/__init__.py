@@ -1,1 +1,1 @@
-"""The emulated sides: a tracker and robots at the other end of the topics."""
+"""The emulated tracker and robots, at the other end of the ROS 2 topics."""

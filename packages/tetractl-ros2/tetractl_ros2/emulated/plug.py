@@ -1,8 +1,8 @@
-"""The emulation's end of a topic, used like the end of a serial port.
+"""The emulation's end of a ROS 2 topic, used like the end of a serial port.
 
-Over wires in memory the bytes of messages pass as they are. In real time an emulated device is a
-participant of the ROS 2 graph, as a real one is: a thread takes what comes and wakes the
-emulation's loop by an event's file descriptor.
+With wires in memory, the bytes of messages are passed on unchanged. In real time, an emulated
+device is a participant of the ROS 2 graph, like a real device. A thread then receives messages, and
+wakes the emulation's loop through a file descriptor.
 """
 
 import os
@@ -22,7 +22,7 @@ from tetractl_ros2.topic_port import Topic, TopicEnd, domain_of
 
 
 class TopicPlug(PseudoPort):
-    """An emulated device's publisher or subscription of a topic; `name` is its port's name."""
+    """An emulated device's publisher or subscription of a topic. `name` is the name of its port."""
 
     def __init__(self, topic: Topic, name: str) -> None:
         super().__init__(name)
@@ -33,7 +33,11 @@ class TopicPlug(PseudoPort):
         self._thread: threading.Thread | None = None
 
     def plug(self) -> None:
-        """Join the topic; TetractlError if that fails."""
+        """Join the topic.
+
+        Raises:
+            TetractlError: If that fails.
+        """
         try:
             self._end.open()
         except AbortError as error:
@@ -45,7 +49,7 @@ class TopicPlug(PseudoPort):
             self._thread.start()
 
     def unplug(self) -> None:
-        """Leave the topic; may be called twice."""
+        """Leave the topic. Can be called repeatedly."""
         self._closing.set()
         if self._thread is not None:
             self._thread.join(2.0)
@@ -56,26 +60,26 @@ class TopicPlug(PseudoPort):
         self.fd = -1
 
     def stall(self, stalled: bool) -> None:
-        """If `stalled`, lose what is sent to the topic; otherwise go on."""
+        """Drop everything that is sent to the topic while `stalled`."""
         self._stalled = stalled
 
     def baud(self) -> None:
-        """Return None: a network has no baud rate."""
+        """None, because a network has no baud rate."""
 
     def read(self) -> bytes:
-        """Return the bytes of the next message, b"" if there is none."""
+        """Return the bytes of the next message. Empty if there is none."""
         with suppress(BlockingIOError, OSError):
             os.eventfd_read(self.fd)
         return self._came.popleft() if self._came else b""
 
     def write(self, data: bytes) -> None:
-        """Publish a message; one that cannot be sent is lost."""
+        """Publish a message. A message that cannot be sent is lost."""
         if self.fd >= 0 and not self._stalled:
             with suppress(DDSException):
                 self._end.publish(data)
 
     def _receive(self) -> None:
-        """Take messages until the plug is pulled."""
+        """Receive messages until the plug is pulled."""
         while not self._closing.is_set():
             for message in self._end.wait():
                 if not self._stalled:
@@ -84,9 +88,9 @@ class TopicPlug(PseudoPort):
 
 
 def on_topics(stage: Stage, domain: int, topics: Iterable[Topic]) -> Stage:
-    """Return a stage whose ports with the names of these topics are topics of a ROS 2 graph.
+    """Create a stage on which the ports named after these topics are topics of a ROS 2 graph.
 
-    If its wires are in memory, the stage stays as it is.
+    If the wires of the stage are in memory, the stage stays unchanged.
 
     Args:
         stage: The data and functions that the lab's emulated devices share.

@@ -1,4 +1,4 @@
-"""The emulated actuator of type `ros2`: robots that follow twists, and publish their batteries."""
+"""Emulated robots of a ROS 2 graph, which follow twists and publish their battery states."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -41,7 +41,7 @@ NOT_OF_DDS = (
 
 
 class TwistProgram(OwnProgram):
-    """A robot's driver: it follows the newest twist until its watchdog or the emergency stop."""
+    """The driver of a robot, which follows the newest twist until a watchdog or emergency stop."""
 
     def __init__(self, read: Read, watchdog_s: float, battery_mv: int) -> None:
         super().__init__(read, watchdog_s)
@@ -53,21 +53,21 @@ class TwistProgram(OwnProgram):
         return (0, 0) if self.is_emergency_stopped else super().wheels(now_ms)
 
     def status(self, now_ms: int) -> Status:
-        """Return whether it drives, is silent or emergency-stopped."""
+        """Return the robot's status flags: driving, silent or emergency-stopped."""
         if self.is_emergency_stopped:
             return Status.EMERGENCY_STOPPED
         return super().status(now_ms)
 
     def set_battery(self, battery_mv: int) -> None:
-        """Take the battery's voltage [mV]."""
+        """Set the battery's voltage [mV]."""
         self.battery_mv = battery_mv
 
 
 class EmergencyStop(OwnRadio):
-    """The common topic of the emergency stop: it reaches the drivers of all robots."""
+    """The common topic of the emergency stop, which reaches the drivers of all robots."""
 
     def hear(self, data: bytes) -> None:
-        """Take a message that has come."""
+        """Process a received message."""
         asked = False
         with suppress(*UNREADABLE):
             asked = Bool.deserialize(data).data
@@ -77,7 +77,7 @@ class EmergencyStop(OwnRadio):
                 robot.core.is_emergency_stopped = robot.core.is_emergency_stopped or robot.powered
 
     def _witness(self, data: bytes) -> None:
-        """Record nothing: the record is of commands that drive."""
+        """Record nothing, because the record only contains commands that drive robots."""
 
 
 class EmulatedRos2Robots(PortedSide):
@@ -115,7 +115,7 @@ class EmulatedRos2Robots(PortedSide):
         ]
 
     def read(self, message: bytes, row: int) -> Counts:
-        """Return the wheel speeds left, right [unit_mm mm/s] that a message asks for."""
+        """Convert a message to the wheel speeds that it asks for, left and right [unit_mm mm/s]."""
         decoded: Any = self._message.deserialize(message)
         if isinstance(decoded, Vector3Stamped):
             speed, turning = self._steered(decoded.vector, row)
@@ -128,7 +128,7 @@ class EmulatedRos2Robots(PortedSide):
         return round((speed - rim) / unit_mm), round((speed + rim) / unit_mm)
 
     def _steered(self, vector: Vector3, row: int) -> tuple[float, float]:
-        """Return the speed [mm/s] and the turning rate [rad/s] of a robot that steers itself."""
+        """Compute the speed [mm/s] and turning rate [rad/s] of a robot that steers itself."""
         if not math.hypot(vector.x, vector.y):
             return 0.0, 0.0
         ahead = math.atan2(vector.y, vector.x) - self.robots[row].heading
@@ -147,7 +147,7 @@ class EmulatedRos2Robots(PortedSide):
         return TwistProgram(read, self._watchdog_s, battery_mv)
 
     def open(self, loop: Loop) -> Facts:
-        """Join all topics, and begin to publish the batteries."""
+        """Join all topics, and start publishing the battery states."""
         facts = super().open(loop)
         for port in self._battery_ports:
             if port is not None:
@@ -163,7 +163,7 @@ class EmulatedRos2Robots(PortedSide):
         return super().close()
 
     def _publish_batteries(self) -> None:
-        """Publish the state of each battery now, and again later."""
+        """Publish the state of each battery, and schedule the next time."""
         for robot, port in zip(self.robots, self._battery_ports, strict=True):
             if port is not None and robot.powered:
                 assert isinstance(robot.core, TwistProgram), "all robots run a TwistProgram"

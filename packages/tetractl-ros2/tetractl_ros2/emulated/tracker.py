@@ -39,7 +39,7 @@ MARKED = Bool(data=True).serialize()
 
 
 class EmulatedTracker(PoseStream):
-    """Publishes the poses of all robots with one stamp, in the section's kind of message.
+    """Publishes the poses of all robots with one time stamp, in the section's message type.
 
     A body that is not tracked is left out.
     """
@@ -63,24 +63,24 @@ class EmulatedTracker(PoseStream):
             body.asset.offset = robot.heading_offset
 
     def open(self, loop: Loop) -> Facts:
-        """Join the topics, and expose the first frame."""
+        """Join the topics, and start with the first frame."""
         for port in (*self._ports, self._marker):
             port.plug()
         self.begin()
         return {"camera": ", ".join(self._addresses)}
 
     def close(self) -> Facts:
-        """Leave the topics; return the number of frames sent."""
+        """Leave the topics, and return the number of frames sent."""
         for port in (*self._ports, self._marker):
             port.unplug()
         return {"frames": self.frames}
 
     def packed(self, shot: Shot) -> bytes:
-        """Return the message that shows all robots."""
+        """Encode the message that contains all robots."""
         return self._message(shot, [body for body in shot.bodies if body.tracking_valid])
 
     def _stream(self, frame: Shot, now_ns: int) -> None:
-        """Publish a frame: one message for all robots, or one on the topic of each."""
+        """Publish a frame as one message for all robots, or as a message on each robot's topic."""
         self.frames += 1
         self._marker.write(MARKED)
         if len(self._ports) == 1 and len(frame.bodies) > 1:
@@ -91,7 +91,7 @@ class EmulatedTracker(PoseStream):
                 self._ports[body.id].write(self._message(frame, [body]))
 
     def _message(self, shot: Shot, shown: Sequence[RigidBody]) -> bytes:
-        """Return the bytes of a message with these bodies."""
+        """Encode a message with these bodies."""
         sec, nanosec = divmod(EPOCH_NS + shot.exposed_ns, SECOND)
         header = Header(Time(sec, nanosec), self.pose_section.frame)
         return self._packed(header, shown).serialize()

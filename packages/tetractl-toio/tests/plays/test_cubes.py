@@ -1,4 +1,4 @@
-"""Emulated cubes: a run in which nothing goes wrong, and what stops one, in virtual time."""
+"""Tests with emulated cubes in virtual time: a normal run, and faults that stop a run."""
 
 import json
 import socket

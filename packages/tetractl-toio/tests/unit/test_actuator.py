@@ -1,4 +1,4 @@
-"""What the actuator sends to cubes, on ports in memory."""
+"""Tests of the commands that the actuator sends to cubes, on ports in memory."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The port to a cube, on a bleak that is played."""
+"""Tests of the Bluetooth port to a cube, with a fake of the library bleak."""
 
 import queue
 import sys

@@ -1,4 +1,4 @@
-"""Messages against the examples of the published specification, and against the maker's library."""
+"""Tests of messages against the published specification and the manufacturer's library."""
 
 import pytest
 from tetractl_toio import messages

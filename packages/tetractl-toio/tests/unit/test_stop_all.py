@@ -1,4 +1,6 @@
-"""`lab stop` of cubes, on ports in memory: one that is off keeps no other from its stops."""
+"""Tests of `tetractl lab stop` for cubes: a cube that is off does not keep the others from
+stopping.
+"""
 
 import pytest
 from testkit.cli import tetractl
@@ -93,7 +95,7 @@ def test_a_cube_that_is_off_is_named_and_the_others_get_their_stops(lab, stop):
     with pytest.raises(AbortError) as raised:
         stop()
     why = "the port toio-a9R of blue was not found within 10 s"
-    assert raised.value.message == f"sent 10 stops, but not to all: {why}"
+    assert raised.value.message == f"sent 10 stops, but not to all robots: {why}"
     assert raised.value.hint == "switch the robots off by hand if they move"
     assert lab.motors(GREEN) == lab.motors(RED) == TEN_STOPS
 
@@ -101,7 +103,7 @@ def test_a_cube_that_is_off_is_named_and_the_others_get_their_stops(lab, stop):
 def test_a_cube_that_is_lost_ends_no_other_stop(lab, stop):
     """Regression: the other cubes got two stops, not ten."""
     lab.lost.add(GREEN)
-    with pytest.raises(AbortError, match="not to all: the port toio-M0p of green is gone"):
+    with pytest.raises(AbortError, match="not to all robots: the port toio-M0p of green is gone"):
         stop()
     assert lab.motors(BLUE) == lab.motors(RED) == TEN_STOPS
 
@@ -119,6 +121,6 @@ def test_of_two_cubes_that_are_off_both_are_named_and_the_third_gets_its_stops(l
     """Regression: no cube got a stop. Had each of the two been counted twice, as not found and as
     failed, it would have been said that no robot was reached."""
     lab.off.update((GREEN, BLUE))
-    with pytest.raises(AbortError, match=r"but not to all: .*toio-M0p.*; .*toio-a9R"):
+    with pytest.raises(AbortError, match=r"but not to all robots: .*toio-M0p.*; .*toio-a9R"):
         stop()
     assert lab.motors(RED) == TEN_STOPS

@@ -38,7 +38,7 @@ FAULTS = (
     fault_kind("no_frames", "No cube reports.", SENT, rows=[FaultRow("frames lost", SIGHT)]),
     fault_kind(
         "freeze",
-        "All cubes report the same again and again.",
+        "All cubes repeat their last report again and again.",
         SENT,
         rows=[FaultRow("frames frozen", SIGHT)],
     ),
@@ -51,7 +51,7 @@ FAULTS = (
     ),
     fault_kind(
         "jump",
-        "A cube reads another place, away by this distance [mm].",
+        "A cube reads a wrong place on the mat, off by this distance [mm].",
         EXPOSED,
         fields={"robot": Name, "by": Point},
         rows=[FaultRow("pose jumps", MOVED, {"by": off(5, 500)})],
@@ -82,7 +82,9 @@ class EmulatedMat:
         assert isinstance(section, ToioCameraSection), "the camera's section has the type toio"
         self.cubes = [body for body in bodies if isinstance(body, ConnectedCube)]
         if len(self.cubes) != len(bodies):
-            raise SpecError("a camera of type toio is emulated with an actuator of type toio only")
+            raise SpecError(
+                "a camera of type toio can be emulated only together with an actuator of type toio"
+            )
         self.last: list[CubeReading | None] = [None] * len(self.cubes)
         self.join = stage.wires.ports
         self.acting = stage.acting

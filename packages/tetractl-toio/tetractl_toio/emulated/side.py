@@ -98,8 +98,11 @@ class EmulatedCubes(PortedSide):
         in_memory = stage.wires.ports is not None
         if not in_memory and not all(robot.cube.startswith(SCHEME) for robot in section.robots):
             raise UsageError(
-                "cubes cannot be emulated at a Bluetooth adapter",
-                hint=f"name them {SCHEME}127.0.0.1:9801 and so on, in camera and actuator",
+                "cubes that are connected by Bluetooth cannot be emulated",
+                hint=(
+                    f"give the cubes the addresses {SCHEME}127.0.0.1:9801 and so on, in "
+                    "camera and actuator"
+                ),
             )
         super().__init__(stage, settings, (SPEED_MAX, WHEEL_MM_S))
         interval = ns(settings.interval)

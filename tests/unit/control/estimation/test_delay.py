@@ -1,4 +1,4 @@
-"""The state predicted over the dead time if nothing is identified."""
+"""Tests of predicting the state over the dead time without identification."""
 
 from dataclasses import replace
 from functools import partial

@@ -1,4 +1,4 @@
-"""The filters of the robots: what they identify, and what they take for lost, stuck or stale."""
+"""Tests of the robots' filters: identification, and lost, stuck or stale robots."""
 
 import math
 from copy import deepcopy

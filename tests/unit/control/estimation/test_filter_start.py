@@ -1,4 +1,4 @@
-"""How filters begin again when the model of robots on wheels turns out not to fit."""
+"""Tests of restarting filters if the model of robots on wheels does not fit."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Robots whose motion is known, predicted to the moment when the next direction acts."""
+"""Tests of predicting robots with known motion to the time at which the next direction acts."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Whether a radio lets through only few of the directions that are sent."""
+"""Tests of recognising a radio that delivers only few of the directions."""
 
 import math
 

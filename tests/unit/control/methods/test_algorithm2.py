@@ -1,4 +1,4 @@
-"""Algorithm 2 as published, line by line."""
+"""Tests of Algorithm 2 as published, line by line."""
 
 from testkit.scripted import TARGETS, Scripted, mpc, observation_of
 from testkit.trials import experiment

@@ -73,8 +73,8 @@ def test_only_compiling_is_announced_with_for_what_and_how_long_it_takes(monkeyp
     build.warm_up(spec, lambda text: None)
     build.warm_up(SimpleNamespace(controller=New(), obstacles=(), setup=None), said.append)
     first = (
-        "compiling for mpc, pso, exact: about a minute, longer if the computer is busy; "
-        "cached for later runs ..."
+        "compiling for mpc, pso, exact: this takes about a minute, longer if the computer is busy; "
+        "later runs reuse the compiled code ..."
     )
     again = ["compiling for mpc, pso, exact: 0 s so far ..."] if again_s == 0 else []
     assert said == [first, *again, "compiled in 0 s"]

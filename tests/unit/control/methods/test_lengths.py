@@ -1,4 +1,4 @@
-"""Which lengths of plans are tried, with an optimiser that a test makes up."""
+"""Tests of the plan lengths that the controller tries, with a made-up optimiser."""
 
 import math
 from dataclasses import replace

@@ -1,8 +1,8 @@
-"""The recommended controller: which candidate is chosen, and the states it leads to.
+"""Tests of the recommended controller: which candidate it chooses, and the states that follow.
 
-Three m3pi start in a column, all along +x. A `Scripted` optimiser finds plans whose costs depend on
-their lengths alone, so that a test says which plan is good. `driving` returns a
-controller whose robots are under way, `decide` what it decides in its next control step.
+Three m3pi robots start in a column, all facing +x. A `Scripted` optimiser finds plans whose costs
+depend only on their lengths, so that the test decides which plan is good. `driving` returns a
+controller whose robots are already driving. `decide` returns its decision in the next control step.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Ways through passages that robots pass one after the other."""
+"""Tests of paths through narrow gaps that robots pass one after another."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The time of a trial begins with its first command, whatever was planned before."""
+"""Tests that the time of a trial begins with its first command."""
 
 import numpy as np
 import pytest

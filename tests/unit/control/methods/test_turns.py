@@ -1,4 +1,4 @@
-"""Turns on the spot out of a corner: three robots in a row, near one wall or two."""
+"""Tests of turning on the spot out of a corner: three robots in a row near one or two walls."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The one value by which candidates of a control step are compared."""
+"""Tests of the value by which the candidates of a control step are compared."""
 
 import pytest
 

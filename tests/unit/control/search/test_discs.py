@@ -1,4 +1,4 @@
-"""Robots' bodies as discs that touch obstacles and each other."""
+"""Tests of robots' bodies as discs that touch obstacles and each other."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Margins that follow what is known of the robots and the room there is."""
+"""Tests of safety margins that depend on the robots' uncertainty and the free space."""
 
 from dataclasses import replace
 

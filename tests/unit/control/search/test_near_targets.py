@@ -1,4 +1,4 @@
-"""Where robots are led whose targets are nearer to each other than bodies can be kept apart."""
+"""Tests of robots whose targets are closer together than their bodies allow."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Deadlines that simulations keep by the work of their searches."""
+"""Tests of deadlines that simulations measure by the work of their searches."""
 
 import itertools
 

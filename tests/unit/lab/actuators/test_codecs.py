@@ -1,6 +1,4 @@
-"""The bytes between the host and its robots: COBS frames, and the frames of m3pi robots; and the
-wheel counts that they carry.
-"""
+"""Tests of the bytes between host and robots: COBS frames, m3pi frames and wheel counts."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""The lines of text that robots take, and their replies."""
+"""Tests of the text lines that robots receive, and of their replies."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""What a section of robots of another make refuses."""
+"""Tests of what the section for a user's own robots refuses."""
 
 from dataclasses import replace
 

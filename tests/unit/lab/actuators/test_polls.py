@@ -1,4 +1,4 @@
-"""Which replies to a poll are accepted, of robots that take lines and of m3pi."""
+"""Tests of which replies to a poll are accepted, for twist and m3pi robots."""
 
 from collections import deque
 

@@ -1,4 +1,4 @@
-"""Speeds and turning rates that are sent instead of the speeds of wheels."""
+"""Tests of sending speeds and turning rates instead of wheel speeds."""
 
 from types import SimpleNamespace
 

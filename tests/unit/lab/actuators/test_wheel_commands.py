@@ -1,4 +1,4 @@
-"""Polls of robots on wheels, what they say to the operator, and units of what is sent."""
+"""Tests of polling robots on wheels, of their status messages, and of output units."""
 
 import math
 from dataclasses import replace

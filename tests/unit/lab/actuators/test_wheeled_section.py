@@ -1,4 +1,4 @@
-"""What calibration found, as the fields of a section."""
+"""Tests of writing the results of a calibration to the fields of a section."""
 
 from dataclasses import replace
 
@@ -27,7 +27,7 @@ def test_gains_are_of_the_nominal_speed():
     ids=["left", "right", "swap"],
 )
 def test_wheels_that_a_section_cannot_state_are_refused(robot):
-    with pytest.raises(AbortError, match="a wheel turns the wrong way, or the wheels are swapped"):
+    with pytest.raises(AbortError, match="a wheel turns backwards, or the two wheels are swapped"):
         wheel_gains(robot, 2.0)
 
 

@@ -1,4 +1,4 @@
-"""Cameras that send messages to a port, at the other end of it."""
+"""Tests of cameras that send messages to a port, from the other end of the port."""
 
 import threading
 import types

@@ -1,4 +1,4 @@
-"""Names and addresses in texts get aliases, and nothing else does."""
+"""Tests that names and addresses in texts get aliases, and nothing else does."""
 
 import pytest
 

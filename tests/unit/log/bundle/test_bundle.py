@@ -1,4 +1,4 @@
-"""Bundles: logs in them stay valid, and nothing in them names the lab."""
+"""Tests that logs in a bundle stay valid, and that nothing in it names the lab."""
 
 import json
 import zipfile

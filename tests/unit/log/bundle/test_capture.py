@@ -1,4 +1,4 @@
-"""Copies of captures: addresses get aliases, the content of packets stays."""
+"""Tests of copying captures: addresses get aliases, and the content of packets stays."""
 
 import ipaddress
 import struct

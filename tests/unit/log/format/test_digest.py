@@ -1,4 +1,4 @@
-"""Two runs of one trial differ in nothing but the host records."""
+"""Tests that two runs of one trial differ only in the records of the host."""
 
 import pytest
 from mcap.records import Attachment

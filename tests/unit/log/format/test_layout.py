@@ -1,4 +1,4 @@
-"""The layout for log viewers: what it names must be in the logs, and the arena fill the view."""
+"""Tests of the layout for log viewers: it names existing channels, and the arena fills the view."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""The columns of camera frames, packed; and the rounding of what is only drawn."""
+"""Tests of packing the columns of camera frames, and of rounding values that are only drawn."""
 
 import numpy as np
 import pytest

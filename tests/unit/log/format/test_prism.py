@@ -1,4 +1,4 @@
-"""The solid bodies that viewers draw, from the outline of a shape."""
+"""Tests of the solid bodies that viewers draw from the outline of a shape."""
 
 import numpy as np
 from hypothesis import given

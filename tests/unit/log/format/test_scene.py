@@ -1,4 +1,4 @@
-"""What viewers draw: Foxglove's messages, decoded by the schemas in the file."""
+"""Tests of what viewers draw: Foxglove's messages, decoded with the schemas in the file."""
 
 import math
 from collections import defaultdict

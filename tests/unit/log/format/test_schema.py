@@ -1,4 +1,4 @@
-"""The generated protobuf modules and the reference belong to tetractl.proto."""
+"""Tests that the generated protobuf modules and the reference match tetractl.proto."""
 
 import re
 from pathlib import Path

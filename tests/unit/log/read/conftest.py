@@ -1,4 +1,4 @@
-"""Damage to logs falls on the same records wherever the tests run."""
+"""Pytest configuration: damage hits the same records of a log in every test run."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""A log is whole or says what it lacks: by its file, its source, its result and its digests."""
+"""Tests that a log is complete or says what it lacks: file, source, result and digests."""
 
 import pytest
 from testkit.mutate import rewritten

@@ -1,4 +1,4 @@
-"""A log whose spec has what later versions do not: it names the version that reads it."""
+"""Tests that a log whose spec lacks later fields names the version that can read it."""
 
 from dataclasses import replace
 

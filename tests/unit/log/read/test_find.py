@@ -1,4 +1,4 @@
-"""Paths, folders and patterns to logs."""
+"""Tests of finding logs by paths, folders and patterns."""
 
 import pytest
 

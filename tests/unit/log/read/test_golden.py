@@ -1,4 +1,4 @@
-"""Logs of every released format version read as they did when they were written."""
+"""Tests that logs of every released format version still give the same values."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""Logs from anybody: damaged at random, made to burst, or made to lie."""
+"""Tests of hostile logs: randomly damaged, much too large, or with false contents."""
 
 import random
 import struct
@@ -109,7 +109,7 @@ def test_a_record_is_decoded_from_its_own_bytes(log, contents, tmp_path, opcode)
 def test_a_larger_file_is_read_if_the_factor_says_so(log, monkeypatch):
     """A limit on forged logs never costs an honest one."""
     monkeypatch.setattr(raw_log, "file_limit", lambda: log.stat().st_size - 1)
-    with pytest.raises(LogError, match="TETRACTL_LOG_FACTOR=2 allows twice as much"):
+    with pytest.raises(LogError, match="TETRACTL_LOG_FACTOR=2, it reads twice as much"):
         scan(log)
     monkeypatch.undo()
     before = limits.file_limit(), limits.seconds_limit()
@@ -189,7 +189,7 @@ def test_a_bad_result_costs_its_own_trial_only(tmp_path, contents, topic, change
     assert not counts(bad)
     log = read_trial(tmp_path / "bad.mcap")
     assert log.damage
-    assert any("values that tetractl does not write" in problem for problem in log.damage.problems)
+    assert any("values that tetractl never writes" in problem for problem in log.damage.problems)
     assert verify(tmp_path / "bad.mcap").problems
 
 
@@ -218,7 +218,7 @@ def test_a_bad_result_costs_its_own_trial_only(tmp_path, contents, topic, change
 def test_a_message_that_tetractl_would_not_write_is_refused(tmp_path, contents, topic, message):
     """Regression: replay, plot and verify ended with tracebacks."""
     path = with_first(contents, tmp_path, topic, message.SerializeToString())
-    with pytest.raises(LogError, match="contains a value that tetractl does not write"):
+    with pytest.raises(LogError, match="contains a value that tetractl never writes"):
         read_trial(path)
 
 

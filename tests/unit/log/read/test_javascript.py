@@ -1,4 +1,4 @@
-"""The official JavaScript reader, which Foxglove and Lichtblick are built on, reads our logs."""
+"""Tests that the official JavaScript reader, used by Foxglove and Lichtblick, reads our logs."""
 
 import base64
 import json

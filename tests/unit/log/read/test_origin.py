@@ -1,4 +1,4 @@
-"""What a trial's robots were, from its log."""
+"""Tests of reading from a log whether its robots were real."""
 
 import pytest
 from testkit.batches import DISTURBED, experiment

@@ -1,4 +1,4 @@
-"""How often each channel of a log has messages."""
+"""Tests of how often each channel of a log has messages."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""`recover`: all that is intact comes back, and what does not is named."""
+"""Tests of `recover`: everything intact is saved, and everything lost is named."""
 
 import os
 import random
@@ -137,7 +137,7 @@ def test_a_recovered_trial_counts_once(tmp_path, name, simulated):
 def test_a_recovery_that_is_under_way_is_left_alone(log, tmp_path):
     source = torn(log, tmp_path)
     sink = Sink(recovered_path(source), PART_SUFFIX)
-    with pytest.raises(LogError, match="another process is writing this log"):
+    with pytest.raises(LogError, match="another process is already writing this log"):
         recover(source)
     sink.discard()
     assert recover(source).whole

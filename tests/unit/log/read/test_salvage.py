@@ -1,4 +1,4 @@
-"""However a file is damaged, what is read is what was written, and the damage is reported."""
+"""Tests that only what was written is read from a damaged file, and that damage is reported."""
 
 import math
 import random
@@ -211,7 +211,9 @@ def test_a_copy_under_tetractls_name_with_attachments_first_is_not_altered(log, 
 def test_a_log_of_another_format_is_refused(tmp_path, log):
     contents = scan(log)
     newer = rewrite(contents, tmp_path / "new.mcap", stating(contents, RUN, format_version=5))
-    with pytest.raises(LogError, match="format 5, not 4; read it by what wrote it, tetractl 0"):
+    with pytest.raises(
+        LogError, match="format 5, not 4; read the log with the version that wrote it, tetractl 0"
+    ):
         read_trial(newer)
 
 
@@ -278,7 +280,7 @@ def test_a_log_that_was_written_again_without_chunks_is_told(log, tmp_path):
     """Regression: it was "not a log of tetractl in format 4"."""
     again = rewritten(log, tmp_path / "again.mcap", use_chunking=False)
     for read in (read_trial, read_result, overview):
-        with pytest.raises(LogError, match="was written again without chunks by another program"):
+        with pytest.raises(LogError, match="another program has rewritten this log without chunks"):
             read(again)
 
 

@@ -1,4 +1,4 @@
-"""What a log's messages say to users, and the times of its parts."""
+"""Tests of a log's messages for users, and of the times of its parts."""
 
 from dataclasses import replace
 

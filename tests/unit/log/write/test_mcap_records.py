@@ -1,4 +1,4 @@
-"""Channels in the file of a log: their numbers, and which there are."""
+"""Tests of the channels in the file of a log and of their numbers."""
 
 from io import BytesIO
 

@@ -1,4 +1,4 @@
-"""The log's thread: a simulation waits for the disk, the loop of a lab does not."""
+"""Tests of the log's thread: a simulation waits for the disk, but a lab's loop does not."""
 
 import errno
 import threading

@@ -1,4 +1,4 @@
-"""How the writer treats its file: names, flushes, and a file system that refuses."""
+"""Tests of how the writer handles its file: names, flushes, and failing file systems."""
 
 import pytest
 from mcap.reader import make_reader
@@ -75,7 +75,7 @@ def test_other_readers_find_metadata_and_attachments(tmp_path):
 def test_a_log_is_never_overwritten(tmp_path, existing):
     old = write(trial(), tmp_path / "old.mcap").rename(tmp_path / existing)
     before = old.read_bytes()
-    with pytest.raises(LogError, match=f"{existing}: this log exists already"):
+    with pytest.raises(LogError, match=f"{existing}: a log of this name exists already"):
         LogWriter(tmp_path / "trial.mcap").on_start(trial(2).start)
     assert old.read_bytes() == before
 

@@ -1,5 +1,4 @@
-"""Disturbances as files of their own: what each hook changes, what stays as it was, and what a log
-says of robots that are held."""
+"""Tests of disturbances: what each method changes, what it leaves, and what logs say."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The disturbances of the bench, one by one: as large and as often as the spec says."""
+"""Tests that each disturbance of the bench is as large and as frequent as the spec says."""
 
 import math
 

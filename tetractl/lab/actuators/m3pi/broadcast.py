@@ -48,12 +48,16 @@ def encode_command(command: BroadcastCommand) -> bytes:
     if not 0 <= command.sequence <= 255:
         raise WireError(f"sequence {command.sequence} does not fit into one byte")
     if len(command.wheels) > ROBOTS_MAX:
-        raise WireError(f"{len(command.wheels)} robots; a frame has space for {ROBOTS_MAX}")
+        raise WireError(
+            f"there are {len(command.wheels)} robots, but a frame has space for {ROBOTS_MAX}"
+        )
     counts = [count for pair in command.wheels for count in pair]
     if any(len(pair) != 2 for pair in command.wheels):
-        raise WireError(f"not two wheels a robot: {command.wheels}")
+        raise WireError(f"each robot needs two wheel counts, unlike here: {command.wheels}")
     if any(abs(count) > COUNT_MAX for count in counts):
-        raise WireError(f"wheel counts outside -{COUNT_MAX}..{COUNT_MAX}: {command.wheels}")
+        raise WireError(
+            f"wheel counts must be from -{COUNT_MAX} to {COUNT_MAX}, unlike here: {command.wheels}"
+        )
     head = bytes(
         [COMMAND, command.sequence, cobs.checked_flags(command.flags), len(command.wheels)]
     )
@@ -183,10 +187,10 @@ def stop_in_range(module: XbeeSection, clock: Clock, alone: bool = True) -> str:
             clock.sleep_until(clock.now() + STOP_GAP_NS)
         if alone and link.ask_twice(b"AP") is None:
             raise AbortError(
-                f"sent {STOPS} stops on {module.port}, but no XBee module answers at {module.baud} "
-                "baud",
-                f"is this the module's baud rate? {SWITCH_OFF}",
+                f"sent {STOPS} stops on {module.port}, but no XBee module answers at "
+                f"{module.baud} baud",
+                f"is this really the module's baud rate? {SWITCH_OFF}",
             )
     finally:
         link.close()
-    return f"sent {STOPS} stops on {module.port}; switch the robots off and on to drive them again"
+    return f"sent {STOPS} stops on {module.port}; to drive the robots again, switch them off and on"

@@ -77,7 +77,7 @@ class M3piSection(XbeeSection, ActuatorSection):
         for i, robot in enumerate(self.robots):
             for side, wheel in (("left", robot.left), ("right", robot.right)):
                 if wheel.dead_zone >= robot.limit:
-                    message = f"must be below the limit of {robot.limit}"
+                    message = f"must be below the robot's limit of {robot.limit}"
                     yield ("robots", i, side, "dead_zone"), message
 
     def require_port(self) -> None:

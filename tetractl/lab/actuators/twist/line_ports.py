@@ -23,7 +23,7 @@ from tetractl.lab.serial_port import OnReceived, PortGroup, Ports, stop_all_at
 from tetractl.lab.udp_port import open_port
 from tetractl.tools.worker import WAITING_MAX, drained
 
-PORT_LOST_HINT = "the robots stop by their watchdog; connect them and start again"
+PORT_LOST_HINT = "the robots stop by their watchdog; connect the robots again, and restart the run"
 PENDING_MAX = 1000  # most bytes kept of a line that has not ended
 
 
@@ -139,4 +139,4 @@ def stop_all(section: TwistSection, setup: Setup, clock: Clock, alone: bool) -> 
     """
     link = TwistLink(section, setup.names, clock)
     sent = stop_all_at(link.ports, partial(link.stop, emergency=True), clock, alone)
-    return f"{sent}; switch the robots off and on to drive them again"
+    return f"{sent}; to drive the robots again, switch them off and on"

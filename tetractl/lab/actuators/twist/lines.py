@@ -54,7 +54,7 @@ def encode_command(command: LineCommand) -> bytes:
     text = " ".join([command.kind, *map(str, numbers)]).encode("ascii")
     line = text + b"*%04X\n" % cobs.crc16(text)
     if decode_command(line[:-1]) != command:
-        raise WireError(f"cannot be sent: {command}")
+        raise WireError(f"this command cannot be sent: {command}")
     return line
 
 
@@ -76,9 +76,11 @@ def decode_command(line: bytes) -> LineCommand:
             and abs(first_speed) <= SPEED_MAX
             and abs(second_speed) <= second_max
         ):
-            raise WireError(f"robot {index} cannot drive by {first_speed} {second_speed}")
+            raise WireError(
+                f"robot {index} cannot drive at the speeds {first_speed} {second_speed}"
+            )
     if not 0 <= sequence <= 255:
-        raise WireError(f"sequence {sequence} is not from 0 to 255")
+        raise WireError(f"the sequence number {sequence} is not from 0 to 255")
     return LineCommand(kind, sequence, cobs.checked_flags(flags), entries)
 
 

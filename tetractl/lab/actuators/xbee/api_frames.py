@@ -52,7 +52,7 @@ def encode(content: bytes) -> bytes:
         WireError: If the content is empty or too long.
     """
     if not 0 < len(content) <= CONTENT_MAX:
-        raise WireError(f"{len(content)} bytes do not fit in an API frame")
+        raise WireError(f"an API frame has no space for {len(content)} bytes")
     out = bytearray((START,))
     size = len(content).to_bytes(2, "big")
     checksum = bytes((0xFF - sum(content) % 256,))

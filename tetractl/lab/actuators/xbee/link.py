@@ -18,7 +18,9 @@ from tetractl.lab.actuators.xbee.hardware import (
 from tetractl.lab.serial_port import Ports, SerialPort
 from tetractl.tools.worker import WAITING_MAX, drained
 
-MODULE_LOST_HINT = "the robots stop by their watchdog; plug the module in and start again"
+MODULE_LOST_HINT = (
+    "the robots stop by their watchdog; plug the module in again, and restart the run"
+)
 
 
 class Link:
@@ -116,25 +118,26 @@ class Link:
         rate = None if code is None else int.from_bytes(code)
         if rate is not None and rate < len(BAUDS) and BAUDS[rate] != radio.baud:
             raise AbortError(
-                f"{radio.port}: the module is set to {BAUDS[rate]} baud, not the spec's "
+                f"{radio.port}: the module is set to {BAUDS[rate]} baud, but the spec says "
                 f"{radio.baud}",
-                f"set lab.actuator.baud to {BAUDS[rate]}, or BD in the module",
+                f"set lab.actuator.baud to {BAUDS[rate]}, or change BD in the module",
             )
         mode = self.ask_twice(b"AP")
         if mode is None:
             raise AbortError(
                 f"{radio.port}: the radio's module does not answer any more",
-                "does it have power, and is its plug firm?",
+                "does the module have power, and is its plug firm?",
             )
         if int.from_bytes(mode) != ESCAPED_FRAMES:
             raise AbortError(
                 f"{radio.port}: the module is not in API mode with escapes",
-                "set its AP to 2 with XCTU",
+                "set the module's AP to 2 with the program XCTU",
             )
         if radio.baud == 115_200 and hardware and hardware[0] in SERIES_1:
             raise AbortError(
-                f"{radio.port}: a Series 1 module loses API frames at 115200 baud",
-                "set the module (BD=6) and lab.actuator.baud to 57600",
+                f"{radio.port}: this is a Series 1 module, which loses API frames at 115200 baud",
+                "set the baud rate to 57600: in the module with BD=6, and in the spec with "
+                "lab.actuator.baud",
             )
         return questions
 
@@ -151,8 +154,8 @@ class Link:
         if hardware is not None:
             return hardware
         silent = AbortError(
-            f"{radio.port}: no XBee module answers at {radio.baud} or any other baud rate",
-            "is the module in API mode (AP=2)? is it an XBee, and does it have power?",
+            f"{radio.port}: no XBee module answers at {radio.baud} baud or any other baud rate",
+            "is the device an XBee, does it have power, and is it in API mode (AP=2)?",
         )
         for baud in BAUDS[3:]:  # those that a spec may state, first a module's usual one
             if baud == radio.baud:
@@ -160,8 +163,9 @@ class Link:
             self._port.set_baud(baud)
             if self.ask(b"HV") is not None:
                 silent = AbortError(
-                    f"{radio.port}: the module answers at {baud} baud, not the spec's {radio.baud}",
-                    f"set lab.actuator.baud to {baud}, or BD in the module",
+                    f"{radio.port}: the module answers at {baud} baud, but the spec says "
+                    f"{radio.baud}",
+                    f"set lab.actuator.baud to {baud}, or change BD in the module",
                 )
                 break
         # a module that wakes late answers all requests at once, also those at another baud rate
@@ -188,8 +192,8 @@ class Link:
             return (f"{port}: {module} {question}",)
         cure = f"use a module that has {RIGHT_PROTOCOL} firmware: Series 1, S2C, XBee 3 or RR"
         if RIGHT_PROTOCOL in protocols(hardware).values():
-            cure = f"load {RIGHT_PROTOCOL} firmware with XCTU"
+            cure = f"load {RIGHT_PROTOCOL} firmware into the module with the program XCTU"
         raise AbortError(
-            f"{port}: the module runs {runs} firmware, not {RIGHT_PROTOCOL}",
-            f"this firmware could not broadcast wheel commands fast enough; {cure}",
+            f"{port}: the module runs {runs} firmware, but {RIGHT_PROTOCOL} firmware is needed",
+            f"the firmware of this module cannot broadcast wheel commands fast enough; {cure}",
         )

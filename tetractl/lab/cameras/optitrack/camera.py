@@ -110,8 +110,9 @@ class OptitrackCamera:
             self._open_sockets()
         except OSError as error:
             raise AbortError(
-                f"cannot listen for cameras on {self.section.interface}: {error.strerror or error}",
-                "lab.camera.interface must be an address of this computer",
+                f"cannot receive camera frames on the address {self.section.interface}: "
+                f"{error.strerror or error}",
+                "set lab.camera.interface to an address of this computer",
             ) from error
         if self._threaded:
             self._thread.start()
@@ -137,9 +138,10 @@ class OptitrackCamera:
             raise diagnosis.no_server(self.section, self.senders, timeout_s)
         if stream.version is not None and stream.version < natnet.OLDEST:
             raise AbortError(
-                f"the camera server uses protocol {stream.version}, whose frames do not state "
-                "which bodies are tracked: a lost robot would look like one that stands",
-                f"update Motive to a version with NatNet {natnet.OLDEST} or later (Motive 1.7)",
+                f"the camera server uses protocol {stream.version}, whose frames do not say "
+                "which bodies are tracked: a lost robot would look like a robot that stands "
+                "still",
+                f"update Motive to a version that has NatNet {natnet.OLDEST} or later (Motive 1.7)",
             )
         if not self._wait(lambda: stream.newest is not None, timeout_s):
             raise diagnosis.no_frames(self.section, self.senders, stream, timeout_s)
@@ -152,7 +154,7 @@ class OptitrackCamera:
             self._wait(lambda: self._asked["echo"] >= FIRST_ECHOES, timeout_s)
         first = self.stream.counts.frames
         if not self._wait(lambda: self.stream.counts.frames > first, timeout_s):
-            raise AbortError(f"the camera server sends no new frames any more ({timeout_s:g} s)")
+            raise AbortError(f"the camera server has sent no new frames for {timeout_s:g} s")
 
     def frames(self) -> list[CameraFrame]:
         """Return the frames since the last call, oldest first."""
@@ -182,12 +184,17 @@ class OptitrackCamera:
         if sync is not None and sync.synced:
             round_trip = f"{sync.round_trip_ns / 1e6:.3f}"
         else:
-            warnings.append("the server does not report its clock, so the frames' age is not known")
+            warnings.append(
+                "the server does not report its clock, so the age of its frames is unknown"
+            )
         if stream.unit_mm is None:
-            warnings.append("the server does not report its unit of length: metres are assumed")
+            warnings.append("the server does not report its unit of length, so metres are assumed")
         version = stream.version
         if version is not None and not version.known:
-            warnings.append(f"protocol {version} is newer than 4.3; it is read as 4.3")
+            warnings.append(
+                f"the server's protocol {version} is newer than 4.3; its frames "
+                "are read as protocol 4.3"
+            )
         server = stream.info.name if stream.info else ""
         facts = {
             "natnet": str(version),

@@ -25,13 +25,14 @@ def no_server(section: OptitrackSection, senders: SenderFilter, timeout_s: float
     if refused is not None:
         sender, _ = refused
         return AbortError(
-            f"no camera server answers at {address}, but one does from {sender} ({timeout_s:g} s)",
+            f"no camera server answers at {address} within {timeout_s:g} s, but one answers "
+            f"from {sender}",
             f"set lab.camera.server to {sender.host} and lab.camera.command_port to {sender.port}",
         )
     return AbortError(
-        f"no camera server answers at {address} ({timeout_s:g} s)",
-        "is Motive running and streaming, is lab.camera.server its address, "
-        "or does a firewall block UDP?",
+        f"no camera server answers at {address} within {timeout_s:g} s",
+        "is Motive running and streaming? Is lab.camera.server its address? Does a firewall "
+        "block UDP?",
     )
 
 
@@ -51,24 +52,25 @@ def no_frames(
     if refused is not None and not stream.counts.unread_frames:
         sender, count = refused
         fits = _reads_as(senders.refused_frame, stream)
-        came = f"{count} frames came from {sender} in {timeout_s:g} s, which fit {fits}"
+        came = f"{count} frames came from {sender} within {timeout_s:g} s, and they fit {fits}"
         if sender.host != section.server:
             return AbortError(
                 f"{server}, but its frames come from another address: {came}",
-                f"set lab.camera.server to {sender.host}, or in Motive the local interface to "
-                f"{section.server}",
+                f"set lab.camera.server to {sender.host}, or set the local interface in "
+                f"Motive to {section.server}",
             )
         return AbortError(
-            f"{server}, but frames come from another port than the one it reports, "
+            f"{server}, but its frames do not come from the port that it reports, "
             f"{senders.frames_port}: {came}",
-            f"set Motive's data port to {sender.port}; does a second program stream there?",
+            f"set the data port in Motive to {sender.port}; or does a second program stream to it?",
         )
     if stream.counts.unread_frames:
         return _unread(section, server, stream, timeout_s)
     return AbortError(
-        f"{server}, but no frames come ({timeout_s:g} s)",
-        f"does Motive stream in {section.transport}? multicast frames come from "
-        f"{section.group}:{section.data_port} through the network card of lab.camera.interface",
+        f"{server}, but no frames came within {timeout_s:g} s",
+        f"does Motive stream in {section.transport}? Multicast frames come from "
+        f"{section.group}:{section.data_port}, through the network card that "
+        "lab.camera.interface names",
     )
 
 
@@ -76,19 +78,19 @@ def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: f
     assert stream.info is not None and stream.version is not None, "it answers"
     server_version = stream.info.version
     fits = _reads_as(stream.unread_frame, stream)
-    came = f"{stream.counts.unread_frames} frames came in {timeout_s:g} s, which fit {fits}"
+    came = f"{stream.counts.unread_frames} frames came within {timeout_s:g} s, and they fit {fits}"
     if stream.version != server_version:
         return AbortError(
-            f"{server}, but not in protocol {stream.version}, which lab.camera.version requests: "
-            f"{came}",
-            f"leave lab.camera.version out: the server uses its own, {server_version}",
+            f"{server}, but its frames do not follow protocol {stream.version}, which "
+            f"lab.camera.version requests: {came}",
+            f"remove lab.camera.version, because the server uses its own version, {server_version}",
         )
     if server_version > natnet.NEWEST:
         hint = f"set lab.camera.transport to unicast and lab.camera.version to {natnet.NEWEST}"
     else:
         hint = (
-            "in unicast, set lab.camera.version to the protocol that fits the frames; otherwise "
-            "restart Motive"
+            "in unicast, set lab.camera.version to the protocol that the frames fit; "
+            "otherwise restart Motive"
         )
     return AbortError(
         f"{server} and reports protocol {server_version}, but its frames cannot be read: {came}",
@@ -115,12 +117,13 @@ def no_up_axis(stream: Stream) -> AbortError:
     """Return the error for a server whose up axis is unknown or cannot be used."""
     if stream.up_answer is None:
         return AbortError(
-            "the camera server does not report its up axis", "set lab.camera.up_axis to y or z"
+            "the camera server does not report which of its axes points up",
+            "set lab.camera.up_axis to y or z",
         )
     axis = {0: "x"}.get(stream.up_answer, f"of number {stream.up_answer}")
     return AbortError(
         f"the camera server's up axis is {axis}; it must be y or z",
-        "set Up Axis in Motive's streaming settings, not lab.camera.up_axis",
+        "change Up Axis in Motive's streaming settings, not lab.camera.up_axis",
     )
 
 
@@ -129,13 +132,13 @@ def no_names(stream: Stream, timeout_s: float) -> AbortError:
     if stream.counts.unread_models:
         said = f"its list of rigid bodies cannot be read as protocol {stream.version}"
     else:
-        said = f"it does not answer when asked for its rigid bodies ({timeout_s:g} s)"
+        said = f"it did not answer a request for its rigid bodies within {timeout_s:g} s"
     wanted = ", ".join(f"'{r.body}'" for r in stream.robots if isinstance(r.body, str))
     streamed = ", ".join(map(str, stream.seen[:SHOWN])) or "none"
     return AbortError(
-        f"the names {wanted} are not known: the camera server streams, but {said}",
-        "give ids in place of names, as lab.camera.robots.0.body; frames contain the ids "
-        f"{streamed}",
+        f"the names {wanted} cannot be found: the camera server streams frames, but {said}",
+        "use ids instead of names, as in lab.camera.robots.0.body; the frames contain the "
+        f"ids {streamed}",
     )
 
 
@@ -165,7 +168,7 @@ def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
     pairs = zip(names, stream.robots, strict=True)
     lines = [_lacking(stream, stream.model, *pair) for pair in pairs if pair[1].body in missing]
     if not stream.model.complete:
-        lines.append("the list of the cameras' rigid bodies could not be read to its end: give ids")
+        lines.append("the list of the cameras' rigid bodies could not be read completely: use ids")
     return lines
 
 
@@ -173,12 +176,12 @@ def _lacking(stream: Stream, model: natnet.ModelDef, name: str, robot: TrackedRo
     body = robot.body
     ids = model.ids()
     if isinstance(body, str):
-        wanted = f"rigid body '{body}', wanted for {name}"
+        wanted = f"rigid body '{body}' for {name}"
         taken = {robot.body for robot in stream.robots}
         free = [printable(body_name, SHOWN_LENGTH) for body_name in ids if body_name not in taken]
         near = did_you_mean(body, free)
     else:
-        wanted = f"rigid body of id {body}, wanted for {name}"
+        wanted = f"rigid body with id {body} for {name}"
         closest = min(stream.seen, key=lambda number: abs(number - body), default=None)
         near = "" if closest is None else f"; the nearest id is {closest}"
     if body in ids or body in ids.values():
@@ -197,8 +200,8 @@ def not_taken(senders: SenderFilter, stream: Stream) -> list[str]:
     if senders.refused:
         sender, _ = senders.refused.most_common(1)[0]
         lines.append(
-            f"{senders.refused.total()} datagrams came from elsewhere than the camera server and "
-            f"were dropped, most of them from {sender}"
+            f"{senders.refused.total()} datagrams did not come from the camera server and "
+            f"were dropped; most came from {sender}"
         )
     if stream.counts.unasked:
         lines.append(f"{stream.counts.unasked} answers came without a request and were dropped")

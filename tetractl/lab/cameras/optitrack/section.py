@@ -80,7 +80,7 @@ class OptitrackSection(CameraSection):
         """Yield the field and message of each problem with the robots or the version."""
         yield from mismatches(self.robots, setup.names, ("body",))
         if self.version is not None and self.transport == "multicast":
-            yield ("version",), "can only be requested in unicast; leave it out"
+            yield ("version",), "can be requested only in unicast; remove it"
 
     def bounds(self) -> dict[str, str]:
         """Describe the address of the camera server for display, under the key `cameras`."""

@@ -107,9 +107,9 @@ class ClockSync:
             unsure = (old.round_trip_ns + new.round_trip_ns) // 2 + self._resolution_ns
             if abs(gained) > unsure + DRIFT_MAX * abs(span):
                 return (
-                    f"the camera server's clock {'gained' if gained > 0 else 'lost'} "
-                    f"{abs(gained) / 1e6:.1f} ms on this computer's within {span / SECOND:.2f} s: "
-                    "the server's clock was set, or runs at a wrong rate"
+                    f"the camera server's clock {('gained' if gained > 0 else 'lost')} "
+                    f"{abs(gained) / 1000000.0:.1f} ms on this computer's clock within "
+                    f"{span / SECOND:.2f} s: it was set, or runs at a wrong rate"
                 )
         return ""
 
@@ -131,7 +131,7 @@ def _slope(echoes: list[Echo]) -> float:
 AGE_MAX_NS = 60 * SECOND  # a frame with a larger age was not exposed by these cameras
 UP_AXIS = "UpAxis"
 UNITS = "UnitsToMillimeters"
-EDIT_MODE = "Motive is in edit mode: it streams a recording"
+EDIT_MODE = "Motive is in edit mode, in which it streams a recording"
 
 
 @dataclass(slots=True)
@@ -316,11 +316,12 @@ class Stream:
         elif request == UNITS:
             unit_mm = read_number(response, "f")
             if not 1e-3 <= unit_mm <= 1e6:
-                raise WireError(f"a unit of length of {unit_mm:g} mm is not plausible")
+                raise WireError(f"a unit of length of {unit_mm:g} mm is implausible")
             self.unit_mm = unit_mm
             if abs(unit_mm - 1000.0) > 1.0:
                 self._fault = self._fault or (
-                    f"the camera server streams lengths in units of {unit_mm:g} mm, not in metres"
+                    f"the camera server streams lengths in units of {unit_mm:g} mm instead "
+                    "of metres"
                 )
 
     def _frame(self, frame: natnet.NatNetFrame, received_ns: int) -> None:
@@ -352,8 +353,8 @@ class Stream:
         if self._mistimed < 5:  # a damaged frame, not yet a wrong clock
             raise WireError(f"a frame was exposed {when}")
         self._fault = self._fault or (
-            f"by the camera server's clock, frames were exposed {when}: the clock was set, or runs "
-            "at a wrong rate"
+            f"according to the camera server's clock, frames were exposed {when}: the clock "
+            "was set, or runs at a wrong rate"
         )
         return received_ns
 

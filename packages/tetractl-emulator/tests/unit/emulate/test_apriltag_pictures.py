@@ -1,4 +1,4 @@
-"""Synthetic pictures of tags: where OpenCV says that points are, and how light they are."""
+"""Tests of synthetic images of tags: where OpenCV finds points, and how bright they are."""
 
 import math
 from dataclasses import replace

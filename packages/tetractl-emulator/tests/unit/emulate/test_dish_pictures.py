@@ -1,4 +1,4 @@
-"""Synthetic pictures of a dish: where bodies are drawn, and that films repeat."""
+"""Tests of synthetic images of a dish: where bodies are drawn, and that films repeat."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What each fault does to its device and takes back; what a run makes of it is in `tests/plays`."""
+"""Tests of how each fault changes its device, and undoes the change afterwards."""
 
 import gc
 import json

@@ -1,4 +1,4 @@
-"""The timeline: events in the order of their times, and the world moved on before each."""
+"""Tests of the timeline: events occur in order, after the world has advanced to their time."""
 
 from hypothesis import given
 from hypothesis import strategies as st

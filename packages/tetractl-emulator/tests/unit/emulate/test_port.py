@@ -1,4 +1,4 @@
-"""What a line to an emulated device passes on."""
+"""Tests of the serial line between a program and an emulated device."""
 
 from types import SimpleNamespace
 

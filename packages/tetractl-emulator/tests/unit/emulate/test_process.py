@@ -1,4 +1,4 @@
-"""What a fault does to another process of this computer."""
+"""Tests of faults that act on another process of this computer."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""The emulated XBee over a real pseudo-terminal, spoken to with pyserial and our frames."""
+"""Tests of the emulated XBee module over a real pseudo-terminal, with pyserial and our frames."""
 
 import os
 

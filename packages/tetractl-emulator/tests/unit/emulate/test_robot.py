@@ -1,4 +1,4 @@
-"""Emulated robots against the closed form of their motion."""
+"""Tests of emulated robots against the closed form of their motion."""
 
 import math
 

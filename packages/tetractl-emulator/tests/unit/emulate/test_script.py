@@ -1,4 +1,4 @@
-"""Fault scripts: a small, strict schema; every shipped one is valid."""
+"""Tests of the strict schema of fault scripts; every shipped script must be valid."""
 
 import pytest
 from testkit.emulator.lab_processes import camera_of, emulated
@@ -30,11 +30,11 @@ def test_every_fault_has_a_script():
     ("text", "message"),
     [
         ("faults: [{fault: nan, robot: green, speed: 3}]", "speed: unknown key"),
-        ("faults: [{fault: nam, robot: green}]", "fault must be one of no_server"),
-        ("faults: [{fault: {a: 1}, at: 1}]", "fault must be one of"),
-        ("faults: [{fault: [radio], at: 1}]", "fault must be one of"),
-        ("faults: [{fault: 1, at: 1}]", "fault must be one of"),
-        ("faults: [{fault: null, at: 1}]", "fault must be one of"),
+        ("faults: [{fault: nam, robot: green}]", "the field fault must be one of no_server"),
+        ("faults: [{fault: {a: 1}, at: 1}]", "the field fault must be one of"),
+        ("faults: [{fault: [radio], at: 1}]", "the field fault must be one of"),
+        ("faults: [{fault: 1, at: 1}]", "the field fault must be one of"),
+        ("faults: [{fault: null, at: 1}]", "the field fault must be one of"),
         ("faults: [{fault: nan}]", "faults.0.robot: is missing"),
         ("faults: [{fault: unplug, robot: green}]", "robot: unknown key"),
         ("faults: [{fault: unplug, at: -1}]", "must be at least 0"),
@@ -60,7 +60,7 @@ def test_a_wrong_script_is_refused_with_its_place(text, message):
 
 
 def test_a_script_for_another_spec_is_refused(tmp_path):
-    with pytest.raises(SpecError, match="pink is not a robot"):
+    with pytest.raises(SpecError, match="names pink, which is not a robot"):
         emulated(tmp_path, script="faults: [{fault: off, robot: pink}]")
 
 

@@ -1,4 +1,4 @@
-"""What users of `tetractl lab emulate` get wrong: one line, a code, and nothing is changed."""
+"""Tests of mistakes in calls of `tetractl lab emulate`: one line, an exit code, no side effects."""
 
 import shlex
 import shutil
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.slow
 PORTS = "--set lab.camera.transport=unicast --command-port 0 --data-port 0"
 ROWS = """
 2 | spec.yaml | has no lab
-2 | lab.yaml --port-link /no/such/folder/radio | cannot make the port
+2 | lab.yaml --port-link /no/such/folder/radio | cannot create the link
 2 | lab.yaml --port-link . | exists already
 2 | lab.yaml --script none.yaml | no such file
 1 | lab.yaml --port-link radio --record /no/such/folder/r | cannot write the record

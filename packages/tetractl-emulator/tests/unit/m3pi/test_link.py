@@ -1,4 +1,4 @@
-"""The link to an XBee module played by the test, on the emulated lab's wires in memory."""
+"""Tests of the link to an XBee module that the test plays, over connections in memory."""
 
 import pytest
 from testkit.device_replies import packed_reply
@@ -81,7 +81,7 @@ def test_a_good_module_is_opened_and_sends():
         ({b"VR": b"\x80\x6b"}, {}, "the module runs DigiMesh firmware"),
         ({b"HV": b"\x19\x44", b"VR": b"\x21\xa7"}, {}, "the module runs Zigbee firmware"),
         ({b"HV": b"\x22\x44", b"VR": b"\x40\x60"}, {}, "the module runs Zigbee firmware"),
-        ({b"BD": b"\x03"}, {}, "the module is set to 9600 baud, not the spec's 57600"),
+        ({b"BD": b"\x03"}, {}, "the module is set to 9600 baud, but the spec says 57600"),
         ({b"AP": b"\x01"}, {}, "the module is not in API mode with escapes"),
         ({b"BD": b"\x07"}, {"baud": 115200}, "loses API frames at 115200"),
     ],
@@ -106,7 +106,9 @@ def test_an_answer_that_is_lost_once_is_asked_for_again():
 
 
 def test_a_port_without_a_module_is_told():
-    with pytest.raises(AbortError, match="no XBee module answers at 57600 or any other baud rate"):
+    with pytest.raises(
+        AbortError, match="no XBee module answers at 57600 baud or any other baud rate"
+    ):
         Module({}).opened()
 
 
@@ -160,7 +162,9 @@ def emergency_stops(module):
 
 def test_lab_stop_sends_ten_stops_through_a_module_that_answers(stop_robots):
     module = Module()
-    assert stop_robots(module).startswith("sent 10 stops on radio; switch the robots off and on")
+    assert stop_robots(module).startswith(
+        "sent 10 stops on radio; to drive the robots again, switch"
+    )
     assert emergency_stops(module) == 10
 
 

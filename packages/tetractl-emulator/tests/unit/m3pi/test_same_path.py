@@ -1,4 +1,4 @@
-"""Simulated robots on wheels against the emulated robots of the lab."""
+"""Tests that simulated robots on wheels drive like the emulated robots of the lab."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Commands of another program that reach emulated robots."""
+"""Tests of another program's commands that reach emulated robots."""
 
 from types import SimpleNamespace
 

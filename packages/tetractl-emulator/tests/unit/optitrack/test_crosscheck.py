@@ -1,4 +1,4 @@
-"""The public `natnet` client reads what we pack, and reads it as we do."""
+"""Tests that the public client `natnet` reads our packets in the same way as we do."""
 
 import pytest
 from testkit.emulator.natnet_samples import every_version, full_frame

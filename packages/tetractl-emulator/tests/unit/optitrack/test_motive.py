@@ -1,4 +1,4 @@
-"""The emulated Motive: whom it serves, when its frames leave, and garbage; in virtual time."""
+"""Tests of the emulated Motive: its clients, the times of its frames, and garbage."""
 
 from contextlib import suppress
 

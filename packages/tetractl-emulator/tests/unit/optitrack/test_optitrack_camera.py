@@ -1,4 +1,4 @@
-"""The NatNet client against the emulated Motive, datagram by datagram, in virtual time."""
+"""Tests of the NatNet client against the emulated Motive, datagram by datagram."""
 
 import re
 from contextlib import contextmanager
@@ -78,8 +78,8 @@ def test_frames_of_another_port_of_the_servers_address_are_dropped(tmp_path):
         (warning,) = camera.check().warnings
         port = stranger.getsockname()[1]
         assert warning == (
-            "50 datagrams came from elsewhere than the camera server and were dropped, most of "
-            f"them from 127.0.0.1:{port}"
+            "50 datagrams did not come from the camera server and were dropped; most came "
+            f"from 127.0.0.1:{port}"
         )
 
 
@@ -89,20 +89,24 @@ def test_frames_of_another_port_of_the_servers_address_are_dropped(tmp_path):
         # regression: it said that no frames come, while 120 a second did
         (
             "version: 4.2, keeps_version: true",
-            r"not in protocol 3\.1, which lab.camera.version requests: .* which fit protocol 4\.2$",
-            "leave lab.camera.version out: the server uses its own, 4.2",
+            r"not follow protocol 3\.1, which lab.camera.version .* and they fit protocol 4\.2$",
+            "remove lab.camera.version, because the server uses its own version, 4.2",
         ),
         (
             "frames_from: 127.0.0.2",
-            r"from another address: \d+ frames came from 127\.0\.0\.2:.* in 0.3 s, which fit",
-            "set lab.camera.server to 127.0.0.2, or in Motive the local interface to 127.0.0.1",
+            r"from another address: \d+ frames came from 127\.0\.0\.2:.* within 0.3 s, and they",
+            "set lab.camera.server to 127.0.0.2, or set the local interface in Motive to 127.0.0.1",
         ),
         (
             "answers_models: false",
-            r"the names 'Green' are not known.* when asked for its rigid bodies \(0.3 s\)",
+            r"the names 'Green' cannot be found.* for its rigid bodies within 0.3 s",
             "frames contain the ids 1, 7",
         ),
-        ("knows_up_axis: false", "does not report its up axis", "set lab.camera.up_axis to y or z"),
+        (
+            "knows_up_axis: false",
+            "does not report which of its axes",
+            "set lab.camera.up_axis to y or z",
+        ),
         ("version: 2.5", r"^the camera server uses protocol 2\.5, whose", "NatNet 2.6 or later"),
     ],
 )
@@ -120,7 +124,7 @@ def test_a_server_that_answers_from_another_address_is_named(tmp_path):
         info = natnet.ServerInfo("Motive", V41, 10**7, 1511)
         camera.open()
         second.sendto(pack_answer(info), own_address(camera))
-        with pytest.raises(AbortError, match=r"but one does from 127\.0\.0\.3:") as caught:
+        with pytest.raises(AbortError, match=r"but one answers from 127\.0\.0\.3:") as caught:
             camera.wait_connected(SHORT)
     assert caught.value.hint.startswith("set lab.camera.server to 127.0.0.3")
 
@@ -143,7 +147,7 @@ def test_an_id_that_is_not_known_comes_with_the_nearest(tmp_path):
         assert clock.wait(lambda: camera.stream.missing() == [7] and len(camera.stream.seen) == 1)
         assert clock.wait(lambda: "hand" in camera.stream.model.ids())
         (problem,) = camera.check().problems
-        assert "know no rigid body of id 7, wanted for blue; the nearest id is 1;" in problem
+        assert "know no rigid body with id 7 for blue; the nearest id is 1;" in problem
 
 
 @pytest.mark.parametrize("version", ["4.4", "4.5"])
@@ -154,7 +158,8 @@ def test_a_newer_version_with_longer_descriptions_is_read_and_warned_of(tmp_path
         assert clock.wait(lambda: all(camera.stream.newest.poses))
         health = camera.check()
         assert health.problems == ()
-        assert f"protocol {version} is newer than 4.3; it is read as 4.3" in (health.warnings)
+        newer = f"the server's protocol {version} is newer than 4.3"
+        assert f"{newer}; its frames are read as protocol 4.3" in health.warnings
         assert camera.damaged == 0
 
 

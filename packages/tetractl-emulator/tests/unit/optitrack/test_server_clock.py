@@ -1,4 +1,4 @@
-"""A camera server whose clock is set or runs wrongly, in virtual time: noticed, and named."""
+"""Tests that a camera server whose clock is set or runs wrongly is noticed and named."""
 
 import random
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What a stream of NatNet datagrams makes of them: poses, faults, echoes and units."""
+"""Tests of converting NatNet datagrams to poses, faults, echoes and units."""
 
 import struct
 
@@ -112,8 +112,8 @@ def test_a_frame_of_the_past_was_overtaken_by_however_many_and_a_new_one_counts_
     ("answer", "unit_mm", "fault"),
     [
         (1000.0, 1000.0, ""),
-        (1.0, 1.0, "streams lengths in units of 1 mm, not in metres"),
-        (10.0, 10.0, "streams lengths in units of 10 mm, not in metres"),
+        (1.0, 1.0, "streams lengths in units of 1 mm instead of metres"),
+        (10.0, 10.0, "streams lengths in units of 10 mm instead of metres"),
         (1.4e-45, None, ""),  # a late answer to another question
         (float("nan"), None, ""),
     ],
@@ -131,9 +131,9 @@ def test_a_server_that_streams_in_another_unit_than_metres_is_a_fault(answer, un
 @pytest.mark.parametrize(
     ("answer", "says", "hint"),
     [
-        (None, "does not report its up axis", "set lab.camera.up_axis to y or z"),
-        (0, "up axis is x; it must be y or z", "set Up Axis in Motive's streaming settings"),
-        (7, "up axis is of number 7", "set Up Axis in Motive's streaming settings"),
+        (None, "does not report which of its axes", "set lab.camera.up_axis to y or z"),
+        (0, "up axis is x; it must be y or z", "change Up Axis in Motive's streaming settings"),
+        (7, "up axis is of number 7", "change Up Axis in Motive's streaming settings"),
     ],
 )
 def test_a_wrong_up_axis_is_told_from_an_unknown_one(answer, says, hint):

@@ -1,4 +1,4 @@
-"""NatNet packing and parsing: round trips, layouts written out by hand, and damage."""
+"""Tests of NatNet packing and parsing: round trips, layouts written by hand, and damage."""
 
 import struct
 from dataclasses import dataclass

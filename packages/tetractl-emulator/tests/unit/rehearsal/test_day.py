@@ -1,4 +1,4 @@
-"""When a day counts as one that hangs: by the time that its process uses, not by the clock."""
+"""Tests that a hanging day is recognised by the processor time it uses, not by the clock."""
 
 import os
 from dataclasses import dataclass

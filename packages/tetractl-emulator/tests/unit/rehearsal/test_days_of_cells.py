@@ -1,4 +1,4 @@
-"""A day of cells is judged by its exit code and its reason, and not by what swims on."""
+"""Tests that a rehearsal with cells is judged by its exit code and reason only."""
 
 import pytest
 from testkit.emulator.made_days import at

@@ -1,4 +1,4 @@
-"""What a log must not say, on logs made up."""
+"""Tests that contradictions between a made-up log and the truth are found."""
 
 from types import SimpleNamespace
 
@@ -48,9 +48,9 @@ STAND = (9, 1, [True, False])
         ([(9, Steer(0.0), (True, True))], [AHEAD], None),
         ([(9, Steer(0.0), (True, False))], [STAND], None),
         ([(9, Turn(0.0), (True, True))], [STAND], None),  # it faces there
-        ([(9, Steer(0.0), (True, True))], [STAND], "says that a robot was driven that was not"),
+        ([(9, Steer(0.0), (True, True))], [STAND], "the log has a robot driven that was not"),
         ([(9, Stop(), (True, True))], [(9, 0, [False, False])], None),
-        ([(9, Stop(), (True, True))] * 2, [(9, 0, [False, False])], "has a command twice"),
+        ([(9, Stop(), (True, True))] * 2, [(9, 0, [False, False])], "the log has a command twice"),
         ([(9, Stop(), (True, True))] * 2, [(9, 0, [False, False])] * 2, None),
     ],
 )

@@ -1,4 +1,4 @@
-"""What a lab is rehearsed against: the faults of its sides."""
+"""Tests of the faults with which a lab is rehearsed: those of its emulated devices."""
 
 import pytest
 from testkit.emulator.device_specs import APRILTAG_SPEC, TWIST_SPEC

@@ -1,4 +1,4 @@
-"""The draw of days: every row can be drawn and is a valid script, and a third have one fault."""
+"""Tests of sampled days: every fault can occur, all scripts are valid, a third have one fault."""
 
 import math
 from collections import Counter

@@ -1,4 +1,4 @@
-"""What days come to: the table of faults, and how days ended."""
+"""Tests of the summary of many rehearsed days."""
 
 from tetractl_emulator.rehearsal.summary import reasons, summary, table
 

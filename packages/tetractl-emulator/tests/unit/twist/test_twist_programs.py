@@ -1,4 +1,4 @@
-"""The programs of robots that take lines, in C and MicroPython, pass the same vectors."""
+"""Tests that robot programs in C and MicroPython pass the same test vectors."""
 
 import importlib
 import random

@@ -93,7 +93,7 @@ class Optics:
             camera = replace(camera, position=position)
             if (np.ptp(camera.project(corners), axis=0) < (0.96 * width, 0.96 * height)).all():
                 return camera.centred(corners)
-        raise ValueError("the camera cannot see all floor tags in one picture")
+        raise ValueError("the camera cannot see all floor tags in one image")
 
     def centred(self, corners: Floats) -> Self:
         """Turn the camera so that points (M, 3) [m] are centred in its image."""

@@ -70,7 +70,8 @@ class EmulatedMicroscope(StreamedCamera):
         *STREAM_FAULTS,
         fault_kind(
             "light",
-            "The light is multiplied by a factor, and flickers by a fraction of itself at 100 Hz.",
+            "The light is multiplied by a factor, and flickers at 100 Hz by this fraction of "
+            "its brightness.",
             Visible.EXPOSED,
             fields={
                 "share": (Annotated[float, Field(ge=0, le=10)], 1.0),
@@ -84,28 +85,28 @@ class EmulatedMicroscope(StreamedCamera):
         ),
         fault_kind(
             "focus",
-            "The focus is off by this height [um].",
+            "The focal plane is off by this height [um].",
             Visible.EXPOSED,
             fields={"by_um": Finite},
             rows=[FaultRow("blurred", SEEN, {"by_um": signed(5, 300)})],
         ),
         fault_kind(
             "knocked",
-            "The stage was moved by this displacement [um].",
+            "Somebody moved the stage by this displacement [um].",
             Visible.EXPOSED,
             fields={"by_um": tuple[Finite, Finite]},
             rows=[FaultRow("knocked", SEEN, {"by_um": vector(3, 800)})],
         ),
         fault_kind(
             "bubble",
-            "A bubble of this diameter [um] is in the middle of the picture.",
+            "A bubble of this diameter [um] is in the middle of the image.",
             Visible.EXPOSED,
             fields={"size_um": (Positive, 200.0)},
             rows=[FaultRow("bubble", SEEN, {"size_um": between(20, 600)})],
         ),
         fault_kind(
             "untracked",
-            "A cell is not in the pictures.",
+            "A cell is missing from the images.",
             Visible.EXPOSED,
             fields={"cell": Name},
             rows=[FaultRow("cell covered", SEEN)],
@@ -119,8 +120,8 @@ class EmulatedMicroscope(StreamedCamera):
         cells = [body for body in bodies if isinstance(body, CellBody)]
         if section.rotation or len(cells) < len(bodies):
             raise SpecError(
-                "the emulated microscope shows only cells, and cannot be rotated",
-                "use lab.actuator.type field and lab.camera.rotation 0",
+                "the emulated microscope shows only cells, and its camera cannot be rotated",
+                "set lab.actuator.type to field and lab.camera.rotation to 0",
             )
         self._dish = cells[0].dish
         self._dish.held = False  # the camera would not recognise a cell that does not swim

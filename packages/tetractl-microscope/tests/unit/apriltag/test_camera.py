@@ -1,4 +1,4 @@
-"""The whole camera: a film in virtual time, and an emulated network camera over loopback."""
+"""Tests of the AprilTag camera with a film in virtual time, and with an emulated network camera."""
 
 import itertools
 import threading
@@ -157,15 +157,21 @@ DOWN = {"tilt": 0.0}
             {},
             [
                 "floor tag 100 is seen twice: each",
-                "red: tag 586 is seen twice, so the robot is not",
+                "red: the camera sees tag 586 twice, so the robot is not",
             ],
             "",
         ),
         ({}, {}, {"floor": turned(0.06)}, [], "the floor tags are up to "),
         ({}, {}, {"floor": turned(1.5)}, ["the floor tags are up to "], ""),
-        ({}, DOWN, {}, ["the floor tags do not determine the lens well: robots may be "], ""),
+        (
+            {},
+            DOWN,
+            {},
+            ["the floor tags do not determine the lens well, so that robots may be located "],
+            "",
+        ),
         ({}, DOWN, {"lens": {"focal_px": rendered(facing=DOWN).optics.focal_px}}, [], ""),
-        ({}, {}, {"robots": SMALLER}, [], "green: its tag looks 11."),
+        ({}, {}, {"robots": SMALLER}, [], "green: the tag looks 11."),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, scene, facing, changes, problems, warning):
@@ -252,14 +258,14 @@ def test_a_camera_that_stops_sending_is_told():
         it.woken.wait(lambda: it.woken.count >= 3)
         act(it.acting, "no_frames")
         problems = it.camera.check().problems
-        assert problems == (f"no picture comes from {it.server.url} any more",)
+        assert problems == (f"no images come from {it.server.url} any more",)
 
 
 def test_a_camera_without_pictures_is_no_camera():
     it = Served(connect=0.3)
     act(it.acting, "no_frames")
     with it.server:
-        with pytest.raises(AbortError, match=r"no picture comes from http://127.*\(0.3 s\)"):
+        with pytest.raises(AbortError, match=r"no image came from http://127.* within 0.3 s"):
             it.camera.__enter__()
         it.camera.__exit__(None, None, None)  # again: nothing happens
 
@@ -280,7 +286,7 @@ def test_an_error_of_the_search_is_raised_where_frames_are_asked_for(tmp_path, m
         with pytest.raises(ValueError, match="no such tag"):
             camera.frames()
         (problem, *_) = camera.check().problems
-    assert problem == "the search of pictures has ended: ValueError: no such tag"
+    assert problem == "the search of images has stopped: ValueError: no such tag"
 
 
 def test_pictures_whose_search_does_not_end_are_told_from_none(monkeypatch):
@@ -289,7 +295,10 @@ def test_pictures_whose_search_does_not_end_are_told_from_none(monkeypatch):
     act(it.acting, "no_frames")
     monkeypatch.setattr(it.camera, "_see", lambda picture, exposed_ns: None)
     it.camera._search(1, Picture(np.zeros((9, 9), np.uint8), 0))
-    with pytest.raises(AbortError, match=r"pictures come .* 0.1 s no search") as told:
+    with pytest.raises(AbortError, match=r"images come .* within 0.1 s") as told:
         it.__enter__()
     it.server.__exit__()
-    assert told.value.hint == "is this computer busy? lab.camera.connect waits longer"
+    assert (
+        told.value.hint
+        == "is this computer busy? With a larger lab.camera.connect, tetractl waits longer"
+    )

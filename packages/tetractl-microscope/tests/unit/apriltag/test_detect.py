@@ -1,4 +1,4 @@
-"""Finding tags and their corners in rendered pictures."""
+"""Tests of finding tags and their corners in rendered images."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The examples of docs/apriltag.md work, and its table names every setting."""
+"""Tests that the examples of docs/apriltag.md work, and that its table lists every setting."""
 
 import re
 

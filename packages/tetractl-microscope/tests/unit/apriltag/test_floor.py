@@ -1,4 +1,4 @@
-"""The calibration by floor tags, of a camera whose pose and lens a test knows."""
+"""Tests of the calibration by floor tags, for a camera with known pose and lens."""
 
 import math
 

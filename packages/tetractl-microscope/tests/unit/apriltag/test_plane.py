@@ -1,4 +1,4 @@
-"""Height and tilt of a tag from its corners, by a camera that is known exactly."""
+"""Tests of a tag's height and tilt from its corners, for a camera that is known exactly."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Poses from rendered pictures against the emulated truth."""
+"""Tests of poses from rendered images against the emulated truth."""
 
 import math
 

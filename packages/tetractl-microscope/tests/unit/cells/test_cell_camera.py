@@ -1,4 +1,4 @@
-"""The `cells` camera on synthetic films, in virtual time: frames, robots, health."""
+"""Tests of the camera `cells` with synthetic films in virtual time: frames, robots, health."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""What the camera of a dish says of the robots of a trial: who is lost, and who replaces it."""
+"""Tests of how the camera of a dish reports lost robots and their replacements."""
 
 from collections import deque
 from dataclasses import dataclass, field
@@ -67,7 +67,7 @@ def test_the_most_similar_free_cell_replaces_a_lost_one(cells, number):
     dish = Dish(cells=cells)
     text = CellWatch(dish, deque(), SETUP, 3.0).replace(BLUE)
     assert dish.robots == [1, number, 3]
-    assert text.startswith("is another cell now: a ") == (number == 8)
+    assert text.startswith("is now another cell: a ") == (number == 8)
 
 
 def test_the_lab_aborts_where_its_camera_does_not_know_for_long_who_is_who():
@@ -86,7 +86,7 @@ def test_the_lab_aborts_where_its_camera_does_not_know_for_long_who_is_who():
     plant = lab.plant
     notes = []
     plant.open()
-    with pytest.raises(AbortError, match="for 1 s it has not been known which cell is blue"):
+    with pytest.raises(AbortError, match="for 1 s it has been uncertain which cell is blue"):
         for k in range(10):
             sure[BLUE] = 1.0 if k < 3 else 0.6
             plant.observe()
@@ -95,10 +95,10 @@ def test_the_lab_aborts_where_its_camera_does_not_know_for_long_who_is_who():
             lab.clock.sleep_until(lab.clock.now() + SECOND // 5)
     plant.stop()
     plant.close()
-    assert [text.split(":")[0] for text in notes] == ["blue has met another cell"]
+    assert [text.split(";")[0] for text in notes] == ["blue has met another cell"]
 
 
 def test_a_cell_that_has_divided_is_lost():
     watch = CellWatch(Dish(divided={BLUE}), deque(), SETUP, 3.0)
-    text = "blue has divided, or has parted from an unknown cell"
+    text = "blue has divided, or has parted from an unknown cell that it had met"
     assert list(watch.lost()) == [Lose(BLUE, text)]

@@ -1,4 +1,4 @@
-"""What is said of a microscope's pictures: light, focus and cells."""
+"""Tests of warnings about a microscope's images: light, focus and cells."""
 
 import math
 from types import SimpleNamespace
@@ -63,16 +63,16 @@ def searches(**changes):
         ({"level": 3.0}, 11.0, "black"),
         ({"level": 252.0}, 11.0, "saturated"),
         ({"light": Light(1, 2, None, 0.4, True)}, 11.0, "was the stage or the lamp moved"),
-        ({"poses": (None, None)}, 11.0, "first, second not tracked: 0 cells are in view, 2"),
+        ({"poses": (None, None)}, 11.0, "first, second not tracked: 0 cells are in view, but 2"),
         (
             {"light": Light(1, 3.0, 9.0, 0.01, False, limit=7.0)},
             11.0,
-            "those below 7 are missed",
+            "objects below 7 are missed",
         ),
         ({"light": Light(1, 3.0, None, 0.0, False, limit=7.0)}, 11.0, "no object differs"),
         ({"sharpness": 0.05}, 11.0, "focus"),
-        ({"sure": 0.6}, 11.0, "it is uncertain which is which"),
-        ({}, 5.2, "a cell is 5 px wide; 8 px"),
+        ({"sure": 0.6}, 11.0, "it is uncertain which cell is which"),
+        ({}, 5.2, "a cell is only 5 px wide, but at least 8 px"),
     ],
 )
 def test_health_says_what_is_wrong_in_words(changes, width_px, says):

@@ -1,4 +1,4 @@
-"""Blobs of pictures drawn here, by other means than the emulated dish."""
+"""Tests of finding blobs in images that the test draws itself."""
 
 import math
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""The field that was sent in a dish, as pieces of constant field."""
+"""Tests of recording the field in a dish as intervals of constant field."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The filter of swimming cells: it learns headings, turning rates and speeds, with their doubt."""
+"""Tests of the filter for swimming cells: headings, turning rates, speeds and their uncertainty."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""No trial goes on for long with cells of unknown identity."""
+"""Tests that no trial goes on for long with cells of uncertain identity."""
 
 import numpy as np
 from tetractl_microscope.cells.identity_watch import IdentityWatch
@@ -26,7 +26,7 @@ def test_a_meeting_is_said_once_and_ends_the_run_only_where_it_stays_unknown():
     ]
     assert watch.unknown == {}
     assert see(watch, 4.1, 0.95, 0.85) == []
-    assert watch.unknown == {1: "for 3 s it has not been known which cell is two"}
+    assert watch.unknown == {1: "for 3 s it has been uncertain which cell is two"}
     watch.forget(1)
     assert see(watch, 4.2, 0.95, 0.95) == []
     assert watch.unknown == {}

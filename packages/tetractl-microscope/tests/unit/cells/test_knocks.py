@@ -1,4 +1,4 @@
-"""The shift between two pictures."""
+"""Tests of measuring the shift between two images."""
 
 import numpy as np
 import pytest

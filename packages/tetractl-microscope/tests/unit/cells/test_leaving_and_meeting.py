@@ -1,4 +1,4 @@
-"""A cell that leaves the picture, and two that meet, as the live tracker sees them."""
+"""Tests of the live tracker with a cell that leaves the image, and with two cells that meet."""
 
 import numpy as np
 import pytest

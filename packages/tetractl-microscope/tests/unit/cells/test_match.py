@@ -1,4 +1,4 @@
-"""What blobs cost cells and specks, and which blob each of them gets."""
+"""Tests of assigning blobs to cells and specks by their cost."""
 
 import itertools
 import math

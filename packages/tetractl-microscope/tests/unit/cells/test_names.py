@@ -1,4 +1,4 @@
-"""Which cell is which after cells met, or one came out of another one's blob."""
+"""Tests of identifying cells after they have met, or after one has left another's blob."""
 
 import itertools
 import math

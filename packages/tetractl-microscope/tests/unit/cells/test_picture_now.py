@@ -1,4 +1,4 @@
-"""Places in a picture, as columns and rows and as um."""
+"""Tests of positions in an image, as columns and rows and in um."""
 
 from types import SimpleNamespace
 

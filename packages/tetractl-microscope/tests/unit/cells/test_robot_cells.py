@@ -1,4 +1,4 @@
-"""Which cells are the robots, if the trial's thread changes them while a picture is searched."""
+"""Tests of changing the robots' cells in one thread while another searches an image."""
 
 from dataclasses import replace
 from types import SimpleNamespace

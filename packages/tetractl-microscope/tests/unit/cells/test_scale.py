@@ -1,4 +1,4 @@
-"""The scale of a microscope by two places of its picture."""
+"""Tests of a microscope's scale from two places in its image."""
 
 import math
 

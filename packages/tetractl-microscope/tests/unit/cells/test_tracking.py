@@ -1,4 +1,4 @@
-"""Blobs and cells of synthetic pictures against their truth."""
+"""Tests of blobs and cells in synthetic images against the truth."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The field's actuator: what it commands, and its life before an emulated driver."""
+"""Tests of the field's actuator: its commands, and its use with an emulated driver."""
 
 import math
 import random
@@ -167,14 +167,18 @@ def test_leaving_switches_the_field_off_before_the_watchdog_would():
 @pytest.mark.parametrize(
     ("limits", "changes", "says"),
     [
-        (DriverLimits(1500, 100_000), {}, "allows 1.5 A, not the spec's 2 A: lower current_max_a"),
+        (
+            DriverLimits(1500, 100_000),
+            {},
+            "allows only 1.5 A, but the spec 2 A: lower current_max_a in the spec",
+        ),
         (
             DriverLimits(2000, 50_000),
             {},
-            "allows 50 A/s, not the spec's 100 A/s: lower slew_max_a_s",
+            "allows only 50 A/s, but the spec 100 A/s: lower slew_max_a_s in the spec",
         ),
-        (DriverLimits(2000, 100_000, 500), {}, "watchdog is 0.5 s, not the spec's 0.25 s"),
-        (LIMITS, {"supply_min_v": 20.0}, "supply is at 12.00 V"),
+        (DriverLimits(2000, 100_000, 500), {}, "watchdog is 0.5 s, but the spec's is 0.25 s"),
+        (LIMITS, {"supply_min_v": 20.0}, "supply voltage of the current driver is 12.00 V"),
     ],
 )
 def test_a_driver_that_would_not_do_is_a_problem(limits, changes, says):
@@ -189,7 +193,7 @@ def test_weak_coils_and_a_strong_driver_are_warned_of():
         health = actuator.check()
     assert health.problems == ()
     weak, strong = health.warnings
-    assert "only 3.97 of 5 mT can be reached in every direction" in weak
+    assert "only 3.97 of 5 mT in every direction" in weak
     assert "the current driver allows 3 A" in strong
 
 
@@ -220,7 +224,7 @@ def test_heat_ends_a_run():
         act(stage.driver.acting, "hot", celsius=85)
 
         assert stage.clock.wait(lambda: fails(actuator))
-        assert actuator.failure == "the current driver stopped: it is 85 °C hot"
+        assert actuator.failure == "the current driver has stopped because it is 85 °C hot"
         assert len(actuator.check().problems) == 3  # hot before, latched, hot now
 
 
@@ -285,9 +289,9 @@ def test_lab_stop_says_that_no_driver_replies_that_it_is_stopped(stop_coils, bau
     stage = Bench(baud=baud)
     if mute:
         act(stage.driver.acting, "mute")
-    with pytest.raises(AbortError, match="sent 10 stops, but no current driver replies") as raised:
+    with pytest.raises(AbortError, match="sent 10 stops, but no current driver on") as raised:
         stop_coils(stage)
-    assert raised.value.hint == "switch the driver's supply off"
+    assert raised.value.hint == "switch off the power supply of the current driver"
 
 
 @needs_compiler
@@ -318,8 +322,8 @@ def test_the_spec_may_state_the_strength_instead():
     setup.strength_unit = "V/cm"
     ((_, electric),) = alone.contradictions(setup)
     assert "already" in twice
-    assert "strength is unknown" in unknown
-    assert "not in V/cm" in electric
+    assert "needs the field's strength" in unknown
+    assert "strength is in V/cm" in electric
 
 
 def test_commands_in_quick_succession_do_not_beat_the_slew_limit():

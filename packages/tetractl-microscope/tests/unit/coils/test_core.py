@@ -1,4 +1,4 @@
-"""The current driver's C core: against its Python twin, and in what it promises."""
+"""Tests of the current driver's C firmware against its Python reference implementation."""
 
 import pytest
 from hypothesis import given, settings

@@ -1,4 +1,4 @@
-"""The bytes between the host and the current driver."""
+"""Tests of the bytes between the host and the current driver."""
 
 from dataclasses import replace
 

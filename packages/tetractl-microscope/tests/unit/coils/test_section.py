@@ -8,8 +8,11 @@ from testkit.microscope.field_bench import section
     [
         ({"type": "lamp"}, "'field'"),
         ({"strength_mt": 0}, "greater than 0"),
-        ({"coils": {"x": {"gain_mt_a": 0}, "y": {"gain_mt_a": 1}}}, "a gain of 0 makes no field"),
-        ({"current_max_a": 0.01}, "too small to cancel the ambient field coils.x.offset_mt"),
+        (
+            {"coils": {"x": {"gain_mt_a": 0}, "y": {"gain_mt_a": 1}}},
+            "must not be 0, because a coil with gain 0 makes no field",
+        ),
+        ({"current_max_a": 0.01}, "is too small to cancel the ambient field coils.x.offset_mt"),
         ({"rate": 10, "watchdog": 0.25}, "must be 0.3 s or more at 10 Hz"),
         ({"slew_max_a_s": float("inf")}, "finite"),
         ({"wheels": 2}, "Extra inputs"),

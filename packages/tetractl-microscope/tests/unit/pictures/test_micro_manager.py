@@ -1,4 +1,4 @@
-"""The source by Micro-Manager, against a stand-in for pymmcore's CMMCore as it is documented."""
+"""Tests of images from Micro-Manager, with a fake that follows the documentation of pymmcore."""
 
 import sys
 from pathlib import Path
@@ -92,7 +92,7 @@ def test_pictures_come_one_by_one_as_eight_bits_and_a_silent_camera_ends(depth, 
     opened = feed(depth=depth, waiting=(pixels, pixels))
     assert opened.live
     assert [opened.read().content.tolist() for _ in range(2)] == [grey, grey]
-    with pytest.raises(SourceEndedError, match="delivers no more"):
+    with pytest.raises(SourceEndedError, match="sends no more"):
         opened.read()
     assert opened._clock.now() > 9 * SECOND
     opened.interrupt()

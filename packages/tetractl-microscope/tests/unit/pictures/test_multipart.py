@@ -1,4 +1,4 @@
-"""The parser of multipart streams against good, cut and damaged streams; needs no OpenCV."""
+"""Tests of the multipart parser with valid, cut and damaged streams. They need no OpenCV."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""What a camera says of its stream of pictures."""
+"""Tests of a camera's problems and warnings about its stream of images."""
 
 import pytest
 from tetractl_microscope.pictures.searches import PictureSearch, stream_lines
@@ -15,11 +15,15 @@ GOOD = {"ended": "", "now": 0.7, "declared": 30.0, "damaged": 0, "every": 1, "hz
     [
         ({}, None, None),
         ({"ended": "the stream ended"}, "the stream ended", None),
-        ({"now": 1.2}, "no picture comes from film any more", None),
-        ({"declared": 60.0}, None, "30 pictures per second come instead of 60: is there"),
-        ({"hz": 10.0, "declared": None, "now": 2.0}, None, "only 10 pictures per second come"),
-        ({"every": 2}, None, "19 of the last 39 pictures were not searched: searching one takes"),
-        ({"damaged": 3}, None, "3 pictures were damaged"),
+        ({"now": 1.2}, "no images come from film any more", None),
+        ({"declared": 60.0}, None, "only 30 images per second come instead of 60: is there"),
+        ({"hz": 10.0, "declared": None, "now": 2.0}, None, "only 10 images per second come"),
+        (
+            {"every": 2},
+            None,
+            "19 of the last 39 images were not searched, because searching one takes",
+        ),
+        ({"damaged": 3}, None, "3 images were damaged"),
     ],
 )
 def test_each_fault_of_the_stream_is_one_line(changes, problem, warning):

@@ -1,4 +1,4 @@
-"""Sources of pictures: files, devices and what a network camera may answer."""
+"""Tests of sources of images: files, devices, and answers of a network camera."""
 
 import struct
 import sys
@@ -56,17 +56,17 @@ def test_no_file_and_no_film_are_told_apart(tmp_path):
     text = tmp_path / "text.avi"
     text.write_text("no film")
     no_film = FileSource(type="file", path=str(text))
-    with pytest.raises(AbortError, match="not a film that imageio can read"):
+    with pytest.raises(AbortError, match="not a video that imageio can read"):
         no_film.open(VirtualClock(), 1.0)
 
 
 def test_a_stack_of_16_bits_is_read_at_the_rate_of_the_spec(tmp_path):
-    """A microscope's TIFF states no rate, and its camera uses 12 of 16 bits."""
+    """A microscope's TIFF does not state its frame rate, and its camera uses 12 of 16 bits."""
     tifffile = pytest.importorskip("tifffile", reason="imageio[tifffile] is not installed")
     path = tmp_path / "stack.tif"
     deep = PICTURE.astype(np.uint16) * 16
     tifffile.imwrite(path, np.array([deep, deep // 2, deep]), photometric="minisblack")
-    with pytest.raises(AbortError, match="states no rate") as error:
+    with pytest.raises(AbortError, match="does not state its frame rate") as error:
         FileSource(type="file", path=str(path)).open(VirtualClock(), 1.0)
     assert "lab.camera.source.rate" in error.value.hint
     feed = FileSource(type="file", path=str(path), rate=7.0).open(VirtualClock(), 1.0)
@@ -131,7 +131,7 @@ def test_a_device_is_set_up_read_and_released(monkeypatch):
     for _ in range(3):
         picture = decoded(feed.read())
         assert (picture == 7).all()
-    with pytest.raises(SourceEndedError, match="camera 2 delivers no more"):
+    with pytest.raises(SourceEndedError, match="camera 2 sends no more"):
         feed.read()
     feed.close()
     assert Capture.last.released
@@ -141,7 +141,7 @@ def test_a_device_is_set_up_read_and_released(monkeypatch):
     ("attribute", "value", "line"),
     [
         ("opened", False, "camera 2 cannot be opened"),
-        ("size", (320, 240), "gives 320x240, not 640x"),
+        ("size", (320, 240), "gives images of 320x240, not 640x"),
     ],
 )
 def test_a_device_that_cannot_be_used_says_so(monkeypatch, attribute, value, line):
@@ -182,7 +182,9 @@ def answering(status, kind, body=b""):
 )
 def test_an_answer_that_is_no_stream_is_told(status, kind):
     server, source = answering(status, kind)
-    with pytest.raises(AbortError, match=f"is not an MJPEG stream: it answers {status}"):
+    with pytest.raises(
+        AbortError, match=f"does not send an MJPEG stream: it answers with status {status}"
+    ):
         source.open(VirtualClock(), 5.0)
     server.server_close()
 
@@ -249,7 +251,7 @@ def test_exposure_and_gain_of_a_device_are_set_or_refused(monkeypatch):
     settings_used = Capture.last.settings
     assert (settings_used[cv2.CAP_PROP_EXPOSURE], settings_used[cv2.CAP_PROP_GAIN]) == (80.0, 5.0)
     assert settings_used[cv2.CAP_PROP_AUTO_EXPOSURE] == 1
-    with pytest.raises(AbortError, match="camera 2 does not take exposure 200: it has 100"):
+    with pytest.raises(AbortError, match="camera 2 does not accept exposure 200, and keeps 100"):
         DEVICE.model_copy(update={"exposure": 200.0}).open(VirtualClock(), 1.0)
     assert Capture.last.released
 

@@ -1,4 +1,4 @@
-"""Means over the cells of a table count cells, not the pieces of their paths."""
+"""Tests that means over the cells of a table count cells, not the pieces of their tracks."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Which tracks of other programs are of swimming cells, and what is said of all of them."""
+"""Tests of selecting the tracks of swimming cells, and of remarks about all tracks."""
 
 import math
 from pathlib import Path
@@ -53,7 +53,9 @@ def bead(number, step_um=2.0, drift_um_s=0.0):
 def test_particles_that_diffuse_do_not_swim(step_um):
     """Regression: an a of 12.18 (11.85 to 12.52)."""
     beads = [bead(number, step_um) for number in range(6)]
-    with pytest.raises(TetractlError, match="goes to and fro, as beads do: nothing swims") as error:
+    with pytest.raises(
+        TetractlError, match="nothing swims: everything that moves goes back and forth"
+    ) as error:
         swimming_tracks(SOURCE, beads, True)
     assert error.value.exit == 1
 
@@ -97,7 +99,7 @@ def test_beads_in_rare_pictures_do_not_swim(places):
 def test_beads_among_swimmers_are_left_out_and_named():
     cells = swimming_tracks(SOURCE, [turning(1, 1.0), turning(2, 1.0), bead(3), bead(4)], True)
     assert [path.number for path in cells.paths] == [1, 2]
-    assert "so left out: cell 3, cell 4" in cells.remarks[0]
+    assert "beads do: cell 3, cell 4" in cells.remarks[0]
 
 
 def steered(number, field, a=4.0, speed=300.0):
@@ -117,7 +119,7 @@ def test_particles_that_drift_past_a_turning_field_are_said_to():
     drifting = [bead(number, 2.0, drift_um_s=20.0) for number in range(10)]
     paths = swimming_tracks(SOURCE, drifting, True).paths
     (said,) = stage_remarks(paths, turning_about)
-    assert "does the stage move, or the medium flow?" in said
+    assert "does the stage move, or does the medium flow?" in said
     assert "no a is fitted" in said
     assert not stage_remarks(paths, to_one_side)
     for field in (turning_about, to_one_side):

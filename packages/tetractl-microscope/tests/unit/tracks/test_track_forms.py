@@ -1,4 +1,4 @@
-"""Tracks whose writers use another form of their format: each gives the same poses."""
+"""Tests of tracks in other forms of a file format; each form must give the same poses."""
 
 import numpy as np
 import pytest
@@ -108,11 +108,15 @@ def test_times_with_a_unit_are_taken_and_no_numbers_of_pictures(header, times, f
     said = []
     assert np.allclose(poses(path, UM, said=said), POSES) and not said
     if not frames:
-        with pytest.raises(UsageError, match="it states times, so that --rate has no meaning"):
+        with pytest.raises(
+            UsageError, match="it states times, so the option --rate must be left out"
+        ):
             poses(path, UM, HZ)
         return
     poses(path, UM, HZ, said)
-    assert said == [f"warning: {path}: --rate 25 replaces its times, up to 0.2 s off"]
+    assert said == [
+        f"warning: {path}: --rate 25 replaces the times in the file, which differ by up to 0.2 s"
+    ]
 
 
 @pytest.mark.parametrize(("first", "late"), [(0, 0), (1, 0), (7, 7)])
@@ -199,7 +203,7 @@ def test_a_track_at_two_places_at_once_is_refused_and_a_row_twice_is_not(tmp_pat
     assert np.allclose(poses(path, UM, HZ), POSES)
     moved = np.add(twice[:3], (0, 0, 1, 0))
     path = placed(tmp_path / "b.csv", "particle,frame,y,x", np.vstack([twice, moved]))
-    with pytest.raises(UsageError, match="cell 1 is at two places at 0 s"):
+    with pytest.raises(UsageError, match="cell 1 has two different places at the time 0 s"):
         poses(path, UM, HZ)
 
 
@@ -207,7 +211,7 @@ def test_a_track_at_two_places_at_a_unix_time_is_refused_with_that_time(tmp_path
     """Regression: "at 1.764e+09 s", by which no row is found."""
     rows = np.column_stack([NUMBER, 1_764_000_003 + K // 2, Y, X])
     path = placed(tmp_path / "a.csv", "particle,time_s,y,x", rows)
-    with pytest.raises(UsageError, match="at two places at 1764000003 s"):
+    with pytest.raises(UsageError, match="two different places at the time 1764000003 s"):
         poses(path, UM)
 
 
@@ -216,7 +220,7 @@ def test_numbers_of_pictures_that_may_be_milliseconds_are_said(step, is_said, tm
     path = placed(tmp_path / "a.csv", "particle,t,y,x", NUMBER, step * K, Y, X)
     said = []
     poses(path, UM, HZ, said)
-    assert any("if these are milliseconds, name it t_ms" in line for line in said) == is_said
+    assert any("if they are milliseconds, name the column t_ms" in line for line in said) == is_said
 
 
 @pytest.mark.parametrize("within", ["geff", None], ids=["under geff", "bare"])
@@ -253,29 +257,29 @@ def test_options_do_not_scale_numbers_that_have_a_unit(tmp_path):
     )
     path = tmp_path / "spots.csv"
     path.write_text(SPOTS.format(um="micron", s="sec") + rows)
-    with pytest.raises(UsageError, match="places are in a unit of length, so that --scale"):
+    with pytest.raises(UsageError, match="places in a unit of length, so the option --scale"):
         poses(path, UM)
     said = []
     faster = poses(path, None, 2 * HZ, said)
     assert np.allclose([t for t, _, _ in faster], [t / 2 for t, _, _ in POSES])
-    assert "--rate 50 replaces its times" in said[0]
+    assert "--rate 50 replaces the times" in said[0]
     seconds = USUAL_AXES | {"t": {"type": "time", "unit": "second"}}
-    with pytest.raises(UsageError, match="it states times, so that --rate"):
+    with pytest.raises(UsageError, match="it states times, so the option --rate"):
         poses(graph(tmp_path / "g.geff", seconds, USUAL_VALUES | {"t": K / HZ}), None, HZ)
 
 
 @pytest.mark.parametrize(
     ("header", "columns", "says"),
     [
-        ("number,frame,y,x", COLUMNS, "no column of tracks: particle, track_id or id missing"),
-        ("particle,picture,y,x", COLUMNS, "no column of tracks: frame, t or time_s missing"),
-        ("particle,frame,y,z", COLUMNS, "no column of tracks: x missing; its columns are"),
-        ("particle,frame,row,col", COLUMNS, "no column of tracks: x; y missing"),
-        ("particle,frame,y,x", (NUMBER, K - 3, Y, X), "frame: -3 is not a frame number"),
+        ("number,frame,y,x", COLUMNS, "are missing: particle, track_id or id"),
+        ("particle,picture,y,x", COLUMNS, "are missing: frame, t or time_s"),
+        ("particle,frame,y,z", COLUMNS, "are missing: x; the file's columns are"),
+        ("particle,frame,row,col", COLUMNS, "are missing: x; y"),
+        ("particle,frame,y,x", (NUMBER, K - 3, Y, X), "frame: -3 is below 0"),
         (
             "track_id,t,y,x",
             (NUMBER, K / HZ, Y, X),
-            r"column t: 0\.04 is not a frame number\n.*name the column t_s",
+            r"column t: 0\.04 is no whole number, .*\n.*name the column t_s",
         ),
     ],
 )
@@ -294,7 +298,9 @@ def test_a_broken_graph_is_one_line_without_an_address_of_a_library(tmp_path):
     path = graph(tmp_path / "tracks.geff")
     group = zarr.open_group(path)
     group.attrs.update({"geff": group.attrs["geff"] | {"directed": "perhaps"}})
-    with pytest.raises(UsageError, match="cannot be read as a GEFF graph of t, x, y: ") as error:
+    with pytest.raises(
+        UsageError, match="cannot be read as a GEFF graph with t, x and y: "
+    ) as error:
         poses(path)
     assert "http" not in error.value.message and "directed" in error.value.message
     assert "\n" not in error.value.message
@@ -310,20 +316,20 @@ def test_a_count_from_1_begins_at_time_0_if_a_rate_replaces_the_times(tmp_path):
 @pytest.mark.parametrize(
     ("header", "missing"),
     [
-        ("number,frame,y,x", "particle, track_id or id missing"),
-        ("particle,picture,y,x", "frame, t or time_s missing"),
-        ("particle,frame,y,z", "x missing"),
-        ("particle,frame,row,col", "x; y missing"),
+        ("number,frame,y,x", "particle, track_id or id"),
+        ("particle,picture,y,x", "frame, t or time_s"),
+        ("particle,frame,y,z", "x"),
+        ("particle,frame,row,col", "x; y"),
     ],
 )
 def test_a_missing_column_is_named(header, missing, tmp_path):
     """Regression: the hint named the columns of `identify`."""
     path = placed(tmp_path / "a.csv", header, NUMBER, K, Y, X)
-    with pytest.raises(UsageError, match=f"no column of tracks: {missing}; its columns are"):
+    with pytest.raises(UsageError, match=f"are missing: {missing}; the file's columns are"):
         poses(path, UM, HZ)
 
 
 def test_a_table_without_rows_is_named(tmp_path):
     (tmp_path / "a.csv").write_text("particle,frame,y,x\n")
-    with pytest.raises(UsageError, match=r"a\.csv: has no rows"):
+    with pytest.raises(UsageError, match=r"a\.csv: the file has no rows"):
         poses(tmp_path / "a.csv", UM, HZ)

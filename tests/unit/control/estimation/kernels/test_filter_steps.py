@@ -1,4 +1,4 @@
-"""One step of a filter: against integrated equations, numerical slopes and textbook formulas."""
+"""Tests of one filter step against integrated equations, numerical slopes and textbook formulas."""
 
 import math
 from typing import NamedTuple

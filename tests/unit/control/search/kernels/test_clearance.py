@@ -1,4 +1,4 @@
-"""The compiled clearance computes what the readable obstacle region does."""
+"""Tests that the compiled clearance equals that of the readable obstacle region."""
 
 import numpy as np
 import pytest

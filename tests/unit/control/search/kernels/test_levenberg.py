@@ -1,4 +1,4 @@
-"""The compiled Levenberg-Marquardt: its merit, its slopes, its steps, and what it promises."""
+"""Tests of the compiled Levenberg-Marquardt method: its merit, slopes, steps and limits."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""A round of the multistart optimiser: what is scattered, and what is polished of it."""
+"""Tests of one round of the multistart optimiser: its random starts, and those it polishes."""
 
 import math
 

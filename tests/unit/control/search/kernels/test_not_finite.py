@@ -1,4 +1,4 @@
-"""Compiled loops end whatever numbers they are given, and none arises that is not finite."""
+"""Tests that compiled loops end for all numbers, and create no number that is not finite."""
 
 import math
 import threading

@@ -1,4 +1,4 @@
-"""Where sequences lead and what they cost: compiled against readable."""
+"""Tests of the ends and costs of sequences: compiled against readable code."""
 
 import math
 from dataclasses import replace

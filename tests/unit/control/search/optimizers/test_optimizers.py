@@ -1,4 +1,4 @@
-"""What every optimiser promises, and what it is built from."""
+"""Tests of what every optimiser must do, and of its parts."""
 
 import math
 import pickle

@@ -1,4 +1,4 @@
-"""Frames of an XBee radio in the stream of a serial port."""
+"""Tests of finding an XBee radio's frames in the stream of a serial port."""
 
 import itertools
 

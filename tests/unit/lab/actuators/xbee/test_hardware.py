@@ -1,4 +1,4 @@
-"""Which protocol an XBee module runs; and a real port, a pseudo-terminal, that takes nothing."""
+"""Tests of the protocol of an XBee module, and of a port that accepts no more bytes."""
 
 import os
 import pty

@@ -1,4 +1,4 @@
-"""The server's clock on the host's, from echoes, against a server that a test makes up."""
+"""Tests of relating the server's clock to the host's clock, with a fake server."""
 
 import pytest
 from hypothesis import given
@@ -53,7 +53,7 @@ def test_a_clock_that_was_set_is_said_to_have_gained_or_lost(jump_s, verb):
     assert sync.fault == ""
     server.offset_s += jump_s
     synced(server, sync, [5])
-    assert f"the camera server's clock {verb} on this computer's within 1.00 s" in sync.fault
+    assert f"the camera server's clock {verb} on this computer's clock within 1.00 s" in sync.fault
     first = sync.fault
     synced(server, sync, [6, 7])
     assert sync.fault == first

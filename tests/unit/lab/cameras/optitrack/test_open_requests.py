@@ -1,4 +1,4 @@
-"""A server's answers are taken if they were asked for, and each once."""
+"""Tests that a server's answers are accepted only on request, and only once."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""What is asked of a server, and how often."""
+"""Tests of what the client asks a server, and how often."""
 
 from collections import Counter
 from types import SimpleNamespace

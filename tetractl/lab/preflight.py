@@ -242,8 +242,8 @@ def turned_by_quarters(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
     degrees = "180" if abs(quarters) == 2 else f"{90 * quarters:+d}"
     whose = "all robots are" if len(robots) > 1 else f"{robots[0].name} is"
     return [
-        f"{whose} turned by {degrees} degrees from the start heading: does each tag or "
-        "body point to the robot's front? (The top edge of an AprilTag belongs on the robot's left.)"
+        f"{whose} turned by {degrees} degrees from the start heading: does each tag or body "
+        "point to the robot's front? (The top edge of an AprilTag belongs on the robot's left.)"
     ]
 
 

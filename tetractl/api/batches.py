@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 
 def _ignore(trial: int, result: Result) -> None:
-    """Do nothing with a result."""
+    """Do nothing with a result.
+
+    This is the default for a function that is called with each result.
+    """
 
 
 def run_batch(
@@ -155,7 +158,7 @@ class _Watcher:
     progress: "RunObserver | None" = None
 
     def trial_started(self, task: "Task") -> None:
-        """Do nothing."""
+        """Do nothing when a trial starts. Only the ends of trials are reported."""
 
     def trial_ended(self, ending: "Ending") -> None:
         """Show the progress, and call `on_result` with the trial's index and result."""

@@ -85,6 +85,6 @@ def as_spec(spec: Spec) -> LoadedSpec:
 
 
 def _demand_texts(sets: Sequence[str]) -> None:
-    """Check that all settings are texts."""
+    """Check that all settings of a call are texts such as "trials.count=5"."""
     for setting in sets:
         demand(setting, str, 'a setting is a string such as "trials.count=5"')

@@ -1,4 +1,4 @@
-"""`tetractl info`: shows what is in a log."""
+"""The command `tetractl info`, which shows what is in the log of a trial."""
 
 import json
 import math

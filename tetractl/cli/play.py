@@ -249,7 +249,7 @@ class Game:
 
     @property
     def folders(self) -> "list[Path]":
-        """The folders of the logs."""
+        """The folders with the logs of the person's trials and of the controller's."""
         numbers = range(1, len(self.yours) + 1)
         of_controller = [] if self.theirs is None else [self.folder / "controller"]
         return [*map(self._folder, numbers), *of_controller]

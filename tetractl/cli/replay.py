@@ -1,4 +1,4 @@
-"""`tetractl replay`: play trials back."""
+"""The command `tetractl replay`, which plays recorded trials in the terminal."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

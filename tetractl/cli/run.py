@@ -1,4 +1,4 @@
-"""`tetractl run`: run the trials of an experiment."""
+"""The command `tetractl run`, which runs the trials of an experiment, simulated or in a lab."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""`tetractl stats`: statistics of trials."""
+"""The command `tetractl stats`, which summarises the errors of trials and compares batches."""
 
 from collections.abc import Sequence
 from pathlib import Path

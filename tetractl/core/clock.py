@@ -25,7 +25,7 @@ class Clock(Protocol):
     """A clock that starts at 0 when it is created."""
 
     def now(self) -> int:
-        """Return the time [ns]."""
+        """Return the present time on this clock [ns]."""
         ...
 
     def sleep_until(self, when: int) -> None:
@@ -40,11 +40,11 @@ class VirtualClock:
         self._now = 0
 
     def now(self) -> int:
-        """Return the time [ns]."""
+        """Return the present virtual time [ns]."""
         return self._now
 
     def sleep_until(self, when: int) -> None:
-        """Jump to `when` [ns]."""
+        """Jump to the virtual time `when` [ns], without waiting."""
         self._now = max(self._now, when)
 
 
@@ -67,11 +67,11 @@ class MonotonicClock:
         self._start = host_ns()
 
     def now(self) -> int:
-        """Return the time [ns]."""
+        """Return the present time of the host's monotonic clock [ns]."""
         return host_ns() - self._start
 
     def sleep_until(self, when: int) -> None:
-        """Sleep until `when` [ns]."""
+        """Wait until the host's clock shows `when` [ns]."""
         remaining_ns = when - self.now()
         while remaining_ns > 0:
             time.sleep(remaining_ns / SECOND)

@@ -30,7 +30,7 @@ class Turn:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """All robots stand still."""
+    """The action by which all robots stand still."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ Action = Steer | Turn | Stop | FieldOff
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """An action as it was sent to N robots.
+    """An action, a direction or a stop, as it was sent to N robots at some time.
 
     Attributes:
         action: What the robots were to do.

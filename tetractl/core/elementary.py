@@ -44,7 +44,7 @@ EXPONENT_MAX = 800.0
 
 
 def without_quarter_turns(x):
-    """Subtract whole quarter turns from an angle x [rad].
+    """Subtract whole quarter turns from an angle x [rad], so that a short series suffices.
 
     Returns:
         k: The number of quarter turns; an integer.
@@ -59,21 +59,21 @@ def without_quarter_turns(x):
 
 
 def sin(x):
-    """Compute the sine of an angle x [rad]."""
+    """Compute the sine of an angle x [rad], with the same bits on every processor."""
     k, r = without_quarter_turns(x)
     value = cos_near_0(r) if k & 1 else sin_near_0(r)
     return -value if k & 2 else value
 
 
 def cos(x):
-    """Compute the cosine of an angle x [rad]."""
+    """Compute the cosine of an angle x [rad], with the same bits on every processor."""
     k, r = without_quarter_turns(x)
     value = sin_near_0(r) if k & 1 else cos_near_0(r)
     return -value if (k + 1) & 2 else value
 
 
 def sin_near_0(r):
-    """Compute sin r for |r| <= pi/4."""
+    """Compute sin r for |r| <= pi/4, by a polynomial."""
     square = r * r
     series = 1 / 1307674368000
     series = 1 / 6227020800 - square * series
@@ -86,7 +86,7 @@ def sin_near_0(r):
 
 
 def cos_near_0(r):
-    """Compute cos r for |r| <= pi/4."""
+    """Compute cos r for |r| <= pi/4, by a polynomial."""
     square = r * r
     series = 1 / 20922789888000
     series = 1 / 87178291200 - square * series
@@ -99,7 +99,7 @@ def cos_near_0(r):
 
 
 def without_powers_of_2(x):
-    """Write e^x as 2^k e^r, for |x| < EXPONENT_MAX.
+    """Write e^x as 2^k e^r with a small r, for |x| < EXPONENT_MAX.
 
     Returns:
         k: An integer.
@@ -203,7 +203,7 @@ def artanh_near_0(f):
 
 
 def tanh(x):
-    """Compute the hyperbolic tangent."""
+    """Compute the hyperbolic tangent, with the same bits on every processor."""
     rest = expm1(-2.0 * abs(x))
     value = rest / (2.0 + rest)
     return value if x < 0 else -value

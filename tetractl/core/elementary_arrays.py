@@ -63,14 +63,14 @@ def _quarter_turns(x: Floats) -> tuple[NDArray[np.int64], Floats]:
 
 
 def exp(x: Floats) -> Floats:
-    """Compute e^x for |x| below EXPONENT_MAX."""
+    """Compute e^x for arrays with |x| below EXPONENT_MAX."""
     k, p = _powers(x)
     half = k >> 1
     return (1.0 + p) * np.ldexp(1.0, half) * np.ldexp(1.0, k - half)
 
 
 def expm1(x: Floats) -> Floats:
-    """Compute e^x - 1 for |x| below EXPONENT_MAX."""
+    """Compute e^x - 1 for arrays with |x| below EXPONENT_MAX, precisely also near 0."""
     k, p = _powers(x)
     power = np.ldexp(1.0, k)
     return np.where(k == 0, p, (power - 1.0) + power * p)
@@ -100,7 +100,7 @@ def log1p(x: Floats) -> Floats:
 
 
 def tanh(x: Floats) -> Floats:
-    """Compute the hyperbolic tangent for |2 x| below EXPONENT_MAX."""
+    """Compute the hyperbolic tangent for arrays with |2 x| below EXPONENT_MAX."""
     rest = expm1(-2.0 * np.abs(x))
     value = rest / (2.0 + rest)
     return np.where(x < 0, value, -value)

@@ -13,7 +13,7 @@ from typing import Any
 
 
 class Exit(IntEnum):
-    """Exit codes of the command line."""
+    """The exit codes of the command line, by which scripts learn how a command ended."""
 
     DONE = 0
     FAILED = 1  # a trial was aborted, a check failed, or a log is damaged
@@ -61,13 +61,13 @@ class TetractlError(Exception):
 
 
 class UsageError(TetractlError):
-    """A bad argument, file name or option."""
+    """A mistake of the user: a wrong argument, file name or option."""
 
     exit = Exit.USAGE
 
 
 def demand(value: object, kind: Any, words: str) -> None:
-    """Check the type of an argument.
+    """Check that an argument of a call has the right type.
 
     Args:
         value: The argument.
@@ -107,7 +107,7 @@ class SpecError(UsageError):
 
 
 class LogError(TetractlError):
-    """A log that cannot be read or written."""
+    """The log of a trial cannot be read or written."""
 
 
 class ControlError(TetractlError):

@@ -49,7 +49,7 @@ class GuardCheck(Protocol):
         """
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Record a transmission to the robots.
+        """Record that an action was transmitted to the robots.
 
         Args:
             now_ns: When it was sent.
@@ -61,7 +61,7 @@ class GuardCheck(Protocol):
         """Record the times at which the poses of a frame were measured, N entries."""
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterable[Finding]:
-        """Check a robot's new pose during a run.
+        """Check a new pose of a robot during a run, and return what is wrong with it.
 
         Args:
             robot: Index of the robot.

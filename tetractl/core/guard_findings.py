@@ -77,7 +77,7 @@ class Warn:
 
 @dataclass(frozen=True, slots=True)
 class Abort:
-    """A finding: the run has to end.
+    """A finding of the guard's check: the run has to end at once.
 
     Attributes:
         text: Why.

@@ -65,7 +65,7 @@ class Standing:
         """Row i: the ways of all robots when robot i last moved (N, N) [s]."""
 
     def add_frame(self, frame: Observation) -> Bools | None:
-        """Check the robots of a frame.
+        """Check in a new camera frame which robots stand still although others drive.
 
         Returns:
             Which robots have stood still while another one drove for DEAD_S, shape (N,). None if no

@@ -84,11 +84,11 @@ class Obstacles:
 
     @property
     def count(self) -> int:
-        """The number O of obstacles; each wall counts."""
+        """The number O of obstacles, in which each wall of the arena counts."""
         return len(self.radii) + self.walls.size
 
     def grown(self, margins: Floats) -> Self:
-        """Grow each obstacle by its own margin.
+        """Return the obstacles, each grown on all sides by its own margin.
 
         Args:
             margins: The margin of each shape and wall [length unit], shape (O,).
@@ -134,7 +134,7 @@ class Obstacles:
         return self.distance(x, y) <= 0
 
     def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
-        """Check which straight segments touch an obstacle.
+        """Check which straight segments touch any obstacle or wall.
 
         Args:
             x0: x of the start of each segment.

@@ -124,7 +124,7 @@ class Limits:
 
     @property
     def timed(self) -> bool:
-        """Whether the search has a deadline."""
+        """Whether the search has a deadline, in addition to its maximum number of evaluations."""
         return self.expired is not never
 
     def allow(self, evaluations: int) -> bool:
@@ -224,7 +224,7 @@ class Plan:
 
     @property
     def action(self) -> Action:
-        """The action to send in this step."""
+        """The action, a direction or a stop, that this control step sends to the robots."""
         lag_s = None if self.estimate is None else self.estimate.common_lag
         return self.instead or Steer(float(self.signals[0]), lag_s)
 
@@ -240,12 +240,12 @@ class Plan:
 
     @property
     def search(self) -> Search:
-        """The search that found the chosen sequence."""
+        """The search that found the sequence of signals which the plan follows."""
         return self.searches[self.chosen]
 
     @property
     def evaluations(self) -> int:
-        """Number of cost evaluations of the whole control step."""
+        """Number of predicted paths that the searches of this control step evaluated."""
         return sum(search.evaluations for search in self.searches)
 
     def extend_to_all(self, present: Bools, poses: Poses) -> "Plan":
@@ -263,7 +263,7 @@ class Plan:
 
 
 class Outcome(StrEnum):
-    """How a trial ended."""
+    """How a trial ended, for example by arrival, at the time limit or by an abort."""
 
     ARRIVED = "arrived"  # at their targets
     SEQUENCE_COMPLETED = "sequence completed"  # every signal was sent

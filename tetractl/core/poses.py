@@ -36,7 +36,7 @@ POSE_MAX = 1e9
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Position and heading of one robot.
+    """Position and heading of one robot in the plane.
 
     Attributes:
         x: x [length unit].
@@ -61,7 +61,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Positions and headings of N robots.
+    """Positions and headings of N robots in the plane, as arrays.
 
     Attributes:
         x: x of each robot [length unit], shape (N,).
@@ -89,7 +89,7 @@ class Poses:
 
     @property
     def xy(self) -> Floats:
-        """Positions, shape (N, 2)."""
+        """The positions of the robots as one array, shape (N, 2)."""
         return np.array([self.x, self.y]).T
 
     def distances(self, points: Floats) -> Floats:
@@ -98,7 +98,7 @@ class Poses:
 
 
 def wrap(angles: Floats) -> Floats:
-    """Return angles [rad] wrapped into [-pi, pi]."""
+    """Return angles [rad] wrapped into [-pi, pi], by adding whole turns."""
     return angles - 2 * np.pi * np.rint(angles / (2 * np.pi))
 
 
@@ -197,7 +197,7 @@ class Sight:
 
     @property
     def largest_error_rad(self) -> float:
-        """The maximum error of a measured heading [rad]."""
+        """The maximum error of a heading that the camera measures [rad]."""
         return self.grid_rad / 2 + 4 * self.noise_rad
 
     @property
@@ -243,7 +243,7 @@ class Observation:
 
     @property
     def seconds(self) -> Floats:
-        """The times (N,) of the poses [s]."""
+        """The times at which the poses were measured, shape (N,) [s]."""
         times = self.exposed_ns or (self.sampled_ns,) * len(self.valid)
         return np.array(times) / SECOND
 
@@ -264,7 +264,7 @@ class FrameAddition:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """The record of a camera frame in a log.
+    """A camera frame as a log records it: the poses, whether they are valid, and the times.
 
     Attributes:
         observation: The measured poses.

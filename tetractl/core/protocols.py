@@ -20,7 +20,7 @@ class Plant(Protocol):
     """
 
     def open(self) -> PlantInfo:
-        """Prepare the plant and return its description.
+        """Prepare the robots and devices for a trial, and return their description.
 
         Raises:
             AbortError: If the plant cannot run.
@@ -28,11 +28,11 @@ class Plant(Protocol):
         ...
 
     def observe(self) -> Observation:
-        """Return the newest camera frame."""
+        """Return the newest camera frame, with the measured poses of all robots."""
         ...
 
     def send(self, action: Action) -> Command:
-        """Make all robots perform an action.
+        """Make all robots perform an action: drive in a direction, or stand still.
 
         Args:
             action: What the robots are to do. `FieldOff` is allowed only if the plant's section has
@@ -75,7 +75,7 @@ EMULATED_NAME = "EMULATED by tetractl"
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """The state of a lab device before a run.
+    """The state of a camera or an actuator of the lab before a run.
 
     Attributes:
         problems: What prevents a run from starting, one line each.
@@ -129,13 +129,13 @@ class Camera(Device, Protocol):
         ...
 
     def frames(self) -> list[CameraFrame]:
-        """Return every frame since the last call, oldest first."""
+        """Return every camera frame that has arrived since the last call, oldest first."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class RobotStatus:
-    """The answer of one robot to a poll.
+    """The answer of one robot to a poll, such as its battery's voltage.
 
     Attributes:
         answers: Whether the robot answered. None if it cannot answer.
@@ -188,7 +188,7 @@ class Actuator(Device, Protocol):
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Steer the robots, or turn them on the spot.
+        """Steer all robots towards one direction, or let them turn on the spot.
 
         Args:
             action: The common direction to steer in, or the direction to turn to.
@@ -209,7 +209,7 @@ class Actuator(Device, Protocol):
         ...
 
     def stop(self, emergency: bool = False) -> Transmission:
-        """Stop every robot.
+        """Stop every robot as fast as possible.
 
         Args:
             emergency: Whether to latch the stop, if the device can do that.
@@ -351,7 +351,7 @@ class PlacementPrompt(Protocol):
 
 @dataclass(slots=True)
 class LabSupervision:
-    """How people supervise a run in the lab.
+    """How people supervise a run in the lab, by the emergency stop and by placing robots.
 
     Attributes:
         emergency: Setting this event triggers the emergency stop.

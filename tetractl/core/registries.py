@@ -189,5 +189,5 @@ TEMPLATES = Registry("tetractl.templates", {})
 
 
 def all_registries() -> list[Registry]:
-    """Return all registries, including those that other packages declare."""
+    """Return all registries of kinds, including those that other packages declare."""
     return [*REGISTRIES, *Registry("tetractl.registries", {}).usable().values()]

@@ -67,7 +67,7 @@ class Registry:
         return tuple(map(self.kind, self.names()))
 
     def kind(self, name: str) -> Kind:
-        """Return the kind with this name.
+        """Return the entry of the kind with this name.
 
         Raises:
             KeyError: If there is none.
@@ -80,7 +80,7 @@ class Registry:
         return name in self.builtin or name in self._installed
 
     def load(self, name: str) -> Any:
-        """Import and return the object with this name.
+        """Import and return the object that is registered under this name.
 
         Raises:
             KeyError: If there is no such name.

@@ -103,5 +103,5 @@ class RobotStep:
 
     @property
     def std(self) -> Floats:
-        """The standard deviation of each part, shape (3,)."""
+        """The standard deviations of distance along, distance across and angle, shape (3,)."""
         return np.sqrt(self.variance)

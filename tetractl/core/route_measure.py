@@ -71,7 +71,7 @@ class RouteMeasure:
         return f"way-point {leg} of {way_points} is passed" if begins else ""
 
     def add(self, samples: Iterable[Sample], until_ns: int | None = None) -> None:
-        """Add the frames of a control step.
+        """Add the camera frames that arrived in a control step.
 
         Args:
             samples: The frames.

@@ -22,7 +22,7 @@ MM = METRES["mm"]  # a millimetre [m]
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """An axis-aligned rectangle, including its edge [length unit]."""
+    """An axis-aligned rectangle, such as the arena, including its edge [length unit]."""
 
     left: float
     bottom: float
@@ -31,21 +31,21 @@ class Bounds:
 
     @property
     def width(self) -> float:
-        """Extent in x [length unit]."""
+        """The extent of the rectangle in x [length unit]."""
         return self.right - self.left
 
     @property
     def height(self) -> float:
-        """Extent in y [length unit]."""
+        """The extent of the rectangle in y [length unit]."""
         return self.top - self.bottom
 
     @property
     def longer_side(self) -> float:
-        """The greater of both extents [length unit]."""
+        """The greater of the rectangle's width and height [length unit]."""
         return max(self.width, self.height)
 
     def contains(self, x: float, y: float) -> bool:
-        """Check whether a point lies in the rectangle."""
+        """Check whether a point lies in the rectangle or on its edge."""
         return self.left <= x <= self.right and self.bottom <= y <= self.top
 
     def inside(self, x: Floats, y: Floats) -> Floats:
@@ -59,7 +59,7 @@ class Bounds:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
-    """The constants of an experiment with N robots.
+    """The constants of an experiment with N robots, as the numbers and arrays of its spec.
 
     Attributes:
         name: Name of the experiment.

@@ -38,7 +38,7 @@ class Shape:
 
     @cached_property
     def box(self) -> tuple[float, float, float, float]:
-        """The bounding box: left, bottom, right, top."""
+        """The smallest rectangle around the shape: left, bottom, right, top."""
         low = self.corners.min(axis=0)
         high = self.corners.max(axis=0)
         return *(low - self.radius).tolist(), *(high + self.radius).tolist()

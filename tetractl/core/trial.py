@@ -137,7 +137,7 @@ class Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """The start of a trial.
+    """The record of a trial's start: what is known before the first control step.
 
     Attributes:
         setup: The constants of the experiment.
@@ -170,7 +170,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One control step.
+    """The record of one control step: what the controller saw, planned and sent.
 
     Attributes:
         k: Number of the step, from 0.
@@ -305,7 +305,7 @@ class Result:
 
     @property
     def entered_obstacle(self) -> bool:
-        """Whether the centre of any robot entered an obstacle."""
+        """Whether the centre of any robot was in an obstacle during the trial."""
         return any(self.verdict.in_obstacle())
 
     @property
@@ -361,7 +361,7 @@ class TrialRecords:
         return measure
 
     def sample(self, i: int) -> Sample:
-        """Return the camera frame in row `i`."""
+        """Return the camera frame in row `i` of the trial's arrays."""
         exposed_ns = tuple(self.exposed_ns[i].tolist())
         observation = Observation(
             int(self.frames[i]),

@@ -134,7 +134,11 @@ class AbortCause:
         return self._squares_by_delay(robots, commanded, self._usual_delays).min(axis=0)
 
     def _camera(self, robots: Sequence[int], others: Bools) -> tuple[float, float]:
-        """Return the sum of squares if the camera is the cause, and the sum if one robot is."""
+        """Compare two explanations of false poses: the whole camera image moves, or one robot does.
+
+        The result is the sum of squared residuals under each explanation; the smaller one fits
+        better.
+        """
         left_over = [self._drift.left_over(i, ends_of_blocks(self._frames, i)) for i in robots]
         z = np.array([residual for residual, _ in left_over])
         moves = np.vstack([picture for _, picture in left_over]) * LIKELY_RATES
@@ -211,7 +215,7 @@ def ends_of_blocks(frames: Sequence[AcceptedFrame], i: int) -> list[TimedPose]:
 
 
 def squares_of(then: Floats, now: Floats, sent: Floats) -> Floats:
-    """Compute |z|^2 (n,) of the motion between two poses.
+    """Compute the squared size (n,) of the motion between two poses, in standard deviations.
 
     Args:
         then: Poses before, shape (n, 3).

@@ -174,7 +174,7 @@ class _Bench:
         rig.loop.restart(rules_of_fast_robots)
 
     def open(self) -> None:
-        """Connect to the devices.
+        """Connect to the camera and the robots before a calibration.
 
         Raises:
             AbortError: Unless the robot is tracked and answers.
@@ -195,7 +195,7 @@ class _Bench:
         rig.loop.guard.pass_preflight()
 
     def close(self) -> None:
-        """Stop the robot and release the devices."""
+        """Stop the robot, and release camera and actuator."""
         try:
             self.rig.loop.stop()
         except KeyboardInterrupt:  # stop the robot even if Ctrl-C interrupts the stop once
@@ -205,7 +205,7 @@ class _Bench:
             self.rig.close()
 
     def measure(self) -> Found:
-        """Move the robot and return its measured values."""
+        """Move the robot in small motions, and return its measured values."""
         channels = [self._channel(0), self._channel(1)]
         greatest = [channel.k * (self.limit - channel.dead_zone) for channel in channels]
         outputs = [channel.output(STRAIGHT_SHARE * min(greatest)) for channel in channels]

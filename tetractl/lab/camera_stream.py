@@ -54,7 +54,7 @@ class RepeatDetector:
         self._differing_in_a_row = 0  # frames before robots were first driven
 
     def add(self, frame: CameraFrame, before: CameraFrame, driven: bool) -> None:
-        """Compare a frame with the previous one.
+        """Compare a camera frame with the previous one, and note which poses repeat.
 
         Args:
             frame: The frame.

@@ -38,7 +38,7 @@ class ClientPort(SerialPort, ABC):
 
     @property
     def name(self) -> str:
-        """The name of the port in the spec."""
+        """The name of the port, as the spec gives it."""
         return self._name
 
     def take(self, message: bytes, waited_ns: int = 0) -> None:

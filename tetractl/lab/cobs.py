@@ -23,7 +23,7 @@ class Flag(IntFlag):
 
 
 def checked_flags(flags: int) -> Flag:
-    """Convert the flag byte of a command to flags.
+    """Convert the flag byte of a command to flags. Unknown flags are refused.
 
     Raises:
         WireError: If there are unknown flags.

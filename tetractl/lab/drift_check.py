@@ -209,7 +209,7 @@ class DriftCheck(GuardCheck):
         self._carried[:] = 0.0
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Record a transmission; see `GuardCheck.sent`."""
+        """Record that an action was transmitted to the robots; see `GuardCheck.sent`."""
         speeds = np.array(speed) * self._mm
         self._fastest = np.maximum(self._fastest, speeds)
         self.commands.sent(now_ns, np.array([speeds, turning]))

@@ -29,7 +29,7 @@ class AcceptedFrame:
     exposed_ns: tuple[int, ...] = ()
 
     def exposed(self, i: int) -> int:
-        """Return the time of robot i's pose [ns]."""
+        """Return the time at which robot i's pose was measured [ns]."""
         return self.exposed_ns[i] if self.exposed_ns else self.frame.sampled_ns
 
     def pose(self, i: int) -> Pose | None:
@@ -42,7 +42,7 @@ class AcceptedFrame:
 
 @dataclass(frozen=True, slots=True)
 class TimedPose:
-    """A pose and the time of its exposure."""
+    """A measured pose with the time at which it was exposed."""
 
     exposed_ns: int
     pose: Pose

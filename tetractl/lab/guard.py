@@ -239,7 +239,7 @@ class Guard:
     # ---- states ----
 
     def pass_preflight(self) -> None:
-        """Enter `ready`: the preflight has passed."""
+        """Enter the state `ready`, after the checks before a run have passed."""
         if self.state is GuardState.PREFLIGHT:
             self._enter(GuardState.READY)
 
@@ -360,7 +360,7 @@ class Guard:
     def note_transmission(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
     ) -> None:
-        """Record a transmission to the robots.
+        """Record that an action was transmitted to the robots.
 
         Args:
             now_ns: When it was sent.
@@ -521,7 +521,7 @@ class Guard:
                 self._record(decision.findings)
 
     def _accepted(self, frame: CameraFrame) -> AcceptedFrame:
-        """Combine a frame with the poses that were accepted."""
+        """Combine a camera frame with the poses of it that the guard has accepted."""
         poses: list[Pose | None] = []
         fresh: list[bool] = []
         times: list[int] = []

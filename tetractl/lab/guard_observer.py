@@ -31,7 +31,7 @@ REMEMBERED_NS = 2 * SECOND
 
 
 class Act(StrEnum):
-    """The actions of a guard, starting with the mildest."""
+    """What a guard may do about a fault, from the mildest action to the strongest."""
 
     REFUSES = "refuses a pose"
     STOPS = "stops the robot"
@@ -40,7 +40,7 @@ class Act(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Intervention:
-    """One action that the guard would have taken.
+    """One action that the guard would have taken in a run: when, why, and about which robot.
 
     Attributes:
         t_ns: When [ns].
@@ -110,7 +110,7 @@ class GuardObserver:
             self._guard.start_run(now_ns)
 
     def end_run(self) -> None:
-        """Stop watching, because the robots were stopped."""
+        """Stop watching a run, because the robots were stopped."""
         self._in_run = False
         self._guard.end_run()
 
@@ -128,7 +128,7 @@ class GuardObserver:
     def note_transmission(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float]
     ) -> None:
-        """Record a transmission to the robots.
+        """Record that an action was transmitted to the robots.
 
         Args:
             now_ns: Time of the transmission [ns].
@@ -236,7 +236,7 @@ class Unheeded(GuardCheck):
         self._check = check
 
     def start(self) -> None:
-        """Forget all earlier observations."""
+        """Make the check forget all earlier observations, because a new run starts."""
         self._check.start()
 
     def replace(self, robot: int) -> None:
@@ -244,11 +244,11 @@ class Unheeded(GuardCheck):
         self._check.replace(robot)
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Pass on a transmission; see `GuardCheck.sent`."""
+        """Pass a transmission on to the check; see `GuardCheck.sent`."""
         self._check.sent(now_ns, speed, turning)
 
     def exposed(self, times: tuple[int, ...]) -> None:
-        """Record the times of a frame's poses."""
+        """Record the times at which a frame's poses were measured."""
         self._check.exposed(times)
 
     def repeat(self, robot: int) -> Iterable[Finding]:
@@ -256,7 +256,7 @@ class Unheeded(GuardCheck):
         return self._check.repeat(robot)
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
-        """Check a pose in a pause; see `GuardCheck.pause`."""
+        """Let the check test a pose in a pause; see `GuardCheck.pause`."""
         return self._check.pause(robot, before, pose, now_ns)
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
@@ -273,13 +273,13 @@ class Unheeded(GuardCheck):
     def frame(
         self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
     ) -> Iterator[Finding]:
-        """Pass on warnings about a frame; see `GuardCheck.frame`."""
+        """Pass on the check's warnings about a camera frame; see `GuardCheck.frame`."""
         for finding in self._check.frame(now_ns, times, poses):
             if isinstance(finding, Warn):
                 yield finding
 
     def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
-        """Pass on warnings about the robots' places; see `GuardCheck.tick`."""
+        """Pass on the check's warnings about where robots are; see `GuardCheck.tick`."""
         for finding in self._check.tick(robots):
             if isinstance(finding, Warn):
                 yield finding

@@ -58,5 +58,5 @@ class GuardRules:
 
     @property
     def largest_error(self) -> float:
-        """The largest error of a position [length unit]."""
+        """The largest error of a position that the camera measures [length unit]."""
         return (NOISE_MM + self.sight.largest_error_mm) / self.mm

@@ -65,7 +65,7 @@ between its bytes.
 
 @dataclass(slots=True)
 class HeldAction:
-    """The action that the inner loop sends repeatedly.
+    """The action, such as a direction, that the inner loop sends to the robots repeatedly.
 
     Attributes:
         action: The action.
@@ -229,7 +229,7 @@ class InnerLoop:
         return first
 
     def sent(self) -> list[Transmission]:
-        """Return the transmissions since the last call, oldest first."""
+        """Return what was transmitted to the robots since the last call, oldest first."""
         return drained(self._sent)
 
     def warnings(self) -> list[tuple[int, str]]:
@@ -346,12 +346,12 @@ class InnerLoop:
     # ---- transmissions ----
 
     def _begin_stops(self, now: int) -> None:
-        """Schedule STOPS stops, the first one at once."""
+        """Plan to send a stop STOPS times, the first time at once."""
         self._stops_left = STOPS
         self._transmit_ns = now
 
     def _begin_stops_of_abort(self, now: int) -> None:
-        """Schedule the stops of an abort, once."""
+        """Plan to send the stops of an aborted run, unless that has been done."""
         if not self._abort_stops_begun:
             self._abort_stops_begun = True
             self._begin_stops(now)

@@ -191,11 +191,11 @@ class Places(GuardCheck):
         self._least: dict[int, float] = {}  # each robot's least depth in obstacles so far
 
     def start(self) -> None:
-        """Forget where the robots were before."""
+        """Forget where the robots were before, because a new run starts."""
         self._least.clear()
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Record a transmission; see `GuardCheck.sent`."""
+        """Record that an action was transmitted to the robots; see `GuardCheck.sent`."""
         self._speeds = speed
         self._turning = turning
 
@@ -283,7 +283,7 @@ def beyond_edge(rules: GuardRules, robot: int, then: Pose) -> Excess:
 
 
 def driven(pose: Pose, distance: float) -> Pose:
-    """Move a pose along its heading by a distance."""
+    """Return the pose after a robot has driven a distance along its heading."""
     dx = distance * math.cos(pose.heading)
     dy = distance * math.sin(pose.heading)
     return Pose(pose.x + dx, pose.y + dy, pose.heading)

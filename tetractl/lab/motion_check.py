@@ -118,7 +118,7 @@ class CommandHistory:
         self._sent = np.zeros((ROOM, *shape))  # of which the first rows are used
 
     def sent(self, now_ns: int, rates: Sequence[float] | Floats) -> None:
-        """Add the rates of a transmission."""
+        """Add the turning rates and speeds that a transmission commands."""
         count = len(self._times)
         if count == len(self._sent):
             self._sent = np.concatenate([self._sent, np.zeros_like(self._sent)])
@@ -243,7 +243,7 @@ class MotionCheck(GuardCheck):
         self._since_rest.moments[robot].clear()
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Record a transmission; see `GuardCheck.sent`."""
+        """Record that an action was transmitted to the robots; see `GuardCheck.sent`."""
         v = np.array(speed)
         w = np.array(turning)
         error = self._share * np.maximum(np.abs(v), np.abs(w) * self._radius)

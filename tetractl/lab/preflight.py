@@ -40,7 +40,7 @@ QUARTER = math.pi / 2
 
 @dataclass(frozen=True, slots=True)
 class RobotFinding:
-    """The state of one robot before a run.
+    """The state of one robot, found in the checks before a run.
 
     Attributes:
         name: The robot.
@@ -104,7 +104,7 @@ class Preflight:
 
     @property
     def can_start(self) -> bool:
-        """Whether a run could start now."""
+        """Whether a run could start now, because no check has found a problem."""
         return not (self.all_problems or self.misplaced)
 
     @property

@@ -70,7 +70,7 @@ class Rig:
 
     @property
     def mm(self) -> float:
-        """Millimetres per length unit of the spec."""
+        """How many millimetres are one length unit of the spec."""
         return self.setup.metres / MM
 
     def __enter__(self) -> Self:
@@ -105,7 +105,7 @@ class Rig:
             raise
 
     def open_devices(self) -> dict[str, AbortError]:
-        """Open the devices that are not open yet.
+        """Open those of camera and actuator that are not open yet.
 
         Returns:
             The errors of those that cannot be opened, by "actuator" or "camera".
@@ -147,7 +147,7 @@ class Rig:
 
     @property
     def left(self) -> list[int]:
-        """The indices of the robots that are not lost."""
+        """The indices of the robots that are still in the trial, because they are not lost."""
         return [i for i in range(len(self.setup.names)) if i not in self.loop.guard.lost]
 
     def not_tracked(self, i: int) -> str:
@@ -164,7 +164,7 @@ class Rig:
         self._releases.close()
 
     def silent_ns(self) -> int:
-        """Return the time since the last accepted frame [ns]."""
+        """Return the time since the last accepted camera frame [ns]."""
         newest = self.loop.frames.newest
         return self.clock.now() - (0 if newest is None else newest.frame.received_ns)
 

@@ -43,7 +43,7 @@ HEIGHT_NS = SECOND // 4
 
 @dataclass(frozen=True, slots=True)
 class PoseDecision:
-    """The guard's decision on a robot's new pose.
+    """The guard's decision on a new pose of a robot: whether it is accepted and, if not, why.
 
     Attributes:
         accepted: The pose if it is accepted. None otherwise.
@@ -107,12 +107,12 @@ class RobotTrack:
 
     @property
     def lost(self) -> bool:
-        """Whether the run goes on without the robot."""
+        """Whether the robot is lost, so that the run continues without it."""
         return self.lost_ns is not None
 
     @property
     def untracked_ns(self) -> int:
-        """The age of the last accepted pose [ns]."""
+        """How old the robot's last accepted pose is [ns]."""
         return self.newest_ns - self.last_ns
 
     @property

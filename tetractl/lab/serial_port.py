@@ -57,7 +57,7 @@ Ports = Callable[[str, int, str, Clock, OnReceived, str], "SerialPort"]
 
 
 class SerialPort:
-    """A serial port with a reader thread.
+    """A serial port of the computer, read by a thread of its own.
 
     Args:
         name: Name of the port.

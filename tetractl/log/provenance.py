@@ -101,7 +101,7 @@ def machine() -> str:
 
 @cache
 def versions() -> Mapping[str, str]:
-    """Return the versions of code that affects results."""
+    """Return the versions of Python, libraries and code that affect the results of a trial."""
     facts = {
         "python": platform.python_version(),
         "tetractl": __version__,
@@ -157,7 +157,7 @@ def is_version(key: str) -> bool:
 
 @cache
 def environment() -> str:
-    """Describe the environment of a run as JSON text.
+    """Describe the computer, the versions and the code of a run as JSON text.
 
     Returns:
         An object with the `host`, the `versions` of tetractl and its dependencies, the `python`

@@ -53,7 +53,7 @@ class PathCheck:
         return cls(Obstacles.from_shapes(setup.obstacles), setup.arena, len(setup.names))
 
     def add(self, x: Floats, y: Floats, tracked: Bools | None = None) -> None:
-        """Add M more samples in the order of time.
+        """Add M more positions of the robots, in the order of time.
 
         Args:
             x: x of the robots, shape (M, N). NaN where a position is unknown.
@@ -138,7 +138,7 @@ def separations(x: Floats, y: Floats) -> Floats:
 
 
 def check_path(setup: Setup, path: Floats, tracked: Bools, final: Poses) -> Verdict:
-    """Check a recorded path with `PathCheck`.
+    """Check a recorded path for contacts with obstacles and edges, by a `PathCheck`.
 
     Args:
         setup: The constants of the experiment.

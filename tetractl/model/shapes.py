@@ -30,7 +30,7 @@ class Rectangle(ShapeSection):
     """Extent in y [length unit]."""
 
     def shape(self) -> Shape:
-        """Return the four corners."""
+        """Return the rectangle as the four corners of a polygon."""
         right = self.left + self.width
         top = self.bottom + self.height
         corners = [(self.left, self.bottom), (right, self.bottom), (right, top), (self.left, top)]
@@ -38,7 +38,7 @@ class Rectangle(ShapeSection):
 
 
 class Circle(ShapeSection):
-    """A round obstacle."""
+    """A round obstacle, given by its centre and radius."""
 
     type: Literal["circle"]
     center: Point
@@ -47,7 +47,7 @@ class Circle(ShapeSection):
     """Radius [length unit]."""
 
     def shape(self) -> Shape:
-        """Return the centre with the radius."""
+        """Return the circle as a polygon with one corner, its centre, and a radius."""
         return Shape(np.array([self.center], dtype=np.float64), self.radius)
 
 
@@ -101,7 +101,7 @@ class Polygon(ShapeSection):
         return self
 
     def shape(self) -> Shape:
-        """Return the vertices, anticlockwise."""
+        """Return the vertices of the polygon, in anticlockwise order."""
         vertices = np.array(self.vertices, dtype=np.float64)
         return Shape(vertices if _doubled_area(vertices) > 0 else vertices[::-1])
 

@@ -93,7 +93,7 @@ class Swimmers:
     def drawn(
         cls, random: np.random.Generator, count: int, unmagnetised: int = 0, celsius: float = WARM_C
     ) -> Self:
-        """Sample random cells at the origin.
+        """Sample random cells, which begin at the origin.
 
         Args:
             random: The random generator.
@@ -134,7 +134,7 @@ class Swimmers:
         return replace(self, **copies)
 
     def joined(self, others: "Swimmers") -> "Swimmers":
-        """Return these cells followed by others."""
+        """Return these cells followed by other cells, as one set."""
         appended = vars(others)
         columns = {name: np.append(values, appended[name]) for name, values in vars(self).items()}
         return Swimmers(**columns)
@@ -193,7 +193,7 @@ class Swimmers:
         drift: tuple[float, float] = (0.0, 0.0),
         walls: Bounds | None = None,
     ) -> None:
-        """Advance every cell.
+        """Advance every cell by its swimming motion.
 
         Args:
             field: B / B_ref times the unit vector of u.

@@ -84,7 +84,7 @@ class Drivetrains:
     swap: Bools
 
     def speeds(self, counts: CountArray) -> Floats:
-        """Return the wheel speeds [length unit/s] for counts."""
+        """Return the wheel speeds [length unit/s] that result from counts of the motor driver."""
         by_wheel = self._by_wheel(counts)
         beyond = np.maximum(np.abs(by_wheel) - self.dead_zone, 0)
         return self.gain * (np.sign(by_wheel) * beyond)
@@ -206,7 +206,7 @@ class WheeledRobots:
 
     @property
     def poses(self) -> Poses:
-        """The present poses."""
+        """The present poses of the robots."""
         return Poses(*self.pose.copy())
 
     @poses.setter

@@ -118,7 +118,7 @@ class CellDrive:
         return path
 
     def apply(self, command: DelayedCommand) -> None:
-        """Apply a command to the cells that it reaches."""
+        """Apply a direction or a stop to those cells that it reaches."""
         reached = command.reached
         field_x = 0.0
         field_y = 0.0

@@ -41,7 +41,7 @@ class RigSection(LabSection):
     """A lab whose camera and actuator, real or emulated, are used together in one `Rig`."""
 
     def clock(self) -> Clock:
-        """Return the host's monotonic clock."""
+        """Return the clock of the trials: the host's monotonic clock."""
         return MonotonicClock()
 
     def rig(
@@ -71,7 +71,7 @@ class RigSection(LabSection):
         """
 
     def plant(self, rig: Rig, supervision: LabSupervision) -> "LabPlant":
-        """Create the plant for a connected lab."""
+        """Create the plant for a lab whose devices are connected."""
         return LabPlant(rig, supervision, self.type)
 
     def build(
@@ -116,7 +116,7 @@ class LabFrames:
         self._read_count = self._rig.loop.frames.count - 1
 
     def read(self) -> list[Sample]:
-        """Return the frames since the last call, oldest first."""
+        """Return the camera frames since the last call, oldest first."""
         frames, self._read_count = self._rig.loop.frames.since(self._read_count)
         if self._adds is not None:
             for addition in self._adds.additions():
@@ -322,7 +322,7 @@ class LabPlant:
         )
 
     def close(self) -> None:
-        """Release camera and actuator."""
+        """Release the camera and the actuator."""
         self.rig.close()
 
     # ---- frames ----

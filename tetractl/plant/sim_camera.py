@@ -47,7 +47,7 @@ class SimCamera:
         self._last_arrival_ns = 0  # when that frame arrives [ns]
 
     def expose(self, times_ns: Times, truth: Floats) -> None:
-        """Expose the next F frames.
+        """Take the next F frames with the simulated camera, with its noise and losses.
 
         Args:
             times_ns: Times of exposure [ns], shape (F,).

@@ -160,7 +160,7 @@ class SimSection(PlantSection):
     """Further disturbances. Each is applied to the result of the previous one."""
 
     def clock(self) -> Clock:
-        """Return a new virtual clock."""
+        """Return a new virtual clock for one simulated trial."""
         return VirtualClock()
 
     def build(
@@ -202,7 +202,7 @@ class SimSection(PlantSection):
 
     @property
     def loses_frames(self) -> bool:
-        """Whether any disturbance loses frames."""
+        """Whether any disturbance of the simulation loses camera frames."""
         return any(disturbance.loses_frames for disturbance in self.disturbances)
 
     @property

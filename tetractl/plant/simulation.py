@@ -175,7 +175,7 @@ class SimPlant:
 
     @property
     def poses(self) -> Poses:
-        """The present true poses."""
+        """The present true poses of the simulated robots, without noise."""
         return self.drive.poses
 
     @property
@@ -184,7 +184,7 @@ class SimPlant:
         return self._motion.disturbances.rates
 
     def open(self) -> PlantInfo:
-        """Expose the first frame."""
+        """Prepare the simulation, and expose its first camera frame."""
         self._catch_up()
         a, speed = self.drive.gains * np.array([self.a, self.speed])
         facts = {
@@ -250,7 +250,7 @@ class SimPlant:
         """Do nothing: there is nothing to release."""
 
     def _catch_up(self) -> None:
-        """Advance the true motion to the clock's time."""
+        """Advance the simulated robots to the time that the virtual clock shows."""
         self._motion.advance(self.clock.now())
 
     def _newest_frame(self) -> Observation:

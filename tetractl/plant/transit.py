@@ -47,7 +47,7 @@ class Transit:
         return command
 
     def pop(self) -> DelayedCommand:
-        """Remove and return the next command."""
+        """Remove the next command that is on its way to the robots, and return it."""
         return self._in_flight.pop(0)
 
     def _add_by_robot(self, command: DelayedCommand, now_ns: int) -> None:

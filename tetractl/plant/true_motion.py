@@ -65,7 +65,7 @@ class Drive(Protocol):
 
     @property
     def poses(self) -> Poses:
-        """The present true poses."""
+        """The present true poses of the simulated robots."""
         ...
 
     @poses.setter
@@ -264,7 +264,7 @@ class TrueMotion:
         """What a step does, in this order."""
 
     def advance(self, until_ns: int) -> None:
-        """Advance the robots to `until_ns`, event by event."""
+        """Advance the simulated robots to the time `until_ns`, from event to event."""
         if until_ns == self._advanced_ns < self.transit.next_ns:
             return
         while True:
@@ -324,7 +324,7 @@ class TrueMotion:
             step.poses[-1] = poses.x, poses.y, poses.heading
 
     def _record(self, step: MotionStep) -> None:
-        """Add a part of the motion to the path.
+        """Add a part of the true motion to the recorded path.
 
         Raises:
             WrongValueError: If no log can hold it.

@@ -59,7 +59,7 @@ class SimHost:
         """The time of the next transmission of the same action [ns]."""
 
     def halt(self, now_ns: int) -> None:
-        """Stop transmitting, because a stop is sent."""
+        """Stop transmitting wheel speeds, because a stop is sent."""
         self.repeats_ns = NEVER
         radius = self._known.radius
         self._sent = self._sent.with_room()

@@ -97,7 +97,7 @@ class Reach:
 
     @property
     def fields(self) -> dict[str, Any]:
-        """The items of a JSON object."""
+        """What one signal can reach, as the items of a JSON object."""
         return {
             "rank": self.rank,
             "of": len(self.spread),

@@ -44,10 +44,10 @@ class RunObserver(Protocol):
     """
 
     def trial_started(self, task: Task) -> None:
-        """Called when a trial starts."""
+        """Take note that a trial starts. The runner calls this method."""
 
     def trial_ended(self, ending: Ending) -> None:
-        """Called when a trial has ended."""
+        """Take note that a trial has ended. The runner calls this method."""
 
 
 @dataclass(slots=True)
@@ -68,12 +68,12 @@ class Report:
 
     @property
     def interrupted(self) -> bool:
-        """Whether any trial was interrupted."""
+        """Whether any trial was interrupted by the user or a signal."""
         return any(r.outcome is Outcome.INTERRUPTED for r in self.results.values())
 
     @property
     def aborted(self) -> dict[tuple[str, int], Result]:
-        """The results of aborted trials."""
+        """The results of the trials that were aborted because of a fault."""
         return {key: r for key, r in self.results.items() if r.outcome is Outcome.ABORTED}
 
 
@@ -85,7 +85,7 @@ class OnFailure(Enum):
     END = "run no other trial"
 
     def ends_run(self, result: Result | None) -> bool:
-        """Decide whether a failed trial ends the run.
+        """Decide whether a failed trial ends the whole run.
 
         Args:
             result: The result of the trial, which is aborted. None if the trial has no outcome.
@@ -96,7 +96,7 @@ class OnFailure(Enum):
 
     @classmethod
     def of_batch(cls, plant: PlantSection, keep_going: bool | None = None) -> "OnFailure":
-        """Decide what a batch does after a failure.
+        """Return what a batch does after a trial has failed.
 
         Args:
             plant: The section of the plant.
@@ -128,7 +128,7 @@ class TrialTimes:
 
     @property
     def of_every_arm(self) -> bool:
-        """Whether a trial of each arm has been timed."""
+        """Whether the duration of at least one trial of each arm is known."""
         return all(self._timed[arm] for arm in self._left)
 
     def left_s(self, workers: int) -> float | None:
@@ -157,7 +157,7 @@ def run_batch(
     observer: RunObserver,
     on_failure: OnFailure = OnFailure.GO_ON,
 ) -> Report:
-    """Run trials and store their logs.
+    """Run the trials of one spec, and store their logs in a folder.
 
     Args:
         tasks: The trials to run.

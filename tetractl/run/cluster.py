@@ -1,4 +1,4 @@
-"""Run trials on an existing Dask cluster."""
+"""Run the trials of a study on an existing cluster of computers, by the library Dask."""
 
 import logging
 import queue

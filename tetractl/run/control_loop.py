@@ -109,11 +109,11 @@ class StepPacing:
         self._first_ns = 0
 
     def start(self) -> None:
-        """Declare step 0 due now."""
+        """Set the beginning of the trial: control step 0 is due now."""
         self._first_ns = self._clock.now()
 
     def delay(self, by_ns: int) -> None:
-        """Delay all later steps."""
+        """Delay all later control steps by a time."""
         self._first_ns += by_ns
 
     def finish(self, k: int, pauses: bool) -> int:
@@ -145,7 +145,7 @@ class FrameIntake:
         self._unplanned: list[Observation] = []  # newer than the frame of the last step
 
     def take(self) -> None:
-        """Take the frames that have arrived."""
+        """Take the camera frames that have arrived since the last call."""
         samples = self._plant.samples()
         self.unreported += samples
         self._unplanned += [sample.observation for sample in samples]
@@ -169,7 +169,7 @@ class FrameIntake:
 
 @dataclass(slots=True)
 class StepCounts:
-    """Counters over the control steps of a trial."""
+    """Counters over the control steps of one trial."""
 
     solve_ns: list[int] = field(default_factory=list)  # wall time of each plan
     drove: list[bool] = field(default_factory=list)  # whether robots drove meanwhile
@@ -188,7 +188,7 @@ class RobotMotion(Enum):
 
     @classmethod
     def from_plan(cls, plan: Plan) -> "RobotMotion":
-        """Return the motion that a plan causes."""
+        """Return how the robots move if they follow a plan."""
         if not plan.pauses:
             return cls.DRIVE
         return cls.TURN if isinstance(plan.action, Turn) else cls.STAND
@@ -261,7 +261,7 @@ def message_of(error: BaseException) -> str:
 
 
 class Trial:
-    """One trial, which can be run once.
+    """One trial of an experiment, which can be run once.
 
     Args:
         start: The start of the trial. The plant adds its description when it is opened.
@@ -395,7 +395,7 @@ class Trial:
     def _plan(
         self, observation: Observation, last: Command | None, between: Sequence[Observation]
     ) -> TimedDecision:
-        """Let the controller decide in one step.
+        """Let the controller decide in one control step.
 
         Args:
             observation: The newest frame.
@@ -437,7 +437,7 @@ class Trial:
     # ---- what the observers are notified of ----
 
     def _report(self, t_ns: int, text: str, level: str = "info") -> None:
-        """Report a text, unless it is empty."""
+        """Report a text as an event of the trial, unless it is empty."""
         if text:
             for observer in self._observers:
                 observer.on_note(Note(t_ns, level, text))

@@ -122,7 +122,7 @@ class Here:
             yield task, ended
 
     def end(self) -> None:
-        """Start no further trial."""
+        """Let no further trial start."""
         self._ended = True
 
 
@@ -220,7 +220,7 @@ class Processes:
 
 
 def _print_line(line: str) -> None:
-    """Print a line that a worker has printed."""
+    """Print a line of text that a worker process has printed."""
     with suppress(OSError, ValueError):  # stderr may be closed
         print(line, file=sys.stderr, flush=True)
 

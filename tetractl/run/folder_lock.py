@@ -47,7 +47,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def _acquire(path: Path) -> int:
-    """Open and lock a file, and return its descriptor.
+    """Open and lock a file, so that no other run uses its folder. Return its descriptor.
 
     Raises:
         UsageError: If another run has locked it.

@@ -50,7 +50,7 @@ Pause = Callable[[Callable[[float], Plan]], None]
 
 
 def go_on(plan_of: Callable[[float], Plan]) -> None:
-    """Do nothing: the default for a controller without pauses."""
+    """Do nothing. This is the default for a trial that nobody can pause."""
 
 
 class HandController(PlainController):
@@ -133,7 +133,7 @@ class HandLog(Relay):
         self.put(write)
 
     def save(self, spec: LoadedSpec, path: Path) -> None:
-        """Write the log of a trial with this spec."""
+        """Write the log of a trial that a person has steered, with this spec."""
         with_directions = with_controller(spec, self._controller.given)
         start = start_of(
             with_directions, self._start.trial, self._start.plant, self._start.start_unix_ns

@@ -49,7 +49,7 @@ class Interrupt:
 
     @property
     def requested(self) -> bool:
-        """Whether a stop was requested."""
+        """Whether a signal or the user has asked the run to stop."""
         return self.count > 0
 
     def request(self) -> None:
@@ -59,7 +59,7 @@ class Interrupt:
         self._break()
 
     def let_break(self) -> None:
-        """Let requests raise KeyboardInterrupt from now on."""
+        """Let requests to stop raise KeyboardInterrupt from now on."""
         self._breakable = True
 
     @contextmanager
@@ -146,7 +146,7 @@ def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> Non
 
 
 class _Leave:
-    """A signal handler that ends the process, once."""
+    """A handler of signals that ends the process at the first signal."""
 
     def __init__(self, code: int, say: Callable[[], object]) -> None:
         self._code = code

@@ -45,5 +45,5 @@ class ObserverRelay(Relay):
         self._worker.drain()
 
     def close(self) -> None:
-        """Make all queued calls, and end the thread."""
+        """Make all calls of observers that are still queued, and end the thread."""
         self._worker.close()

@@ -97,7 +97,7 @@ class TruthWatch(Observer):
 
 
 class DroppedError(BaseException):
-    """The script has dropped the trial and does not want its result."""
+    """Raised to end a trial whose script has dropped it, and does not want its result."""
 
 
 class AskingController:
@@ -196,7 +196,7 @@ class OpenTrial:
 
     @property
     def directions(self) -> tuple[float, ...]:
-        """The directions sent so far [rad]."""
+        """The directions that the script has sent to the robots so far [rad]."""
         return tuple(self._directions)
 
     @property
@@ -280,7 +280,7 @@ class OpenTrial:
         return path
 
     def _demand_open(self) -> None:
-        """Raise UsageError if the trial has ended."""
+        """Check that the trial has not ended. UsageError is raised if it has."""
         if not self._drop.alive:
             raise UsageError("the trial was broken off", "open another trial")
         if self._result is not None:

@@ -121,7 +121,7 @@ class CheckContext:
         return clearance(self.setup, points[:, 0], points[:, 1], self.walls)
 
     def length_text(self, length: float) -> str:
-        """Return a length with its unit."""
+        """Return a length as text, with the unit of the spec."""
         return f"{length:.4g} {self.unit}"
 
     def to_target(self, i: int) -> str:
@@ -177,7 +177,7 @@ def _radians(part: BaseModel, where: Loc) -> Iterator[tuple[Loc, float]]:
 
 
 def plan_outlasts_trial(context: CheckContext) -> Findings:
-    """Plans that take longer than a trial."""
+    """Yield a warning if the longest plan takes longer than the trial."""
     if not context.longest_s * (1 + ROUNDING) < context.plan_s < math.inf:
         return
     fitting = max(int(context.longest_s / context.signal_s * (1 + ROUNDING)), 1)

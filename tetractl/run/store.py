@@ -44,7 +44,7 @@ class BatchFolder:
 
     @property
     def lacking(self) -> list[int]:
-        """The numbers of the trials that are not finished."""
+        """The numbers of the trials that have no complete log yet."""
         trials = range(self.experiment.trials.count)
         return [trial for trial in trials if trial not in self.results]
 
@@ -107,12 +107,12 @@ class Store:
 
     @classmethod
     def of_batch(cls, folder: Path, experiment: Experiment) -> "Store":
-        """Return the store of a batch."""
+        """Return the store of a single batch, a folder with the logs of one spec."""
         return cls(folder, {"": BatchFolder(folder, experiment)})
 
     @property
     def lacking(self) -> list[int]:
-        """The trials of a batch that are not finished."""
+        """The numbers of a batch's trials that have no complete log yet."""
         return self.batches[""].lacking
 
     @property
@@ -168,7 +168,7 @@ class Store:
         return folder
 
     def add(self, arm: str, trial: int) -> None:
-        """Read the log of a trial that has ended."""
+        """Read the log of a trial that has ended, and keep its result."""
         self.batches[arm].read_trial(trial)
 
 
@@ -261,7 +261,7 @@ def _next_attempt(folder: Path, log: Path) -> int:
 
 
 def _rename(log: Path, number: int) -> None:
-    """Rename a log to the name for attempt `number`."""
+    """Rename the log of an earlier attempt, so that its name contains `number`."""
     aside = log.with_name(attempt_name(log.name, number))
     aside.touch(exist_ok=False)  # reserves the name
     log.replace(aside)

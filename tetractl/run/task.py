@@ -83,7 +83,7 @@ def run_task(
     observers: Sequence[Observer] = (),
     supervision: LabSupervision | None = None,
 ) -> Finished:
-    """Run a task's trial and write its log.
+    """Run the trial that a task describes, and write its log.
 
     Args:
         task: The trial.

@@ -83,7 +83,7 @@ class LoopbackServer:
 
     @property
     def url(self) -> str:
-        """The address of the WebSocket."""
+        """The address at which viewers connect to the WebSocket."""
         return f"ws://{ADDRESS}:{self.port}/{self.token}"
 
     def close(self) -> None:

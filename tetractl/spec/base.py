@@ -30,7 +30,7 @@ Section = TypeVar("Section", bound=BaseModel)
 
 
 def validated(model: type[Section], document: Document) -> Section:
-    """Convert a document's data to a given type.
+    """Convert the data of a YAML document to a given type, and check it.
 
     Raises:
         InvalidSpecError: If the document has problems or wrong values. The error lists all of them.

@@ -112,7 +112,7 @@ def _places(robots: Sequence[Robot]) -> list[tuple[Loc, Point]]:
 
 
 def _extent(arena: Arena) -> str:
-    """Return the arena's bounds as text."""
+    """Return the bounds of the arena as text for a message."""
     bounds = arena.bounds
     return f"x {bounds.left:g} to {bounds.right:g}, y {bounds.bottom:g} to {bounds.top:g}"
 

@@ -174,7 +174,7 @@ class ControllerSection(Model):
 
     @abstractmethod
     def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
-        """Create the controller of one trial.
+        """Create the controller of one trial from this section of the spec.
 
         Args:
             setup: The constants of the experiment.

@@ -103,7 +103,7 @@ class Disturbance:
         return poses
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Change what a camera frame contains.
+        """Change what a camera frame contains, such as poses or whether robots were seen.
 
         Args:
             poses: Measured poses. The pose of an untracked robot is not used.
@@ -140,7 +140,7 @@ def overriding(
 
 
 class DisturbanceSection(Model):
-    """Base class of the spec's sections of disturbances."""
+    """Base class of the sections of the spec that describe disturbances of a simulation."""
 
     type: Any  # the section's name, a Literal in each subclass
 

@@ -77,7 +77,7 @@ class Arena(Model):
 
     @property
     def bounds(self) -> Bounds:
-        """The arena as a rectangle."""
+        """The arena, in which the robots drive, as a rectangle."""
         return Bounds(self.left, self.bottom, self.left + self.width, self.bottom + self.height)
 
 
@@ -103,12 +103,12 @@ class PerStrength(Model):
 
     @property
     def key(self) -> str:
-        """The key that is used, one of STRENGTH_UNITS."""
+        """The key that the spec uses, one of STRENGTH_UNITS."""
         return "per_mT" if self.per_mt is not None else "per_V_cm"
 
     @property
     def alpha(self) -> float:
-        """The turning rate [rad/s] per unit of strength."""
+        """The turning rate [rad/s] per unit of the field's strength."""
         return self.per_mt or self.per_v_cm or 0.0
 
 
@@ -219,7 +219,7 @@ Batches that differ in these fields can be combined and compared.
 
 
 class Experiment(Model):
-    """One experiment, as read from a YAML spec."""
+    """One experiment: all contents of a spec, a YAML file."""
 
     name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
     """Name of the experiment and, by default, of its log folders: letters without accents (a to z,
@@ -338,7 +338,7 @@ class Experiment(Model):
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:
-        """Refuse a spec whose fields contradict each other."""
+        """Refuse a spec if some of its fields contradict each other."""
         counts = {len(robot.via) for robot in self.robots}
         if len(counts) > 1:
             listed = " and ".join(map(str, sorted(counts)))
@@ -357,7 +357,7 @@ class Experiment(Model):
 
     @property
     def open(self) -> bool:
-        """Whether each trial still has to find its robots."""
+        """Whether each trial still has to choose its robots, for example among cells."""
         return self.chosen is not None and not self.chosen.are_found
 
     @property
@@ -385,7 +385,7 @@ class Experiment(Model):
 
     @cached_property
     def setup(self) -> Setup:
-        """The experiment's numbers as arrays."""
+        """The numbers of the experiment as arrays, with one entry for each robot."""
         starts = [(*robot.start, robot.heading) for robot in self.robots]
         control = self.controller
         lag_s = self.wheels.lag if self.wheels else 0.0

@@ -75,12 +75,12 @@ class Mistake:
 
     @property
     def kind(self) -> str:
-        """The name that pydantic gives to the error."""
+        """The name that the library pydantic gives to the error."""
         return self.details["type"]
 
     @property
     def context(self) -> dict[str, Any]:
-        """Limits and names that a message needs."""
+        """The limits and names that a message about the mistake needs."""
         return self.details.get("ctx", {})
 
 
@@ -140,7 +140,7 @@ def data_loc(details: ErrorDetails, data: Any) -> Loc:
 
 
 def _problem(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
-    """Convert a mistake to a problem with a message."""
+    """Convert a mistake in a spec to a problem with a message and a position."""
     loc = mistake.loc
     match mistake.kind:
         case "extra_forbidden":
@@ -158,7 +158,7 @@ def _problem(mistake: Mistake, document: Document, schema: Schema) -> SpecProble
 
 
 def _wrong_type(mistake: Mistake, document: Document, schema: Schema) -> SpecProblem:
-    """Report a `type` that is missing or unknown."""
+    """Report that `type` is missing in a section of the spec, or that it is unknown."""
     loc = (*mistake.loc, "type")
     place = document.place(loc)
     types = _types(mistake, schema)
@@ -230,7 +230,7 @@ def list_of(about: Schema) -> str:
 
 
 def words(details: ErrorDetails, value: Any) -> str:
-    """Convert pydantic's error to a plain message."""
+    """Convert an error of the library pydantic to a message in plain words."""
     kind = details["type"]
     context = details.get("ctx", {})
     if kind in MESSAGES:

@@ -40,7 +40,7 @@ class IdentifiedRobot(Model):
 
 
 class Identified(Model):
-    """The identified values of robots and commands."""
+    """The values of robots and commands that `tetractl identify` has found in logs."""
 
     identified: str = Field(max_length=100)
     """Date and time of the identification."""

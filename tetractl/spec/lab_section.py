@@ -68,7 +68,7 @@ class RobotPart(Model):
 
 
 class DeviceSection(Model):
-    """A device of the lab and its parameters."""
+    """Base class of the sections of the spec that describe a device of the lab."""
 
     device: ClassVar[str] = ""
     """The class of the device, as "module:class": imported only when the device is built."""
@@ -90,7 +90,7 @@ class DeviceSection(Model):
 
 
 class CameraSection(DeviceSection):
-    """A camera system and its parameters."""
+    """The section of the spec for the lab's camera system, with its parameters."""
 
     def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
         """Create the camera for the setup's robots, in their order, without opening it.
@@ -119,7 +119,7 @@ class CameraSection(DeviceSection):
 
 
 class ActuatorSection(DeviceSection):
-    """An actuator and its parameters."""
+    """The section of the spec for the lab's actuator, which sends commands to the robots."""
 
     calibration: ClassVar[str] = ""
     """The function that implements `calibrate`, as "module:function". Empty if there is none."""
@@ -166,7 +166,7 @@ class ActuatorSection(DeviceSection):
         limit: int,
         report: Callable[[str], None],
     ) -> Measured:
-        """Calibrate robots by moving one after another.
+        """Calibrate robots, by moving one after another in small motions.
 
         Args:
             lab: The lab.
@@ -311,11 +311,11 @@ class LabSection(PlantSection):
         return self.camera.sight
 
     def require_devices(self) -> None:
-        """Raise AbortError if the actuator's port does not exist."""
+        """Check that the actuator's port exists. AbortError is raised if not."""
         self.actuator.require_port()
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the contradictions of both devices."""
+        """Yield the contradictions in the sections of both devices."""
         for device, section in (("camera", self.camera), ("actuator", self.actuator)):
             for loc, message in section.contradictions(setup):
                 yield (device, *loc), message

@@ -57,7 +57,7 @@ def _for_each_robot(text: str, names: Sequence[str]) -> str:
 
 
 def _part(what: str, kind: str) -> str:
-    """Return the text of a part, `robots` or `cameras`."""
+    """Return the text of one part of the template, from the folder `robots` or `cameras`."""
     parts: dict[str, Path] = {}
     for folder in (OURS, *TEMPLATES.usable().values()):
         for file in sorted((folder / what).glob("*.yaml")):

@@ -133,7 +133,7 @@ def without_lines() -> Iterator[None]:
 
 
 def as_text(contents: Mapping[str, Any], name: str) -> str:
-    """Return contents as YAML text.
+    """Return the contents of a spec as YAML text.
 
     Raises:
         SpecError: If they hold an object that YAML lacks.
@@ -224,7 +224,7 @@ def _put_controller_file(settled: Document, attached: Attached) -> Attached:
 
 
 def _folder(document: Document) -> Path:
-    """Return the folder of a document's file."""
+    """Return the folder that contains the file of a document."""
     assert document.path is not None, "a document that comes from no file names none"
     return document.path.parent
 
@@ -265,7 +265,7 @@ def _controller_kind(document: Document) -> type[ControllerSection] | None:
 
 
 def validated_experiment(document: Document, written: bool) -> Experiment:
-    """Return the experiment of a document.
+    """Check a document, and return the experiment that it describes.
 
     Raises:
         InvalidSpecError: With all wrong values at once or, if there are none, with all

@@ -48,7 +48,7 @@ class LoadedSpec(Shown):
 
     @cached_property
     def resolved(self) -> str:
-        """The experiment's spec as YAML with every field."""
+        """The complete spec of the experiment as YAML, with every field and its value."""
         return resolved_yaml(self.experiment)
 
     @cached_property
@@ -122,7 +122,7 @@ def arm_hash(experiment: Experiment) -> str:
 
 
 def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int) -> Start:
-    """Create the record of a trial's start.
+    """Create the record of a trial's start from its spec.
 
     Args:
         spec: The spec of the trial.

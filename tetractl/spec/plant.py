@@ -22,11 +22,11 @@ class Microscope(Protocol):
 
     @property
     def um_px(self) -> float:
-        """Micrometres per pixel."""
+        """How many micrometres in the dish correspond to one pixel of the image."""
         ...
 
     def placed(self, x_um: Lengths, y_um: Lengths, metres: float) -> tuple[Lengths, Lengths]:
-        """Convert positions in an image to the spec's coordinates.
+        """Convert positions in an image [px] to the spec's coordinates.
 
         Args:
             x_um: x from the lower left corner of the image [um], a number or shape (N,).
@@ -79,7 +79,7 @@ class PlantSection(Model):
     def build(
         self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
     ) -> Plant:
-        """Create the plant of one trial.
+        """Create the plant of one trial, which the controller steers.
 
         Args:
             setup: The constants of the experiment.

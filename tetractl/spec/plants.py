@@ -149,7 +149,7 @@ def lab_as(kind: str | None, lab: LabSection) -> LabSection:
 
 
 def lab_of(experiment: Experiment, name: str) -> LabSection:
-    """Return the lab of an experiment.
+    """Return the lab of an experiment, as its spec describes it.
 
     Raises:
         SpecError: If it has none.

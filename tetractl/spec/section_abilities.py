@@ -11,7 +11,7 @@ from tetractl.spec.controller import OptimizerSection
 
 @runtime_checkable
 class OnPort(Protocol):
-    """An actuator that is connected to a serial port."""
+    """A section of an actuator that is connected to a serial port of the computer."""
 
     port: str
 
@@ -22,7 +22,7 @@ class Addressed(Protocol):
 
     @property
     def address(self) -> str:
-        """Its port or computer."""
+        """The serial port or the computer at which the device is reached."""
         ...
 
     @property
@@ -33,7 +33,7 @@ class Addressed(Protocol):
 
 @runtime_checkable
 class PlansSignals(Protocol):
-    """A controller with plans of at most `horizon_max` signals."""
+    """A section of a controller whose plans have at most `horizon_max` signals."""
 
     horizon_max: int
 
@@ -61,7 +61,7 @@ class Modelled(Protocol):
 
 @runtime_checkable
 class Searches(Protocol):
-    """A controller that searches for plans with an optimiser."""
+    """A section of a controller that searches for plans with an optimiser."""
 
     optimizer: OptimizerSection
 
@@ -146,7 +146,7 @@ class MeasurementErrors(Protocol):
 
 @runtime_checkable
 class Noisy(Protocol):
-    """A plant whose spec gives some disturbances.
+    """A section of a plant whose spec states some disturbances.
 
     Attributes:
         a_error: Maximum relative error of the turning rate.

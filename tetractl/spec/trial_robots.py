@@ -36,7 +36,7 @@ class StandIn:
 
 
 class TrialRobots(Model):
-    """A rule by which each trial finds its robots."""
+    """A rule by which each trial finds its robots itself, for example among cells in a dish."""
 
     key: ClassVar[str]
     """The name of the class in the registry. The mapping must have it as a key."""
@@ -62,10 +62,10 @@ class TrialRobots(Model):
 
 
 def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:
-    """Find the class of a rule whose name is one of the mapping's keys.
+    """Find the class of the rule by which each trial chooses its robots.
 
     Raises:
-        PydanticCustomError: If there is none.
+        PydanticCustomError: If no key of the mapping is the name of a rule.
     """
     installed = TRIAL_ROBOTS.names()
     for name in installed:

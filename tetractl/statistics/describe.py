@@ -66,22 +66,22 @@ class BatchStatistics(Shown):
 
     @property
     def unit(self) -> str:
-        """The length unit of every error."""
+        """The length unit of every error in the batch."""
         return self.experiment.units.length
 
     @property
     def counted(self) -> int:
-        """The number of trials that count in the means."""
+        """The number of trials that count in the means, because they are complete."""
         return self.total.n
 
     @property
     def attempts(self) -> int:
-        """Number of earlier attempts, which are excluded."""
+        """Number of earlier attempts at trials, which do not count in the means."""
         return len(self.batch.attempts) + len(self.batch.lost_attempts)
 
 
 def describe(batch: Batch, name: str = "") -> BatchStatistics:
-    """Describe the trials of one experiment.
+    """Compute the statistics of the trials of one experiment.
 
     Args:
         batch: The trials.
@@ -175,7 +175,7 @@ class Contrast(Shown):
 
     @property
     def same_origin(self) -> bool:
-        """Whether both batches have the same kind of plant."""
+        """Whether both batches come from the same kind of plant, such as a simulation."""
         return self.first.origin is self.second.origin
 
     @property
@@ -230,12 +230,12 @@ class Contrast(Shown):
 
     @property
     def name(self) -> str:
-        """Names of the batches as "one - other"."""
+        """Names of the two batches that are compared, as "one - other"."""
         return f"{self.first.name} - {self.second.name}"
 
     @property
     def test_of_means(self) -> str:
-        """The name of the test of the means."""
+        """The name of the statistical test of the means."""
         return "paired t" if self.pairs else "Welch's t"
 
     @property
@@ -260,7 +260,7 @@ class BatchComparison(Shown):
 
     @property
     def unit(self) -> str:
-        """The length unit of every error."""
+        """The length unit of every error in the comparison."""
         return self.groups[0].unit
 
     @property
@@ -308,7 +308,7 @@ def _is_tested(first: BatchStatistics, second: BatchStatistics) -> bool:
 
 
 def _contrast(first: BatchStatistics, second: BatchStatistics, tests: int) -> Contrast:
-    """Compare two batches. The p-values are not corrected yet."""
+    """Compare two batches. The p-values are not yet corrected for several comparisons."""
     ours = first.total
     theirs = second.total
     paired, why_unpaired = pair_up(first, second)

@@ -44,12 +44,12 @@ class Interval:
 
     @classmethod
     def none(cls, reason: str) -> Self:
-        """Create an interval without ends, for the given reason."""
+        """Create an interval that cannot be computed, for the given reason."""
         return cls(_NAN, _NAN, None, reason)
 
     @property
     def known(self) -> bool:
-        """Whether the interval has finite ends."""
+        """Whether the confidence interval could be computed."""
         return math.isfinite(self.low) and math.isfinite(self.high)
 
     def text(self, show: Callable[[float], str]) -> str:
@@ -64,7 +64,7 @@ class Interval:
         return [self.low, self.high] if self.known else None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the items of JSON that describe the interval."""
+        """Return the confidence interval as items of JSON."""
         return {"ci95": self.bounds, "ci95_method": self.method, "ci95_reason": self.reason}
 
 
@@ -92,7 +92,7 @@ class Tail:
 
     @property
     def label(self) -> str:
-        """The label in tables for values above the bound."""
+        """The label of the row in tables that counts values above the bound."""
         return f"errors above {'error_bound' if self.stated else f'{FAR} times the median'}"
 
     def text(self, unit: str = "") -> str:
@@ -103,7 +103,7 @@ class Tail:
         return f"{self.above} of {self.n} above {bound}{percent(self.ci95)}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the items of JSON that describe the tail."""
+        """Return the fraction of rare large values as items of JSON."""
         return {
             "bound": self.bound,
             "stated": self.stated,
@@ -139,7 +139,7 @@ class Distribution:
     tail: Tail
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the items of JSON that describe the values."""
+        """Return the distribution of values as items of JSON."""
         return {
             "n": self.n,
             "mean": self.mean,
@@ -344,7 +344,7 @@ class ArmErrors:
     def from_errors(
         cls, value: Any, label: str, arms: int, errors: Floats, bound: float | None = None
     ) -> Self:
-        """Describe the errors of trials.
+        """Summarise the errors of the trials of one arm.
 
         Args:
             value: Value of the swept field, or the arm's name.

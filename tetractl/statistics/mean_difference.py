@@ -33,7 +33,7 @@ class MeanDifference:
 
     @classmethod
     def by_t(cls, value: float, error: float, degrees: float, method: str) -> "MeanDifference":
-        """Test a difference with Student's distribution.
+        """Test a difference of means with Student's t distribution.
 
         Args:
             value: The difference.
@@ -71,7 +71,7 @@ class MeanDifference:
         return f"{difference}, p {equals}{p_value(p)}"
 
     def as_dict(self) -> dict[str, object]:
-        """Return the items of JSON that describe the difference."""
+        """Return the difference of means as items of JSON."""
         return {
             "difference": self.value,
             **self.ci95.as_dict(),

@@ -77,7 +77,7 @@ class Batch(Shown):
 
     @property
     def logs(self) -> list[Path]:
-        """The paths of the trials' logs."""
+        """The paths of the logs of the batch's trials."""
         return [Path(trial.log) for trial in self.trials]
 
     @property
@@ -87,7 +87,7 @@ class Batch(Shown):
 
     @property
     def lost_attempts(self) -> tuple[Damaged, ...]:
-        """The earlier attempts whose logs cannot be read."""
+        """The earlier attempts at trials whose logs cannot be read."""
         return tuple(log for log in self.damaged if log.set_aside)
 
     @property
@@ -175,7 +175,7 @@ def batches_in(path: Path | str) -> list[Source]:
 
 
 def one_source(paths: Sequence[Path | str]) -> Source:
-    """Combine the logs in all paths to one batch.
+    """Combine the logs in all paths into one batch.
 
     Raises:
         UsageError: If a path is a folder of several batches.
@@ -248,7 +248,7 @@ def _check_alike(first: ResultSummary, second: ResultSummary) -> None:
 
 
 def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
-    """Raise UsageError if a trial occurs twice."""
+    """Check that no trial occurs twice. UsageError is raised if one does."""
     trials_by_key: dict[object, ResultSummary] = {}
     for trial in trials:
         # Two trials in the lab may have the same number and seed, and are different trials.

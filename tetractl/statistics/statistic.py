@@ -69,7 +69,7 @@ def share_figure(
 
 
 def mean_figure(key: str, label: str, values: Distribution, states_n: bool = False) -> Figure:
-    """Create a figure: a mean with its interval.
+    """Create a figure that is a mean with its confidence interval.
 
     Args:
         key: Key of the statistic.

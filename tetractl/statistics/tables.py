@@ -144,12 +144,12 @@ def figures_of(group: BatchStatistics) -> Iterator[Figure]:
 
 
 def texts_by_label(group: BatchStatistics) -> dict[str, str]:
-    """Return the texts of the figures of a batch."""
+    """Return the formatted figures of a batch, by their labels."""
     return {figure.label: figure.text for figure in figures_of(group)}
 
 
 def _tail(group: BatchStatistics) -> Figure:
-    """Describe how many errors are far above the others."""
+    """Describe in words how many errors are far above the others."""
     arena = group.experiment.arena
     tail = group.total.tail
     tiny = group.total.max < TINY * max(arena.width, arena.height)
@@ -322,7 +322,7 @@ def _errors_title(groups: Sequence[BatchStatistics]) -> str:
 
 
 def differences_table(contrasts: Sequence[Contrast]) -> Table:
-    """Return the table of the differences of the means."""
+    """Return a table of the differences between the means of batches."""
     first = contrasts[0].first
     sizes = [abs(contrast.difference.value) for contrast in contrasts]
     largest = max(filter(math.isfinite, sizes), default=0.0)

@@ -87,7 +87,7 @@ def steps(log: TrialLog, contents: RawLog) -> Table:
 
 
 def _step_row(log: TrialLog, step: ControllerStep, timing: StepTiming) -> dict[str, Any]:
-    """Return the row of one control step."""
+    """Return the row of one control step for the table `steps`."""
     setup = log.start.setup
     sent = step.command
     chosen = step.searches[step.chosen]

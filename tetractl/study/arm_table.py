@@ -94,7 +94,9 @@ def group_of(store: Store, value: Any, arms: Sequence[Arm]) -> ArmErrors:
 
 
 def field_values(store: Store, path: str, arms: Iterable[Arm]) -> list[ArmErrors]:
-    """Group the arms that set a field by its value, with numbers in ascending order.
+    """Group the arms of a study by the value that they give to one field.
+
+    Numbers are in ascending order.
 
     Args:
         store: The folder of the study.

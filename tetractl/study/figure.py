@@ -66,7 +66,7 @@ def study_figure(loaded: LoadedStudy, store: Store, field: str = "") -> Figure |
 
 
 def _by_controller(arms: Sequence[Arm]) -> dict[str, list[Arm]]:
-    """Return the arms of each controller, in their order."""
+    """Group the arms of a study by their controller, in the order of the arms."""
     arms_of: dict[str, list[Arm]] = {}
     for arm in arms:
         arms_of.setdefault(arm.controller, []).append(arm)

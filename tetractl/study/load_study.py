@@ -136,12 +136,12 @@ class LoadedStudy:
 
     @property
     def unit(self) -> str:
-        """The length unit that all arms share."""
+        """The length unit that all arms of the study share."""
         return self.arms[0].spec.experiment.units.length
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """Paths of the swept fields."""
+        """The paths of the fields that the study varies, such as `plant.dead_time`."""
         return tuple(dict.fromkeys(path for arm in self.arms for path in arm.values))
 
     def store(self, folder: Path) -> Store:
@@ -175,7 +175,7 @@ def load_study(
 
 
 def _loaded(document: Document, folder: Path, settings: Sequence[SpecSetting]) -> LoadedStudy:
-    """Check a study whose base is relative to `folder`."""
+    """Check a study, whose base spec is given relative to `folder`."""
     study = _study(document)
     arms = _arms(study, _base(study, document, folder), document, settings)
     disagreements = list(dict.fromkeys(_disagreements(arms, document)))
@@ -211,7 +211,7 @@ def _named(study: Study) -> str | None:
 def _arms(
     study: Study, base: Document, document: Document, settings: Sequence[SpecSetting]
 ) -> list[Arm]:
-    """Return all arms of a study.
+    """Return all arms of a study, one for each combination of its values.
 
     Raises:
         InvalidSpecError: With the problems of all arms, each once. Its hint names the first arm
@@ -234,7 +234,7 @@ def _arms(
 
 
 def _study(document: Document) -> Study:
-    """Validate a document as a study.
+    """Check a document, and return the study that it describes.
 
     Raises:
         InvalidSpecError: If it is invalid, or a spec.
@@ -283,7 +283,7 @@ def _arm(
     document: Document,
     settings: Sequence[SpecSetting],
 ) -> Arm:
-    """Return one arm.
+    """Return one arm of a study, with its complete spec.
 
     Raises:
         InvalidSpecError: With locations in the study, if its settings are invalid.
@@ -340,7 +340,7 @@ def _placed(problem: SpecProblem, locations: Mapping[str, Loc], document: Docume
 
 
 def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]:
-    """Yield the problems that concern several arms."""
+    """Yield the problems of a study that concern several arms together."""
     units = dict.fromkeys(arm.spec.experiment.units.length for arm in arms)
     if len(units) > 1:
         text = f"has arms in {' and '.join(units)}, but a table has one length unit"

@@ -52,7 +52,7 @@ class Grid(Sweep):
     """Values of each swept field, by path, such as `plant.dead_time`."""
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return every combination of the values."""
+        """Return every combination of the values that the fields take."""
         axes: list[list[Setting]] = []
         for path, values in self.fields.items():
             axes.append([Setting(value, ("fields", path, i)) for i, value in enumerate(values)])
@@ -70,7 +70,7 @@ class Points(Sweep):
     """The points, each a mapping of paths, such as `plant.dead_time`, to values."""
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return the listed points in order."""
+        """Return the combinations of values that the study lists, in their order."""
         points: list[Mapping[str, Setting]] = []
         for i, point in enumerate(self.points):
             settings = {path: Setting(value, ("points", i, path)) for path, value in point.items()}
@@ -111,7 +111,7 @@ class Range(Model):
         return min(max(value, self.low), self.high)
 
     def _between(self, low: float, high: float, fraction: float) -> float:
-        """Interpolate between two values; rounding may exceed them slightly."""
+        """Interpolate between two values of a field; rounding may exceed them slightly."""
         if self.scale == "log":
             log_low = math.log(low)
             return math.exp(log_low + fraction * (math.log(high) - log_low))
@@ -131,7 +131,7 @@ class SampledSweep(Sweep):
         """Return numbers from 0 to below 1, shape (count, number of fields)."""
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return `count` points sampled from the ranges."""
+        """Return `count` random combinations of values from the ranges of the fields."""
         return [self._point(shares) for shares in self.shares(rng).tolist()]
 
     def _point(self, shares: Sequence[float]) -> Mapping[str, Setting]:
@@ -143,7 +143,7 @@ class SampledSweep(Sweep):
 
 
 class Random(SampledSweep):
-    """Points sampled independently of one another."""
+    """A sweep whose points, combinations of values, are sampled independently of one another."""
 
     type: Literal["random"]
 

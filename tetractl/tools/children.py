@@ -71,7 +71,7 @@ class Child:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End the process, and close its pipes."""
+        """End the child process, and close its pipes."""
         self.kill()
         for stream in (self._process.stdin, self._process.stdout):
             if stream is not None:
@@ -80,12 +80,12 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """The id of the process."""
+        """The id of the child process."""
         return self._process.pid
 
     @property
     def stdin(self) -> IO[bytes]:
-        """The pipe to a process that is `fed`."""
+        """The pipe through which a process that is `fed` receives its input."""
         assert self._process.stdin is not None
         return self._process.stdin
 
@@ -103,7 +103,7 @@ class Child:
         return self._process.wait()
 
     def kill(self) -> None:
-        """End the process. This method can be called twice."""
+        """End the child process at once. This method can be called twice."""
         self._process.kill()
         self._process.wait()
 

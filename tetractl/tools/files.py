@@ -12,7 +12,7 @@ except ImportError:  # Windows
 
 
 def make_folder(folder: Path) -> None:
-    """Create a folder.
+    """Create a folder, with its parents, unless it exists.
 
     Raises:
         LogError: If that fails.

@@ -91,7 +91,7 @@ def _of_computer(error: BaseException) -> bool:
 
 
 def _has_no_reader(stream: TextIO) -> bool:
-    """Check whether nobody reads a stream any more."""
+    """Check whether nobody reads an output stream any more."""
     try:
         stream.flush()
     except BrokenPipeError:

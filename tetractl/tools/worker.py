@@ -78,7 +78,7 @@ class Worker:
         self._thread.start()
 
     def put(self, call: Callable[..., object], *args: object) -> None:
-        """Queue the call `call(*args)` for the thread."""
+        """Queue the call `call(*args)` for the worker's thread."""
         self.check()
         if self.failure is None:
             place = self._places.acquire(blocking=False)
@@ -92,7 +92,7 @@ class Worker:
                 self.check()
 
     def drain(self) -> None:
-        """Wait until every call so far is done."""
+        """Wait until the worker's thread has done every call so far."""
         self.check()
         self.wait()
         self.check()

@@ -60,7 +60,7 @@ class DishPictures:
         return np.asarray(self._greys[which])
 
     def jpeg(self, which: int) -> bytes:
-        """Return an image as a JPEG file."""
+        """Return a microscope's image as the contents of a JPEG file."""
         file = io.BytesIO()
         self._greys[which].save(file, "JPEG", quality=JPEG_QUALITY)
         return file.getvalue()

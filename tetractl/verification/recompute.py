@@ -367,7 +367,7 @@ class StepSearches:
         self.requests = {}
 
     def search(self, request: SearchRequest) -> Search:
-        """Answer a search of the controller.
+        """Answer a search that the controller asks for, from the log or by running it again.
 
         Raises:
             NoSearchError: If the log has no other search.
@@ -405,11 +405,11 @@ class StepSearches:
         return search
 
     def expired(self) -> bool:
-        """Check whether the time limit is exceeded."""
+        """Check whether the time limit of the verification is exceeded."""
         return self._cpu() > self._until_s
 
     def require_time(self) -> None:
-        """Raise TooLongError if the time limit is exceeded."""
+        """Check that time is left for the verification. TooLongError is raised if not."""
         if self.expired():
             raise TooLongError
 

@@ -35,7 +35,7 @@ class Recorder(RecordSink):
         self._until_s = until_s
 
     def add(self, record: Record) -> None:
-        """Keep a record."""
+        """Keep a record of the trial that is run again."""
         self.records.append(record)
         if computing_s() > self._until_s and not self.late:
             self.late = True

@@ -61,7 +61,7 @@ class EndCheck(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Verification(Shown):
-    """The result of verifying one log.
+    """The result of verifying one log: whether its decisions follow from its data.
 
     Attributes:
         log: The log.
@@ -120,7 +120,7 @@ class Verification(Shown):
 
 
 def verify(path: Path, announce: Callable[[str], None] = lambda text: None) -> Verification:
-    """Verify one log.
+    """Verify one log: compute its decisions again, and compare them with the logged ones.
 
     Args:
         path: File of the log.

@@ -68,7 +68,7 @@ class StateEstimator:
 
     @property
     def present(self) -> Bools:
-        """True for each robot that is not lost, (N,)."""
+        """An array (N,) that is True for each robot that is still in the trial, not lost."""
         return self.losses.present
 
     @property

@@ -377,7 +377,7 @@ class FilterBank:
             self._go_on_with(going_on.taken_from(self.bank))
 
     def _go_on_with(self, bank: Bank) -> None:
-        """Replace the filters by the filters of another bank."""
+        """Replace the filters of this bank by those of another bank, and continue with them."""
         self.bank = bank
         self._common_times = CommonTimes.of(bank, self.prior)
         self._share_scores()
@@ -412,7 +412,7 @@ class FilterBank:
         self._place(frame, self._all_robots())
 
     def _all_robots(self) -> Bools:
-        """Return a mask (N,) that selects every robot."""
+        """Return an array of booleans (N,) that selects every robot."""
         return np.ones(len(self.prior.a), dtype=np.bool_)
 
 

@@ -48,7 +48,7 @@ class SearchFields(PlainSection):
 
     @property
     def iterations_max(self) -> int:
-        """Largest number of iterations of one search."""
+        """Maximum number of iterations of one search for a sequence of signals."""
         return self.optimizer.iterations_max
 
     def bounds(self) -> dict[str, str]:

@@ -51,7 +51,7 @@ def make_plan(searches: Sequence[Search], chosen: int, step_key: int, foreseen: 
 
 
 def given_plan(problem: Problem, signals: Floats, step_key: int) -> Plan:
-    """Create a plan that follows a given sequence.
+    """Create a plan that follows a given sequence of signals, without a search.
 
     Args:
         problem: The problem of the control step.

@@ -173,7 +173,7 @@ class Searcher:
     def onward(
         self, problem: Problem, starts: Iterable[Floats], good: Callable[[Search], bool]
     ) -> bool:
-        """Search from given sequences until a plan is good.
+        """Search plans from given sequences, one after another, until a plan is good.
 
         Args:
             problem: The problem to search. Its robots are those of the searcher.

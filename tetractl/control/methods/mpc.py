@@ -192,7 +192,7 @@ class TrialProgress:
 
 @dataclass(frozen=True, slots=True)
 class ControlStep:
-    """The situation at the beginning of a control step.
+    """The situation at the beginning of a control step, from which the controller decides.
 
     Attributes:
         problem: The planning problem: targets, obstacles, and the poses that the robots will have
@@ -227,7 +227,7 @@ class ControlStep:
 
 
 class Searched(NamedTuple):
-    """The result of a step's searches.
+    """The result of one control step's searches: the problem and the plans that were found.
 
     Attributes:
         problem: The problem that was searched.
@@ -306,7 +306,7 @@ class Mpc:
         return not gave_up and not self.leg.is_last
 
     def _begin(self, leg: Leg) -> None:
-        """Begin a leg of the trial without a plan."""
+        """Begin a part of the trial up to the next way-point or the targets, without a plan."""
         self.leg = leg
         self.progress = replace(self.progress, last=None, driven=0)
 
@@ -731,7 +731,7 @@ class Mpc:
 
     @property
     def _step_key(self) -> int:
-        """The key of the step's random numbers."""
+        """The key that determines all random numbers of the present control step."""
         return mix(self.key, self.progress.k)
 
     def _searcher(self, step: ControlStep) -> Searcher:

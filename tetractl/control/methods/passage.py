@@ -80,7 +80,7 @@ class Nodes(NamedTuple):
     """(K, N, 3) where robots are."""
 
     def part(self, chosen: Integers) -> Self:
-        """Return some of the nodes."""
+        """Return some of the nodes of the search tree, as a smaller set."""
         return self._make(column[chosen] for column in self)
 
 

@@ -37,7 +37,7 @@ class TrialTime:
 
     @property
     def passed_s(self) -> float:
-        """The time since the first command [s]."""
+        """The time that has passed since the first command of the trial [s]."""
         return self._passed_ns / SECOND
 
     @property
@@ -51,5 +51,5 @@ class TrialTime:
 
     @property
     def over(self) -> bool:
-        """Whether less than half a control period is left."""
+        """Whether the time limit is reached: less than half a control period is left."""
         return self.periods_left < 1.0

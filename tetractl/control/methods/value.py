@@ -30,7 +30,7 @@ docs/decisions/controller.md compares it with other values.
 
 @dataclass(frozen=True, slots=True)
 class CandidateValues:
-    """The values of the candidates of one control step.
+    """Computes the value of each candidate of a control step; the controller takes the lowest.
 
     Attributes:
         accept: The spec's `accept_error` [length unit].
@@ -49,7 +49,7 @@ class CandidateValues:
     touch: ClassVar[float] = 2.0  # caution if a path touches a margin, in units of `accept`
 
     def plan(self, error: float, length: int, new: bool, touches: bool = False) -> float:
-        """Compute the value of a plan.
+        """Compute the value of a plan, from its predicted error, its duration and its risks.
 
         Args:
             error: Total error at its end [length unit].

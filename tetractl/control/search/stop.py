@@ -38,7 +38,7 @@ class TargetStop(Model):
 
 
 class BudgetStop(Model):
-    """Never stop early: do all iterations."""
+    """The criterion that never stops a search early, so that it does all its iterations."""
 
     type: Literal["budget"]
 

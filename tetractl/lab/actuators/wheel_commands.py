@@ -25,7 +25,7 @@ EMPTY_V = 4.0  # voltage of four cells below which motors would soon fail
 
 
 class Status(IntFlag):
-    """Status flags in a robot's reply."""
+    """The status flags in a robot's reply: running, stopped in an emergency, silent."""
 
     RUNNING = 1  # the last frame set the run flag
     EMERGENCY_STOPPED = 2
@@ -34,7 +34,7 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """A robot's reply to a poll.
+    """A robot's reply to a poll, with its state and battery voltage.
 
     Attributes:
         id: Number of the robot.
@@ -137,7 +137,7 @@ def wheels_by_speed(gain: Floats, speed_max: float) -> Drivetrains:
 
 
 class RobotLink(Protocol):
-    """The connection between this computer and the robots."""
+    """The connection between this computer and the robots, by radio, cable or network."""
 
     @property
     def failure(self) -> str | None:
@@ -145,11 +145,11 @@ class RobotLink(Protocol):
         ...
 
     def open(self) -> None:
-        """Open the ports."""
+        """Open the ports of the connection."""
         ...
 
     def close(self) -> None:
-        """Release the ports."""
+        """Release the ports of the connection."""
         ...
 
 
@@ -198,7 +198,7 @@ class WheeledActuator(ABC):
         self._warn_v = warn_v
 
     def __enter__(self) -> Self:
-        """Open the link."""
+        """Open the connection to the robots."""
         try:
             self._link.open()
         except BaseException:
@@ -221,7 +221,7 @@ class WheeledActuator(ABC):
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Send each robot its outputs; see `Actuator.send`."""
+        """Send each robot the wheel speeds for an action; see `Actuator.send`."""
         may = np.array(moving, dtype=np.bool_)
         if self.held is None:
             outputs = self.outputs(self.wished(action, poses, exposed_ns), may)
@@ -272,7 +272,7 @@ class WheeledActuator(ABC):
 
     @abstractmethod
     def _drive(self, outputs: CountArray) -> tuple[int, Floats]:
-        """Send outputs (2, N) in the actuator's own unit.
+        """Send the robots their wheel outputs (2, N), in the actuator's own unit.
 
         Returns:
             When they were sent [ns], and the wheel speeds (2, N) that they request [mm/s].
@@ -314,7 +314,7 @@ class WheeledActuator(ABC):
 
 
 def robot_status(name: str, reply: Reply | None, warn_v: float) -> RobotStatus:
-    """Describe a robot's reply for the operator.
+    """Describe a robot's reply to a poll for the operator.
 
     Args:
         name: The robot.

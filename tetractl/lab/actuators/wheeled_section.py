@@ -14,7 +14,7 @@ from tetractl.spec.yaml.problems import Loc
 
 
 class FoundWheel(NamedTuple):
-    """The calibrated values of one wheel.
+    """The values of one wheel that a calibration has found.
 
     Attributes:
         gain_mm: Speed per output [mm/s].

@@ -85,7 +85,7 @@ class PortCamera(ABC):
         return None
 
     def __enter__(self) -> Self:
-        """Request frames, and return once one has arrived.
+        """Open the port, request frames, and return once one has arrived.
 
         Raises:
             AbortError: If none arrives.
@@ -110,7 +110,7 @@ class PortCamera(ABC):
         self._port.close()
 
     def check(self) -> Health:
-        """Report whether the camera is emulated."""
+        """Report the camera's state before a run, and whether it is emulated by software."""
         return Health(emulated=self.emulated)
 
     def frames(self) -> list[CameraFrame]:

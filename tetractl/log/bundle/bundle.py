@@ -66,7 +66,7 @@ class Bundle:
 
 
 def write_bundle(paths: Sequence[Path], out: Path, names: Iterable[str]) -> Bundle:
-    """Write a bundle of logs, captures and texts.
+    """Write a bundle, one archive of logs, captures and texts for a report on a lab.
 
     Args:
         paths: Logs, folders of logs, captures of network traffic (pcap), and text files.

@@ -88,7 +88,7 @@ HOST_RECORDS = frozenset({HOST_TIMING, HOST, HOST_END, ENVIRONMENT})
 
 
 class Entry(NamedTuple):
-    """One message of a log.
+    """One message of a log: its channel, its times and its encoded contents.
 
     Attributes:
         topic: Its topic.

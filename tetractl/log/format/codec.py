@@ -94,7 +94,7 @@ class Frames(NamedTuple):
         return cls(*columns)
 
     def part(self, rows: slice | Integers) -> "Frames":
-        """Return the frames in the given rows."""
+        """Return only the camera frames in the given rows."""
         columns: list[Any] = [None if column is None else column[rows] for column in self]
         return Frames(*columns)
 
@@ -151,7 +151,7 @@ def encode_frames(frames: Frames) -> pb.CameraFrames:
 
 @np.errstate(all="ignore")  # any bits may be a number
 def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
-    """Decode camera frames.
+    """Decode the camera frames in a message of the log.
 
     Raises:
         ValueError: If they do not have `robots` robots.
@@ -201,7 +201,7 @@ def encode_observation(observation: Observation) -> pb.MocapSample:
 
 
 def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
-    """Decode one camera frame.
+    """Decode the camera frame on which the controller based a decision.
 
     Raises:
         ValueError: If it does not have `robots` robots.
@@ -221,7 +221,7 @@ def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
 
 
 def encode_command(command: Command) -> pb.WheelCommand:
-    """Encode a command."""
+    """Encode a command to the robots as a message of the log."""
     return pb.WheelCommand(
         stop=command.stops,
         direction=command.direction,
@@ -235,7 +235,7 @@ def encode_command(command: Command) -> pb.WheelCommand:
 
 
 def decode_command(message: pb.WheelCommand) -> Command:
-    """Decode a command."""
+    """Decode a command to the robots from a message of the log."""
     return Command(
         _decode_action(message),
         sent_ns=message.sent_ns,

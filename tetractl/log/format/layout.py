@@ -84,7 +84,7 @@ def _robot_curves(setup: Setup, values: str) -> list[PlotCurve]:
 
 
 def _plot(parts: dict[str, Any], title: str, curves: Iterable[PlotCurve]) -> dict[str, Any]:
-    """Create a panel that plots curves."""
+    """Create a panel of the viewer that plots curves over time."""
     paths = [parts["curve"] | curve for curve in curves]
     titles = {"foxglovePanelTitle": title, "lichtblickPanelTitle": title}
     return parts["plot"] | titles | {"paths": paths}
@@ -111,7 +111,7 @@ def _view(setup: Setup, view: dict[str, Any]) -> dict[str, Any]:
 
 
 def _column(panels: list[str]) -> Any:
-    """Arrange panels of equal height in a column."""
+    """Arrange panels of the viewer in a column, all of equal height."""
     if len(panels) == 1:
         return panels[0]
     return {

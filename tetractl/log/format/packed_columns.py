@@ -23,7 +23,10 @@ DIFFERENCES = 4
 
 
 def pack_columns(columns: NDArray[Any]) -> bytes:
-    """Pack columns (M, C) of numbers of 4 or 8 bytes."""
+    """Compress columns of numbers, such as poses, for a message of the log.
+
+    `columns` has the shape (M, C), with numbers of 4 or 8 bytes. See docs/reference/log-format.md.
+    """
     integers = np.ascontiguousarray(columns).view(f"<i{columns.itemsize}")
     if len(integers) > 1:
         before = np.zeros((DIFFERENCES, integers.shape[1]), integers.dtype)
@@ -36,7 +39,7 @@ def pack_columns(columns: NDArray[Any]) -> bytes:
 
 
 def unpack_columns(data: bytes, width: int, kind: str) -> NDArray[Any]:
-    """Unpack columns of numbers, shape (M, `width`).
+    """Restore columns of numbers, shape (M, `width`), from a message of the log.
 
     Args:
         data: The packed bytes.

@@ -25,7 +25,7 @@ def decode_facts(facts: Iterable[pb.Fact]) -> dict[str, str]:
 
 
 def encode_run(start: Start) -> pb.Run:
-    """Create the message that identifies a trial."""
+    """Create the message of the log that identifies the trial."""
     setup = start.setup
     plant = start.plant
     run_id = f"{start.spec_hash[:12]}-{start.seed}-{start.trial}"
@@ -94,7 +94,7 @@ def encode_result(result: Result, unit: str, warnings: int = 0) -> pb.Result:
 
 
 def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Result:
-    """Decode a result.
+    """Decode the result of a trial from a message of the log.
 
     Args:
         message: The message.

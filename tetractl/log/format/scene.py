@@ -44,7 +44,7 @@ _RING = np.column_stack([elementwise.cos(_ANGLES), elementwise.sin(_ANGLES)])
 
 
 def frame_of(name: str) -> str:
-    """Return the name of a robot's coordinate frame."""
+    """Return the name of a robot's coordinate frame, by which viewers place the robot."""
     return f"robot/{name}"
 
 

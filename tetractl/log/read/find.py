@@ -1,4 +1,4 @@
-"""Find the logs in given files, folders and patterns."""
+"""Find the logs of trials in the files, folders and patterns that a user names."""
 
 import re
 from collections.abc import Iterable
@@ -69,7 +69,7 @@ def _hint_without_logs(path: Path) -> str | None:
 
 
 def find_log(path: Path | str) -> Path:
-    """Return the only log in a path.
+    """Return the only log in a path. It is an error if there is none, or more than one.
 
     Raises:
         UsageError: If there are several.

@@ -85,7 +85,7 @@ def overview(path: Path) -> Overview:
 
 
 def channel_counts(contents: RawLog) -> tuple[ChannelCount, ...]:
-    """Return the channels that have messages, sorted by topic."""
+    """Return how many messages each channel of a log has, sorted by topic."""
     schemas = {topic: message.DESCRIPTOR.full_name for topic, message in CHANNELS.items()}
     schemas |= {topic: schema.name for topic, (_, schema) in contents.channels.items() if schema}
     counts: list[ChannelCount] = []

@@ -52,12 +52,12 @@ class RawLog:
 
     @cached_property
     def entries(self) -> list[Entry]:
-        """All messages, in file order."""
+        """All messages of the log, in the order of the file."""
         return [record for record in self.records if isinstance(record, Entry)]
 
     @cached_property
     def by_topic(self) -> dict[str, list[Entry]]:
-        """The messages of each topic, in file order."""
+        """The messages of each topic of the log, in the order of the file."""
         by_topic: dict[str, list[Entry]] = defaultdict(list)
         for entry in self.entries:
             by_topic[entry.topic].append(entry)
@@ -96,7 +96,7 @@ class RawLog:
 
     @cached_property
     def run(self) -> Run:
-        """The message that identifies the trial.
+        """The message `/run` of the log, which identifies the trial.
 
         Raises:
             LogError: If it is lost, unreadable or of another format.
@@ -147,7 +147,7 @@ class RawLog:
 
     @cached_property
     def result_or_why_not(self) -> Result | str:
-        """The result, or why it cannot be read."""
+        """The result of the trial, or the reason why it cannot be read."""
         if not self.by_topic[channels.RESULT]:
             return (
                 "the log has no result, because the run was cut short or the end of the log is lost"

@@ -211,7 +211,7 @@ def content_digest(path: Path) -> str:
 
 
 def _start(contents: RawLog) -> tuple[Experiment, Start]:
-    """Return the experiment and the start of a trial.
+    """Return the experiment and the start of a trial, from the messages of its log.
 
     Raises:
         LogError: If they cannot be read.
@@ -268,7 +268,7 @@ def _parse_spec(text: str) -> tuple[Experiment, str]:
 
 
 def _frames(contents: RawLog, robots: int) -> Frames:
-    """Decode the camera frames of N robots."""
+    """Decode all camera frames of a trial with N robots."""
     none = Frames.from_samples((), robots)  # a log may have no frames
     messages = contents.messages(channels.FRAMES)
     frames = Frames.joined([none, *(codec.decode_frames(part, robots) for part in messages)])

@@ -24,7 +24,7 @@ PART_SUFFIX = ".recovering"
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """The result of recovering a log.
+    """The result of an attempt to save the intact part of a damaged log.
 
     Attributes:
         source: The log.
@@ -44,7 +44,7 @@ class Recovery:
 
     @property
     def whole(self) -> bool:
-        """Whether no record of the log was lost."""
+        """Whether the log is complete: no record of it was lost."""
         return not self.damage.lost
 
 

@@ -254,7 +254,7 @@ class _Scan:
         return ""
 
     def _end(self, opcode: int, begin: int) -> int:
-        """Return where a zstd chunk or an attachment ends."""
+        """Return where a compressed chunk or an attachment ends in the file."""
         if opcode == Opcode.CHUNK:
             *_, packed = _CHUNK.unpack_from(self._data, begin)
             return begin + _CHUNK.size + packed
@@ -303,7 +303,7 @@ class _Scan:
         return messages
 
     def _know(self, opcode: int, contents: bytes) -> None:
-        """Keep the record of a channel or a schema."""
+        """Keep the description of a channel or a schema, which later messages need."""
         if opcode == Opcode.CHANNEL:
             channel = Channel.read(ReadDataStream(BytesIO(contents)))
             self._channels[channel.id] = channel

@@ -43,7 +43,7 @@ class Origin(StrEnum):
 
     @property
     def simulated(self) -> bool:
-        """Whether the plant was a simulation."""
+        """Whether the trial is from a simulation, and not from a real or emulated lab."""
         return self in (Origin.DISTURBED, Origin.UNDISTURBED)
 
     @property
@@ -69,7 +69,7 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A message for the operator.
+    """A message for the operator that was written during a trial, such as a warning.
 
     Attributes:
         time_s: Time since the first direction sent [s]. Negative before it.
@@ -205,18 +205,18 @@ class ResultSummary(Shown):
 
     @property
     def simulated(self) -> bool:
-        """Whether the plant was a simulation."""
+        """Whether the trial is from a simulation, and not from a real or emulated lab."""
         return self.origin.simulated
 
     @property
     def outcome(self) -> Outcome:
-        """The outcome of the trial."""
+        """How the trial ended, for example by arrival or by an abort."""
         return self.result.outcome
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A gap in the records of a log.
+    """A gap in the records of a log: control steps or camera frames are missing.
 
     Attributes:
         what: What is missing, such as camera frames.

@@ -50,7 +50,7 @@ def check_commands(commands: Sequence[Command], robots: int) -> None:
 
 
 def check_actions(actions: Iterable[Action]) -> None:
-    """Check that the directions of actions are finite."""
+    """Check that all directions of the actions in a log are finite numbers."""
     directions: list[float] = []
     lags: list[float] = []
     for action in actions:
@@ -170,7 +170,7 @@ def check_result(result: Result) -> None:
 
 
 def _finite(what: str, values: Iterable[float]) -> None:
-    """Check that values are finite."""
+    """Check that values from a log are finite numbers."""
     numbers = np.asarray(values, dtype=np.float64)
     wrong = numbers[~np.isfinite(numbers)]
     if wrong.size:

@@ -60,10 +60,10 @@ class RecordSink(Protocol):
 
     @abstractmethod
     def add(self, record: Record) -> None:
-        """Add a record."""
+        """Add one record of the log, such as a message or an attachment."""
 
     def flush(self) -> None:
-        """End the chunk of the messages so far."""
+        """End the present chunk, a block of messages that is written as a whole."""
 
 
 class Encoder:
@@ -244,7 +244,7 @@ class Encoder:
     def _add(
         self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
     ) -> None:
-        """Add a message with times of the trial [ns]."""
+        """Add a message to the log, with times on the trial's clock [ns]."""
         begin_ns = self._start.start_unix_ns
         sampled_ns = log_ns if publish_ns is None else publish_ns
         data = message.SerializeToString()

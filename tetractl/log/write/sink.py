@@ -98,13 +98,13 @@ class Sink:
         self._mcap.add(record)
 
     def seal(self, unix_ns: int) -> None:
-        """Add the digests of all records so far."""
+        """Add the digests of all records so far, by which readers detect changes."""
         digests = self._mcap.digests.hexdigests()
         self.add(Entry(DIGESTS, unix_ns, unix_ns, digests.SerializeToString()))
 
     @_while_open
     def flush(self) -> None:
-        """End the chunk and write it to the file."""
+        """End the present chunk of messages, and write it to the file."""
         self._mcap.flush()
         self._chunk_since = None
         self._dirty_since = self._dirty_since or time.monotonic()
@@ -152,7 +152,7 @@ class Sink:
             _sync_folder(self._path.parent)
 
     def discard(self) -> None:
-        """Close the file and remove it."""
+        """Close the file of an unwanted log, and remove it."""
         with suppress(OSError):
             self._release()
         with suppress(OSError):

@@ -14,7 +14,7 @@ from tetractl.model.motion.polynomials import onwards
 def step(
     x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
 ) -> XYHeading:
-    """Advance by (4)-(6); see `StepFunction`."""
+    """Advance robots by one step of Euler's method, the paper's (4)-(6); see `StepFunction`."""
     return (
         x + t * v * elementwise.cos(heading),  # (4)
         y + t * v * elementwise.sin(heading),  # (5)

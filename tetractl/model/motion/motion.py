@@ -66,7 +66,7 @@ class StepFunction(Protocol):
     def __call__(
         self, x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
     ) -> XYHeading:
-        """Return x, y and heading after the step."""
+        """Compute x, y and heading of robots after one step in a given direction."""
         ...
 
 
@@ -80,7 +80,7 @@ class Hold(Protocol):
     def __call__(
         self, x: Floats, y: Floats, heading: Floats, held: Held, a: Floats, v: Floats, t: Floats
     ) -> XYHeading:
-        """Return x, y and heading after the time t."""
+        """Compute x, y and heading of robots after the time t in a given direction."""
         ...
 
 
@@ -134,7 +134,7 @@ class Lanes(Protocol):
     def differentiate(
         c: float, s: float, cu: float, su: float, robot: Any, t: float
     ) -> Derivatives:
-        """Compute a whole step and its derivatives.
+        """Compute a whole step of a robot, and its derivatives for the filter and the search.
 
         Args:
             c: Cosine of the heading.

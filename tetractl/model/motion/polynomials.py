@@ -119,12 +119,12 @@ def sincos(x):
 
 
 def wrap(x):
-    """Wrap the angle x into [-pi, pi]."""
+    """Wrap an angle x into [-pi, pi], by adding whole turns."""
     return x - math.tau * np.rint(x / math.tau)
 
 
 def onwards(x, y, c, s, step):
-    """Compute the pose after a step.
+    """Compute the pose of a robot after a step.
 
     Args:
         x: x before the step.

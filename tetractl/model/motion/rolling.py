@@ -89,7 +89,7 @@ class SentRates(NamedTuple):
         return cls(times_ns, np.zeros((ENTRIES_AT_FIRST, robots)), np.zeros(robots))
 
     def with_room(self) -> "SentRates":
-        """Return the same rates with space for another one."""
+        """Return the same commanded rates, in arrays with space for one more."""
         if self.times_ns[-2] == NEVER:
             return self
         return SentRates(
@@ -286,10 +286,10 @@ def roll(
 
 
 def _step(body: Floats, seconds: float) -> None:
-    """Advance robots (ROWS, N) along the chords of arcs, by the paper's equations (21)-(23).
+    """Move robots (ROWS, N) along the chords of their circular arcs, by the paper's (21)-(23).
 
-    Wheel speeds, distances and headings are exact. Chords are exact for settled wheels. Otherwise,
-    their error falls with the square of the time.
+    Wheel speeds, distances and headings are exact. Chords are exact once the wheels have reached
+    their speeds. Before that, their error falls with the square of the time.
     """
     share = 1.0  # completed fraction of the change of the wheels' speeds
     for i in range(body.shape[1]):

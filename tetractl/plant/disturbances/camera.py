@@ -55,7 +55,7 @@ class TrackingLoss(Disturbance):
 
 
 class CameraLatencySection(DisturbanceSection):
-    """Every frame reaches the host after a random latency."""
+    """A disturbance of the camera: every frame reaches the host after a random latency."""
 
     type: Literal["camera-latency"]
     mean: float = Field(ge=0, le=10, allow_inf_nan=False)
@@ -108,7 +108,7 @@ class FrameLossSection(DisturbanceSection):
 
     @property
     def loses_frames(self) -> bool:
-        """Whether any frames are lost."""
+        """Whether this disturbance loses any camera frames."""
         return self.share > 0
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "FrameLoss":
@@ -150,7 +150,7 @@ class FrozenCameraSection(SpellsSection):
 
     @property
     def loses_frames(self) -> bool:
-        """Whether frames are lost in the intervals."""
+        """Whether camera frames are lost in the intervals of this disturbance."""
         return not self.repeats
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "FrozenCamera":
@@ -203,7 +203,7 @@ class MarkerOff(Disturbance):
 
 
 class StaleCameraSection(SpellsSection):
-    """Intervals in which the frames show old poses."""
+    """A disturbance of the camera: in some intervals, the frames show old poses."""
 
     type: Literal["stale-camera"]
     age: Positive = 0.1

@@ -173,7 +173,7 @@ class StartError(Disturbance):
         self._rng = rng
 
     def placed(self, poses: Poses) -> Poses:
-        """Return the start poses with the errors added."""
+        """Return the start poses of the robots with random errors added."""
         x, y, heading = self._rng.uniform(-1, 1, (3, poses.x.size))
         section = self._section
         return Poses(

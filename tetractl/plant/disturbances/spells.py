@@ -22,7 +22,7 @@ class SpellsSection(DisturbanceSection):
     """Earliest and latest start of an interval in the trial, uniformly distributed [s]."""
 
     def draw(self, rng: np.random.Generator) -> "Spells":
-        """Sample the intervals of one trial."""
+        """Sample the intervals of one trial in which the disturbance is active."""
         return Spells(self, rng)
 
 

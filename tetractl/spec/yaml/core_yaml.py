@@ -132,7 +132,7 @@ def compose(text: str, origin: str) -> Node | None:
 
 
 def _mark(line: int, column: int) -> Mark:
-    """Return a place in a text, counted from 0."""
+    """Return a position in a text, with line and column counted from 0."""
     return Mark("", 0, line, column, None, 0)
 
 

@@ -47,7 +47,7 @@ class Place:
     refused: SpecProblem | None = None
 
     def problem(self, loc: Loc, message: str, value: str | None = None) -> SpecProblem:
-        """Return a problem at this place.
+        """Return a problem that is reported at this place of the file.
 
         Args:
             loc: The location of the value.
@@ -73,7 +73,7 @@ class Document:
 
     @property
     def all_problems(self) -> list[SpecProblem]:
-        """The document's problems so far, including refused values."""
+        """All problems of the document so far, including values that were refused."""
         refused = [place.refused for place in self.places.values() if place.refused]
         return [*self.problems, *refused]
 
@@ -100,7 +100,7 @@ class Document:
         return self.places.get(loc) or Place(self.origin)
 
     def problem_at(self, loc: Loc, message: str, value: str | None = None) -> SpecProblem:
-        """Return a problem at the place of a value.
+        """Return a problem that is reported at the place of a value.
 
         Args:
             loc: The location of the value.
@@ -167,7 +167,7 @@ def parse_document(text: str, origin: str) -> Document:
 
 
 def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
-    """Parse one value, as given to `--set`.
+    """Convert the text of one value, as given to `--set`, by the rules of YAML.
 
     Args:
         text: The value.

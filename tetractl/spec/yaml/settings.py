@@ -30,7 +30,7 @@ class FieldValue:
 
     @property
     def origin(self) -> str:
-        """The option and its value, as typed."""
+        """The option and its value, as the user has typed them."""
         return f"{self.option} {self.value}"
 
 

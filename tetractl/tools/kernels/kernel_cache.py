@@ -107,7 +107,7 @@ def shipped() -> Path | None:
 
 @dataclass(slots=True)
 class CompileTime:
-    """The time that the compilation of one function took.
+    """How long the compilation of one function took.
 
     Attributes:
         versions: Number of signatures for which it was compiled.
@@ -178,7 +178,7 @@ class KernelCache:
 
     @property
     def cache_path(self) -> str:
-        """The folder of the cache's files."""
+        """The folder in which the compiled code is stored."""
         return str(self._place)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -211,7 +211,7 @@ class KernelCache:
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Store the compiled code for a signature."""
+        """Store the code that was compiled for one combination of argument types."""
         internals = _internals()
         if self._place is None or internals is None:
             return

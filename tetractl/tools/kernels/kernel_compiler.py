@@ -52,7 +52,7 @@ class PartLibrary(JITCodeLibrary):
         """Do nothing, because the kernel is optimised together with its parts."""
 
     def _finalize_final_module(self) -> None:
-        """Make the code ready to be linked into kernels."""
+        """Prepare compiled code so that it can be linked into kernels."""
         self._finalize_dynamic_globals()
         self._verify_declare_only_symbols()
         self._finalized = True
@@ -70,7 +70,7 @@ class KernelLibrary(JITCodeLibrary):
 
 
 class PartCompiler(Compiler):
-    """Numba's compiler for parts of kernels."""
+    """Numba's compiler with settings for functions that are parts of kernels."""
 
     def define_pipelines(self) -> Any:
         """Select the code library, and return Numba's own compiler passes."""
@@ -79,7 +79,7 @@ class PartCompiler(Compiler):
 
 
 class KernelCompiler(Compiler):
-    """Numba's compiler for kernels."""
+    """Numba's compiler with settings for kernels, the functions that Python calls."""
 
     def define_pipelines(self) -> Any:
         """Select the code library, and return Numba's own compiler passes."""

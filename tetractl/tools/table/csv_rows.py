@@ -90,7 +90,7 @@ def _too_large(path: Path) -> UsageError:
 
 
 def _refuse_archive(path: Path) -> None:
-    """Raise UsageError for a compressed file."""
+    """Check that a file is not compressed. UsageError is raised if it is."""
     with path.open("rb") as file:
         form = ARCHIVES.get(file.read(2))
     if form is not None:
@@ -114,7 +114,7 @@ def _encoding(path: Path) -> str:
 
 
 def _lines(path: Path, stream: TextIO) -> Iterator[tuple[int, str]]:
-    """Yield the non-empty lines with their numbers."""
+    """Yield the non-empty lines of a file, with their numbers."""
     for number, line in enumerate(iter(partial(stream.readline, CSV_LINE), ""), 1):
         if number > CSV_ROWS + 1 or len(line) == CSV_LINE:
             raise _too_large(path)
@@ -222,7 +222,7 @@ def has_decimal_comma(entry: str) -> bool:
 
 
 def is_number(entry: str) -> bool:
-    """Check whether an entry is a number with a decimal point."""
+    """Check whether an entry of a table is a number with a decimal point, not a comma."""
     try:
         float(entry)
     except ValueError:
@@ -243,7 +243,7 @@ def _check_header(path: Path, header: list[str]) -> None:
 
 
 def _cells(path: Path, line: int, header: list[str], entries: list[str]) -> dict[str, str]:
-    """Return the entries of a row by column."""
+    """Return the entries of a row of a table, by column."""
     if any(entries[len(header) :]):
         raise UsageError(
             f"{path}, line {line}: has {len(entries)} entries, the header has {len(header)}",

@@ -93,7 +93,7 @@ class NumberColumn:
     largest: float = NUMBER_MAX
 
     def number(self, path: Path, row: CsvRow) -> float:
-        """Return the number in a row.
+        """Return the number that this column has in a row.
 
         Raises:
             UsageError: If it is missing, no number, or too large.

@@ -12,7 +12,7 @@ LISTED = 4
 
 
 def fixed(decimals: int) -> Callable[[float], str]:
-    """Create a format with a fixed number of decimals."""
+    """Create a format of numbers with a fixed number of decimals."""
 
     def show(value: float | None) -> str:
         return NONE if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
@@ -68,7 +68,7 @@ class Array(Protocol):
     """An array or a number of NumPy, which is slow to import."""
 
     def tolist(self) -> Any:
-        """Return the values as Python objects."""
+        """Return the values of the array as Python objects."""
         ...
 
 
@@ -92,7 +92,7 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """The heading of the column in a printed table."""
+        """The heading that the column has in a printed table."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     @property
@@ -102,12 +102,12 @@ class Column:
 
     @property
     def texts(self) -> list[str]:
-        """The formatted text of each value."""
+        """The formatted text of each value in the column."""
         return [self.format(value) for value in self.values]
 
     @property
     def listed(self) -> Sequence[Any]:
-        """The values as Python objects."""
+        """The values of the column as Python objects."""
         values = self.values  # `isinstance(given, Array)` takes as long as a hundred values
         return values if isinstance(values, list | tuple) else values.tolist()
 
@@ -151,12 +151,12 @@ class Table:
 
     @property
     def header(self) -> list[str]:
-        """The headings of the columns."""
+        """The headings of the table's columns."""
         return [column.heading for column in self.columns]
 
     @property
     def rows(self) -> Iterator[tuple[str, ...]]:
-        """The rows, as formatted texts."""
+        """The rows of the table, as formatted texts."""
         return zip(*(column.texts for column in self.columns), strict=True)
 
     @property

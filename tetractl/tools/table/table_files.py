@@ -30,7 +30,7 @@ AddRows = Callable[[str, Table, str], None]
 
 
 def csv_text(table: Table) -> str:
-    """Format a table as CSV."""
+    """Format a table as text in the CSV format."""
     text = io.StringIO()
     _write_header(table, text)
     _write_rows(table, text)
@@ -156,12 +156,12 @@ class _GrowingFile:
             _write_rows(table, self._stream)
 
     def complete(self) -> None:
-        """Rename the file to its final name."""
+        """Give the finished file its final name."""
         with self._writing():
             self._part.replace(self._path)
 
     def discard(self) -> None:
-        """Delete the file if it is not complete."""
+        """Delete the file if it was not completed."""
         with self._writing():
             self._part.unlink(missing_ok=True)
 

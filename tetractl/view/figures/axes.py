@@ -1,4 +1,4 @@
-"""Axes of figures: logarithmic axes, and names of categories."""
+"""Helpers for the axes of figures: logarithmic axes, and the names of categories."""
 
 import re
 from collections.abc import Sequence

@@ -41,7 +41,7 @@ class Curve:
 
 
 def draw_curves(axes: Axes, time_s: Floats, curves: Iterable[Curve]) -> None:
-    """Draw curves over time.
+    """Draw curves and their bands over time on the axes of a figure.
 
     Args:
         axes: The axes.

@@ -29,7 +29,7 @@ def arrow(angle: float) -> str:
 
 
 def bar(width: int, fraction: float, style: str) -> Text:
-    """Return a bar of characters.
+    """Return a horizontal bar of characters, such as for a robot's distance to its target.
 
     Args:
         width: Number of characters.

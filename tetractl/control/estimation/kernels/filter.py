@@ -215,7 +215,7 @@ def follow(bank, model, commands, frames, noisy, step_s):
 
 @compiled(**INLINE_FAST)
 def _equal(pose, before):
-    """Check whether two poses (3,) are equal."""
+    """Check whether two poses (3,) are equal to the last bit."""
     return pose[X] == before[X] and pose[Y] == before[Y] and pose[HEADING] == before[HEADING]
 
 

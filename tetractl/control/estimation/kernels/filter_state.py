@@ -467,12 +467,12 @@ class Forecast(NamedTuple):
 
     @property
     def poses(self) -> Poses:
-        """The poses of the robots."""
+        """The predicted poses of the robots at the time for which the next plan begins."""
         return Poses(self.x, self.y, self.heading)
 
     @property
     def estimate(self) -> Estimate:
-        """The estimate of the robots' motion."""
+        """The estimate of the robots' motion at the forecast's time, with standard deviations."""
         return Estimate(
             a=self.a,
             a_std=self.a_std,

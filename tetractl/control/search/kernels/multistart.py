@@ -352,7 +352,7 @@ def _keep(rounds, u, cost):
 
 @compiled(**PART_FAST)
 def _note(rounds, cost):
-    """Add a cost to the search's history."""
+    """Add a cost to the history of the search."""
     rounds.history[rounds.state.history_entries] = cost
     rounds.state.history_entries += 1
 

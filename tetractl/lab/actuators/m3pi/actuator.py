@@ -24,7 +24,7 @@ RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until it reaches 
 
 
 class M3piActuator(WheeledActuator):
-    """Drives m3pi robots over an XBee; see `tetractl.core.protocols.Actuator`.
+    """Drives m3pi robots, which have two wheels, over an XBee radio; see `Actuator`.
 
     Args:
         section: The fields of the actuator in the spec.

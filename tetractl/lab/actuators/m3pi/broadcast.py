@@ -87,7 +87,7 @@ def decode_reply(frame: bytes) -> Reply:
 
 
 class Broadcaster:
-    """Sends all robots one frame over a link.
+    """Sends one frame with the commands of all robots over a radio link.
 
     Args:
         link: The connection to the XBee.

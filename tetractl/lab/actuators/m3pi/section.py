@@ -81,7 +81,7 @@ class M3piSection(XbeeSection, ActuatorSection):
                     yield ("robots", i, side, "dead_zone"), message
 
     def require_port(self) -> None:
-        """Raise AbortError if the radio's port does not exist."""
+        """Check that the serial port of the radio exists. AbortError is raised if not."""
         from tetractl.lab.serial_port import require_port
 
         require_port(self.port, "the radio")

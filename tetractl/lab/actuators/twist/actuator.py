@@ -1,4 +1,4 @@
-"""The actuator of robots on two wheels that take lines of text."""
+"""The actuator of robots on two wheels that receive their speeds as lines of text."""
 
 import numpy as np
 

@@ -41,7 +41,7 @@ class LineCommand:
 
 
 def encode_command(command: LineCommand) -> bytes:
-    """Encode a command as a line, including its end.
+    """Encode the speeds of robots as a line of text, including its end.
 
     Raises:
         WireError: If a number is out of range.

@@ -20,7 +20,7 @@ from tetractl.spec.yaml.problems import Loc
 
 
 class TwistRobot(RobotPart):
-    """A robot's entry in the actuator's section."""
+    """The entry of one robot in the section of the actuator `twist`."""
 
     index: int | None = Field(default=None, ge=0, le=31)
     """Number of the robot in lines, as set in its program.
@@ -92,7 +92,7 @@ class TwistSection(ActuatorSection):
                 yield loc, f"must be {SCHEME}HOST:PORT"
 
     def require_port(self) -> None:
-        """Raise AbortError if a serial port does not exist."""
+        """Check that the serial ports exist. AbortError is raised if one does not."""
         from tetractl.lab.serial_port import require_port
         from tetractl.lab.udp_port import SCHEME
 

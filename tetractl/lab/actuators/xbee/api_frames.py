@@ -46,7 +46,7 @@ def answered(content: bytes) -> tuple[int, bytes, bytes | None] | None:
 
 
 def encode(content: bytes) -> bytes:
-    """Pack a message into an API frame.
+    """Pack a message for an XBee module into an API frame.
 
     Raises:
         WireError: If the content is empty or too long.

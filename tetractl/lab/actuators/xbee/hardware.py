@@ -19,7 +19,7 @@ ESCAPED_FRAMES = 2  # the value of AP for API frames with escapes
 
 
 class XbeeSection(Model):
-    """The XBee module at this computer."""
+    """The section of the spec for the XBee radio module at this computer."""
 
     port: str = Field(min_length=1, max_length=500)
     """The serial port, such as /dev/ttyUSB0."""

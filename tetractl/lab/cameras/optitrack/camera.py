@@ -101,7 +101,7 @@ class OptitrackCamera:
         return self
 
     def open(self) -> None:
-        """Open the sockets, and start requests and reception.
+        """Open the network sockets, and start the requests and the reception of frames.
 
         Raises:
             AbortError: If that fails.
@@ -260,7 +260,7 @@ class OptitrackCamera:
                 self.senders.fix_frames_port(message.data_port)
 
     def _chores(self) -> None:
-        """Send the requests that are due."""
+        """Send the requests to the camera's server that are due now."""
         now = self._clock.now()
         if now < self._next_ns:
             return

@@ -40,7 +40,7 @@ NEWEST = Version(4, 3)  # newest version of the protocol whose frames are read
 
 
 class MessageKind(IntEnum):
-    """The message ids of NatNet."""
+    """The ids of the messages in NatNet, the protocol of OptiTrack cameras."""
 
     CONNECT = 0
     SERVER_INFO = 1
@@ -112,7 +112,7 @@ class ModelDef:
     complete: bool = True
 
     def ids(self) -> dict[str, int]:
-        """Return the ids of the bodies by name."""
+        """Return the ids of the tracked bodies by their names."""
         return dict(self.bodies)
 
 
@@ -130,7 +130,7 @@ class Connect:
 
 @dataclass(frozen=True, slots=True)
 class ServerInfo:
-    """The answer to CONNECT.
+    """The answer of the camera's server to CONNECT, the first request of a client.
 
     Attributes:
         name: Name of the server.
@@ -147,7 +147,7 @@ class ServerInfo:
 
 @dataclass(frozen=True, slots=True)
 class NatNetRequest:
-    """A remote command, such as `UpAxis` or `UnitsToMillimeters`."""
+    """A remote command to the camera's server, such as `UpAxis` or `UnitsToMillimeters`."""
 
     text: str
 

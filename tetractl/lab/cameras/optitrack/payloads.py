@@ -26,7 +26,7 @@ BODY = POSE.size + ERROR_AND_PARAMS.size  # bytes of a rigid body without marker
 
 
 class Layout(NamedTuple):
-    """The differences between the protocol versions.
+    """The layout of NatNet messages, which differs between the protocol's versions.
 
     Attributes:
         suffix: The end of a frame, whose last two fields are its params and an i32.
@@ -55,7 +55,7 @@ LAYOUTS = {  # by the first version of each
 
 @cache  # for each frame and body
 def layout_of(version: natnet.Version) -> Layout:
-    """Find the layout of a protocol version.
+    """Find the layout of messages that a version of NatNet uses.
 
     Raises:
         WireError: If the version is too old.
@@ -100,23 +100,23 @@ class Cursor:
 
     @property
     def left(self) -> int:
-        """Number of bytes up to the end."""
+        """Number of bytes from the present position to the end of the message."""
         return self.end - self.at
 
     def skip(self, size: int) -> None:
-        """Skip `size` bytes."""
+        """Skip `size` bytes of the message."""
         if not 0 <= size <= self.left:
             raise WireError(f"{size} bytes expected, but only {self.left} remain")
         self.at += size
 
     def take(self, layout: Struct) -> tuple[Any, ...]:
-        """Read one structure; return its fields."""
+        """Read one structure at the present position, and return its fields."""
         start = self.at
         self.skip(layout.size)
         return layout.unpack_from(self.data, start)
 
     def i32(self) -> int:
-        """Read a signed 32-bit integer."""
+        """Read a signed 32-bit integer at the present position."""
         return self.take(I32)[0]
 
     def count(self, smallest: int) -> int:
@@ -164,12 +164,12 @@ class Cursor:
         return part
 
     def skip_names(self) -> None:
-        """Skip a count and that number of names."""
+        """Skip a number and that many names, as lists of markers have."""
         for _ in range(self.count(1)):
             self.name()
 
     def name(self) -> str:
-        """Read a NUL-terminated name of at most 255 bytes."""
+        """Read a name that ends with a zero byte, of at most 255 bytes."""
         start = self.at
         stop = self.data.find(b"\0", start, min(self.end, start + NAME_MAX + 1))
         if stop < 0:
@@ -309,7 +309,7 @@ def _skip_description(cursor: Cursor, layout: SkippedLayout) -> None:
 
 
 def _named(cursor: Cursor) -> tuple[str, int]:
-    """Read name and id, and skip the parent's id."""
+    """Read the name and id of a body, and skip the id of its parent."""
     named = cursor.name(), cursor.i32()
     cursor.skip(4)
     return named

@@ -11,7 +11,7 @@ LEARN := ./packages/tetractl-learn
 TESTING := ./packages/tetractl-testing
 PACKAGES := $(PAPERS) $(IDENTIFY) $(LEARN) $(TESTING) ./packages/tetractl-microscope ./packages/tetractl-emulator ./packages/tetractl-toio ./packages/tetractl-motioncapture ./packages/tetractl-ros2
 
-.PHONY: demo demo-ours demo-paper test test-fast test-ci test-all test-lowest test-newest lint dist docs clean proto
+.PHONY: demo demo-ours demo-paper test test-fast test-ci test-all test-lowest test-newest lint dist docs rehearse clean proto
 
 # With setuptools, a package of your own can be installed without a network: docs/how-to/extend.md.
 $(RUNTIME): pyproject.toml $(PAPERS)/pyproject.toml $(IDENTIFY)/pyproject.toml $(LEARN)/pyproject.toml $(TESTING)/pyproject.toml constraints.txt

@@ -38,15 +38,19 @@ def test_searches_advance_the_clock_while_they_run_and_after_them():
     assert clock() == end + SEARCH_NS + 10 * search_ns
 
 
-@pytest.mark.long
-def test_four_robots_from_anywhere_are_planned_for_within_the_deadline(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    from worlds import WORLDS
+FOUR_ROBOTS = """[
+  {name: one, start: [900, 800], heading: 2.0, target: [1900, 1700], a: 6, speed: 180},
+  {name: two, start: [2000, 600], heading: -1.0, target: [800, 1300], a: 4, speed: 200},
+  {name: three, start: [800, 1900], heading: 0.5, target: [1700, 500], a: 3, speed: 150},
+  {name: four, start: [2000, 1900], heading: 3.0, target: [1000, 600], a: 5, speed: 170}
+]"""
 
-    text = WORLDS["anywhere"].spec(6200, 2).model_dump_json(exclude={"lab"})
-    spec = parse_spec(
-        text, "four.yaml", ["controller.time_limit=120.2", "controller.deadline=0.0015"]
-    )
+
+@pytest.mark.long
+def test_four_robots_are_planned_for_within_the_deadline(tmp_path):
+    text = (ROOT / "experiments" / "three_m3pi.yaml").read_text()
+    changes = [f"robots={FOUR_ROBOTS}", "controller.time_limit=20.2", "controller.deadline=0.0015"]
+    spec = parse_spec(text, "four.yaml", changes)
     run_logged(spec, tmp_path, 0, (), Interrupt())
     steps = read_trial(log_path(tmp_path, 0)).steps
     moving = [now.plan for last, now in itertools.pairwise(steps) if not last.plan.pauses]

@@ -146,10 +146,8 @@ def test_the_means_of_a_title_leave_out_trials_that_were_not_completed(log):
     title, entries = _heading([log, cut], np.array([far, off]))
     assert title.startswith("2 trials")
     assert title.endswith(f"total {_mean_and_std(error.sum(keepdims=True))}")
-    names = log.start.setup.names
-    assert entries == [
-        f"{n}: {e:.{1 if e >= 10 else 2}f}" for n, e in zip(names, error, strict=True)
-    ]
+    pairs = zip(log.start.setup.names, error, strict=True)
+    assert entries == [f"{n}: {e:.{1 if e >= 10 else 2}f}" for n, e in pairs]
 
 
 def test_trials_of_several_folders_have_no_mean(log):

@@ -1,0 +1,138 @@
+"""Which objects in a dish are seen to swim, and where a speck is expected."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tetractl_microscope.cells.cell import PathBlob
+from tetractl_microscope.cells.specks import (
+    BORN,
+    EVEN,
+    MOTION,
+    STOPPED_S,
+    STRAY,
+    SWUM,
+    Speck,
+    straight,
+    swims,
+    usual_size,
+)
+from tetractl_microscope.organisms import OUTLINE, TETRAHYMENA
+
+LONG_UM, WIDE_UM = TETRAHYMENA.body_um
+FRAME_S = 0.05
+NAN = math.nan
+
+
+def path(speed_um_s, count=BORN, angle=0.3, aside=(), sizes=(), frame_s=FRAME_S):
+    """Blobs of an object that moves straight on, each `aside` of its line [um]."""
+    blobs = []
+    for k in range(count):
+        way = speed_um_s * frame_s * k
+        off = aside[k] if k < len(aside) else 0.0
+        x = 100 + way * math.cos(angle) - off * math.sin(angle)
+        y = 200 + way * math.sin(angle) + off * math.cos(angle)
+        long, wide = sizes[k] if k < len(sizes) else (LONG_UM, WIDE_UM)
+        blobs.append(PathBlob(k * frame_s, x, y, angle, long, wide))
+    return blobs
+
+
+@given(angle=st.floats(0, math.tau), speed=st.floats(150, 900))
+def test_what_has_the_size_of_a_cell_and_goes_straight_on_swims(angle, speed):
+    assert swims(path(speed, angle=angle), TETRAHYMENA)
+
+
+def test_four_blobs_are_too_few_and_only_the_newest_five_count():
+    assert not swims(path(400, BORN - 1), TETRAHYMENA)
+    rests = path(0, BORN)
+    later = [blob._replace(seconds=blob.seconds + 1) for blob in path(400)]
+    assert swims([*rests, *later], TETRAHYMENA)
+    assert not swims(rests, TETRAHYMENA)
+
+
+@pytest.mark.parametrize(("share", "is_swimming"), [(0.9, False), (1.1, True)])
+def test_a_swimmer_moves_by_a_part_of_its_length_and_faster_than_one_that_rests(share, is_swimming):
+    passed_s = (BORN - 1) * FRAME_S
+    assert swims(path(share * SWUM * LONG_UM / passed_s), TETRAHYMENA) == is_swimming
+    slow = path(share * TETRAHYMENA.slowest_um_s, frame_s=0.5)
+    assert swims(slow, TETRAHYMENA) == is_swimming
+
+
+@pytest.mark.parametrize(
+    ("long", "wide", "is_cell"),
+    [
+        (TETRAHYMENA.long_um[1] * OUTLINE * 0.99, WIDE_UM, True),
+        (TETRAHYMENA.long_um[1] * OUTLINE * 1.01, WIDE_UM, False),
+        (TETRAHYMENA.long_um[0] / OUTLINE * 0.99, WIDE_UM, False),
+        (LONG_UM, TETRAHYMENA.wide_um[1] * OUTLINE * 1.01, False),
+        (LONG_UM, TETRAHYMENA.wide_um[0] / OUTLINE * 0.99, False),
+    ],
+)
+def test_an_object_of_another_size_is_no_cell(long, wide, is_cell):
+    assert swims(path(400, sizes=[(long, wide)] * BORN), TETRAHYMENA) == is_cell
+
+
+@pytest.mark.parametrize(("share", "is_even"), [(0.9, True), (1.1, False)])
+def test_an_object_whose_size_varies_is_no_cell(share, is_even):
+    """Of +d, -d, +d, -d and 0, the standard deviation is 0.894 d."""
+    deviation = share * EVEN * LONG_UM / math.sqrt(0.8)
+    sizes = [(LONG_UM + sign * deviation, WIDE_UM) for sign in (1, -1, 1, -1, 0)]
+    assert swims(path(400, sizes=sizes), TETRAHYMENA) == is_even
+
+
+def test_three_blobs_must_be_whole():
+    cut = (NAN, NAN)
+    whole = (LONG_UM, WIDE_UM)
+    assert swims(path(400, sizes=[cut, whole, whole, whole, cut]), TETRAHYMENA)
+    assert not swims(path(400, sizes=[cut, whole, whole, cut, cut]), TETRAHYMENA)
+
+
+@pytest.mark.parametrize(("share", "is_straight"), [(0.9, True), (1.1, False)])
+def test_an_object_that_strays_from_a_line_does_not_swim(share, is_straight):
+    """Asides of s (1, -2, 2, -2, 1) have no trend, a sum of 0 and the mean square 14 s^2 / 5."""
+    pattern = np.array([1.0, -2.0, 2.0, -2.0, 1.0])
+    scale = share * STRAY * LONG_UM / math.sqrt(14 / 5 / 2)  # the mean over both coordinates
+    assert swims(path(400, aside=(scale * pattern).tolist()), TETRAHYMENA) == is_straight
+
+
+@given(vx=st.floats(-500, 500), vy=st.floats(-500, 500))
+def test_a_line_fitted_to_a_path_is_the_least_squares_one(vx, vy):
+    rng = np.random.default_rng(3)
+    times = np.sort(rng.uniform(0, 1, 9))
+    places = np.outer(times, (vx, vy)) + rng.normal(0, 5, (9, 2))
+    velocity, fitted = straight(np.column_stack([times, places]))
+    by_numpy = np.polyfit(times, places, 1)
+    assert velocity == pytest.approx(by_numpy[0], abs=1e-6)
+    assert fitted == pytest.approx(np.outer(times, by_numpy[0]) + by_numpy[1], abs=1e-6)
+
+
+def test_the_usual_size_is_the_median_of_whole_blobs():
+    sizes = [(10.0, 4.0), (NAN, NAN), (12.0, 8.0), (99.0, 5.0)]
+    blobs = np.array([(0, 0, 0, 0, *size) for size in sizes])
+    assert tuple(usual_size(blobs))[:2] == (12.0, 5.0)
+
+
+@given(ahead_s=st.floats(0, 1))
+def test_a_speck_is_expected_to_go_on_as_over_its_newest_blobs(ahead_s):
+    before = path(0, 3)
+    blobs = path(300, MOTION, angle=0.0)
+    speck = Speck(1, [*before, *blobs])
+    x, y = speck.ahead(blobs[-1].seconds + ahead_s)
+    assert x == pytest.approx(blobs[-1].x + 300 * ahead_s)
+    assert y == pytest.approx(200)
+
+
+def test_a_speck_that_is_new_or_was_not_seen_for_a_while_is_expected_where_it_was():
+    assert Speck(1, path(300, 1)).ahead(9.0) == (100, 200)
+    speck = Speck(1, path(300, 4, angle=0.0), missed_s=1.1 * STOPPED_S)
+    assert speck.ahead(9.0) == pytest.approx((100 + 300 * FRAME_S * 3, 200))
+
+
+def test_a_path_is_shifted_with_the_camera():
+    speck = Speck(1, path(300, 3))
+    before = np.array([(blob.x, blob.y) for blob in speck.path])
+    speck.shift(5, -7)
+    after = np.array([(blob.x, blob.y) for blob in speck.path])
+    assert after == pytest.approx(before + np.array([5, -7]))

@@ -58,7 +58,7 @@ DECIDING = ("control", "model")
 TRIAL_CODE = (
     "core",
     "tools",
-    "experiment",
+    "spec",
     "model",
     "control",
     "plant",

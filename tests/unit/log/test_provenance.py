@@ -85,6 +85,12 @@ def test_the_code_of_a_trial_covers_what_makes_its_digest():
     assert [name for name in mine - packages - undigested if not name.startswith(of_a_part)] == []
 
 
+@pytest.mark.parametrize("part", [*provenance.TRIAL_CODE, *provenance.DECIDING])
+def test_each_part_of_the_code_is_a_folder_with_code(part):
+    """Regression: a renamed folder was no longer part of the hash, and nothing said so."""
+    assert [*(provenance.HERE / part).rglob("*.py")]
+
+
 def test_a_package_inside_a_foreign_checkout_has_no_commit(checkout):
     _git(checkout, "init", "-q")
     (checkout / "theirs.txt").write_text("theirs")

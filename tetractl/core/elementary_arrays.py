@@ -4,12 +4,11 @@ Each function takes the same steps as the function of the same name for numbers.
 additions, products, divisions and comparisons of NumPy, which IEEE 754 rounds in the same way on
 every processor. Nothing is added up over an array, so the order of elements does not matter.
 
-ORDINARY defines which arguments each function accepts. It excludes NaN, infinite numbers, and
-arguments whose results are near the limits of floats. `elementwise` computes those one by one.
+Functions named `is_...` check which arguments a function accepts. They exclude NaN, infinite numbers,
+and arguments whose results are near the limits of floats. `elementwise` computes those one by one.
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,26 +118,31 @@ def atan2(y: Floats, x: Floats) -> Floats:
     return np.where(y < 0, -angle, angle)
 
 
-def _is_exponent(x: Floats) -> NDArray[np.bool_]:
-    return np.abs(x) < EXPONENT_MAX
-
-
-def _is_positive(x: Floats) -> NDArray[np.bool_]:
-    return (x > 0.0) & (x < np.inf)
-
-
-def _is_angle(x: Floats) -> NDArray[np.bool_]:
+def is_angle(x: Floats) -> NDArray[np.bool_]:
+    """Check which arguments `sin` and `cos` take."""
     return np.abs(x) < ANGLE_MAX
 
 
-ORDINARY: dict[str, Callable[..., NDArray[np.bool_]]] = {
-    "sin": _is_angle,
-    "cos": _is_angle,
-    "exp": _is_exponent,
-    "expm1": _is_exponent,
-    "log": _is_positive,
-    "log1p": lambda x: _is_positive(1.0 + x),
-    "tanh": lambda x: _is_exponent(2.0 * x),
-    "atan2": lambda y, x: _is_positive(np.abs(x) + np.abs(y)),
-}
-"""For each function, which arguments its array form takes."""
+def is_exponent(x: Floats) -> NDArray[np.bool_]:
+    """Check which arguments `exp` and `expm1` take."""
+    return np.abs(x) < EXPONENT_MAX
+
+
+def is_half_exponent(x: Floats) -> NDArray[np.bool_]:
+    """Check which arguments `tanh` takes."""
+    return is_exponent(2.0 * x)
+
+
+def is_positive(x: Floats) -> NDArray[np.bool_]:
+    """Check which arguments `log` takes."""
+    return (x > 0.0) & (x < np.inf)
+
+
+def is_above_minus_1(x: Floats) -> NDArray[np.bool_]:
+    """Check which arguments `log1p` takes."""
+    return is_positive(1.0 + x)
+
+
+def is_off_origin(y: Floats, x: Floats) -> NDArray[np.bool_]:
+    """Check which points `atan2` takes."""
+    return is_positive(np.abs(x) + np.abs(y))

@@ -11,7 +11,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tetractl.core import elementary, elementary_arrays
+from tetractl.core import elementary
+from tetractl.core import elementary_arrays as arrays
 
 Floats = NDArray[np.float64]
 
@@ -19,12 +20,21 @@ LARGE = 64
 """Minimum number of elements that array operations compute faster than a loop does."""
 
 
-def _elementwise(function: Callable[..., float]) -> Callable[..., Floats]:
-    """Make a function of arrays from a function of numbers."""
-    name = function.__name__
-    loop = np.frompyfunc(function, function.__code__.co_argcount, 1)
-    of_arrays: Callable[..., Floats] = getattr(elementary_arrays, name)
-    are_ordinary = elementary_arrays.ORDINARY[name]
+def _elementwise(
+    function: Callable[..., float],
+    of_arrays: Callable[..., Floats],
+    are_ordinary: Callable[..., NDArray[np.bool_]],
+    arity: int = 1,
+) -> Callable[..., Floats]:
+    """Make a function of arrays.
+
+    Args:
+        function: The function of numbers.
+        of_arrays: The same for large arrays of ordinary arguments.
+        are_ordinary: Checks which arguments are ordinary.
+        arity: Number of arguments.
+    """
+    loop = np.frompyfunc(function, arity, 1)
 
     def apply_to_large(arguments: list[Floats]) -> Floats:
         alike = np.broadcast_arrays(*arguments)
@@ -48,14 +58,14 @@ def _elementwise(function: Callable[..., float]) -> Callable[..., Floats]:
     return apply
 
 
-sin = _elementwise(elementary.sin)
-cos = _elementwise(elementary.cos)
-exp = _elementwise(elementary.exp)
-expm1 = _elementwise(elementary.expm1)
-log = _elementwise(elementary.log)
-log1p = _elementwise(elementary.log1p)
-tanh = _elementwise(elementary.tanh)
-atan2 = _elementwise(elementary.atan2)
+sin = _elementwise(elementary.sin, arrays.sin, arrays.is_angle)
+cos = _elementwise(elementary.cos, arrays.cos, arrays.is_angle)
+exp = _elementwise(elementary.exp, arrays.exp, arrays.is_exponent)
+expm1 = _elementwise(elementary.expm1, arrays.expm1, arrays.is_exponent)
+log = _elementwise(elementary.log, arrays.log, arrays.is_positive)
+log1p = _elementwise(elementary.log1p, arrays.log1p, arrays.is_above_minus_1)
+tanh = _elementwise(elementary.tanh, arrays.tanh, arrays.is_half_exponent)
+atan2 = _elementwise(elementary.atan2, arrays.atan2, arrays.is_off_origin, arity=2)
 
 
 def hypot(x: ArrayLike, y: ArrayLike) -> Floats:

@@ -136,7 +136,7 @@ class CellTracker:
         self._seconds = seconds
         self.answers = self._names.take_answers()
         hidden_s = max(HIDDEN_S, now.brief_s)
-        return self._shown([cell for cell in self._cells if cell.missed_s < hidden_s], now)
+        return self._shown([cell for cell in self._cells if cell.missed_s < hidden_s])
 
     # ---- step 1: cells are predicted, and blobs found ----
 
@@ -366,7 +366,7 @@ class CellTracker:
             rectangles.append((first_column, first_row, last_column, last_row))
         return rectangles
 
-    def _shown(self, cells: Sequence[CellTrack], now: PictureNow) -> list[SeenCell]:
+    def _shown(self, cells: Sequence[CellTrack]) -> list[SeenCell]:
         """Return the estimates of cells in the newest image."""
         rows = np.array([cell.row for cell in cells], int)
         places, _ = self.bank.expected(rows)

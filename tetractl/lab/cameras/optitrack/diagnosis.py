@@ -65,7 +65,7 @@ def no_frames(
             f"set the data port in Motive to {sender.port}; or does a second program stream to it?",
         )
     if stream.counts.unread_frames:
-        return _unread(section, server, stream, timeout_s)
+        return _unread(server, stream, timeout_s)
     return AbortError(
         f"{server}, but no frames came within {timeout_s:g} s",
         f"does Motive stream in {section.transport}? Multicast frames come from "
@@ -74,7 +74,7 @@ def no_frames(
     )
 
 
-def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: float) -> AbortError:
+def _unread(server: str, stream: Stream, timeout_s: float) -> AbortError:
     assert stream.info is not None and stream.version is not None, "it answers"
     server_version = stream.info.version
     fits = _reads_as(stream.unread_frame, stream)

@@ -56,7 +56,7 @@ def trials(count: int) -> None:
         with tempfile.TemporaryDirectory() as folder, virtual_dish(folder, seed) as dish:
             witness = Witness(dish)
             try:
-                with ready_trial([witness], dish.spec, 0, [], interrupt) as trial:
+                with ready_trial(dish.spec, 0, [witness], interrupt) as trial:
                     result = trial.run()
             except TetractlError as error:
                 failed.append(f"seed {seed}: {error}")

@@ -5,9 +5,8 @@
 
 The script simulates trial 0 of a spec with `tetractl.run_trial` in a separate process. It counts
 the modules of tetractl that are loaded at the end, and the lines of their files. Without a spec, it
-counts
-twice: for the paper's experiment, and for the paper's lab, emulated with `tetractl run`. `--list`
-names the modules, longest first.
+counts three times: for the paper's experiment, for the same experiment with a log, and for the
+paper's lab, emulated with `tetractl run`. `--list` names the modules, longest first.
 """
 
 import json
@@ -21,6 +20,8 @@ from tempfile import TemporaryDirectory
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 SCRIPT = "import sys, tetractl; tetractl.run_trial(sys.argv[1])\n"
 """Simulates a trial, as a script does."""
+LOGGED = "import sys, tetractl; tetractl.run_trial(sys.argv[1], folder='logs')\n"
+"""Simulates a trial, writes its log, and reads it."""
 COMMAND = """
 import sys
 from tetractl.cli.app import run_app
@@ -77,6 +78,7 @@ def main() -> None:
         return
     paper = EXPERIMENTS / "three_m3pi_paper.yaml"
     report("the paper's experiment, simulated", imported(SCRIPT, paper), given.list)
+    report("the same, with a log", imported(LOGGED, paper), given.list)
     lab = EXPERIMENTS / "three_m3pi_paper_lab.yaml"
     report("the paper's lab, emulated", imported(COMMAND, lab), given.list)
 

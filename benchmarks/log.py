@@ -22,7 +22,7 @@ from testkit.fuzz import Original, fuzz  # noqa: E402
 from testkit.tampering import score, sim_log  # noqa: E402
 
 from tetractl.run.interrupt import Interrupt  # noqa: E402
-from tetractl.run.spec_trial import log_path, run_logged  # noqa: E402
+from tetractl.run.logged_trial import log_path, run_logged  # noqa: E402
 from tetractl.spec.load import parse_spec  # noqa: E402
 
 SMALL = """

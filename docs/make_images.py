@@ -23,7 +23,7 @@ from testkit.emulator.virtual_lab import virtual_dish  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.read.trial_log import TrialLog  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
-from tetractl.run.spec_trial import run_logged  # noqa: E402
+from tetractl.run.logged_trial import run_logged  # noqa: E402
 from tetractl.view.player import Recording  # noqa: E402
 from tetractl.view.terminal.dashboard import Dashboard, Footer  # noqa: E402
 from tetractl.view.video import write_video  # noqa: E402

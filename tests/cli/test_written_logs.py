@@ -11,7 +11,7 @@ from testkit.tampering import SIM
 from tetractl.log.format.channels import RESOLVED_SPEC
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.load import parse_spec
 from tetractl.spec.loaded_spec import LoadedSpec
 

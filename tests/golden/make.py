@@ -22,7 +22,7 @@ from tetractl.log.format.channels import FORMAT_VERSION  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.read.trial_log import TrialLog  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402
-from tetractl.run.spec_trial import log_path, run_logged  # noqa: E402
+from tetractl.run.logged_trial import log_path, run_logged  # noqa: E402
 from tetractl.spec.load import parse_spec  # noqa: E402
 
 SPEC = """

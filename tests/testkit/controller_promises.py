@@ -15,7 +15,7 @@ from tetractl.core.plan import Outcome, Plan
 from tetractl.log.read.reader import read_trial
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.loaded_spec import LoadedSpec
 from tetractl.verification.recompute import recompute
 from tetractl.verification.verify import verify

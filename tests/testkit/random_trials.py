@@ -9,13 +9,13 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Stop
+from tetractl.core.loggable import drawn
 from tetractl.core.motion_estimate import INNOVATIONS, Estimate
 from tetractl.core.plan import Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Floats, Observation, Poses, Sample
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Result, Start, Step, Verdict
 from tetractl.log import provenance
-from tetractl.log.format.codec import drawn
 from tetractl.log.write.writer import LogWriter
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.loaded_spec import LoadedSpec, start_of

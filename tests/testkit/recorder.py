@@ -1,7 +1,7 @@
 """An observer that keeps a trial in memory."""
 
+from tetractl.core.poses import Frames
 from tetractl.core.trial import TrialRecords
-from tetractl.log.format.codec import Frames
 
 
 class Recorder:

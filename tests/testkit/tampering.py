@@ -28,7 +28,7 @@ from tetractl.log.format.channels import (
 )
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.load import parse_spec
 from tetractl.verification.verify import verify
 

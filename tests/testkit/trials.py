@@ -11,7 +11,7 @@ from tetractl.core.protocols import Observer
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import Damage, TrialLog
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.load import parse_spec
 

@@ -4,9 +4,7 @@ The spec's controller steers the robots, or a script does so step by step.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from tetractl.api.preparation import announcer, check_simulated, interruptible
@@ -35,11 +33,12 @@ def run_trial(
     Args:
         spec: The experiment: a loaded spec, a YAML file, or its contents.
         trial: Index of the trial, from 0. Trial 0 is logged to trial-000.mcap.
-        folder: Where to keep the log. By default, the log is discarded.
+        folder: Where to write the log. By default, nothing is written.
         observers: Observers that watch the trial while it runs.
 
     Returns:
-        The trial, as `read_log` returns it.
+        The trial, as `read_log` returns it. Without a folder, it has no `digest` and no `facts`
+        about the computer, and its true poses and predicted paths are not rounded as in a log.
 
     Raises:
         SpecError: If the spec is wrong.
@@ -51,26 +50,45 @@ def run_trial(
         >>> trial.result.outcome.value
         'arrived'
     """
-    from tetractl.log.read.reader import read_trial
-    from tetractl.run import spec_trial
-    from tetractl.tools.files import make_folder
-
     spec = as_spec(spec)
     trial = whole_number(trial, "a trial")
     if folder is not None:
         demand(folder, str | Path, "a folder is a path")
     check_simulated(spec, announcer(True))
-    with TemporaryDirectory() as temporary, interruptible() as interrupt:
-        place = Path(temporary if folder is None else folder)
-        path = spec_trial.log_path(place, trial)
-        if path.exists():
-            raise UsageError(f"{path}: exists already", "name another folder")
-        make_folder(place)
-        spec_trial.run_logged(spec, place, trial, observers, interrupt)
-        simulated = read_trial(path)
-    if folder is None:  # the file is gone
-        return replace(simulated, log=f"{spec.name}, trial {trial}")
-    return simulated
+    if folder is None:
+        return _simulate(spec, trial, observers)
+    return _simulate_logged(spec, trial, observers, Path(folder))
+
+
+def _simulate(spec: LoadedSpec, trial: int, observers: Sequence[Observer]) -> TrialLog:
+    """Simulate a trial, and keep it in memory."""
+    from tetractl.log.recorder import TrialRecorder
+    from tetractl.run.spec_trial import ready_trial
+
+    recorder = TrialRecorder()
+    with (
+        interruptible() as interrupt,
+        ready_trial(spec, trial, [recorder, *observers], interrupt) as ready,
+    ):
+        ready.run()
+    return recorder.trial_log(f"{spec.name}, trial {trial}")
+
+
+def _simulate_logged(
+    spec: LoadedSpec, trial: int, observers: Sequence[Observer], folder: Path
+) -> TrialLog:
+    """Simulate a trial, write its log, and read it."""
+    from tetractl.log.read.reader import read_trial
+    from tetractl.run.logged_trial import log_path, run_logged
+    from tetractl.tools.files import make_folder
+
+    path = log_path(folder, trial)
+    if path.exists():
+        raise UsageError(f"{path}: exists already", "name another folder")
+    make_folder(folder)
+    with interruptible() as interrupt:
+        run_logged(spec, folder, trial, observers, interrupt)
+        return read_trial(path)
 
 
 def open_trial(spec: Spec, trial: int = 0, seed: int | None = None) -> "OpenTrial":

@@ -239,7 +239,7 @@ class Game:
 
     def control(self, observers: "Sequence[Observer]" = ()) -> None:
         """Run the trial in which the spec's controller steers."""
-        from tetractl.run.spec_trial import run_logged
+        from tetractl.run.logged_trial import run_logged
         from tetractl.tools.files import make_folder
 
         folder = self.folder / "controller"

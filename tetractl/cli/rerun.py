@@ -52,7 +52,7 @@ def rerun(
     """
     from tetractl.log.read.reader import trial_of
     from tetractl.log.read.salvage import scan
-    from tetractl.run.spec_trial import log_path
+    from tetractl.run.logged_trial import log_path
     from tetractl.spec.load import parse_written
 
     raw = scan(find_log(log))

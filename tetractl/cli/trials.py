@@ -181,7 +181,7 @@ def _print_plan(loaded: "LoadedSpec", folder: Path, planned: list[int]) -> None:
 
     The whole text is therefore a valid spec.
     """
-    from tetractl.run.spec_trial import log_path
+    from tetractl.run.logged_trial import log_path
     from tetractl.spec.loaded_spec import resolved_yaml
 
     print(f"# {loaded.name} as it would be run; nothing is run or written")
@@ -387,7 +387,7 @@ def _conclude(
     The error of a trial without a result is raised. If no trial has a result, nothing is printed
     before that.
     """
-    from tetractl.run.spec_trial import log_path
+    from tetractl.run.logged_trial import log_path
 
     folder = store.folder
     not_run = len(planned) - len(report.results)

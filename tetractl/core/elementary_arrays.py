@@ -4,8 +4,9 @@ Each function takes the same steps as the function of the same name for numbers.
 additions, products, divisions and comparisons of NumPy, which IEEE 754 rounds in the same way on
 every processor. Nothing is added up over an array, so the order of elements does not matter.
 
-Functions named `is_...` check which arguments a function accepts. They exclude NaN, infinite numbers,
-and arguments whose results are near the limits of floats. `elementwise` computes those one by one.
+Functions named `is_...` check which arguments a function accepts. They exclude NaN, infinite
+numbers, and arguments whose results are near the limits of floats. `elementwise` computes those one
+by one.
 """
 
 import math

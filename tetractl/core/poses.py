@@ -8,6 +8,7 @@
     Sample         what a log keeps of a frame: the observation, true poses in a simulation, and
                    messages
     FrameAddition  messages that a camera adds to its frames
+    Frames         the frames of a trial, or of a part of it, in arrays
 
 All coordinates are in the spec's length unit, headings and angles in rad.
 """
@@ -15,7 +16,7 @@ All coordinates are in the spec's length unit, headings and angles in rad.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,14 @@ Grey = NDArray[np.uint8]  # a picture (height, width)
 
 POSE_MAX = 1e9
 """Limit of coordinates [length unit] and headings [rad]: logs hold no others."""
+CAMERA = "/camera/"
+"""Beginning of the topics on which a camera adds messages to its frames, in this version or an
+earlier one. Such messages are logged unchanged, and nothing depends on them.
+"""
+PICTURE = f"{CAMERA}picture"
+"""Topic of the images of a camera, as `CompressedImage` of Foxglove."""
+BACKGROUND = f"{CAMERA}background"
+"""Topic of the images of an empty scene, with which a camera compares the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +264,7 @@ class FrameAddition:
     Attributes:
         sampled_ns: When the frame was exposed [ns].
         messages: Messages for the log, each a topic and protobuf bytes. They are logged unchanged.
-            A camera may use the image channels of `log.format.channels`.
+            The topics of images are PICTURE and BACKGROUND.
     """
 
     sampled_ns: int
@@ -275,3 +284,74 @@ class Sample:
     observation: Observation
     truth: Poses | None
     messages: tuple[tuple[str, bytes], ...] = ()
+
+
+class Frames(NamedTuple):
+    """M camera frames of N robots, stored as arrays.
+
+    `numbers`, `sampled_ns` and `received_ns` are (M,), `poses` and `truth` (M, N, 3) and `valid`
+    (M, N); `truth` is None if no true poses are known. `exposed_ns` (M, N) are the times of the
+    poses, by default those of their frames.
+    """
+
+    numbers: Integers
+    sampled_ns: Integers
+    received_ns: Integers
+    poses: Floats
+    valid: Bools
+    truth: Floats | None
+    exposed_ns: Integers
+
+    @classmethod
+    def from_samples(cls, samples: Sequence[Sample], robots: int) -> "Frames":
+        """Convert samples to arrays.
+
+        `truth` is None unless every sample has true poses. If there are no samples, `truth` is
+        empty, and `joined` treats it as known.
+        """
+        observations = [sample.observation for sample in samples]
+        truths = [sample.truth for sample in samples if sample.truth is not None]
+        all_known = len(truths) == len(samples)
+        exposed_ns = [
+            observation.exposed_ns or (observation.sampled_ns,) * robots
+            for observation in observations
+        ]
+        valid = [observation.valid for observation in observations]
+        return cls(
+            numbers=_integers([observation.frame for observation in observations]),
+            sampled_ns=_integers([observation.sampled_ns for observation in observations]),
+            received_ns=_integers([observation.received_ns for observation in observations]),
+            poses=_stacked([observation.poses for observation in observations], robots),
+            valid=np.array(valid, dtype=np.bool_).reshape(-1, robots),
+            truth=_stacked(truths, robots) if all_known else None,
+            exposed_ns=_integers(exposed_ns).reshape(-1, robots),
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence["Frames"]) -> "Frames":
+        """Join several parts in order.
+
+        `truth` is None unless every part has true poses.
+        """
+        columns: list[Any] = []
+        for of_parts in zip(*parts, strict=True):
+            all_known = all(column is not None for column in of_parts)
+            columns.append(np.concatenate(of_parts) if all_known else None)
+        return cls(*columns)
+
+    def part(self, rows: slice | Integers) -> "Frames":
+        """Return only the camera frames in the given rows."""
+        columns: list[Any] = [None if column is None else column[rows] for column in self]
+        return Frames(*columns)
+
+
+def _stacked(poses: Sequence[Poses], robots: int) -> Floats:
+    """Stack the poses of N robots at M times in an array (M, N, 3)."""
+    rows: list[Floats] = []
+    for pose in poses:
+        rows += [pose.x, pose.y, pose.heading]
+    return np.concatenate([[], *rows]).reshape(-1, 3, robots).transpose(0, 2, 1)
+
+
+def _integers(values: Sequence[Any]) -> Integers:
+    return np.array(values, dtype=np.int64)

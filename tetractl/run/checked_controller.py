@@ -12,18 +12,17 @@ from tetractl.control.search.work_clock import WorkClock
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
 from tetractl.core.errors import WrongValueError, text_of
+from tetractl.core.loggable import check_actions, check_plan, stop_reason
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Decision, End, Outcome, Plan, Search, State, StopReason
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
-from tetractl.log.format.codec import decode_stop_reason
-from tetractl.log.read.limits import CHUNK_MAX
-from tetractl.log.read.validate import check_actions, check_plan
 from tetractl.spec.controller import ALONE, ControllerSection, Host
 from tetractl.spec.experiment import Experiment
 
-NUMBERS_MAX = CHUNK_MAX // 32
-"""Maximum count of numbers in a plan: a quarter of the largest chunk of a log that is read."""
+NUMBERS_MAX = 1 << 19
+"""Maximum count of numbers in a plan: a quarter of the largest chunk of a log that is read
+(`CHUNK_MAX` of `tetractl.log.read.limits`)."""
 
 
 def build_controller(experiment: Experiment, key: int) -> "CheckedController":
@@ -154,7 +153,7 @@ def _or_none(convert: Callable[[Any], Any]) -> Callable[[Any], Any]:
 _CONVERT: Mapping[Any, Callable[[Any], Any]] = {
     Floats: _array, float: float, int: index, State: State, Outcome: _outcome,
     Floats | None: _or_none(_array), float | None: _or_none(float),
-    StopReason | str: decode_stop_reason,
+    StopReason | str: stop_reason,
     tuple[Search, ...]: lambda searches: tuple(_made(Search, search) for search in searches),
     Estimate | None: _or_none(lambda estimate: _made(Estimate, estimate)),
     Turn | Stop | FieldOff | None: _instead, Mapping[str, float]: _numbers,

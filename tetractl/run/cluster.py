@@ -14,7 +14,7 @@ from typing import Any, Self
 from tetractl.core.errors import AbortError, UsageError
 from tetractl.run.executors import StartTask, TaskEnd
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path
+from tetractl.run.logged_trial import log_path
 from tetractl.run.task import Finished, Task, run_task
 from tetractl.tools.files import save_whole
 

@@ -32,7 +32,9 @@ from tetractl.core.trial import Result, Start, Step
 from tetractl.log.write.sink import TRIAL_PART
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, ready_trial, trial_seeds
+from tetractl.run.logged_trial import log_path, supervision_of
+from tetractl.run.observer_relay import relayed
+from tetractl.run.spec_trial import ready_trial, trial_seeds
 from tetractl.spec.loaded_spec import LoadedSpec, start_of, with_controller
 from tetractl.tools.files import make_folder
 from tetractl.tools.worker import Relay
@@ -170,16 +172,17 @@ def run_by_hand(
     make_folder(folder)
     path = log_path(folder, controller.trial)
     hand_log = HandLog(controller)
-    first = LogWriter(path, real_time=spec.experiment.plant.real_time, keeps_part=True)
+    interrupt = interrupt or Interrupt()
+    real_time = spec.experiment.plant.real_time
     with (
-        first as log,
+        LogWriter(path, real_time=real_time, keeps_part=True) as log,
+        relayed(observers, real_time) as relays,
         ready_trial(
-            [log, hand_log],
             spec,
             controller.trial,
-            observers,
-            interrupt or Interrupt(),
-            supervision,
+            [log, hand_log, *relays],
+            interrupt,
+            supervision or supervision_of(log, interrupt),
             controller,
         ) as ready,
     ):

@@ -1,6 +1,7 @@
 """Call an observer that may be slow in a thread of its own, so that it never delays a trial."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 
 from tetractl.core.commands import Command
 from tetractl.core.errors import TetractlError
@@ -47,3 +48,19 @@ class ObserverRelay(Relay):
     def close(self) -> None:
         """Make all calls of observers that are still queued, and end the thread."""
         self._worker.close()
+
+
+@contextmanager
+def relayed(observers: Sequence[Observer], real_time: bool) -> Iterator[Sequence[Observer]]:
+    """Give observers that never delay a trial in real time.
+
+    Args:
+        observers: The observers.
+        real_time: Whether the trial runs in real time. Otherwise the observers themselves are
+            given, and a simulation waits for them.
+    """
+    if not real_time:
+        yield observers
+        return
+    with ExitStack() as relays:
+        yield [relays.enter_context(closing(ObserverRelay(observer))) for observer in observers]

@@ -29,9 +29,10 @@ from tetractl.core.poses import Observation, Poses, Sample
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.setup import Setup
 from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
-from tetractl.run import spec_trial
 from tetractl.run.control_loop import Trial
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.logged_trial import log_path, run_logged
+from tetractl.run.spec_trial import trial_seeds
 from tetractl.spec.controller import ControllerSection
 from tetractl.spec.load import parse_spec
 from tetractl.spec.loaded_spec import LoadedSpec, start_of, with_controller, with_seed
@@ -166,7 +167,7 @@ class OpenTrial:
         self._seed = whole_number(seed, "a seed")
         self._directions: list[float] = []
         self._truth = TruthWatch(experiment.setup)
-        key, plant_seed = spec_trial.trial_seeds(self._seed, self._trial)
+        key, plant_seed = trial_seeds(self._seed, self._trial)
         self._controller = AskingController(SequenceController(section, experiment.setup, key))
         clock = experiment.plant.clock()
         ready = Trial(
@@ -270,11 +271,11 @@ class OpenTrial:
         if self._result is None:
             raise UsageError("the trial has not ended", "step it until it has a result, or stop it")
         demand(folder, str | Path, "a folder is a path")
-        path = spec_trial.log_path(Path(folder), self._trial)
+        path = log_path(Path(folder), self._trial)
         if path.exists():
             raise UsageError(f"{path}: exists already", "name another folder")
         make_folder(Path(folder))
-        logged = spec_trial.run_logged(self.spec, Path(folder), self._trial)
+        logged = run_logged(self.spec, Path(folder), self._trial)
         if _outcome_of(logged) != _outcome_of(self._result):
             raise TetractlError(f"{path}: the repeated trial ended otherwise than the stepped one")
         return path

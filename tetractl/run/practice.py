@@ -157,7 +157,7 @@ def practise(spec: LoadedSpec, clock: Clock, silent_ns: Callable[[], int]) -> Pr
     while not paced.is_over:  # trials may be short
         steps_before = paced.steps
         controller = build_controller(spec.experiment, key)  # in the lab it obeys a real deadline
-        with ready_trial([paced], simulated, 0, (), interrupt, controller=controller) as trial:
+        with ready_trial(simulated, 0, [paced], interrupt, controller=controller) as trial:
             result = trial.run()
         if result.outcome is Outcome.INTERRUPTED and not paced.is_over:
             raise KeyboardInterrupt

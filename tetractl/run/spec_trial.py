@@ -1,19 +1,15 @@
-"""Run one trial of a spec: build its clock, plant and controller, and write its log.
+"""Build one trial of a spec: its clock, plant and controller.
 
-    run_logged      writes the log while the trial runs
-      ready_trial   builds the trial, with any observers
-      Trial.run     is the control loop (`tetractl.run.control_loop`)
+    ready_trial   builds the trial
+    Trial.run     is the control loop (`tetractl.run.control_loop`)
 
-In real time, background threads call the observers, so that a slow screen never delays the loop.
-Writers of logs are called in the loop's thread. In a simulation, the loop's thread calls all of
-them.
+`run_logged` of `tetractl.run.logged_trial` also writes a log.
 """
 
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING
 
@@ -21,13 +17,11 @@ import numpy as np
 
 from tetractl.core.clock import Clock
 from tetractl.core.protocols import Controller, LabSupervision, Observer, Plant
-from tetractl.core.trial import EPOCH_NS, PlantInfo, Result
-from tetractl.log.write.writer import LogWriter
+from tetractl.core.trial import EPOCH_NS, PlantInfo
 from tetractl.run.checked_controller import build_controller
 from tetractl.run.control_loop import Trial, abandon
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.model_changes import stated_model
-from tetractl.run.observer_relay import ObserverRelay
 from tetractl.spec.experiment import packages
 from tetractl.spec.loaded_spec import LoadedSpec, start_of
 from tetractl.tools.plugin_fault import plugins_named
@@ -47,41 +41,8 @@ def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:
     return int(controller.generate_state(1, np.uint64)[0]), plant
 
 
-def log_path(folder: Path, trial: int) -> Path:
-    """Return the path of a trial's log in the folder of a batch or of an arm."""
-    return folder / f"trial-{trial:03d}.mcap"
-
-
-def run_logged(
-    spec: LoadedSpec,
-    folder: Path,
-    trial: int = 0,
-    observers: Sequence[Observer] = (),
-    interrupt: Interrupt | None = None,
-    supervision: LabSupervision | None = None,
-) -> Result:
-    """Run a trial of a spec, and write its log meanwhile.
-
-    Args:
-        spec: The spec.
-        folder: The folder of the log.
-        trial: The number of the trial.
-        observers: Objects that are also notified of every event, each in a thread of its own if the
-            trial runs in real time.
-        interrupt: Ends the trial on request; by default, nothing else does.
-        supervision: Supervises the lab; by default this process does.
-    """
-    interrupt = interrupt or Interrupt()
-    with (
-        LogWriter(log_path(folder, trial), real_time=spec.experiment.plant.real_time) as log,
-        ready_trial([log], spec, trial, observers, interrupt, supervision) as ready,
-    ):
-        return ready.run()
-
-
 @contextmanager
 def ready_trial(
-    writers: Sequence[Observer],
     spec: LoadedSpec,
     trial: int,
     observers: Sequence[Observer],
@@ -92,11 +53,9 @@ def ready_trial(
     """Prepare a trial of a spec, and yield it when it is ready to run.
 
     Args:
-        writers: Writers of logs, called in the thread of the control loop.
         spec: The spec.
         trial: The number of the trial.
-        observers: Objects that are notified of every event, in threads of their own if the trial
-            runs in real time.
+        observers: Objects that are notified of every event, in the thread of the control loop.
         interrupt: Ends the trial on request.
         supervision: Supervises the lab; by default this process does.
         controller: The controller; by default, the one that the spec selects.
@@ -105,12 +64,8 @@ def ready_trial(
     clock = section.clock()
     start_unix_ns = time.time_ns() if section.real_time else EPOCH_NS
     key, seed = trial_seeds(spec.experiment.trials.seed, trial)
-    supervisor = supervision or _own_supervision(writers, interrupt)
-    with plugins_named(packages(spec.experiment)), ExitStack() as relays:
-        if section.real_time:
-            observers = [
-                relays.enter_context(closing(ObserverRelay(observer))) for observer in observers
-            ]
+    supervisor = supervision or own_supervision(interrupt)
+    with plugins_named(packages(spec.experiment)):
         full_spec, plant = _spec_and_plant(spec, clock, seed, supervisor)
         with ExitStack() as unless_ready:
             # a plant that has chosen its robots is open already, and nobody else would stop it
@@ -122,7 +77,7 @@ def ready_trial(
                 plant=plant,
                 controller=controller or build_controller(full_spec.experiment, key),
                 clock=clock,
-                observers=[*writers, *observers],
+                observers=observers,
                 interrupt=interrupt,
                 stated=stated_model(full_spec.experiment),
             )
@@ -130,17 +85,9 @@ def ready_trial(
         yield ready
 
 
-def _own_supervision(writers: Sequence[Observer], interrupt: Interrupt) -> LabSupervision:
-    """Return the default supervision of a lab: by the process that runs the trial."""
-
-    def fail_log(error: OSError) -> None:
-        for writer in writers:
-            if isinstance(writer, LogWriter):
-                writer.fail(error)
-
-    return LabSupervision(
-        cancelled=lambda: interrupt.requested, signalled=interrupt.request, fail_log=fail_log
-    )
+def own_supervision(interrupt: Interrupt) -> LabSupervision:
+    """Return the supervision of a lab by the process that runs the trial."""
+    return LabSupervision(cancelled=lambda: interrupt.requested, signalled=interrupt.request)
 
 
 def _spec_and_plant(

@@ -19,7 +19,7 @@ from tetractl.log.read.find import LOG_PART, RECOVERED_SUFFIX, SUFFIX, attempt_n
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.run.folder_lock import locked
-from tetractl.run.spec_trial import log_path
+from tetractl.run.logged_trial import log_path
 from tetractl.run.task import code_of
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.loaded_spec import arm_hash

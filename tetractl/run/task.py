@@ -19,7 +19,7 @@ from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.trial import Result
 from tetractl.log.provenance import trial_code
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import run_logged
+from tetractl.run.logged_trial import run_logged
 from tetractl.spec.experiment import Experiment, packages
 from tetractl.spec.loaded_spec import LoadedSpec
 

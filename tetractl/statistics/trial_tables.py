@@ -15,15 +15,15 @@ import numpy as np
 
 from tetractl.core.clock import MILLISECOND
 from tetractl.core.errors import printable
-from tetractl.core.motion_estimate import INNOVATIONS
-from tetractl.core.poses import Floats
-from tetractl.log.format.channels import HOST_TIMING, STEP
-from tetractl.log.format.codec import (
+from tetractl.core.loggable import (
     ESTIMATE_FIELDS,
     NUMBER_NAME_MAX,
     NUMBERS_MAX,
     STOP_REASON_MAX,
 )
+from tetractl.core.motion_estimate import INNOVATIONS
+from tetractl.core.poses import Floats
+from tetractl.log.format.channels import HOST_TIMING, STEP
 from tetractl.log.format.tetractl_pb2 import (
     ControllerStep,
     Estimate,

@@ -21,6 +21,7 @@ from tetractl.control.search.optimizers.pso import Pso
 from tetractl.control.search.stop import reason_to_stop
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
+from tetractl.core.loggable import DRAWN_PRECISION, drawn
 from tetractl.core.plan import (
     PAUSE_S,
     Decision,
@@ -35,7 +36,6 @@ from tetractl.core.plan import (
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller
 from tetractl.core.trial import Step
-from tetractl.log.format.codec import DRAWN_PRECISION, drawn
 from tetractl.log.read.limits import FACTOR, seconds_limit
 from tetractl.log.read.trial_log import TrialLog, frame_gaps
 from tetractl.run.checked_controller import CheckedController

@@ -65,7 +65,7 @@ def differences(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
     """Run the trial of a log again, and yield the differences between the records."""
     sink = Recorder(computing_s() + 2 * limits.seconds_limit())
     try:
-        with ready_trial([Encoder(sink)], log.spec, log.start.trial, (), sink.interrupt) as again:
+        with ready_trial(log.spec, log.start.trial, [Encoder(sink)], sink.interrupt) as again:
             again.run()
     except (TetractlError, ValueError, OverflowError) as error:
         why = str(error).partition("\n")[0]

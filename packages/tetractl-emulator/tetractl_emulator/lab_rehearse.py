@@ -79,7 +79,7 @@ def rehearse(
     from tetractl.control.methods.build import warm_up
     from tetractl.core.plan import Outcome
     from tetractl.run.executors import called
-    from tetractl.run.spec_trial import run_logged
+    from tetractl.run.logged_trial import run_logged
     from tetractl.run.store import RecordStore
     from tetractl.spec.load import load_spec
     from tetractl.spec.plants import on_plant

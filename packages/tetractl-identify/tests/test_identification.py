@@ -25,7 +25,7 @@ from tetractl.core.commands import Steer
 from tetractl.core.errors import UsageError
 from tetractl.log.read.reader import read_trial
 from tetractl.plant.simulation import SimPlant
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.load import load_spec
 from tetractl.tools.likelihood import SampleInterval
 from tetractl.tools.table.table_files import json_text

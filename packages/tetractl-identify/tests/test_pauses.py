@@ -17,7 +17,7 @@ from tetractl_identify.tracks import SETTLED_S, track_of, wheels_of
 
 from tetractl.core.errors import UsageError
 from tetractl.log.read.reader import read_trial
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.load import load_spec
 
 WATCHDOG_S = 0.25  # of the robots in three_m3pi.yaml

@@ -6,7 +6,7 @@ from typing import Any
 
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.run.spec_trial import log_path
+from tetractl.run.logged_trial import log_path
 from tetractl.spec.load import load_spec
 from tetractl.spec.loaded_spec import LoadedSpec
 from tetractl.spec.yaml.settings import FieldValue

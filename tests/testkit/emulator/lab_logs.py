@@ -5,7 +5,7 @@ from pathlib import Path
 
 from testkit.emulator.bench_agreement import LAB
 from testkit.emulator.virtual_lab import virtual_dish, virtual_lab
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.load import load_spec
 
 

@@ -14,7 +14,7 @@ from tetractl.plant import drive_kernels as kernel
 from tetractl.plant.cell_drive import CellDrive
 from tetractl.plant.sim_section import CultureSection
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.disturbance import DelayedCommand
 from tetractl.spec.load import parse_spec
 

@@ -14,7 +14,8 @@ from tetractl.run import executors
 from tetractl.run.batch import OnFailure, TrialTimes, run_batch
 from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_logged, trial_seeds
+from tetractl.run.logged_trial import log_path, run_logged
+from tetractl.run.spec_trial import trial_seeds
 from tetractl.run.store import Store
 from tetractl.run.task import Finished, Task, batch_tasks
 from tetractl.spec.load import parse_spec

@@ -16,6 +16,7 @@ from tetractl.core.errors import WrongValueError
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import End, Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation, Poses
+from tetractl.log.read.limits import CHUNK_MAX
 from tetractl.log.read.reader import read_trial
 from tetractl.run.checked_controller import NUMBERS_MAX, CheckedController
 from tetractl.spec.controller import ControllerSection
@@ -284,3 +285,7 @@ def test_a_controller_of_another_package_has_a_setup_of_its_own():
     controller = checked(plan())
     controller.controller.setup.targets[:] = 0
     assert np.array_equal(SETUP.targets, targets)
+
+
+def test_the_largest_plan_fits_in_a_chunk_that_the_reader_accepts():
+    assert 8 * NUMBERS_MAX <= CHUNK_MAX / 4  # numbers of 8 bytes

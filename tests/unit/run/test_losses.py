@@ -14,7 +14,7 @@ from tetractl.core.poses import Observation, Poses
 from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.load import load_spec, parse_spec
 from tetractl.statistics.built_in_statistics import LOST
 from tetractl.statistics.flagged import trial_notes

@@ -12,8 +12,8 @@ import tetractl
 from tetractl.core.errors import SpecError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.log.read.reader import content_digest
+from tetractl.run.logged_trial import run_logged
 from tetractl.run.open_trial import DroppedError, OpenTrial
-from tetractl.run.spec_trial import run_logged
 from tetractl.spec.examples import examples
 from tetractl.spec.load import parse_spec
 from tetractl.spec.plants import on_plant

@@ -9,7 +9,7 @@ from tetractl.core.plan import PAUSE_S, Outcome
 from tetractl.core.poses import wrap
 from tetractl.log.read.reader import read_trial
 from tetractl.report.trial_data import trial_data
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.load import load_spec
 from tetractl.verification.verify import verify
 from tetractl.view.player import Recording

@@ -13,7 +13,7 @@ from tetractl.core.route_measure import HoldTask, RouteMeasure
 from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.load import parse_spec
 from tetractl.statistics.built_in_statistics import TIME_INSIDE
 from tetractl.verification.verify import verify

@@ -7,7 +7,7 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.log.read.find import find_logs
 from tetractl.run import store
-from tetractl.run.spec_trial import log_path
+from tetractl.run.logged_trial import log_path
 from tetractl.run.store import RecordStore, Store, set_aside
 from tetractl.tools.files import make_folder
 

@@ -4,7 +4,7 @@ import pytest
 from testkit.marked_robots import MarkedRobots, install
 
 from tetractl.log.read.reader import read_trial
-from tetractl.run.spec_trial import run_logged
+from tetractl.run.logged_trial import run_logged
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.load import parse_spec
 from tetractl.spec.yaml.problems import InvalidSpecError

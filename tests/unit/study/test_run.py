@@ -7,11 +7,11 @@ import pytest
 from testkit.studies import FAILING, SMALL, Watcher, run
 
 from tetractl.core.errors import TetractlError, UsageError
-from tetractl.run import spec_trial, store
+from tetractl.run import logged_trial, store
 from tetractl.run.batch import OnFailure, run_batch
 from tetractl.run.executors import Here
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path
+from tetractl.run.logged_trial import log_path
 from tetractl.run.store import Store
 from tetractl.run.task import batch_tasks
 
@@ -112,14 +112,14 @@ def test_batches_are_arms_of_a_study_that_lacks_their_other_trials(done, finishe
 
 
 def test_a_trial_without_an_outcome_is_run_again_the_next_time(tmp_path, monkeypatch):
-    ready_trial = spec_trial.ready_trial
+    ready_trial = logged_trial.ready_trial
 
-    def ready_unless_trial_1(writers, spec, trial, *more):
+    def ready_unless_trial_1(spec, trial, *more):
         if trial == 1:
             raise TetractlError("the disk is full")
-        return ready_trial(writers, spec, trial, *more)
+        return ready_trial(spec, trial, *more)
 
-    monkeypatch.setattr(spec_trial, "ready_trial", ready_unless_trial_1)
+    monkeypatch.setattr(logged_trial, "ready_trial", ready_unless_trial_1)
     ran = run(tmp_path, SMALL)
     assert ran.counts == (4, 2, 0)
     assert {why for *_, why in ran.watcher.failures} == {"the disk is full"}

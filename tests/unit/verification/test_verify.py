@@ -22,7 +22,7 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage
 from tetractl.run.checked_controller import CheckedController
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.controller import ALONE
 from tetractl.spec.load import parse_spec
 from tetractl.tools.kernels.kernel_cache import computing_s

@@ -13,6 +13,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 from mcap.records import Attachment
 
+from tetractl.core.poses import BACKGROUND, PICTURE
 from tetractl.log.format import tetractl_pb2 as pb
 
 FORMAT_VERSION = 4
@@ -39,12 +40,6 @@ SCENE = "/scene/static"
 SCENE_PLAN = "/scene/plan"
 LOG = "/log"
 HOST_TIMING = "/host/timing"
-CAMERA = "/camera/"
-"""Beginning of the channels on which a camera adds messages to its frames, in this version or an
-earlier one. Such messages are logged unchanged, and nothing depends on them.
-"""
-PICTURE = f"{CAMERA}picture"
-BACKGROUND = f"{CAMERA}background"
 HOST_END = "/host/end"
 RESULT = "/result"
 DIGESTS = "/digests"

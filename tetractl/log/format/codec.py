@@ -11,115 +11,24 @@ ValueError for a message that cannot come from a trial with this number of robot
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from tetractl.core.commands import Action, Command, FieldOff, Steer, Stop, Turn
 from tetractl.core.errors import printable
+from tetractl.core.loggable import ESTIMATE_FIELDS, STOP_REASON_MAX, drawn, stop_reason
 from tetractl.core.motion_estimate import Estimate
-from tetractl.core.plan import Plan, Search, State, StopReason
-from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses, Sample
+from tetractl.core.plan import Plan, Search, State
+from tetractl.core.poses import Floats, Frames, Observation, Poses
 from tetractl.core.trial import Step
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.packed_columns import pack_columns, unpack_columns
 
-ESTIMATE_FIELDS = tuple(pb.Estimate.DESCRIPTOR.fields_by_name)
-"""The fields of an estimate, which its record and its message share."""
 FORMER_STATES = ("nearing", "leaving a corner")
 """States of earlier versions, in which robots followed signals; they are read as `driving`."""
-STOP_REASON_MAX = 60
-"""Largest number of characters read of the reason why a search stopped."""
-NUMBERS_MAX = 100
-"""Largest number of names that the numbers of a controller have in a log."""
-NUMBER_NAME_MAX = 60
-"""Largest number of characters of such a name."""
-DRAWN_BITS_CUT = 10
-"""Bits of single precision's 24 that `drawn` sets to 0."""
-DRAWN_PRECISION = 2.0 ** (DRAWN_BITS_CUT - 24)
-"""Largest relative rounding error of `drawn`."""
-
-
-class Frames(NamedTuple):
-    """M camera frames of N robots, stored as arrays.
-
-    `numbers`, `sampled_ns` and `received_ns` are (M,), `poses` and `truth` (M, N, 3) and `valid`
-    (M, N); `truth` is None if no true poses are known. `exposed_ns` (M, N) are the times of the
-    poses, by default those of their frames.
-    """
-
-    numbers: Integers
-    sampled_ns: Integers
-    received_ns: Integers
-    poses: Floats
-    valid: Bools
-    truth: Floats | None
-    exposed_ns: Integers
-
-    @classmethod
-    def from_samples(cls, samples: Sequence[Sample], robots: int) -> "Frames":
-        """Convert samples to arrays.
-
-        `truth` is None unless every sample has true poses. If there are no samples, `truth` is
-        empty, and `joined` treats it as known.
-        """
-        observations = [sample.observation for sample in samples]
-        truths = [sample.truth for sample in samples if sample.truth is not None]
-        all_known = len(truths) == len(samples)
-        exposed_ns = [
-            observation.exposed_ns or (observation.sampled_ns,) * robots
-            for observation in observations
-        ]
-        valid = [observation.valid for observation in observations]
-        return cls(
-            numbers=_integers([observation.frame for observation in observations]),
-            sampled_ns=_integers([observation.sampled_ns for observation in observations]),
-            received_ns=_integers([observation.received_ns for observation in observations]),
-            poses=_stacked([observation.poses for observation in observations], robots),
-            valid=np.array(valid, dtype=np.bool_).reshape(-1, robots),
-            truth=_stacked(truths, robots) if all_known else None,
-            exposed_ns=_integers(exposed_ns).reshape(-1, robots),
-        )
-
-    @classmethod
-    def joined(cls, parts: Sequence["Frames"]) -> "Frames":
-        """Join several parts in order.
-
-        `truth` is None unless every part has true poses.
-        """
-        columns: list[Any] = []
-        for of_parts in zip(*parts, strict=True):
-            all_known = all(column is not None for column in of_parts)
-            columns.append(np.concatenate(of_parts) if all_known else None)
-        return cls(*columns)
-
-    def part(self, rows: slice | Integers) -> "Frames":
-        """Return only the camera frames in the given rows."""
-        columns: list[Any] = [None if column is None else column[rows] for column in self]
-        return Frames(*columns)
-
-
-def _stacked(poses: Sequence[Poses], robots: int) -> Floats:
-    """Stack the poses of N robots at M times in an array (M, N, 3)."""
-    rows: list[Floats] = []
-    for pose in poses:
-        rows += [pose.x, pose.y, pose.heading]
-    return np.concatenate([[], *rows]).reshape(-1, 3, robots).transpose(0, 2, 1)
 
 
 # ---- Camera frames ----
-
-
-@np.errstate(all="ignore")  # numbers beyond single precision
-def drawn(values: Floats) -> Floats:
-    """Round numbers that are only used for drawing to 14 significant bits.
-
-    The zeros at the end take almost no space in a compressed log.
-    """
-    half = 1 << (DRAWN_BITS_CUT - 1)
-    high_bits = -(1 << DRAWN_BITS_CUT)
-    bits = values.astype(np.float32).view(np.int32)
-    return ((bits + half) & high_bits).view(np.float32).astype(np.float64)
 
 
 @np.errstate(all="ignore")  # numbers beyond single precision
@@ -323,7 +232,7 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
                 cost=search.cost,
                 history=_floats(search.history),
                 evaluations=search.evaluations,
-                stopped=decode_stop_reason(search.stopped),
+                stopped=stop_reason(search.stopped),
             )
             for search in message.searches
         ),
@@ -346,18 +255,6 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
         solve_ns=timing.solve_ns if timing else 0,
         deadline_missed=timing.deadline_missed if timing else False,
     )
-
-
-def decode_stop_reason(text: str) -> StopReason | str:
-    """Convert a log's text to the reason why a search stopped.
-
-    If there is no such reason, the result is the text itself, with unprintable characters removed.
-    """
-    reason = printable(text, STOP_REASON_MAX)
-    try:
-        return StopReason(reason)
-    except ValueError:
-        return reason
 
 
 def _encode_estimate(estimate: Estimate) -> pb.Estimate:
@@ -428,7 +325,3 @@ def _floats_or_none(values: Sequence[float]) -> Floats | None:
 
 def _listed(values: Floats | None) -> list[float] | None:
     return None if values is None else values.tolist()
-
-
-def _integers(values: Sequence[Any]) -> Integers:
-    return np.array(values, dtype=np.int64)

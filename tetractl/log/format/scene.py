@@ -27,11 +27,11 @@ from tetractl.core import elementwise
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import GREY, OBSTACLE, robot_colors
 from tetractl.core.errors import printable
-from tetractl.core.poses import Floats
+from tetractl.core.loggable import drawn
+from tetractl.core.poses import Floats, Frames
 from tetractl.core.setup import Setup
 from tetractl.core.trial import Note
 from tetractl.log.format.channels import TEXT
-from tetractl.log.format.codec import Frames, drawn
 
 WORLD = "world"
 

@@ -21,11 +21,10 @@ from google.protobuf.message import DecodeError
 
 from tetractl.core.errors import LogError, SpecError, printable
 from tetractl.core.plan import Outcome
-from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.core.poses import Bools, Floats, Frames, Poses
 from tetractl.core.trial import OWN_FILES, PlantInfo, Result, Start, Step
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec
-from tetractl.log.format.codec import Frames
 from tetractl.log.format.run_records import decode_facts
 from tetractl.log.format.scene import decode_note
 from tetractl.log.read import validate

@@ -16,7 +16,7 @@ they arrive.
 """
 
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 from google.protobuf.message import Message
@@ -24,14 +24,18 @@ from mcap.records import Attachment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.plan import Outcome
-from tetractl.core.poses import Observation, Sample
+from tetractl.core.loggable import drawn
+from tetractl.core.poses import Frames, Sample
 from tetractl.core.trial import Note, Result, Start, Step
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec, layout
 from tetractl.log.format.channels import Entry, Record
-from tetractl.log.format.codec import Frames
-from tetractl.log.format.outcome_names import outcome_to_log
+from tetractl.log.format.messages import (
+    TrackingNotes,
+    end_note,
+    start_note,
+    undelivered_notes,
+)
 from tetractl.log.format.run_records import encode_facts, encode_result, encode_run
 from tetractl.log.format.scene import Scene, encode_note
 from tetractl.log.format.tetractl_pb2 import Host, HostEnd, StepTiming
@@ -95,7 +99,7 @@ class Encoder:
         setup = start.setup
         self._start = start
         self._scene = Scene(setup, exact=not start.plant.simulated)
-        self._tracked = b"\1" * len(setup.names)  # which robots were tracked in the last frame
+        self._tracking = TrackingNotes(setup.names)
         # in the lab each frame is a message and is shown by transforms
         self._frames_per_message = 1
         self._frames_per_shown = 1
@@ -114,14 +118,15 @@ class Encoder:
         if self._hosted:  # last, for it may be long, and a log cut off here can still be read
             self._attach(channels.ENVIRONMENT, "application/json", provenance.environment())
         self._add(channels.SCENE, self._scene.static(start.start_unix_ns), 0)
-        self._say(0, "info", f"trial {start.trial} of {setup.name} starts")
+        self.on_note(start_note(start))
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
         """Add camera frames. Frames of a simulation are collected until their chunk ends."""
         if not samples:
             return
         for sample in samples:
-            self._tell_tracking(sample.observation)
+            for note in self._tracking.add(sample.observation):
+                self.on_note(note)
         self._waiting += samples
         if self._real_time:
             self.flush_frames()
@@ -171,7 +176,9 @@ class Encoder:
 
     def on_note(self, note: Note) -> None:
         """Add an operator message."""
-        self._say(note.t_ns, note.level, note.text)
+        if note.level in ("warning", "error"):
+            self.warnings += 1
+        self._add(channels.LOG, encode_note(note, self._start.start_unix_ns), note.t_ns)
 
     def on_step(self, step: Step) -> None:
         """Add a control step: decision, command, planned path, solve time and estimate."""
@@ -182,13 +189,13 @@ class Encoder:
         self._add(channels.COMMANDS, command, sent_ns)
         if sent_ns >= self._next_plan_ns:
             self._next_plan_ns = sent_ns + PLAN_SHOWN_NS
-            path = codec.drawn(step.plan.path)
+            path = drawn(step.plan.path)
             plan = self._scene.plan(path, self._start.start_unix_ns + sent_ns)
             self._add(channels.SCENE_PLAN, plan, sent_ns, sampled_ns)
         timing = StepTiming(k=step.k, solve_ns=step.solve_ns, deadline_missed=step.deadline_missed)
         self._add(channels.HOST_TIMING, timing, sent_ns)
-        for text in undelivered_texts(self._start.setup.names, step):
-            self._say(sent_ns, "warning", text)
+        for note in undelivered_notes(self._start.setup.names, step):
+            self.on_note(note)
         self._end_chunk(sent_ns)
 
     def on_stop(self, stop: Command, result: Result) -> None:
@@ -201,7 +208,7 @@ class Encoder:
         t_ns = stop.sent_ns
         warnings = self.warnings  # without the message on the end
         self._add(channels.COMMANDS, codec.encode_command(stop), t_ns)
-        self._say(t_ns, *end_text(result))
+        self.on_note(end_note(stop, result))
         self._sink.flush()
         if self._hosted:
             end = HostEnd(
@@ -215,27 +222,12 @@ class Encoder:
         stated = encode_result(result, self._start.setup.unit, warnings)
         self._add(channels.RESULT, stated, t_ns)
 
-    def _tell_tracking(self, observation: Observation) -> None:
-        """Add a message for each robot that was lost or found again in a camera frame."""
-        tracked = observation.valid.tobytes()
-        if tracked == self._tracked:
-            return
-        for level, text in tracking_texts(self._start.setup.names, self._tracked, tracked):
-            self._say(observation.received_ns, level, text)
-        self._tracked = tracked
-
     def _end_chunk(self, trial_ns: int) -> None:
         """End the chunk if it has its full length at `trial_ns`, the time of the trial."""
         if trial_ns - self._flushed_ns >= self._chunk_ns:
             self.flush_frames()
             self._sink.flush()
             self._flushed_ns = trial_ns
-
-    def _say(self, t_ns: int, level: str, text: str) -> None:
-        if level in ("warning", "error"):
-            self.warnings += 1
-        message = encode_note(Note(t_ns, level, text), self._start.start_unix_ns)
-        self._add(channels.LOG, message, t_ns)
 
     def _attach(self, name: str, media_type: str, text: str) -> None:
         begin_ns = self._start.start_unix_ns
@@ -249,36 +241,3 @@ class Encoder:
         sampled_ns = log_ns if publish_ns is None else publish_ns
         data = message.SerializeToString()
         self._sink.add(Entry(topic, begin_ns + log_ns, begin_ns + sampled_ns, data))
-
-
-# ---- messages that follow from other records ----
-
-
-def tracking_texts(
-    names: Sequence[str], before: Sequence[int], now: Sequence[int]
-) -> Iterator[tuple[str, str]]:
-    """Yield level and text for each robot that was tracked in only one of two frames.
-
-    Args:
-        names: Names of the robots.
-        before: Whether each was tracked in the first frame.
-        now: Whether each was tracked in the second frame.
-    """
-    for name, was_tracked, is_tracked in zip(names, before, now, strict=True):
-        if is_tracked and not was_tracked:
-            yield "info", f"{name} is tracked again"
-        elif was_tracked and not is_tracked:
-            yield "warning", f"{name} is lost"
-
-
-def undelivered_texts(names: Sequence[str], step: Step) -> Iterator[str]:
-    """Yield a warning for each robot that did not receive the command of a step."""
-    for name, delivered in zip(names, step.command.delivered, strict=True):
-        if not delivered:
-            yield f"{name} did not get the command of step {step.k}"
-
-
-def end_text(result: Result) -> tuple[str, str]:
-    """Return level and text of the message about the end of a trial."""
-    level = "error" if result.outcome is Outcome.ABORTED else "info"
-    return level, outcome_to_log(result.summary)

@@ -17,7 +17,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.plan import Outcome
 from tetractl.log.read.reader import read_trial
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import run_logged
+from tetractl.run.logged_trial import run_logged
 from tetractl.spec.load import load_spec
 from tetractl.verification.verify import verify
 

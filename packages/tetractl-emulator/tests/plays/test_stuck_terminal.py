@@ -11,8 +11,9 @@ from testkit.emulator.virtual_lab import virtual_lab
 
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import Observer
-from tetractl.run import observer_relay, spec_trial
+from tetractl.run import observer_relay
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.logged_trial import run_logged
 from tetractl.view.terminal.live_screen import LiveView
 
 pytestmark = pytest.mark.long
@@ -51,9 +52,7 @@ def test_a_terminal_that_takes_nothing_stops_the_robots_of_its_run(tmp_path):
     view = LiveView(console, each_call_s)
     with virtual_lab(tmp_path, "controller.time_limit=300") as lab, few, view:
         try:
-            result = spec_trial.run_logged(
-                lab.spec, tmp_path, 0, [StopsReading(terminal), view], Interrupt()
-            )
+            result = run_logged(lab.spec, tmp_path, 0, [StopsReading(terminal), view], Interrupt())
         finally:
             terminal.released.set()
         moving = {event["name"]: event["moving"] for event in lab.events("robot")}

@@ -9,7 +9,7 @@ from tetractl_microscope.choice.section import Choice, choice_of
 
 from tetractl.core.errors import SpecError
 from tetractl.log.read.reader import read_trial
-from tetractl.run.spec_trial import run_logged
+from tetractl.run.logged_trial import run_logged
 from tetractl.spec.experiment import packages
 from tetractl.spec.load import load_spec, parse_spec
 

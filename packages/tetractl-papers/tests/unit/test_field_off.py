@@ -11,7 +11,7 @@ from testkit.trials import THREE_M3PI
 from tetractl.core.commands import FieldOff
 from tetractl.log.read.reader import read_trial
 from tetractl.report.trial_data import trial_data
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.load import parse_spec
 from tetractl.verification.verify import verify
 from tetractl.view.figures.draw import draw

@@ -12,7 +12,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.plan import Limits, Search, StopReason, never
 from tetractl.log.read.reader import read_trial
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.spec_trial import log_path, run_logged
+from tetractl.run.logged_trial import log_path, run_logged
 from tetractl.spec.load import load_spec, parse_spec
 
 

@@ -8,14 +8,10 @@ from hypothesis.extra.numpy import arrays
 from testkit.paths import ROOT
 from testkit.random_trials import trial, write
 
+from tetractl.core.loggable import DRAWN_PRECISION, drawn
+from tetractl.core.poses import Frames
 from tetractl.log.format.channels import CHANNELS
-from tetractl.log.format.codec import (
-    DRAWN_PRECISION,
-    Frames,
-    decode_frames,
-    drawn,
-    encode_frames,
-)
+from tetractl.log.format.codec import decode_frames, encode_frames
 from tetractl.log.format.packed_columns import pack_columns, unpack_columns
 from tetractl.log.read.salvage import scan
 

@@ -20,8 +20,9 @@ from mcap_protobuf.decoder import DecoderFactory
 from testkit.random_trials import experiment, trial, write
 
 from tetractl.core import elementwise
+from tetractl.core.loggable import DRAWN_PRECISION
+from tetractl.core.poses import Frames
 from tetractl.core.trial import EPOCH_NS
-from tetractl.log.format.codec import DRAWN_PRECISION, Frames
 from tetractl.log.format.scene import Scene, frame_of, stamp
 
 

@@ -1,0 +1,138 @@
+"""Check requirements on what a controller decides, so that it can be sent and logged.
+
+A controller from a plug-in may return anything, and a log that somebody else wrote may contain
+anything. Both are checked here. Each function raises ValueError with the first value that no trial
+can have.
+"""
+
+from collections.abc import Iterable
+from dataclasses import fields
+
+import numpy as np
+
+from tetractl.core.commands import Action, Steer, Turn
+from tetractl.core.errors import printable
+from tetractl.core.motion_estimate import INNOVATIONS, Estimate
+from tetractl.core.plan import Plan, StopReason
+from tetractl.core.poses import Floats
+
+ESTIMATE_FIELDS = tuple(column.name for column in fields(Estimate) if column.compare)
+"""The fields of an estimate that logs contain, in the order of the log's message."""
+STOP_REASON_MAX = 60
+"""Maximum number of characters of the reason why a search stopped."""
+NUMBERS_MAX = 100
+"""Maximum number of names that the numbers of a controller have in a log."""
+NUMBER_NAME_MAX = 60
+"""Maximum number of characters of such a name."""
+DRAWN_BITS_CUT = 10
+"""Bits of single precision's 24 that `drawn` sets to 0."""
+DRAWN_PRECISION = 2.0 ** (DRAWN_BITS_CUT - 24)
+"""Largest relative rounding error of `drawn`."""
+
+
+def check_actions(actions: Iterable[Action]) -> None:
+    """Check that all directions of the actions in a log are finite numbers."""
+    directions: list[float] = []
+    lags: list[float] = []
+    for action in actions:
+        match action:
+            case Steer():
+                directions.append(action.direction)
+                if action.lag_s is not None:
+                    lags.append(action.lag_s)
+            case Turn():
+                directions.append(action.facing)
+            case _:
+                pass  # no other action has a direction
+    require_finite("a direction", directions)
+    require_finite("the lag of the wheels", lags)
+
+
+def check_plan(plan: Plan, robots: int) -> None:
+    """Check a plan for N robots. The headings of its path may be NaN."""
+    count = plan.signals.size
+    if plan.signals.shape != (count,) or plan.path.shape != (count + 1, robots, 3):
+        shapes = f"{plan.path.shape} for signals of shape {plan.signals.shape}"
+        raise ValueError(f"a path has shape {shapes} and {robots} robots")
+    searches = plan.searches
+    for search in searches:
+        if not (search.signals.shape == (search.length,) and search.length):
+            raise ValueError(
+                f"a search of length {_shown(search.length)} has a different number of signals"
+            )
+        if search.history.ndim != 1 or not search.history.size:
+            raise ValueError("a search has no history")
+        if not isinstance(search.stopped, str):
+            raise ValueError(f"a search was stopped by {type(search.stopped).__name__}, not a text")
+    if len(plan.numbers) > NUMBERS_MAX:
+        raise ValueError(f"a plan has {len(plan.numbers)} numbers of its controller")
+    for name in plan.numbers:
+        if not (name.isidentifier() and len(name) <= NUMBER_NAME_MAX):
+            raise ValueError(f"a number is called {printable(name, NUMBER_NAME_MAX)!r}")
+    costs = [plan.cost, plan.target_cost, plan.obstacle_cost]
+    costs += [search.cost for search in searches]
+    values = {
+        "a predicted position": drawn(plan.path[..., :2]).ravel(),
+        "a signal": np.concatenate([plan.signals, *(search.signals for search in searches)]),
+        "a cost": np.concatenate([costs, *(search.history for search in searches)]),
+    }
+    values |= {f"the number {name}": [number] for name, number in plan.numbers.items()}
+    if plan.estimate is not None:
+        values |= _numbers_of_estimate(plan.estimate, robots)
+    for what, numbers in values.items():
+        require_finite(what, numbers)
+
+
+def _numbers_of_estimate(estimate: Estimate, robots: int) -> dict[str, Floats]:
+    """Return all numbers of an estimate of N robots, keyed by their meaning.
+
+    Raises:
+        ValueError: If an array is not of N robots.
+    """
+    values: dict[str, Floats] = {}
+    for name in ESTIMATE_FIELDS:
+        value = getattr(estimate, name)
+        if value is None:
+            continue
+        if isinstance(value, np.ndarray):
+            shape = (robots, len(INNOVATIONS)) if name == "misfit" else (robots,)
+            if value.shape != shape:
+                raise ValueError(f"an estimated {name} has shape {value.shape}")
+        values[f"an estimated {name}"] = np.atleast_1d(value).ravel()
+    return values
+
+
+@np.errstate(all="ignore")  # numbers beyond single precision
+def drawn(values: Floats) -> Floats:
+    """Round numbers that are only used for drawing to 14 significant bits.
+
+    The zeros at the end take almost no space in a compressed log.
+    """
+    half = 1 << (DRAWN_BITS_CUT - 1)
+    high_bits = -(1 << DRAWN_BITS_CUT)
+    bits = values.astype(np.float32).view(np.int32)
+    return ((bits + half) & high_bits).view(np.float32).astype(np.float64)
+
+
+def stop_reason(text: str) -> StopReason | str:
+    """Convert a text to the reason why a search stopped.
+
+    If there is no such reason, the result is the text itself, with unprintable characters removed.
+    """
+    reason = printable(text, STOP_REASON_MAX)
+    try:
+        return StopReason(reason)
+    except ValueError:
+        return reason
+
+
+def require_finite(what: str, values: Iterable[float]) -> None:
+    """Check that values are finite."""
+    numbers = np.asarray(values, dtype=np.float64)
+    wrong = numbers[~np.isfinite(numbers)]
+    if wrong.size:
+        raise ValueError(f"{what} is {float(wrong.flat[0])!r}")
+
+
+def _shown(number: int) -> str:
+    return str(number) if abs(number) < 10**20 else "a number of more than 20 digits"

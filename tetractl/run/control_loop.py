@@ -69,6 +69,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Literal, Protocol
 
 from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.commands import Command, Stop, Turn
@@ -79,9 +80,9 @@ from tetractl.core.plan import PAUSE_S, Decision, End, Outcome, Plan
 from tetractl.core.poses import Observation, Sample
 from tetractl.core.protocols import Controller, Observer, Plant
 from tetractl.core.route_measure import RouteMeasure
+from tetractl.core.setup import Setup
 from tetractl.core.trial import Note, Result, Start, Step, Verdict
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.model_changes import ModelMonitor, StatedModel
 from tetractl.run.motion_at_rest import RestMonitor
 from tetractl.tools.plugin_fault import PluginTrialError, naming_plugins
 
@@ -260,6 +261,16 @@ def message_of(error: BaseException) -> str:
     return error.message if isinstance(error, TetractlError) else text_of(error)
 
 
+class EstimateMonitor(Protocol):
+    """Reports what is new in a controller's estimates, from one estimate to the next."""
+
+    def notices(
+        self, estimate: Estimate, setup: Setup, now_ns: int
+    ) -> Sequence[tuple[Literal["info", "warning"], str]]:
+        """Return level and text of each message that an estimate at a time [ns] gives rise to."""
+        ...
+
+
 class Trial:
     """One trial of an experiment, which can be run once.
 
@@ -270,8 +281,7 @@ class Trial:
         clock: The clock of the trial.
         observers: Objects that are notified of everything that happens.
         interrupt: Requests to end.
-        stated: Values of the spec that the controller's estimates can contradict. None to report no
-            contradiction.
+        model: Reports what is new in the controller's estimates. None to report nothing.
     """
 
     def __init__(
@@ -282,7 +292,7 @@ class Trial:
         clock: Clock,
         observers: Sequence[Observer],
         interrupt: Interrupt,
-        stated: StatedModel | None = None,
+        model: EstimateMonitor | None = None,
     ) -> None:
         setup = start.setup
         self._start = start
@@ -294,7 +304,7 @@ class Trial:
         self._pacing = StepPacing(clock, setup.period_s)
         self._frames = FrameIntake(plant)
         self._measure = RouteMeasure(setup.legs, setup.hold, setup.loss, setup.speed)
-        self._model = ModelMonitor(stated)
+        self._model = model
         self._rests = RestMonitor(setup)
         self._counts = StepCounts()
         self._motion = RobotMotion.NOT_BEGUN
@@ -384,7 +394,7 @@ class Trial:
         step = Step(k, observation, plan, command, solve_ns, missed)
         for observer in self._observers:
             observer.on_step(step)
-        if plan.estimate is not None:
+        if plan.estimate is not None and self._model is not None:
             news = self._model.notices(plan.estimate, self._start.setup, command.sent_ns)
             for level, text in news:  # where the controller's model does not fit, or fits again
                 self._report(command.sent_ns, text, level)

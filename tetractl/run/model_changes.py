@@ -207,6 +207,11 @@ class Mismatch:
     parts: set[str]
 
 
+def model_monitor(experiment: Experiment) -> "ModelMonitor":
+    """Create the monitor of a trial's estimates."""
+    return ModelMonitor(stated_model(experiment))
+
+
 class ModelMonitor:
     """Watches a controller's estimates, and reports how the robots differ from the model.
 

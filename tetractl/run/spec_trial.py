@@ -19,10 +19,9 @@ from tetractl.core.clock import Clock
 from tetractl.core.protocols import Controller, LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, PlantInfo
 from tetractl.run.checked_controller import build_controller
-from tetractl.run.control_loop import Trial, abandon
+from tetractl.run.control_loop import EstimateMonitor, Trial, abandon
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.model_changes import stated_model
-from tetractl.spec.experiment import packages
+from tetractl.spec.experiment import Experiment, packages
 from tetractl.spec.loaded_spec import LoadedSpec, start_of
 from tetractl.tools.plugin_fault import plugins_named
 
@@ -79,7 +78,7 @@ def ready_trial(
                 clock=clock,
                 observers=observers,
                 interrupt=interrupt,
-                stated=stated_model(full_spec.experiment),
+                model=_model_monitor(full_spec.experiment),
             )
             unless_ready.pop_all()  # from here on, `Trial.run` closes the plant
         yield ready
@@ -88,6 +87,12 @@ def ready_trial(
 def own_supervision(interrupt: Interrupt) -> LabSupervision:
     """Return the supervision of a lab by the process that runs the trial."""
     return LabSupervision(cancelled=lambda: interrupt.requested, signalled=interrupt.request)
+
+
+def _model_monitor(experiment: Experiment) -> EstimateMonitor | None:
+    """Return the monitor of the controller's estimates. None if it makes no estimates."""
+    function = experiment.controller.model_monitor
+    return resolve_name(function)(experiment) if function else None
 
 
 def _spec_and_plant(

@@ -131,6 +131,11 @@ class ControllerSection(Model):
     """Whether the controller ever switches the field off, which not every plant supports."""
     tours: ClassVar[bool] = False
     """Whether the controller supports way-points and a hold at the targets."""
+    model_monitor: ClassVar[str] = "tetractl.run.model_changes:model_monitor"
+    """The function that makes the monitor of the estimates in the plans, as "module:function".
+
+    It is called with the experiment. Empty if the plans contain no estimates.
+    """
     named_file: ClassVar[NamedFile | None] = None
     """The file that the section can name; None if it names no file."""
 

@@ -23,7 +23,7 @@ from tetractl.spec.base import (
     PositiveAngle,
     defaults,
 )
-from tetractl.spec.controller import OptimizerSection
+from tetractl.spec.controller import ControllerSection, OptimizerSection
 from tetractl.spec.registry_fields import KindSection
 from tetractl.spec.yaml.problems import Loc
 
@@ -193,6 +193,7 @@ class RecommendedMpc(SearchFields):
 
     tours: ClassVar[bool] = True
     controller: ClassVar[str] = "tetractl.control.methods.mpc:Mpc"
+    model_monitor: ClassVar[str] = ControllerSection.model_monitor
 
     @property
     def body_radius(self) -> float:

@@ -3,6 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
+from typing import ClassVar
 
 from tetractl.control.estimation.estimator import StateEstimator
 from tetractl.control.estimation.prior import Prior, certain_prior
@@ -21,6 +22,8 @@ class PlainSection(ControllerSection):
 
     Such a controller knows the robots' motion exactly, and predicts it over the dead time.
     """
+
+    model_monitor: ClassVar[str] = ""
 
     def problem(self, setup: Setup) -> Problem:
         """Return the problem used to compute the logged cost, for robots at their starts.

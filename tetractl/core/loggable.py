@@ -31,7 +31,7 @@ DRAWN_PRECISION = 2.0 ** (DRAWN_BITS_CUT - 24)
 
 
 def check_actions(actions: Iterable[Action]) -> None:
-    """Check that all directions of the actions in a log are finite numbers."""
+    """Check that all directions of actions are finite numbers."""
     directions: list[float] = []
     lags: list[float] = []
     for action in actions:

@@ -106,3 +106,19 @@ def test_a_robot_stops_by_its_watchdog():
     robot.robots.advance(3000 * MS)
     assert robot.standing
     assert robot.x < START_X_MM + speed * 0.3
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_a_weak_wheel_turns_at_its_share_of_the_commanded_speed_from_then_on(share):
+    robot = robot_at_start()
+    speed = wheel_speed(40)
+    settled = pytest.approx(speed * -math.expm1(-0.2 / LAG_S), rel=1e-6)
+    robot.hear(frame(1, (40, 40)))
+    robot.robots.advance(200 * MS)
+    assert robot.wheels == (settled, settled)
+    act(robot.acting, "weak_wheel", robot="green", wheel="left", share=share)
+    act(robot.acting, "weak_wheel", robot="red", wheel="both", share=0.1)  # of another robot
+    for sequence in range(2, 8):
+        robot.hear(frame(sequence, (40, 40)))
+        robot.robots.advance(200 * sequence * MS)
+    assert robot.wheels == pytest.approx((share * speed, speed), rel=1e-6)

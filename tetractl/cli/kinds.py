@@ -74,7 +74,7 @@ class _ListedKind:
 
     @property
     def problem(self) -> str:
-        """The problem of the kind in words. Empty if there is none."""
+        """The problem that prevents the use of the kind, in words. Empty if there is none."""
         return f"needs {self.lacks}, which is not installed" if self.lacks else self.broken
 
 
@@ -151,7 +151,7 @@ def _home(kind: "Kind") -> str:
 
 
 def _kind_check() -> Callable[[str, Mapping[str, Any], "Setup"], Sequence[Any]]:
-    """Return the function that checks a kind that a user has written.
+    """Return the function that checks a motion, camera or other kind that a user has written.
 
     Raises:
         UsageError: If no installed package brings it.

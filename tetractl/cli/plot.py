@@ -1,4 +1,4 @@
-"""`tetractl plot`: draws a figure or a video of logs."""
+"""The command `tetractl plot`, which draws a figure or a video of recorded trials."""
 
 from os.path import commonpath
 from pathlib import Path

@@ -1,4 +1,7 @@
-"""`tetractl init`, `validate`, `warm` and `schema`: commands about specs; nothing is run."""
+"""The commands `tetractl init`, `validate`, `warm` and `schema`, which write or check specs.
+
+A spec is the YAML file that describes an experiment. None of these commands runs a trial.
+"""
 
 import json
 import re

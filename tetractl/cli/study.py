@@ -1,4 +1,7 @@
-"""`tetractl study`: runs arms of trials with the same seeds, on this machine or a cluster."""
+"""The command `tetractl study`, which runs many variants of an experiment (its arms).
+
+All arms have the same seeds. Trials run on this machine or on a cluster.
+"""
 
 import os
 from collections.abc import Mapping, Sequence

@@ -160,7 +160,7 @@ def require_folder_of(out: Path) -> None:
 
 
 def rig_section(experiment: "Experiment") -> "RigSection":
-    """Return the section of the experiment's plant, which must be a lab, real or emulated."""
+    """Return the part of the spec that describes the lab, which must be the experiment's plant."""
     from tetractl.plant.lab_plant import RigSection
 
     lab = experiment.plant

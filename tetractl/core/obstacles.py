@@ -56,7 +56,7 @@ class Obstacles:
     def from_shapes(
         cls, shapes: Sequence[Shape] = (), margin: float = 0.0, walls: Bounds | None = None
     ) -> Self:
-        """Combine shapes and the walls of an arena, all grown by a margin.
+        """Combine shapes and the walls of an arena, all enlarged on every side by a margin.
 
         Args:
             shapes: The obstacles.

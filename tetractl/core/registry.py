@@ -14,7 +14,7 @@ from tetractl.core.errors import UsageError
 
 
 class PluginError(UsageError):
-    """An error: a kind that another package provides cannot be used."""
+    """A kind, such as a camera, that another package provides cannot be used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class Registry:
         return tuple(map(self.kind, self.names()))
 
     def kind(self, name: str) -> Kind:
-        """Return the entry of the kind with this name.
+        """Return the entry of the kind that has this name.
 
         Raises:
             KeyError: If there is none.

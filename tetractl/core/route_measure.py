@@ -50,7 +50,7 @@ class RouteMeasure:
         """Number of these frames in which each robot was near enough to its target, shape (N,)."""
 
     def step(self, leg: int, observation: Observation) -> str:
-        """Set the leg of a control step, and describe a new leg in a message.
+        """Note the leg of a control step, the way to the next way-point; announce a new leg.
 
         Args:
             leg: Number of way-points passed.

@@ -1,4 +1,4 @@
-"""The shape of an obstacle: a polygon whose outline is grown by a radius.
+"""The shape of an obstacle: a polygon, with its outline moved outwards by a radius.
 
 A shape consists of all points within the radius of a polygon. A polygon with one corner gives a
 disc, with two corners a capsule, and with four corners for example a rectangle. The polygon may be

@@ -383,7 +383,7 @@ class MotionCheck(GuardCheck):
         return None
 
     def _contradiction(self, i: int, now: Floats) -> Floats | None:
-        """Find the newest moment since which robot i is out of its bounds by more than the slack.
+        """Find the newest moment since which robot i moved as no command of it allows.
 
         Returns:
             The motion since then and its bounds (3, 3). None if there is no such moment.

@@ -382,7 +382,7 @@ def total_errors(groups: Sequence[BatchStatistics], numbers: Mapping[str, int]) 
 
 
 def _figure(kind: str, logs: Sequence[TrialLog], text: str) -> str:
-    """Draw a figure of the given kind, and return its HTML, with a caption."""
+    """Draw a figure, given by its name such as `errors`, and return its HTML with a caption."""
     from tetractl.view.figures.draw import draw
     from tetractl.view.style import svg
 

@@ -36,7 +36,7 @@ def build_controller(experiment: Experiment, key: int) -> "CheckedController":
 
 
 class CheckedController:
-    """A wrapper of the controller that a section builds, which checks its decisions.
+    """A wrapper of a controller that checks each of its decisions before they are used.
 
     A controller from another package gets its own setup, and its plans are copied. If it later
     writes into arrays, neither the commands nor the log change.

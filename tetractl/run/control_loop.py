@@ -267,7 +267,13 @@ class EstimateMonitor(Protocol):
     def notices(
         self, estimate: Estimate, setup: Setup, now_ns: int
     ) -> Sequence[tuple[Literal["info", "warning"], str]]:
-        """Return level and text of each message that an estimate at a time [ns] gives rise to."""
+        """Return level and text of each message that a new estimate gives rise to.
+
+        Args:
+            estimate: The newest estimate of the robots' motion.
+            setup: The constants of the experiment.
+            now_ns: Time of the estimate [ns].
+        """
         ...
 
 

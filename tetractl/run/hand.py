@@ -97,7 +97,10 @@ class HandController(PlainController):
 
     @property
     def given(self) -> SequenceSection:
-        """The section of `sequence` with the directions sent so far. There is at least one."""
+        """The controller `sequence` with the directions that were sent so far, for a spec.
+
+        It contains at least one direction.
+        """
         return self._section.model_copy(update={"directions": tuple(self.directions)})
 
     def plan_of_sequence(self, k: int) -> Plan:

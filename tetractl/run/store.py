@@ -96,7 +96,7 @@ class BatchFolder:
 
 
 class Store:
-    """The folder of a run, with one folder for each arm of a study.
+    """The folder with the logs of a run or, for a study, one such folder for each arm.
 
     For a single batch, the arm is named "", and its folder is the folder itself.
     """

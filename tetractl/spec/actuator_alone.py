@@ -44,7 +44,7 @@ def actuator_alone(spec: Document) -> tuple[ActuatorSection, Setup] | None:
 
 
 def _valid_actuator(lab: Any) -> ActuatorSection | None:
-    """Return the valid section `actuator` of a lab's section. None if there is no such section."""
+    """Return the actuator of a lab's part of a spec, if it is valid. None if there is none."""
     if not isinstance(lab, dict) or "actuator" not in lab:
         return None
     adapter = TypeAdapter[ActuatorSection](

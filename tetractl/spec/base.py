@@ -52,7 +52,7 @@ def with_tuples(value: Any) -> Any:
 
 
 def defaults(**values: Any) -> Callable[[type[Section]], type[Section]]:
-    """Decorate a section that inherits fields, to give these fields other defaults by name."""
+    """Decorate a class of the spec that inherits fields, to give them other defaults by name."""
 
     def decorate(section: type[Section]) -> type[Section]:
         for name, value in values.items():

@@ -88,7 +88,7 @@ ALONE = Host()
 
 @dataclass(frozen=True, slots=True)
 class NamedFile:
-    """A file that a controller's section refers to, such as the weights of a learnt controller.
+    """A file that the controller in a spec refers to, such as the weights of a learnt one.
 
     The contents of the file replace its name in the spec.
 
@@ -150,7 +150,7 @@ class ControllerSection(Model):
         return 0.0
 
     def fitted(self, stands: bool, speed: float) -> Self:
-        """Return the section with those defaults set that depend on the robots.
+        """Return these fields of the spec, with those defaults set that depend on the robots.
 
         Args:
             stands: Whether the robots can stand still.
@@ -174,7 +174,7 @@ class ControllerSection(Model):
         return 0
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield each contradiction with the experiment: a field of this section, and a message."""
+        """Yield each field that contradicts the rest of the experiment, with a message."""
         yield from ()
 
     @abstractmethod

@@ -460,7 +460,7 @@ def packages(spec: Model) -> dict[str, str]:
 
 
 def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
-    """Yield registry and name of every kind that is used in a section or a tuple of sections."""
+    """Yield registry and name of every kind that a part of the spec uses."""
     if isinstance(value, tuple):
         for item in value:
             yield from _kinds(item)

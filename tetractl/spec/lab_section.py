@@ -1,4 +1,4 @@
-"""The lab section of a spec: a camera, an actuator, and the limits of a run.
+"""The part `lab` of a spec: a camera, an actuator, and the limits of a run.
 
 The section of each camera or actuator is in the file of its adapter, and registered in
 `tetractl.core.registries`. Lengths with a name that ends in `_mm` are in millimetres, whatever the
@@ -61,7 +61,7 @@ class Measured:
 
 
 class RobotPart(Model):
-    """A robot's entry in the section of a device of the lab."""
+    """One robot, in the part of the spec for a device of the lab."""
 
     name: Name
     """Name of a robot of the spec."""
@@ -77,7 +77,7 @@ class DeviceSection(Model):
     """Whether the device has the method `settle`, which trials that choose their robots need."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the field and message of each contradiction in the section, or with the experiment.
+        """Yield each field of the device that contradicts another field, with a message.
 
         Locations are relative to this section. If the section has `robots`, `mismatches` checks
         them.
@@ -293,7 +293,7 @@ class LabSection(PlantSection):
     """
 
     def with_files(self, folder: Path | None) -> Self:
-        """Return the section with the contents of the files that it refers to.
+        """Return the lab with the contents of the files that its fields refer to.
 
         Args:
             folder: The folder that file names are relative to. None if the spec comes from no file.

@@ -1,4 +1,4 @@
-"""The plant's section of a spec: the simulation or the lab to control."""
+"""The part `plant` of a spec: the simulation or the lab that the controller steers."""
 
 from abc import abstractmethod
 from collections.abc import Iterator
@@ -18,7 +18,7 @@ Lengths = TypeVar("Lengths", float, Floats)
 
 @runtime_checkable
 class Microscope(Protocol):
-    """The section of a camera whose logged images can be placed in the arena."""
+    """The fields of a camera whose logged images can be placed in the arena."""
 
     @property
     def um_px(self) -> float:
@@ -37,7 +37,7 @@ class Microscope(Protocol):
 
 
 class PlantSection(Model):
-    """Base class of the plant's section in a spec. Each kind is in the file of its plant."""
+    """Base class of the part `plant` of a spec. Each kind is in the file of its plant."""
 
     type: Any  # the section's name, a Literal in each subclass
     simulated: ClassVar[bool]
@@ -69,7 +69,7 @@ class PlantSection(Model):
 
     @property
     def sight(self) -> Sight:
-        """How precisely the plant's camera measures, as far as the section says."""
+        """How precisely the plant's camera measures, as far as the spec says."""
         return UNSTATED
 
     def require_devices(self) -> None:
@@ -101,7 +101,7 @@ class PlantSection(Model):
         return {}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the field and message of each contradiction in the section, or with the experiment.
+        """Yield each field of the plant that contradicts another field, with a message.
 
         Locations are relative to this section.
         """

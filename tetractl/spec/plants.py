@@ -137,7 +137,7 @@ def of_lab(kind: str) -> bool:
 
 
 def lab_as(kind: str | None, lab: LabSection) -> LabSection:
-    """Return the section of a lab as the section of a plant of another kind.
+    """Convert the lab of a spec to a plant of another kind, such as an emulated lab.
 
     The lab is unchanged if `kind` is None, or if it is "lab" and the lab is real.
     """
@@ -164,7 +164,7 @@ def lab_of(experiment: Experiment, name: str) -> LabSection:
 
 
 def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
-    """Apply a calibration to the lab section of an experiment in the lab.
+    """Apply the measured values of a calibration to the lab of an experiment.
 
     Args:
         experiment: The experiment.

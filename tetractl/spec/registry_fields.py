@@ -1,4 +1,4 @@
-"""Types of fields that select a kind by its name, such as `type: mpc`.
+"""Types of the spec's fields that select a kind by its name, such as `type: mpc`.
 
 Each kind is a class in a registry, and plug-ins can add more.
 """
@@ -16,7 +16,7 @@ from tetractl.spec.packages import not_installed
 
 
 def read(section: type[BaseModel], value: Any, info: core_schema.ValidationInfo) -> Any:
-    """Validate the section that a mapping describes, in the context of its parent.
+    """Validate the part of a spec that a mapping describes, in the context of its parent.
 
     Args:
         section: The section's class.
@@ -83,7 +83,7 @@ class KindSection:
         return choice
 
     def make(self) -> Any:
-        """Return a section of the default type with default values, as a field's default value."""
+        """Return the default kind with default values, as the default of a field of the spec."""
         return self._section({}).model_validate({})
 
     def _section(self, value: Any) -> Any:
@@ -117,7 +117,7 @@ class KindSection:
 
 @dataclass(eq=False)
 class OrMapping:
-    """Annotation of a field that holds either a value or, as a mapping, a section.
+    """Annotation of a field of the spec that holds either a value, or a mapping of fields.
 
     A pydantic union would report a wrong value once for each alternative.
 
@@ -158,7 +158,7 @@ class OrMapping:
 
 @dataclass(eq=False)
 class KindName:
-    """Annotation of a text field that holds a name in a registry. No kind is imported."""
+    """Annotation of a field of the spec that holds the name of a kind, which is not imported."""
 
     registry: Registry
 

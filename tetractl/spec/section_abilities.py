@@ -11,7 +11,7 @@ from tetractl.spec.controller import OptimizerSection
 
 @runtime_checkable
 class OnPort(Protocol):
-    """A section of an actuator that is connected to a serial port of the computer."""
+    """An actuator in the spec that is connected to a serial port of the computer."""
 
     port: str
 
@@ -33,7 +33,7 @@ class Addressed(Protocol):
 
 @runtime_checkable
 class PlansSignals(Protocol):
-    """A section of a controller whose plans have at most `horizon_max` signals."""
+    """A controller in the spec whose plans have at most `horizon_max` signals."""
 
     horizon_max: int
 
@@ -61,7 +61,7 @@ class Modelled(Protocol):
 
 @runtime_checkable
 class Searches(Protocol):
-    """A section of a controller that searches for plans with an optimiser."""
+    """A controller in the spec that searches for plans with an optimiser."""
 
     optimizer: OptimizerSection
 
@@ -146,7 +146,7 @@ class MeasurementErrors(Protocol):
 
 @runtime_checkable
 class Noisy(Protocol):
-    """A section of a plant whose spec states some disturbances.
+    """A plant in the spec with some random disturbances.
 
     Attributes:
         a_error: Maximum relative error of the turning rate.

@@ -153,7 +153,7 @@ class Distribution:
 
 
 def distributions(rows: Floats, bound: float | None = None) -> list[Distribution]:
-    """Describe each row of an array of shape (R, n).
+    """Compute mean, spread and interval of each row of an array of shape (R, n).
 
     Tails are above `bound` or, if it is None, above 10 times the row's median.
     """
@@ -324,7 +324,9 @@ def percent(fraction: Interval) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ArmErrors:
-    """The total errors of trials with the same value of a swept field, or of the same arm.
+    """The total errors of trials with the same settings, that is, of one arm of a study.
+
+    Instead of one arm, it may describe all trials with the same value of a swept field.
 
     Attributes:
         value: The value, or the arm's name.
@@ -344,7 +346,7 @@ class ArmErrors:
     def from_errors(
         cls, value: Any, label: str, arms: int, errors: Floats, bound: float | None = None
     ) -> Self:
-        """Summarise the errors of the trials of one arm.
+        """Compute the statistics of the errors of the trials of one arm.
 
         Args:
             value: Value of the swept field, or the arm's name.

@@ -185,7 +185,7 @@ def tables(comparison: BatchComparison) -> list[Table]:
 
 
 def _trials(groups: Sequence[BatchStatistics], alone: bool) -> Table:
-    """Return a table of some batches: a row per statistic, a column per batch."""
+    """Return a table about trials: a row for each statistic, and a column for each batch."""
     texts = [texts_by_label(group) for group in groups]
     labels = list(dict.fromkeys(label for of_batch in texts for label in of_batch))
     columns = [Column("figure", labels)]

@@ -28,7 +28,7 @@ LISTED = 100
 
 
 def finished_trials(loaded: LoadedStudy, store: Store) -> Iterator[tuple[Arm, ResultSummary]]:
-    """Yield every finished trial of the study in the order of arms and trials."""
+    """Yield every finished trial of a study, arm by arm, in the order of the trials."""
     for arm in loaded.arms:
         results = store.batches[arm.name].results
         for number in sorted(results):
@@ -68,7 +68,7 @@ def write_table(loaded: LoadedStudy, store: Store) -> Path:
 
 
 def group_of(store: Store, value: Any, arms: Sequence[Arm]) -> ArmErrors:
-    """Describe the total error for one value of a swept field, over all arms with this value.
+    """Compute the total error of all trials of a study with one value of a swept field.
 
     Only trials that have a result in all of these arms count. Trials with the same number have the
     same seed in every arm, so their mean over the arms counts as one observation. If each trial

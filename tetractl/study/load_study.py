@@ -129,7 +129,7 @@ class Study(Model):
 
 @dataclass(frozen=True, slots=True)
 class LoadedStudy:
-    """A valid study with its arms, in the order in which tables list them."""
+    """A study that was read and is valid, with its arms, the variants of its experiment."""
 
     study: Study
     arms: tuple[Arm, ...]
@@ -185,7 +185,9 @@ def _loaded(document: Document, folder: Path, settings: Sequence[SpecSetting]) -
 
 
 def _base(study: Study, document: Document, folder: Path) -> Document:
-    """Return the spec that every arm changes. It comes from a file, or is part of the study.
+    """Return the base spec of a study, which every arm changes.
+
+    It comes from a file, or is part of the study.
 
     Raises:
         InvalidSpecError: If it cannot be read.
@@ -354,7 +356,7 @@ def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]
 
 
 def _with_unique_names(arms: list[Arm]) -> Iterable[Arm]:
-    """Yield the arms. If several have the same name, a part of the arm's hash is added to it."""
+    """Yield the arms of a study with different names, by adding a part of their hashes."""
     names = Counter(arm.name.lower() for arm in arms)  # some file systems ignore case
     for arm in arms:
         several = names[arm.name.lower()] > 1

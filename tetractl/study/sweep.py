@@ -24,14 +24,17 @@ FieldPath = Annotated[str, Field(min_length=1, max_length=200)]
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A value of a field, and its location in the sweep's section."""
+    """A value for a field of the spec, with its location in the file of the study."""
 
     value: Any
     loc: Loc
 
 
 class Sweep(Model):
-    """The section `sweep` of a study. Each kind has its own name as the `Literal` of its `type`."""
+    """The part `sweep` of a study: which fields of the spec vary, and over which values.
+
+    Each kind of sweep has its own name as the `Literal` of its `type`.
+    """
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:

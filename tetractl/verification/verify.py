@@ -178,7 +178,7 @@ def _decisions(log: TrialLog, elsewhere: tuple[str, ...]) -> tuple[Method, Recom
 
 
 def _end_check(log: TrialLog, why_not_again: str) -> EndCheck:
-    """Choose the check of a trial's end: the first row of EndCheck that applies."""
+    """Choose how the end of a trial is checked: by the first row of EndCheck that applies."""
     is_simulated = log.start.plant.simulated
     is_disputed = is_simulated != log.experiment.plant.simulated
     if is_disputed or log.damage is not None or log.result is None:

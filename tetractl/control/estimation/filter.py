@@ -162,7 +162,7 @@ class FilterBank:
     # ---- what a controller calls ----
 
     def add_frames(self, newest: Observation, earlier: Sequence[Observation] = ()) -> None:
-        """Update the filters with the frames of a control step; reopen the bank if the model fails.
+        """Update all filters with new camera frames; restart them if none explains the motion.
 
         Whether the model fits is decided before the frames are added, because the decision has to
         concern the last forecast that was used.
@@ -236,7 +236,7 @@ class FilterBank:
     # ---- what the filters say ----
 
     def likeliest(self) -> tuple[Integers, Integers, Integers]:
-        """Return the position of each robot's likeliest hypothesis in the arrays of the bank."""
+        """Return where the most probable explanation of each robot's motion is in the arrays."""
         filters = self._likeliest_filters()
         robots = np.arange(len(self.prior.a))
         slots = self.bank.ln_weight[filters, robots].argmax(axis=1)
@@ -385,7 +385,7 @@ class FilterBank:
     # ---- step 4: the bank is opened again ----
 
     def _may_reopen(self, newest: Observation) -> bool:
-        """Check whether the bank may restart from all dead times if the model does not fit.
+        """Check whether the filters may restart from all dead times if their model does not fit.
 
         The bank of cells is never reopened, because cells also move on their own, which does not
         mean that the dead time has changed. A bank is also not reopened soon after the last time.
@@ -395,7 +395,7 @@ class FilterBank:
         return not self.prior.swims and is_due
 
     def _reopen(self, frame: Observation, heading_fits: bool) -> None:
-        """Restart the bank at a frame, with all dead times of the beginning.
+        """Restart the filters at a camera frame, with all dead times that the trial began with.
 
         Unless `heading_fits` for every robot, some filters also assume motors that saturate. Until
         then, saturation was taken to be absent; starting with this frame, it drifts from the values

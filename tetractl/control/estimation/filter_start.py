@@ -245,7 +245,7 @@ def first_bank(prior: Prior) -> Bank:
 
 
 def bank_with_replaced(bank: Bank, prior: Prior, replaced: Bools) -> Bank:
-    """Return a bank in which the replaced robots have the filters of a trial's beginning again.
+    """Return the filters after some robots were replaced: these robots' filters start anew.
 
     Args:
         bank: The bank so far, which stays unchanged.
@@ -306,7 +306,7 @@ def _numbers(group: int, dead_times_s: Floats) -> Integers:
 def _around_likeliest(
     bank: Bank, likeliest: tuple[Integers, Integers, Integers], prior: Prior, std: Floats
 ) -> Bank:
-    """Create a group of filters that all start from each robot's likeliest hypothesis.
+    """Create filters that all start from the most probable state of each robot.
 
     A dead time that differs by d from the likeliest one gets the score -(d / CHANGE_STD_S)^2 / 2.
     """

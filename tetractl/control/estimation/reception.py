@@ -143,7 +143,7 @@ def is_news(directions: Floats, command: int) -> bool:
 
 
 def ln_robot_ratio(bank: Bank, row: int, robot: int, direction: float) -> float:
-    """Compute ln((1 - q) Lambda + q) for one robot, from one filter of the bank.
+    """Compute ln((1 - q) Lambda + q): how much one robot's motion supports missed commands.
 
     When the last command took effect, the odds that the robot received it were (1 - q) / q. Since
     then, frames have multiplied these odds by Lambda. The present odds are the probability of the

@@ -146,7 +146,7 @@ class Searcher:
             length = min(length_max, max(length + 1, round(SPREAD * length)))
 
     def shorten(self, length_min: int, good: Callable[[Search], bool]) -> int:
-        """Compress the good plan that was found last, as long as it stays good after polishing.
+        """Make the last good plan shorter, as long as a search then finds a plan that is good.
 
         Args:
             length_min: The minimum length.

@@ -178,7 +178,7 @@ class TrialProgress:
 
     @property
     def state(self) -> State:
-        """What the robots were commanded to do in this leg. Before the first step, they rest."""
+        """What the robots were last commanded to do. Before the first step, they rest."""
         return State.RESTING if self.last is None else self.last.state
 
     def after(self, plan: Plan) -> "TrialProgress":
@@ -299,7 +299,7 @@ class Mpc:
     # legs
 
     def _ends_a_leg_only(self, decision: Decision) -> bool:
-        """Check whether a decision ends a leg, but not the trial."""
+        """Check whether a decision ends the way to a way-point (a leg), but not the trial."""
         if not isinstance(decision, Outcome) or decision not in END_OF_LEG:
             return False
         gave_up = decision is Outcome.NO_BETTER_PLAN and self.progress.state is State.STUCK
@@ -313,7 +313,9 @@ class Mpc:
     def _leg(
         self, index: int, began_s: float, began_ns: int, outcome: Outcome, poses: Poses
     ) -> Leg:
-        """Create a leg of the trial for the robots that are not lost.
+        """Create the task for the next leg, the way to a way-point or the targets.
+
+        Lost robots are left out.
 
         Lost robots on wheels become obstacles at their `poses`.
         """
@@ -344,7 +346,7 @@ class Mpc:
     # a step
 
     def _decide(self, motion: Problem, observation: Observation) -> Decision:
-        """Decide what the robots do, or how the leg ends, given the predicted poses and motion."""
+        """Decide what the robots do, or how this leg of the trial ends, from predicted poses."""
         step = self._step(motion)
         outcome = self._outcome(step, observation)
         if outcome is not None:
@@ -393,7 +395,7 @@ class Mpc:
         return last.signals[1:] if is_over else last.signals
 
     def _outcome(self, step: ControlStep, observation: Observation) -> Outcome | None:
-        """Decide whether the leg ends now, whatever the robots could do, and how.
+        """Decide whether and how the way to the next targets (the leg) ends now, in any case.
 
         None if it continues.
         """
@@ -462,7 +464,7 @@ class Mpc:
 
     @property
     def _rests_at_the_end(self) -> bool:
-        """Whether robots that stop now should stand still for a step before the leg ends."""
+        """Whether robots that stop now should stand still for a step before the trial ends."""
         return self.leg.holds or (self.stands and self.leg.is_last)
 
     def _stop(
@@ -644,7 +646,7 @@ class Mpc:
         return None
 
     def _finish(self, step: ControlStep) -> Plan | Outcome | None:
-        """End the leg, or continue to stand still in a hold, if a new plan cannot gain enough.
+        """End this leg of the trial, or stand still in a hold, if no new plan can gain enough.
 
         This applies only to robots that stand still, and only if the error is at most the lowest
         value of a new plan (the shortest plan that would lead exactly to the targets), or if there

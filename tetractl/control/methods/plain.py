@@ -18,7 +18,7 @@ from tetractl.spec.controller import ControllerSection
 
 
 class PlainSection(ControllerSection):
-    """Base class of the spec's section for a controller that does not search for plans.
+    """Base class of the fields in a spec for a controller that does not search for plans.
 
     Such a controller knows the robots' motion exactly, and predicts it over the dead time.
     """

@@ -1,4 +1,4 @@
-"""Base class of the spec's section for your own robots: two wheels, and one port for each robot."""
+"""Base class of the spec's fields for your own robots, with two wheels and a port each."""
 
 from collections.abc import Iterator
 from typing import ClassVar
@@ -12,7 +12,7 @@ from tetractl.spec.yaml.problems import Loc
 
 
 class OwnRobot(SpeedRobot):
-    """The entry of a robot in the section of an actuator for your own robots."""
+    """One of your own robots in the spec of the lab."""
 
     address: str = Field(min_length=1, max_length=500)
     """Where its commands go: udp://HOST:PORT, or a serial port such as /dev/rfcomm0."""
@@ -34,7 +34,7 @@ class OwnSection(SpeedSection):
     """One entry for each robot of the spec."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the field and message of each problem with this section.
+        """Yield each problem with these fields of the spec: its field, and a message.
 
         The robots, addresses, wheels, speeds and rate are checked.
         """

@@ -65,7 +65,7 @@ def wheel_gains(calibrated: Found, unit_mm: float) -> dict[str, float]:
 
 
 class CalibratedSection(Protocol):
-    """A section of an actuator whose robots' wheels can be calibrated."""
+    """Base class of the spec's fields for an actuator whose robots' wheels can be calibrated."""
 
     dead_zone_max: ClassVar[int]
     """The largest dead zone that the section can state [outputs]."""
@@ -80,7 +80,7 @@ class CalibratedSection(Protocol):
         ...
 
     def measured(self, calibrated: Found) -> dict[str, Any]:
-        """Convert calibrated values to a robot's fields in the section.
+        """Convert the values that a calibration measured to a robot's fields of the spec.
 
         Raises:
             AbortError: If the section cannot express what the calibration found.
@@ -89,7 +89,7 @@ class CalibratedSection(Protocol):
 
 
 class SpeedRobot(RobotPart):
-    """The entry of a robot that receives wheel speeds, in the actuator's section."""
+    """One robot that receives wheel speeds, in the spec of the lab."""
 
     radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
     """Distance r from a wheel to its centre [mm], as in its program. Default: the spec's."""
@@ -126,5 +126,5 @@ class SpeedSection(ActuatorSection):
         return unit, int(unit * limit)
 
     def measured(self, calibrated: Found) -> dict[str, Any]:
-        """Return a robot's r and gains, as fields of this section."""
+        """Return a robot's wheel distance r and gains, as fields of the spec."""
         return wheel_gains(calibrated, self.unit_mm)

@@ -22,7 +22,7 @@ PORT_BAUD = 115200  # of serial ports
 
 
 class PortCamera(ABC):
-    """Base class of a camera that receives each frame as one message at the section's `address`.
+    """Base class of a camera that sends each frame as one message to an address in the spec.
 
     A frame was exposed the section's `latency` [s] before its message arrived, unless messages have
     stamps (`stamp_s`). If the port fails, the robots stop at once. A subclass sets `emulated` once

@@ -152,7 +152,7 @@ class Wander(Disturbance):
 
 
 class StartErrorSection(DisturbanceSection):
-    """Each robot starts at a random pose around its start in the spec, drawn in every trial."""
+    """A disturbance: in every trial, each robot starts at a random pose around its start."""
 
     type: Literal["start-error"]
     position: NonNegative = 0.0

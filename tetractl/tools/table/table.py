@@ -74,7 +74,7 @@ class Array(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """The values of one quantity, one per row. None or NaN means unknown.
+    """A column of a table: the values of one quantity. None or NaN means unknown.
 
     Attributes:
         name: Name of the quantity. In a data file, the column is called `name_unit`.
@@ -141,7 +141,7 @@ class Table:
 
     @classmethod
     def of_records(cls, title: str, records: Sequence[Mapping[str, Any]]) -> Self:
-        """Create a table with one row per record.
+        """Create a table from records, with one row for each.
 
         If a record lacks a key, its value is unknown.
         """

@@ -1,4 +1,4 @@
-"""The live view of running trials: the dashboard, drawn while the control loop runs.
+"""The live view of running trials in a terminal, updated while the control loop runs.
 
     events of the trial -> TrialSoFar.moment --+
                                                +-> Dashboard -> Screen

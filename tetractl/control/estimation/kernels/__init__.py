@@ -1,1 +1,1 @@
-"""The compiled filters that learn how robots move, and the bank that compares these filters."""
+"""The compiled Kalman filters that learn how robots move, and the choice between them."""

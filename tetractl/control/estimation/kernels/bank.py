@@ -173,7 +173,7 @@ def select(bank, tried, same, commanded, going_on):
 
 @compiled(**INLINE_FAST)
 def _count(bank, i):
-    """Return the number of robot i's filters. Rows of the bank beyond this number are unused."""
+    """Return how many filters robot i has. Rows of the arrays beyond this number are unused."""
     count = 0
     while count < bank.score.shape[0] and not is_none(bank.score[count, i]):
         count += 1
@@ -218,7 +218,7 @@ def _choose(bank, i, count, best, tried, same, chosen):
 
 @compiled(**INLINE_FAST)
 def _reached(bank, b, i, tried):
-    """Return the present value of the state `tried`, in the likeliest hypothesis of a filter."""
+    """Return the present value of the state `tried`, under a filter's likeliest hypothesis."""
     slot = likeliest(bank.ln_weight[b, i], bank.ln_weight.shape[2])
     return bank.state[b, i, slot, tried]
 
@@ -347,7 +347,7 @@ def _between(bank, i, chosen, group, time_s):
 
 @compiled(**ENTRY_FAST)
 def forecast(bank, model, commands, frame_s, sent_s, room):
-    """Predict each robot with its likeliest hypothesis, and fill a `Forecast`.
+    """Predict where each robot will be, from its most probable filter, into a `Forecast`.
 
     Poses are predicted from the last frame, through all commands, to the moment when a command that
     is sent at `sent_s` takes effect on each robot. If wheels lag, the predicted poses are the ones
@@ -422,7 +422,7 @@ def _misfit(bank, b, i, room):
 
 @compiled(**INLINE_FAST)
 def _describe(bank, model, b, i, slot, z, growth, room):
-    """Fill the estimate of robot i's motion and its standard deviations, from one hypothesis.
+    """Write the estimate of robot i's motion, with standard deviations, from one hypothesis.
 
     The state contains the logarithms of a and v, so their deviations are relative.
     """
@@ -444,7 +444,7 @@ def _describe(bank, model, b, i, slot, z, growth, room):
 
 @compiled(**INLINE_FAST)
 def _probability_of_stuck(ln_weight, slot):
-    """Return the probability that a robot is stuck; `slot` is its likeliest hypothesis."""
+    """Return the probability that a robot is stuck; `slot` is its most probable hypothesis."""
     total = 0.0
     for s in range(ln_weight.size):
         total += exp(ln_weight[s] - ln_weight[slot])
@@ -453,7 +453,7 @@ def _probability_of_stuck(ln_weight, slot):
 
 @compiled(**INLINE_FAST)
 def _predict(bank, model, commands, b, i, slot, z, dead_time_s, begin_s, end_s):
-    """Predict the state z of a hypothesis from `begin_s` to `end_s` [s], through all commands.
+    """Predict a robot's state z from `begin_s` to `end_s` [s], through all commands between.
 
     A stuck robot follows no command. A command that takes effect within 1 ns of the end already
     counts. Commands that took effect before the beginning are contained in the state.

@@ -123,7 +123,7 @@ def place(bank, model, commands, time_s, poses, placed):
 
 @compiled(**INLINE_FAST)
 def _set_pose(bank, model, b, i, pose):
-    """Set the pose of every hypothesis of a filter to a measured pose (3,).
+    """Set the pose to a measured pose (3,) in every hypothesis of a filter about its robot.
 
     Its standard deviation is twice the camera's noise. It does not correlate with the other states.
     """
@@ -251,7 +251,7 @@ def _is_frozen(bank, model, commands, frames, f):
 
 @compiled(**INLINE_FAST)
 def _predict(bank, model, commands, b, i, begin_s, end_s, step_s, scratch):
-    """Predict the hypotheses of a filter from one time to another.
+    """Predict, under each hypothesis of a filter, how its robot moves from one time to another.
 
     Hypotheses branch at each command that takes effect in between: it was received, or missed.
     """
@@ -286,7 +286,7 @@ def _next_acts_s(bank, commands, b, i):
 
 @compiled(**INLINE_FAST)
 def _predict_one(hypotheses, s, model, i, noise_scale, begin_s, end_s, scratch):
-    """Predict one hypothesis: the robot drives until its watchdog stops it, then stands still."""
+    """Predict a robot under one hypothesis: it drives until its watchdog stops it."""
     z = hypotheses.state[s]
     cov = hypotheses.cov[s]
     stops_s = min(max(hypotheses.until_s[s], begin_s), end_s)
@@ -302,7 +302,7 @@ def _predict_one(hypotheses, s, model, i, noise_scale, begin_s, end_s, scratch):
 
 @compiled(**INLINE_FAST)
 def _branch(hypotheses, model, i, u, now_s, step_s):
-    """Branch hypotheses when a command to follow u acts: the robot received it, or missed it.
+    """Split hypotheses when a command to follow u acts: the robot received it, or missed it.
 
     A controller has little time, and a command is rarely missed, so it branches only the likeliest
     hypothesis. The evaluation of a log branches all of them, because the commands in a log may act
@@ -316,7 +316,7 @@ def _branch(hypotheses, model, i, u, now_s, step_s):
 
 @compiled(**INLINE_FAST)
 def _branch_likeliest(hypotheses, model, i, u, now_s, step_s):
-    """Branch the likeliest hypothesis when a command to follow u acts.
+    """Split only the likeliest hypothesis, when a command to follow u acts.
 
     The branch in which the robot received the command takes the slot of the least likely
     hypothesis,
@@ -350,7 +350,7 @@ def _branch_likeliest(hypotheses, model, i, u, now_s, step_s):
 
 @compiled(**INLINE_FAST)
 def _branch_all(hypotheses, model, i, u, now_s, step_s):
-    """Branch each hypothesis when a command to follow u acts, and keep the likeliest branches.
+    """Split each hypothesis when a command to follow u acts, and keep the likeliest ones.
 
     Each hypothesis so far is the *parent* of two branches: command received, command missed. The
     branches take the slots in the order of their probabilities. If an equivalent branch, the
@@ -418,7 +418,10 @@ def _ln_branches(parents, u):
 
 @compiled(**INLINE_FAST)
 def _likeliest_branch(ln_branches):
-    """Return row and column of the likeliest branch. If branches are equal, HEARD comes first."""
+    """Return row and column of the likeliest branch, the outcome of one command.
+
+    If branches are equal, HEARD (the robot received the command) comes first.
+    """
     best_row = 0
     best_s = 0
     for row in range(ln_branches.shape[0]):
@@ -468,7 +471,7 @@ def _followed(hypotheses, s, now_s):
 
 @compiled(**INLINE_FAST)
 def _hear(hypotheses, s, model, i, u_before, u, now_s, step_s):
-    """Let the robot of one hypothesis receive the command to follow u, instead of `u_before`.
+    """Let the robot follow u instead of `u_before`, in a hypothesis that it received u.
 
     The moment at which this happened is uncertain, because the true dead time is anywhere within a
     step of the grid. A time that is uniform over step_s has the variance step_s^2 / 12. During this
@@ -508,7 +511,7 @@ def _turning_rate(model, i, z, u):
 
 @compiled(**INLINE_FAST)
 def _update(bank, model, b, i, pose, seconds, scratch):
-    """Update the hypotheses of a filter by a measured pose, and return ln of the pose's likelihood.
+    """Update a filter by a measured pose, and return the logarithm of the pose's likelihood.
 
     The innovation nu is the measured minus the expected pose, divided by its standard deviation.
     The innovation of the likeliest hypothesis shows how well the filter fits. If |nu|^2 is within
@@ -589,7 +592,7 @@ def _scale_after(scale, square):
 
 @compiled(**INLINE_FAST)
 def _add_to_block(bank, b, i, innovation):
-    """Add an innovation nu (3,) to the present block of K frames.
+    """Add an innovation nu (3,), measured minus expected pose, to the present block of K frames.
 
     When a block is full, its square is added to the sum that tests the model:
 
@@ -617,7 +620,7 @@ def _add_to_block(bank, b, i, innovation):
 
 @compiled(**INLINE_FAST)
 def _exchange_stuck(hypotheses, model, seconds, now_s):
-    """Exchange probability between the likeliest driving hypothesis and the stuck one.
+    """Move probability between two hypotheses: that a robot drives, and that it is stuck.
 
     On average, a robot that drives gets stuck once in `every_s`, and a stuck robot comes free after
     `for_s`. In the `seconds` until now, this happens with the probabilities
@@ -700,7 +703,7 @@ def is_none(ln_probability):
 
 @compiled(**INLINE_FAST)
 def _hypotheses(bank, b, i):
-    """Return a view of the hypotheses of one filter of a robot, which can be changed in place."""
+    """Return a view of a filter's hypotheses about its robot, which can be changed in place."""
     return Hypotheses(
         state=bank.state[b, i],
         cov=bank.cov[b, i],

@@ -44,7 +44,7 @@ wrapped = inlined(wrap)
 
 @compiled(**INLINE_FAST)
 def measure(model, i, z, cov, noise_scale, pose, scratch):
-    """Update one hypothesis of robot i by a measured pose.
+    """Update what a hypothesis says about robot i by a measured pose.
 
     Args:
         model: The assumptions about the robots, a `FilterModel`.
@@ -113,7 +113,7 @@ def _expect(model, i, z, expected, slopes):
 
 @compiled(**INLINE_FAST)
 def _compare(model, i, z, cov, noise_scale, pose, scratch):
-    """Compare a measured pose (3,) with the pose that a hypothesis expects.
+    """Compare a measured pose (3,) with the pose that is expected under a hypothesis.
 
     The function fills `off`, `variance` and `innovation` of the scratch arrays.
 
@@ -147,7 +147,7 @@ def _compare(model, i, z, cov, noise_scale, pose, scratch):
 
 @compiled(**INLINE_FAST)
 def _multiply(cov, h, p_h):
-    """Compute P h for a row h (n,) of H into `p_h` (n,), and return h P h'."""
+    """Compute P h for a row h (n,) of the matrix H into `p_h` (n,), and return h P h'."""
     total = 0.0
     for k in range(h.size):
         p_h[k] = 0.0

@@ -1,4 +1,4 @@
-"""Predict one hypothesis about a robot: its state z and covariance P after a short time.
+"""Predict one robot's state z and its covariance P over a short time, under one hypothesis.
 
 This is the prediction step of a Kalman filter (`tetractl.control.estimation.filter`). A robot that
 follows a direction u changes, in a short time t [s], by

@@ -192,7 +192,11 @@ class FilterModel(NamedTuple):
 
 
 class Bank(NamedTuple):
-    """B filters for each of N robots, each with its own dead time and S hypotheses."""
+    """B Kalman filters for each of N robots, each filter for another possible dead time.
+
+    The dead time is the time from a command to its effect. Each filter has S hypotheses about what
+    its robot is doing.
+    """
 
     state: Floats
     """(B, N, S, STATES)"""
@@ -305,7 +309,7 @@ class Bank(NamedTuple):
 
 
 class Hypotheses(NamedTuple):
-    """The S hypotheses of one filter about what one robot is doing.
+    """The S hypotheses of a filter about what its robot is doing, for example that it is stuck.
 
     The fields are explained in `Bank`.
     """
@@ -379,7 +383,7 @@ class CommonTimes(NamedTuple):
 
 
 class NextFilters(NamedTuple):
-    """The C filters of each of N robots that continue, filled by `kernels.bank.select`."""
+    """The C filters of each of N robots that are kept for the next frames; `select` fills it."""
 
     rows: NDArray[np.int64]
     """(C, N) filters of the bank, -1 after the last one."""
@@ -420,7 +424,9 @@ class NextFilters(NamedTuple):
 
 
 class Forecast(NamedTuple):
-    """The prediction of each robot by its likeliest hypothesis, filled by `kernels.bank.forecast`.
+    """Where each robot will be, and how it moves, by its most probable filter and hypothesis.
+
+    `kernels.bank.forecast` fills it.
 
     Poses and `directions` are predicted for the moment when the next command acts on each robot,
     assuming that the robot receives everything that was already sent. Fields without a description

@@ -120,7 +120,7 @@ def _meets_another(i, radius, path):
 
 @compiled(**INLINE_EXACT)
 def _enters_obstacle(i, grown, path):
-    """Check whether the centre of body i enters a grown obstacle along a path.
+    """Check whether the centre of body i enters an obstacle, grown by its radius, along a path.
 
     A body that begins outside all obstacles enters one by touching it. A body that begins inside
     enters it by going deeper.
@@ -139,7 +139,7 @@ def _enters_obstacle(i, grown, path):
 
 @compiled(**INLINE_EXACT)
 def _touches_obstacle(i, grown, path):
-    """Check whether the centre of body i is in a grown obstacle anywhere on its path."""
+    """Check whether the centre of body i is anywhere inside an obstacle grown by its radius."""
     for m in range(1, path.shape[0]):
         if crosses(grown, path[m - 1, i, 0], path[m - 1, i, 1], path[m, i, 0], path[m, i, 1]):
             return True

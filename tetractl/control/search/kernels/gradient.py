@@ -186,7 +186,7 @@ def _add_up(i, length, problem, path):
 
 @compiled(**PART_FAST)
 def backward(path, i, signal, east, north, row):
-    """Add to a row how much each signal moves a robot's later position along a given vector.
+    """Add to `row` how much each signal moves a robot's later position along a given vector.
 
     Signal j moves the robot in its own step. It also turns the robot, by 1 - keep. `by_heading` is
     the effect of the heading before step j + 1 on all later steps. It is known when the loop

@@ -462,7 +462,7 @@ def _step(room, u, residuals):
 
 @compiled(**PART_FAST)
 def judge(problem, room, u):
-    """Return the cost J of (7) for a sequence, as optimisers compare it, after a polish.
+    """Return the cost J of (7) for a sequence that was improved, to compare it with others.
 
     The signals are first brought into [-pi, pi], in place.
 

@@ -224,7 +224,7 @@ def search(task, rounds, iterations):
 
 
 def finish(task: SearchTask, rounds: Rounds) -> int:
-    """End the polish of the present start, or of the first one, as it is.
+    """End the improvement of the present sequence, or of the first one, as it is.
 
     Returns:
         Whether the search has ended.
@@ -297,7 +297,7 @@ def _draw_sequences(task, key, rounds):
 
 @compiled(**PART_FAST)
 def _take_start(rounds):
-    """Take the next start as the sequence to polish."""
+    """Take the next random sequence as the one to improve."""
     rounds.polish.iterations = 0
     u = rounds.signals
     for j in range(u.size):
@@ -306,7 +306,7 @@ def _take_start(rounds):
 
 @compiled(**PART_FAST)
 def _end_start(task, rounds):
-    """Compute the cost of a polished start, and keep its sequence if it is the best so far.
+    """Compute the cost of an improved sequence, and keep the sequence if it is the best.
 
     Returns:
         Whether the search has ended with it.

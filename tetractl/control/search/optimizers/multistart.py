@@ -27,12 +27,13 @@ if TYPE_CHECKING:
 
 
 class Multistart(OptimizerSection):
-    """Many random starts, the best polished by Levenberg-Marquardt.
+    """The recommended optimiser: tries many random plans, and improves the best of them.
 
     See docs/explanation/controller.md.
 
-    Each round scatters `particles` smooth random sequences, evaluates them in one rollout, and
-    polishes the best `polished` of them until one has a cost of at most `tolerance`.
+    Each round generates `particles` smooth random sequences of signals, computes their costs, and
+    polishes the best `polished` of them by the Levenberg-Marquardt method, until one has a cost of
+    at most `tolerance`.
     """
 
     type: Literal["multistart"] = "multistart"

@@ -31,7 +31,7 @@ class WheelSection(Model):
 
 
 class M3piRobot(RobotPart):
-    """A robot's entry in the actuator's section: its number in broadcasts, and its wheels."""
+    """One m3pi robot in the spec: its number in broadcasts, and its wheels."""
 
     index: int | None = Field(default=None, ge=0, le=31)
     """Number of the robot in broadcasts, as built into its firmware. Default: the index of its
@@ -106,7 +106,7 @@ class M3piSection(XbeeSection, ActuatorSection):
         return 1.0, min(limit, entry(self.robots, name).limit)
 
     def measured(self, calibrated: Found) -> dict[str, Any]:
-        """Return a robot's fields in this section, with the values that a calibration measured."""
+        """Return a robot's fields of the spec, with the values that a calibration measured."""
         return {
             "radius_mm": calibrated.radius_mm,
             "left": calibrated.left._asdict(),

@@ -28,7 +28,7 @@ PENDING_MAX = 1000  # most bytes kept of a line that has not ended
 
 
 class TwistLink(PortGroup):
-    """Connections to the robots of a section, on one port or several.
+    """The connection to robots that read lines of text, on one port or several.
 
     After a failure, which raises AbortError, nothing can be sent any more.
 

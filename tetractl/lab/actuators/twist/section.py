@@ -20,7 +20,7 @@ from tetractl.spec.yaml.problems import Loc
 
 
 class TwistRobot(RobotPart):
-    """The entry of one robot in the section of the actuator `twist`."""
+    """One robot of the actuator `twist`, with its number and its wheels, in the spec."""
 
     index: int | None = Field(default=None, ge=0, le=31)
     """Number of the robot in lines, as set in its program.
@@ -112,7 +112,7 @@ class TwistSection(ActuatorSection):
         return self.speed_max_mm_s / 127, int(self.speed_max_mm_s * limit / 127)
 
     def measured(self, calibrated: Found) -> dict[str, Any]:
-        """Return a robot's fields in this section, with the values that a calibration measured."""
+        """Return a robot's fields of the spec, with the values that a calibration measured."""
         return wheel_gains(calibrated, 1.0)
 
     def index(self, name: str) -> int:

@@ -132,7 +132,7 @@ class Cursor:
         return count
 
     def size(self, count: int, smallest: int) -> int:
-        """Read the size [bytes] of a section with `count` elements of at least `smallest` bytes."""
+        """Read the size [bytes] of a part with `count` elements of at least `smallest` bytes."""
         size = self.i32()
         self._require(count, smallest, size)
         return size
@@ -149,7 +149,7 @@ class Cursor:
         self.skip(self.count(size) * size)
 
     def skip_sized(self, smallest: int) -> None:
-        """Skip a section that states its number of elements, and then its size.
+        """Skip a part of the message that states its number of elements, and then its size.
 
         Each element has at least `smallest` bytes.
         """

@@ -33,7 +33,7 @@ VersionText = Annotated[
 
 
 class TrackedRobot(RobotPart):
-    """A robot's entry in the camera's section: its rigid body."""
+    """One robot in the spec of the camera: the rigid body by which OptiTrack tracks it."""
 
     body: str | int
     """Name or id of the robot's rigid body in the camera system."""

@@ -79,7 +79,7 @@ def pack_message(message: natnet.ClientMessage) -> bytes:
 
 
 def split(datagram: bytes) -> tuple[natnet.MessageKind, bytes]:
-    """Split a datagram into its kind and its payload.
+    """Split a datagram of the camera server into the kind of its message and its contents.
 
     Raises:
         WireError: If the header is wrong.

@@ -81,6 +81,6 @@ def test_a_full_disk_is_one_clear_line_and_leaves_no_table(folder, tmp_path):
     logs = folder / "logs"
     done = tetractl(tmp_path, "export", logs, "-o", "steps.csv", "--table", "steps")
     assert done.returncode == 1
-    assert ".csv.part: cannot write the table: No space left" in done.stderr
+    assert ".csv.part: the table cannot be written: No space left" in done.stderr
     assert "Traceback" not in done.stderr
     assert not (tmp_path / "steps.csv").exists()

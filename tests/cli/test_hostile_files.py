@@ -51,4 +51,6 @@ def test_the_unit_of_identified_values_is_shown_as_a_terminal_may(tmp_path):
     (tmp_path / "spec.yaml").write_text("identified: measured.yaml\n" + QUICK)
     done = tetractl(tmp_path, "validate", "spec.yaml")
     assert done.returncode == 2
-    assert "measured.yaml: unit: \\u202e: differs from the spec's, mm" in done.stdout
+    assert (
+        "measured.yaml: unit: \\u202e: differs from the length unit of the spec, mm" in done.stdout
+    )

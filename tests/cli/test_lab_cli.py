@@ -15,5 +15,5 @@ def test_without_a_terminal_an_operator_of_real_robots_is_told_that_there_is_no_
     monkeypatch.setattr("sys.stdin", None)
     with watched_by_operator(LabSupervision(), real_robots):
         pass
-    no_key = "no terminal: there is no key to stop the robots\n"
+    no_key = "without a terminal, there is no key to stop the robots\n"
     assert capsys.readouterr().err == (no_key if real_robots else "")

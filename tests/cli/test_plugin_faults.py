@@ -90,7 +90,7 @@ def place_of(folder, name, text):
 
 def test_a_controllers_exception_names_the_plugins_and_its_calls_are_in_the_log(tetractl, tmp_path):
     done = tetractl("run", "one.yaml", "--out", "logs", "--set", "controller.fails_at=3", "--quiet")
-    text = "ZeroDivisionError: division by zero; the spec uses plug-ins of mine 1.0"
+    text = "ZeroDivisionError: division by zero; the spec uses these plug-ins: mine 1.0"
     assert done.returncode == 1
     assert done.stderr.endswith(f"\nerror: trial 1: {text}\n")
     info = tetractl("info", "logs/trial-000.mcap").stdout
@@ -104,7 +104,9 @@ def test_an_exception_in_a_process_of_its_own_names_the_plugins_too(tetractl):
     failing = ("--set", "plant.disturbances=[{type: anchor, fails: true}]")
     done = tetractl("run", "one.yaml", "--jobs", "2", "--set", "trials.count=2", *failing)
     assert done.returncode == 1
-    assert "ZeroDivisionError: division by zero; the spec uses plug-ins of mine 1.0" in done.stderr
+    assert (
+        "ZeroDivisionError: division by zero; the spec uses these plug-ins: mine 1.0" in done.stderr
+    )
 
 
 def test_a_disturbance_that_fails_at_the_stop_too_leaves_a_complete_log(tetractl):
@@ -113,6 +115,6 @@ def test_a_disturbance_that_fails_at_the_stop_too_leaves_a_complete_log(tetractl
     done = tetractl("run", "one.yaml", "--out", "logs", "-q", "--set", failing)
     assert done.returncode == 1
     last = done.stderr.splitlines()[-1]
-    assert last == "error: trial 1: SystemExit: no more; the spec uses plug-ins of mine 1.0"
+    assert last == "error: trial 1: SystemExit: no more; the spec uses these plug-ins: mine 1.0"
     assert tetractl("info", "logs/trial-000.mcap").returncode == 0
     assert tetractl("verify", "logs").ok().stdout.startswith("logs/trial-000.mcap: ok")

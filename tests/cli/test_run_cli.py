@@ -156,7 +156,7 @@ def test_resuming_runs_what_is_missing_and_sets_the_unfinished_aside(work):
     written_ns = (logs / "trial-000.mcap").stat().st_mtime_ns
     refused = run("quick.yaml", "--out", "logs", cwd=work)
     assert (refused.returncode, refused.stdout) == (2, "")
-    assert "logs: holds logs already" in refused.stderr
+    assert "logs: this folder holds logs already" in refused.stderr
     dry = run("quick.yaml", "--out", "logs", "--resume", "--dry-run", cwd=work)
     assert "# Trials to run: 2 of 3" in dry.stdout
     done = run("quick.yaml", "--out", "logs", "--resume", cwd=work).ok()

@@ -71,8 +71,8 @@ def test_a_study_outlives_a_worker_and_by_the_same_command_a_scheduler(tmp_path)
             scheduler.kill()
             assert running.end() == 1
     assert running.err.read_text() == (
-        f"error: {address}: the scheduler is gone; results so far are stored\n"
-        "hint: start a scheduler, and give the same command with its address to continue\n"
+        f"error: {address}: the scheduler does not answer any more; all results so far are stored\n"
+        "hint: to continue, start a scheduler, and give the same command with its address\n"
     )
     assert 20 <= logs(there) < 64
     with cluster(tmp_path) as (address, _, _):
@@ -113,10 +113,13 @@ def test_a_cluster_with_tls_takes_only_who_has_a_certificate(tmp_path, monkeypat
         args = ("study.yaml", "--out", "there", "-q", "--cluster")
         done = tetractl("study", *args, address, cwd=tmp_path)
         assert done.returncode == 2
-        assert f"{address}: Dask is configured with no certificate for TLS" in done.stderr
+        assert (
+            f"{address}: the address needs TLS, but Dask is configured without a certificate"
+            in done.stderr
+        )
         done = tetractl("study", *args, address.replace("tls:", "tcp:"), cwd=tmp_path)
         assert done.returncode == 2
-        assert "no Dask scheduler answers there" in done.stderr
+        assert "no Dask scheduler answers at this address" in done.stderr
         assert logs(tmp_path / "there") == 0
         tls = "DASK_DISTRIBUTED__COMM__TLS__"
         for name, file in (("CA_FILE", ca), ("CLIENT__CERT", certificate), ("CLIENT__KEY", key)):
@@ -130,4 +133,4 @@ def test_an_address_without_a_scheduler_is_told(tmp_path):
     write(tmp_path)
     done = tetractl("study", "study.yaml", "--cluster", "nonsense", cwd=tmp_path)
     assert done.returncode == 2
-    assert "nonsense: no Dask scheduler answers there" in done.stderr
+    assert "nonsense: no Dask scheduler answers at this address" in done.stderr

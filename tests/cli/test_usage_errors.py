@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 
 # A command, what its one line says and, where it matters, how its hint begins.
 USAGE = r"""
-run study.yaml | study.yaml: is a study, not a spec | run it with: tetractl study study.yaml
+run study.yaml | study.yaml: this is a study, not a spec | run it with: tetractl study study.yaml
 study spec.yaml | spec.yaml: is a spec, not a study | run it with: tetractl run spec.yaml; a study
 replay spec.yaml | spec.yaml: this is not a log (*.mcap) | run it with: tetractl run spec.yaml
 stats out/trials.csv | out/trials.csv: this is not a log (*.mcap) | name the folder: out
@@ -47,8 +47,8 @@ run spec.yaml --set robots.x.a=1 | has no entry 'x'
 run spec.yaml --set controller.period=1e-9 | controller.period: 1e-9: must be at least 0.001
 run spec.yaml --set robots.0.name=Kä | robots.0.name: Kä: must be letters without accents
 run spec.yaml --out empty.yaml | empty.yaml: this is not a folder
-run spec.yaml --out logs | logs: holds logs already | name another folder with --out
-run spec.yaml --out logs --resume --seed 8 | trial-000.mcap: was run with another spec or seed
+run spec.yaml --out logs | logs: this folder holds logs already | name another folder with --out
+run spec.yaml --out logs --resume --seed 8 | this trial was run with another spec or seed
 run spec.yaml --resume | --resume needs --out
 run spec.yaml --port 1 | --port needs --serve
 run spec.yaml --serve --jobs 2 | --serve shows only one trial at a time
@@ -58,8 +58,8 @@ run spec.yaml --rate 0 | Invalid value for '--rate'
 run lab.yaml --plant lab --rate 1 | --rate works only in virtual time
 run lab.yaml --plant lab --jobs 2 | one trial at a time
 rerun LOG --seed 3 | No such option
-study circular.yaml | circular.yaml:2:7: base: circular.yaml: is a study, not a spec
-study of-a-study.yaml | of-a-study.yaml:2:7: base: study.yaml: is a study, not a spec
+study circular.yaml | circular.yaml:2:7: base: circular.yaml: is a study, but the base
+study of-a-study.yaml | of-a-study.yaml:2:7: base: study.yaml: is a study, but the base
 stats nowhere | nowhere: there is no such file or folder
 stats empty | empty: no logs
 stats '' | an argument of the command is empty | a shell variable that is not set?
@@ -75,24 +75,24 @@ replay | LOG
 replay LOG --rate 0 | --rate must be above 0
 replay LOG --rate nan | --rate must be above 0
 replay LOG --rate fast | Invalid value for '--rate': Input should be a valid number | try
-replay LOG --start 99 | the trial lasts
+replay LOG --start 99 | which lasts
 replay LOG --paused | --paused needs a terminal
 replay LOG --yes | No such option
 replay logs --loop | without a terminal, --loop accepts
-plot LOG -o a.bmp | a.bmp: cannot write '.bmp' pictures | end the name in .png, .svg, .pdf
+plot LOG -o a.bmp | a.bmp: cannot write '.bmp' pictures | use one of the endings .png, .svg, .pdf
 plot LOG -o a | needs an ending
 plot LOG -o folder.png | folder.png: this is a folder, but | name a file in this folder
 plot LOG --kind video -o folder.gif | folder.gif: this is a folder, but | name a file in this folder
 plot LOG -o nowhere/a.png | nowhere/a.png: the folder nowhere
-plot LOG --kind pie | no figure is called 'pie'
+plot LOG --kind pie | there is no figure named 'pie'
 plot logs --kind over-time | shows one trial, not 3
 plot logs --kind video | a video shows a single trial, but 3
 plot LOG --kind video -o video.avi | video.avi: cannot write '.avi' videos
 export logs -o x.csv | a single file can hold only one table
 export logs -o x --table no | there is no table named 'no'
 export logs -o x --format csv | No such option: --format
-export logs -o picture.png | picture.png: not a folder | choose another folder with --out
-export logs -o empty.yaml/x | empty.yaml: not a folder | choose another folder with --out
+export logs -o picture.png | picture.png: this is not a folder | choose another folder with --out
+export logs -o empty.yaml/x | empty.yaml: this is not a folder | choose another folder with --out
 export logs -o empty.yaml/x.csv --table steps | not a folder | choose another folder with --out
 export missing -o x | missing: there is no such file or folder
 run lab.yaml --plant lab | there is no terminal to ask | add --yes
@@ -125,7 +125,7 @@ report noise.mcap | none of the logs can be read: noise.mcap: this is not an MCA
 lab stop --port empty | empty: this is not a serial port
 lab stop --port spec.yaml | spec.yaml: this is not a serial port
 lab stop --port nowhere | nowhere: there is no such port
-run spec.yaml --out empty.yaml/logs | empty.yaml/logs: cannot create the folder: Not a directory
+run spec.yaml --out empty.yaml/logs | empty.yaml/logs: the folder cannot be created: Not a directory
 """
 STUDY = "name: study-of-a-study\nbase: {base}\n"
 LOG = "logs/trial-000.mcap"

@@ -197,7 +197,7 @@ class SimSection(PlantSection):
         transmissions_hz = repeats_hz or 1 / setup.period_s
         if transmissions_hz * setup.watchdog_s <= 1:
             robots = f"robots with a watchdog of {setup.watchdog_s:g} s"
-            message = f"at {transmissions_hz:g} Hz {robots} would stop between two commands"
+            message = f"at {transmissions_hz:g} Hz, {robots} would stop between two commands"
             yield ("drive",), f"{message}; shorten controller.period"
 
     @property

@@ -113,13 +113,13 @@ class Reach:
         texts = [f"{self.rank} of {len(self.spread)}{barely}"]
         parted = {parting.robot for parting in self.separable}
         for group in self.identical:
-            text = f"{', '.join(group[:-1])} and {group[-1]} move alike"
+            text = f"{', '.join(group[:-1])} and {group[-1]} move in the same way"
             if parted.isdisjoint(group):
-                text += f" and would at an a that differs by {100 * STEPS[-1]:g} %"
+                text += f", and still would if their a differed by {100 * STEPS[-1]:g} %"
             texts.append(text)
         for parting in self.separable:
             change = f"from {parting.a:.4g} to {parting.a_advised:.4g}"
-            texts.append(f"a of {parting.robot} changed {change} would part them")
+            texts.append(f"a change of the a of {parting.robot} {change} would separate them")
         texts += [f"{name} has speed 0" for name in self.still]
         return "; ".join(texts)
 

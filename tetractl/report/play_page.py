@@ -59,8 +59,8 @@ def refuse_unknown_motion(spec: LoadedSpec) -> None:
     motion = plant.motion if isinstance(plant, SimSection) else plant.type
     if motion not in MOTIONS:
         raise UsageError(
-            f"a page cannot move robots by the motion '{motion}'",
-            f"it knows {' and '.join(MOTIONS)}: --set plant.motion=exact",
+            f"a web page cannot simulate the motion '{motion}'",
+            f"a page can simulate {' and '.join(MOTIONS)}: give --set plant.motion=exact",
         )
 
 

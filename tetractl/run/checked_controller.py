@@ -72,7 +72,7 @@ class CheckedController:
         try:
             return self._checked(decision)
         except ValueError as error:
-            text = f"a {type(decision).__name__} that cannot be used: {error}"
+            text = f"a {type(decision).__name__} that cannot be used, because {error}"
             who = f"controller '{self._section.type}'"
             raise WrongValueError(who, text) from None
 
@@ -91,13 +91,20 @@ class CheckedController:
                     raise ValueError(f"a search has {search.evaluations} evaluations")
             searched = sum(search.signals.size + search.history.size for search in checked.searches)
             if checked.signals.size + checked.path.size + searched > NUMBERS_MAX:
-                raise ValueError("a plan has very many numbers")
+                raise ValueError("the plan has too many numbers to log")
             if not 0 <= checked.chosen < len(checked.searches):
-                raise ValueError(f"chosen is {checked.chosen} of {len(checked.searches)} searches")
+                raise ValueError(
+                    f"its field chosen is {checked.chosen}, but there are "
+                    f"{len(checked.searches)} searches"
+                )
             if not (0 <= checked.leg <= self._legs and 0 <= checked.generator < 1 << 64):
-                raise ValueError(f"leg is {checked.leg}, generator is {checked.generator}")
+                raise ValueError(
+                    f"its field leg is {checked.leg}, and generator is {checked.generator}"
+                )
         if not 0 <= checked.delay_ns <= round(self._setup.period_s * SECOND):
-            raise ValueError(f"delay_ns is {checked.delay_ns}, not within a control period")
+            raise ValueError(
+                f"its field delay_ns is {checked.delay_ns}, which is not within a control period"
+            )
         return checked
 
 
@@ -130,7 +137,7 @@ def _array(value: Any) -> Floats:
 
 def _outcome(value: Any) -> Outcome:
     if not (isinstance(value, Outcome) and value.complete):
-        raise ValueError(f"{value} is not an Outcome that a controller decides")
+        raise ValueError(f"{value} is not an Outcome that a controller can decide")
     return value
 
 

@@ -59,8 +59,9 @@ class Cluster:
             context = security.get_connection_args("client").get("ssl_context")
             if self._address.startswith("tls:") and context is None:
                 raise UsageError(
-                    f"{self._address}: Dask is configured with no certificate for TLS",
-                    f"set {TLS}__CA_FILE, {TLS}__CLIENT__CERT and {TLS}__CLIENT__KEY",
+                    f"{self._address}: the address needs TLS, but Dask is configured without "
+                    "a certificate",
+                    f"set the variables {TLS}__CA_FILE, {TLS}__CLIENT__CERT and {TLS}__CLIENT__KEY",
                 )
             self._client: Client = Client(
                 self._address,
@@ -71,7 +72,7 @@ class Cluster:
             )
         except (OSError, ValueError) as error:
             raise UsageError(
-                f"{self._address}: no Dask scheduler answers there: {error}",
+                f"{self._address}: no Dask scheduler answers at this address: {error}",
                 "give an address such as tcp://host:8786, as `dask scheduler` prints it",
             ) from None
         return self
@@ -145,8 +146,9 @@ class Cluster:
 
     def _gone(self) -> AbortError:
         return AbortError(
-            f"{self._address}: the scheduler is gone; results so far are stored",
-            "start a scheduler, and give the same command with its address to continue",
+            f"{self._address}: the scheduler does not answer any more; all results so far "
+            "are stored",
+            "to continue, start a scheduler, and give the same command with its address",
         )
 
     def _found(
@@ -168,7 +170,7 @@ class Cluster:
         if isinstance(error, KilledWorker):
             if len(submitted) > 1:
                 return None
-            error = AbortError("the trial was lost: every worker that ran it has ended")
+            error = AbortError("the trial was lost, because every worker that ran it has stopped")
         if error is not None:
             return [error for _ in submitted]
         future.release()

@@ -168,8 +168,8 @@ class Processes:
         """
         for task, ended in self._in_pool(deque([suspect]), 1, start_task):
             if isinstance(ended, BrokenProcessPool):
-                hint = "give the same command with fewer --jobs to continue"
-                in_python = "give the same command with fewer jobs to continue"
+                hint = "to continue, give the same command with fewer --jobs"
+                in_python = "to continue, give the same command with fewer jobs"
                 yield task, AbortError(KILLED, hint, in_python)
             else:
                 yield task, ended

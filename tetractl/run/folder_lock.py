@@ -37,7 +37,7 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         file = _acquire(path)
     except OSError as error:
-        raise LogError(f"{path}: cannot lock the folder: {error.strerror}") from error
+        raise LogError(f"{path}: the folder cannot be locked: {error.strerror}") from error
     try:
         yield
     finally:

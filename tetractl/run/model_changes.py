@@ -38,7 +38,7 @@ DEAD_TIME = "controller.dead_time"
 LATENCY = "lab.camera.latency"
 HOST_DELAY = "the host's delay (plant.drive.lead, lab.actuator.delay)"
 NOISE_UNSTATED = (
-    "headings are not as predicted, and the camera's noise is not stated: "
+    "headings are not as predicted, and the spec does not state the camera's noise: "
     "controller.prior.position_noise, heading_noise"
 )
 """The warning if the headings of cells do not fit and the spec does not state the camera's noise.
@@ -100,8 +100,8 @@ def describe_dead_time_error(estimate: Estimate, stated: StatedModel) -> str:
         return ""
     delays = " or ".join(stated.delays)
     return (
-        f"commands act {estimated_s:.3f} s after they are sent, not {stated.dead_time_s:.3f} s: "
-        f"is {delays} wrong?"
+        f"commands act {estimated_s:.3f} s after they are sent, but the spec says "
+        f"{stated.dead_time_s:.3f} s: is {delays} wrong?"
     )
 
 
@@ -119,8 +119,9 @@ def describe_lag_error(estimate: Estimate, setup: Setup) -> str:
     if (errors_s <= max(LAG_ERROR_S, CHANGE_STDS * float(estimate.lag_std.max()))).any():
         return ""
     return (
-        f"the wheels follow with a lag of {lag_s:.2f} s, not {setup.lag_s:.2f} s: the controller "
-        "uses the lag that it has found; state it in the spec (wheels.lag, lab.lag)"
+        f"the wheels follow with a lag of {lag_s:.2f} s, but the spec says {setup.lag_s:.2f} "
+        "s: the controller uses the lag that it has found; put it into the spec "
+        "(wheels.lag, lab.lag)"
     )
 
 
@@ -239,7 +240,7 @@ class ModelMonitor:
         """
         notices = list[Notice]()
         for name in estimate.standing(setup.names):
-            text = f"{name} stands although it is sent a direction"
+            text = f"{name} stands still although it is sent a direction"
             self._add_once(notices, Notice("info", text))
         for part in sorted(estimate.unexplained(setup.names, OF_PLACES)):
             text = f"{part} is not as predicted, which says nothing of a"
@@ -288,8 +289,9 @@ class ModelMonitor:
             self._late_since_ns[name] = since_ns_before.get(name, now_ns)
             if now_ns - self._late_since_ns[name] >= LATE_ROBOT_FOR_S * SECOND:
                 text = (
-                    f"commands act on {name} some {difference_s:.2f} s later than on "
-                    f"{setup.names[quickest]}, or more: its radio or its wheels are slow"
+                    f"commands act on {name} about {difference_s:.2f} s later than on "
+                    f"{setup.names[quickest]}, or even later: its radio or its wheels are "
+                    "slow"
                 )
                 late.append((name, text))
         return late

@@ -81,5 +81,5 @@ class RestMonitor:
             if is_moving and name not in self._reported:
                 self._reported.add(name)
                 speed = f"{speeds[i]:.2g} {self._setup.unit}/s"
-                warnings.append(f"{name} moves by {speed} while it should stand")
+                warnings.append(f"{name} moves by {speed} although it should stand still")
         return warnings

@@ -29,7 +29,7 @@ class ObserverRelay(Relay):
             size=QUEUED_CALLS_MAX,
             wait_s=0.0,
             patience_s=LAST_CALLS_S,
-            too_slow=TetractlError("an observer is too slow for the trial"),
+            too_slow=TetractlError("an observer takes too long for the trial"),
         )
 
     def put(self, call: Callable[[Observer], object]) -> None:

@@ -54,7 +54,9 @@ def directed_spec(spec: LoadedSpec) -> LoadedSpec:
     """
     experiment = spec.experiment
     if experiment.chosen is not None:
-        raise UsageError("each trial of the spec finds its robots, which no script can step")
+        raise UsageError(
+            "a trial of this spec chooses its robots itself, so a script cannot step it"
+        )
     control = experiment.controller
     section = SequenceSection(
         period=control.period,
@@ -233,7 +235,7 @@ class OpenTrial:
         except (TypeError, ValueError):
             direction = math.nan
         if not math.isfinite(direction):
-            raise UsageError("a direction is a finite number of radians")
+            raise UsageError("a direction must be a finite number [rad]")
         self._directions.append(direction)
         self._controller.answers.put(self._plan(direction))
         self._wait()
@@ -247,7 +249,9 @@ class OpenTrial:
         """
         self._demand_open()
         if not self._directions:
-            raise UsageError("a trial has at least one direction", "step it before it is stopped")
+            raise UsageError(
+                "a trial must have at least one direction", "call step() before you stop the trial"
+            )
         self._controller.answers.put(Outcome.SEQUENCE_COMPLETED)
         self._wait()
         assert self._result is not None
@@ -257,7 +261,9 @@ class OpenTrial:
     def spec(self) -> LoadedSpec:
         """The spec of this trial with the directions sent so far, for `tetractl run`."""
         if not self._directions:
-            raise UsageError("no direction was sent", "step the trial first")
+            raise UsageError(
+                "no direction was sent in this trial", "call step() before you read this value"
+            )
         section = self._spec.experiment.controller
         with_directions = section.model_copy(update={"directions": self.directions})
         return with_seed(with_controller(self._spec, with_directions), self._seed)
@@ -269,7 +275,10 @@ class OpenTrial:
             UsageError: If the trial has not ended, or if the log already exists.
         """
         if self._result is None:
-            raise UsageError("the trial has not ended", "step it until it has a result, or stop it")
+            raise UsageError(
+                "the trial has not ended yet",
+                "call step() until the trial has a result, or call stop()",
+            )
         demand(folder, str | Path, "a folder is a path")
         path = log_path(Path(folder), self._trial)
         if path.exists():
@@ -283,10 +292,10 @@ class OpenTrial:
     def _demand_open(self) -> None:
         """Check that the trial has not ended. UsageError is raised if it has."""
         if not self._drop.alive:
-            raise UsageError("the trial was broken off", "open another trial")
+            raise UsageError("the trial was cut short by an error", "open another trial")
         if self._result is not None:
             outcome = self._result.outcome.value
-            raise UsageError(f"the trial has ended: {outcome}", "open another trial")
+            raise UsageError(f"the trial has already ended: {outcome}", "open another trial")
 
     def _plan(self, direction: float) -> Plan:
         """Create a plan with a single direction.

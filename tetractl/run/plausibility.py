@@ -146,8 +146,11 @@ def turns_faster_than_robots(context: CheckContext) -> Findings:
     """Turning rates above A_MAX, which are probably in degrees a second."""
     for i, rate in enumerate(context.setup.a.tolist()):
         if rate > A_MAX:
-            text = f"is {rate:g} rad/s: the robot turns to any direction within {3 / rate:.2g} s"
-            hint = f"if these are degrees a second, write {math.radians(rate):.4g}"
+            text = (
+                f"is {rate:g} rad/s, so that the robot turns to any direction within "
+                f"{3 / rate:.2g} s"
+            )
+            hint = f"if this is in degrees per second, write {math.radians(rate):.4g}"
             yield SpecFinding(("robots", i, "a"), text, hint)
 
 
@@ -158,8 +161,10 @@ def robots_of_another_size(context: CheckContext) -> Findings:
         return
     radius_m = setup.wheel_radius * setup.metres
     if not WHEELS_M[0] <= radius_m <= WHEELS_M[1]:
-        text = f"makes robots with {2 * radius_m:.3g} m from wheel to wheel"
-        yield SpecFinding(("wheels", "radius"), text, f"is units.length, {setup.unit}, right?")
+        text = f"makes robots whose wheels are {2 * radius_m:.3g} m apart"
+        yield SpecFinding(
+            ("wheels", "radius"), text, f"is the length unit units.length, {setup.unit}, right?"
+        )
 
 
 def _radians(part: BaseModel, where: Loc) -> Iterator[tuple[Loc, float]]:
@@ -183,7 +188,7 @@ def plan_outlasts_trial(context: CheckContext) -> Findings:
     fitting = max(int(context.longest_s / context.signal_s * (1 + ROUNDING)), 1)
     yield SpecFinding(
         ("controller", "horizon_max"),
-        f"plans of {context.plan_s:.4g} s outlast the trial, which ends after "
+        f"plans of {context.plan_s:.4g} s are longer than the trial, which ends after "
         f"{context.longest_s:.4g} s",
         f"raise controller.{context.limit}, or lower horizon_max to {fitting}",
     )
@@ -201,16 +206,19 @@ def coarse_period(context: CheckContext) -> Findings:
     if not coarse.size or (coarse.size == 1 and not overshoots):
         return
     if overshoots:
-        reason = "by equation (6) its heading overshoots a held direction further at each step"
+        reason = (
+            "by the paper's equation (6), its heading overshoots a held direction "
+            "further at each step"
+        )
     else:
         # a small angle to the direction falls by exp(-a T): the slowest of them turns least
         percent = 100 * -expm1(-float(coarse.min()))
-        reason = f"{coarse.size} robots make {percent:.3g} % or more of a turn in T"
+        reason = f"{coarse.size} robots turn by {percent:.3g} % or more of a turn within T"
     quickest = int(rates.argmax())
     yield SpecFinding(
         ("controller", "period"),
-        f"a T = {rates[quickest]:.3g} for {context.setup.names[quickest]}, with signals held for "
-        f"T = {context.signal_s:.4g} s, is above {COARSE:g}: {reason}",
+        f"a T = {rates[quickest]:.3g} for {context.setup.names[quickest]}, which holds "
+        f"signals for T = {context.signal_s:.4g} s, is above {COARSE:g}: {reason}",
         f"hold signals for less than {COARSE / context.setup.a[quickest]:.3g} s",
     )
 
@@ -232,8 +240,8 @@ def unknown_dead_time(context: CheckContext) -> Findings:
     side = "late" if late_periods > 0 else "early"
     yield SpecFinding(
         ("plant", "dead_time"),
-        f"is {plant.dead_time:.4g} s, but the controller assumes {assumed_s:.4g} s: every command "
-        f"acts {abs(late_periods):.2g} control periods too {side}",
+        f"is {plant.dead_time:.4g} s, but the controller assumes {assumed_s:.4g} s, so that "
+        f"every command acts {abs(late_periods):.2g} control periods too {side}",
         f"set controller.dead_time to {plant.dead_time:.4g}",
     )
 
@@ -252,7 +260,8 @@ def robots_alike(context: CheckContext) -> Findings:
             yield SpecFinding(
                 ("robots", group[1], "a"),
                 _alike_text(alike, context.length_text(least)),
-                "give them different a, or targets with the same relative positions as the starts",
+                "give the robots different a, or targets with the same relative positions "
+                "as their starts",
             )
 
 
@@ -310,8 +319,9 @@ def out_of_reach(context: CheckContext) -> Findings:
         if too_few > context.tolerance:
             yield SpecFinding(
                 ("robots", i, "target"),
-                f"is {context.to_target(i)} away; in the {context.longest_s:.4g} s of a trial the "
-                f"robot drives {context.driven(i, context.longest_s)}, {too_few:.4g} too few",
+                f"is {context.to_target(i)} away, but in the {context.longest_s:.4g} s of a "
+                f"trial the robot drives only {context.driven(i, context.longest_s)}, "
+                f"{too_few:.4g} too few",
                 f"raise controller.{context.limit}, or bring the target nearer",
             )
 
@@ -333,9 +343,9 @@ def beyond_the_plan(context: CheckContext) -> Findings:
     i = max(needed_s, key=needed_s.__getitem__)  # the robot that needs most time
     yield SpecFinding(
         ("controller", "horizon_max"),
-        f"{context.setup.names[i]} is {context.to_target(i)} from its target; in "
-        f"{round(context.plan_s / context.signal_s)} signals, {context.plan_s:.4g} s, it drives "
-        f"{context.driven(i, context.plan_s)}, {too_few[i]:.4g} too few",
+        f"{context.setup.names[i]} is {context.to_target(i)} from its target, but in "
+        f"{round(context.plan_s / context.signal_s)} signals ({context.plan_s:.4g} s) it "
+        f"drives only {context.driven(i, context.plan_s)}, {too_few[i]:.4g} too few",
         f"set it to more than {math.ceil(needed_s[i] / context.signal_s)}",
     )
 
@@ -346,8 +356,8 @@ def error_left(context: CheckContext) -> Findings:
     if context.is_worth_warning(least, len(context.setup.a)):
         yield SpecFinding(
             ("robots",),
-            f"least total error of any plan: {least:.4g} {context.unit}",
-            "no controller can do better with these a, speeds, starts and targets",
+            f"the smallest total error of any plan is {least:.4g} {context.unit}",
+            "no controller can achieve a smaller error with these a, speeds, starts and targets",
         )
 
 
@@ -363,14 +373,15 @@ def walled_off(context: CheckContext) -> Findings:
         if apart[i] > 0:
             yield SpecFinding(
                 ("robots", i, "target"),
-                f"is walled off: the robot comes no nearer than {apart[i]:.4g} {context.unit}",
+                f"is walled off: the robot cannot come closer than {apart[i]:.4g} {context.unit}",
                 "open a gap between the obstacles",
             )
         elif ends[i] > context.margin:
             yield SpecFinding(
                 ("robots", i, "target"),
-                f"has no path to it that keeps {context.length_text(context.margin)} from the "
-                f"obstacles: the robot comes within {context.length_text(squeezed[i])}",
+                "cannot be reached by a path that keeps "
+                f"{context.length_text(context.margin)} from the obstacles; the robot comes "
+                f"within {context.length_text(squeezed[i])}",
                 "lower controller.collision.margin or radius, or widen the gap",
             )
 
@@ -384,8 +395,8 @@ def inside_margin(context: CheckContext) -> Findings:
         for i in np.flatnonzero(gaps <= context.margin).tolist():
             yield SpecFinding(
                 ("robots", i, field),
-                f"is {gaps[i]:.4g} {context.unit} from the nearest obstacle or wall; plans keep "
-                f"{context.margin:.4g} {context.unit}",
+                f"is {gaps[i]:.4g} {context.unit} from the nearest obstacle or wall, but "
+                f"plans keep a distance of {context.margin:.4g} {context.unit}",
                 "move it, or lower controller.collision.margin or radius",
             )
 
@@ -402,9 +413,11 @@ def target_near_obstacle(context: CheckContext) -> Findings:
     for i in np.flatnonzero(room < context.collision.margin + step).tolist():
         yield SpecFinding(
             ("robots", i, "target"),
-            f"leaves a body {room[i]:.3g} {context.unit} of room to the nearest obstacle or edge; "
-            f"it drives {step[i]:.3g} {context.unit} in a control period",
-            "move the target, or control more often; a trial may end far from it",
+            f"leaves a body only {room[i]:.3g} {context.unit} of free space to the nearest "
+            f"obstacle or edge, but the robot drives {step[i]:.3g} {context.unit} in a "
+            "control period",
+            "move the target, or shorten the control period; otherwise a trial may end far "
+            "from the target",
         )
 
 
@@ -417,10 +430,10 @@ def accepts_less_than_noise(context: CheckContext) -> Findings:
     if control.accept_error < least:
         yield SpecFinding(
             ("controller", "accept_error"),
-            f"is less than {LEAST_ERROR} x position_noise x robots, {least:.3g} {context.unit}: "
-            "the camera can hardly measure so small an error, so trials take longer and gain "
-            "little",
-            f"accept {least:.3g} {context.unit} or more",
+            f"is less than {LEAST_ERROR} x position_noise x robots, {least:.3g} "
+            f"{context.unit}: the camera can hardly measure such a small error, so that "
+            "trials take longer and gain little",
+            f"set it to {least:.3g} {context.unit} or more",
         )
 
 
@@ -437,9 +450,8 @@ def too_close(context: CheckContext) -> Findings:
                 if distance < least_mm * per_mm:
                     yield SpecFinding(
                         ("robots", i, field),
-                        f"is {distance / per_mm:.4g} mm from the {field} of "
-                        f"{neighbour}; the lab aborts when robots come nearer than "
-                        f"{least_mm:.4g} mm",
+                        f"is {distance / per_mm:.4g} mm from the {field} of {neighbour}, but "
+                        f"the lab aborts if robots are closer than {least_mm:.4g} mm",
                         f"move them apart, or lower {section}.limits.separation_mm",
                     )
 
@@ -450,7 +462,10 @@ def same_place(context: CheckContext) -> Findings:
         for i, neighbour, distance in nearest(context.setup, points):
             if distance == 0:
                 gap = context.length_text(0.0)
-                text = f"is {gap} from the {field} of {neighbour}: both cannot stand there"
+                text = (
+                    f"is {gap} from the {field} of {neighbour}, so that the two robots "
+                    "cannot both stand there"
+                )
                 yield SpecFinding(("robots", i, field), text, "move one of them")
                 break
 
@@ -469,10 +484,10 @@ def targets_near_each_other(context: CheckContext) -> Findings:
             gap = context.length_text(distance)
             yield SpecFinding(
                 ("robots", i, "target"),
-                f"is {gap} from the target of {neighbour}, where bodies might touch: the two "
-                f"are led to places {least:.4g} {context.unit} apart",
-                f"move the targets apart, or a trial ends some {least - distance:.2g} "
-                f"{context.unit} off them",
+                f"is {gap} from the target of {neighbour}, so that bodies might touch: the "
+                f"controller leads the two robots to places {least:.4g} {context.unit} apart",
+                "move the targets apart; otherwise a trial ends about "
+                f"{least - distance:.2g} {context.unit} off them",
             )
 
 
@@ -484,9 +499,12 @@ def hold_too_tight(context: CheckContext) -> Findings:
     for name, least in zip(setup.names, (setup.speed / setup.a).tolist(), strict=True):
         if setup.hold.radius < least:
             text = (
-                f"is less than v / a of {name}, {least:.4g} {context.unit}, its least mean distance"
+                f"is less than v / a of {name}, {least:.4g} {context.unit}, which is its "
+                "smallest possible mean distance"
             )
-            yield SpecFinding(("hold", "radius"), text, "ask for more, or for a stronger field")
+            yield SpecFinding(
+                ("hold", "radius"), text, "give a larger value, or use a stronger field"
+            )
 
 
 RULES: tuple[Callable[[CheckContext], Findings], ...] = (

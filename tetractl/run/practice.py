@@ -71,7 +71,7 @@ class Practice:
             median_ms = milliseconds(int(np.median(self.delays_ns)))
             longest_ms = milliseconds(max(self.delays_ns))
             facts[FACT] = (
-                f"{median_ms:.0f} ms, at most {longest_ms:.0f} ms, of a period of "
+                f"median {median_ms:.0f} ms, at most {longest_ms:.0f} ms, for a period of "
                 f"{period_ms:.0f} ms, in {count} steps with simulated robots"
             )
             late = sum(delay_ns > self.period_ns for delay_ns in self.delays_ns)
@@ -83,8 +83,8 @@ class Practice:
         if self.silence_ns > limits.stale * SECOND:
             problems.append(
                 "this computer is too busy, or the camera pauses: no frame was read for "
-                f"{milliseconds(self.silence_ns):.0f} ms while control steps were practised; "
-                f"robots stop after {1000 * limits.stale:.0f} ms"
+                f"{milliseconds(self.silence_ns):.0f} ms during the practised control steps, "
+                f"but robots stop after {1000 * limits.stale:.0f} ms"
             )
         return replace(findings, problems=tuple(problems), warnings=tuple(warnings), facts=facts)
 

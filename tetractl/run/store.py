@@ -89,7 +89,7 @@ class BatchFolder:
             experiment = experiment.model_copy(update=spec_robots)
         if arm_hash(experiment) != self.hash:
             raise UsageError(
-                f"{result.log}: was run with another spec or seed",
+                f"{result.log}: this trial was run with another spec or seed",
                 "name another folder with --out, or give the spec and seed of this trial",
                 "name another folder with folder=, or give the spec and seed of this trial",
             )
@@ -147,15 +147,15 @@ class Store:
             return
         if not self.folder.is_dir():
             raise UsageError(
-                f"{self.folder}: not a folder",
-                "name another with --out",
-                "name another with folder=",
+                f"{self.folder}: this is not a folder",
+                "choose another folder with --out",
+                "choose another folder with folder=",
             )
         if resume:
             return
         if any(path.name.endswith((SUFFIX, LOG_PART)) for path in self.folder.iterdir()):
             raise UsageError(
-                f"{self.folder}: holds logs already",
+                f"{self.folder}: this folder holds logs already",
                 "name another folder with --out, or add --resume",
                 "name another folder with folder=, or add resume=True",
             )
@@ -199,7 +199,9 @@ class RecordStore:
         """
         for folder in (self.folder, *self.folder.parents):
             if folder.exists() and not folder.is_dir():
-                raise UsageError(f"{self.folder}: not a folder", "name another with --out")
+                raise UsageError(
+                    f"{self.folder}: this is not a folder", "choose another folder with --out"
+                )
         with locked(self.folder):
             for path in self.folder.glob("record-*.json"):
                 record = self._read(path)
@@ -219,9 +221,10 @@ class RecordStore:
             return None
         if identity != self._identity:
             hint = (
-                "give another --out: a folder has records of one spec, with its --set, and one seed"
+                "choose another folder with --out: a folder can hold the trials of only one "
+                "spec, with its --set, and one seed"
             )
-            raise UsageError(f"{path}: is of another spec, seed or settings", hint)
+            raise UsageError(f"{path}: this trial has another spec, seed or settings", hint)
         return record if is_whole else None
 
     def add(self, number: int, record: Mapping[str, Any]) -> None:

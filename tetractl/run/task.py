@@ -109,7 +109,8 @@ def _prepared(spec: bytes, code: str) -> LoadedSpec:
     loaded: LoadedSpec = pickle.loads(spec)
     if code and code_of(loaded.experiment) != code:
         raise OtherCodeError(
-            "the worker's code differs from the code of the machine that runs the study",
+            "the code of tetractl on the worker differs from the code on the computer that "
+            "runs the study",
             "install the same tetractl, numpy, numba, llvmlite, scipy and plug-ins on the worker",
         )
     with suppress(TetractlError):  # the trial raises the same error

@@ -21,7 +21,9 @@ def undisturbed_spec(spec: LoadedSpec) -> LoadedSpec:
     """
     experiment = spec.experiment
     if experiment.chosen is not None:
-        raise UsageError("each trial of the spec finds its robots, so none are known before it")
+        raise UsageError(
+            "a trial of this spec chooses its robots itself, so they are unknown before the trial"
+        )
     fields = experiment.model_dump(mode="json")
     motion = fields["plant"].get("motion", MODEL_MOTION)
     fields["plant"] = {"type": "sim", "motion": motion}

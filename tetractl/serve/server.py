@@ -73,7 +73,7 @@ class LoopbackServer:
                 logger=_QUIET,
             )
         except OSError as error:
-            why = f"port {port}: cannot be used: {error.strerror}"
+            why = f"port {port} cannot be used: {error.strerror}"
             raise UsageError(why, "try --port 0") from error
         self.port: int = self._server.socket.getsockname()[1]
         self._thread = threading.Thread(

@@ -56,7 +56,7 @@ def errors_of(experiment: Experiment, written: bool) -> Findings:
     yield from section_errors(experiment)
     needed_gb = GB_PER_NUMBER * experiment.controller.numbers_held(experiment.setup)
     if needed_gb > MEMORY_GB:
-        message = f"a control step would need some {needed_gb:.3g} GB of memory, more than 1 GB"
+        message = f"a control step would need about {needed_gb:.3g} GB of memory, more than 1 GB"
         yield SpecFinding(("controller",), f"{message}; use fewer particles, robots or signals")
     if not written:
         yield from overlapping(experiment)
@@ -72,7 +72,7 @@ def same_names(experiment: Experiment) -> Findings:
     for i, robot in enumerate(experiment.robots):
         earlier = first.setdefault(robot.name, i)
         if earlier != i:
-            message = f"robots.{earlier} has this name already; names must differ"
+            message = f"is already the name of robots.{earlier}; names must differ"
             yield SpecFinding(("robots", i, "name"), message)
 
 
@@ -89,7 +89,7 @@ def misplaced(experiment: Experiment) -> Findings:
         inside = [shape.contain(points[:, 0], points[:, 1]) for shape in shapes]
     for row, (where, point) in enumerate(places):
         if not arena.bounds.contains(*point):
-            yield SpecFinding(where, f"is outside the arena; must be within {_extent(arena)}")
+            yield SpecFinding(where, f"is outside the arena; it must be within {_extent(arena)}")
         for j, obstacle in enumerate(experiment.obstacles):
             if inside[j][row]:
                 message = f"is inside obstacles.{j}, a {obstacle.type}; move one of them"
@@ -145,10 +145,10 @@ def section_errors(experiment: Experiment) -> Findings:
     """
     control = experiment.controller
     if control.switches_field and not experiment.plant.switches_field:
-        message = f"cannot switch the field off, as controller {control.type} does"
+        message = f"cannot switch off the field, as the controller {control.type} does"
         yield SpecFinding(("plant",), f"{message}; simulations can")
     if not control.tours and (experiment.hold or len(experiment.setup.legs) > 1):
-        message = f"{control.type} supports neither way-points nor a hold; mpc does"
+        message = f"controller {control.type} supports neither way-points nor a hold; use mpc"
         yield SpecFinding(("controller",), message)
     for loc, message in control.contradictions(experiment.setup):
         yield SpecFinding(("controller", *loc), message)
@@ -156,7 +156,7 @@ def section_errors(experiment: Experiment) -> Findings:
         if isinstance(plant, LabSection) and experiment.chosen is not None:
             for device, section in (("camera", plant.camera), ("actuator", plant.actuator)):
                 if not section.settles:
-                    message = "cannot find the robots of a trial; name them in robots"
+                    message = "cannot choose the robots of a trial; list the robots in the spec"
                     yield SpecFinding((name, device), f"{section.type} {message}")
         if plant is not None:
             for loc, message in plant.contradictions(experiment.setup):

@@ -15,7 +15,7 @@ def shipped_folder() -> Path:
     for folder in (package / FOLDER, source_tree / FOLDER):
         if (folder / "three_m3pi.yaml").is_file():
             return folder
-    raise UsageError("the examples are missing from this installation")
+    raise UsageError("the examples are missing from this installation of tetractl")
 
 
 def examples() -> dict[str, Path]:

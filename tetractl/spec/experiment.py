@@ -98,7 +98,7 @@ class PerStrength(Model):
     @model_validator(mode="after")
     def _is_one(self) -> "PerStrength":
         if (self.per_mt is None) == (self.per_v_cm is None):
-            raise inconsistent("per_mT", "give either per_mT or per_V_cm")
+            raise inconsistent("per_mT", "give either per_mT or per_V_cm, and only one of them")
         return self
 
     @property
@@ -131,7 +131,9 @@ def strength_unit(rates: tuple[float | PerStrength, ...]) -> str:
     """
     units = {STRENGTH_UNITS[a.key] for a in rates if isinstance(a, PerStrength)} or {"mT"}
     if len(units) > 1:
-        raise inconsistent("robots", "have a per mT and a per V/cm; there is one field")
+        raise inconsistent(
+            "robots", "have an a per mT and an a per V/cm, but there is only one field"
+        )
     return units.pop()
 
 
@@ -342,17 +344,21 @@ class Experiment(Model):
         counts = {len(robot.via) for robot in self.robots}
         if len(counts) > 1:
             listed = " and ".join(map(str, sorted(counts)))
-            message = f"have {listed} way-points in via; all robots need the same number"
+            message = (
+                f"have {listed} way-points in via; all robots need the same number of way-points"
+            )
             raise inconsistent("robots", message)
         if self.on_lost == "replace" and (self.chosen is None or self.obstacles):
             raise inconsistent(
                 "on_lost",
-                "replace is allowed only with 'robots: {choose: N}' and without obstacles",
+                "can be used only with 'robots: {choose: N}' and without obstacles",
             )
         rates = tuple(robot.a for robot in self.robots)
         unit = strength_unit(rates)
         if self.strength is None and any(isinstance(a, PerStrength) for a in rates):
-            raise inconsistent("strength", f"is missing; a of robots is per {unit}: add it")
+            raise inconsistent(
+                "strength", f"is missing, because the a of robots is given per {unit}: add it"
+            )
         return self
 
     @property

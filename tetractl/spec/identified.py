@@ -92,7 +92,7 @@ def merge(document: Document, identified: Identified, origin: str, estimates: bo
     place = Place(origin)
     unit = _length_unit(document)
     if unit != identified.unit:
-        message = f"differs from the spec's, {printable(str(unit), 60)}"
+        message = f"differs from the length unit of the spec, {printable(str(unit), 60)}"
         document.problems.append(place.problem(("unit",), message, printable(identified.unit, 60)))
         return
     robots = _listed_robots(document)
@@ -134,7 +134,7 @@ def _put_rate(
     if not isinstance(stated, dict) or len(stated) != 1:
         document.put(loc, a_rad_s, place)
     elif strength is None:
-        message = "is per strength in the spec, but its logs state no strength"
+        message = "is per strength in the spec, but the logs that gave this value state no strength"
         document.problems.append(place.problem(loc, message))
     else:
         (key,) = stated

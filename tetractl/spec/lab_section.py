@@ -268,7 +268,7 @@ class LabLimits(Model):
     @model_validator(mode="after")
     def _heights_in_order(self) -> Self:
         if self.height_mm[0] >= self.height_mm[1]:
-            raise inconsistent("height_mm", "must be two heights, the lower one first")
+            raise inconsistent("height_mm", "must be two heights, with the lower one first")
         return self
 
 
@@ -322,7 +322,7 @@ class LabSection(PlantSection):
         for loc, message in self.actuator.beside(self.camera):
             yield ("actuator", *loc), message
         if self.lag is not None and not setup.on_wheels:
-            yield ("lag",), "is for robots on wheels, and the spec has no `wheels`"
+            yield ("lag",), "is for robots on wheels, but the spec has no `wheels`"
 
     def bounds(self) -> dict[str, str]:
         """Describe the devices' addresses and the run's limits for display, as {name: text}."""
@@ -363,18 +363,24 @@ def mismatches(
         The location and text of each mismatch.
     """
     for missing in sorted(set(names) - {robot.name for robot in robots}):
-        yield ("robots",), f"has no {missing}; list every robot of the spec"
+        yield ("robots",), f"has no entry for {missing}; list every robot of the spec"
     taken: dict[tuple[str, object], int] = {}
     for i, robot in enumerate(robots):
         if robot.name not in names:
-            yield ("robots", i, "name"), f"is not a robot of the spec; those are {', '.join(names)}"
+            yield (
+                ("robots", i, "name"),
+                (f"is not a robot of the spec, whose robots are {', '.join(names)}"),
+            )
         for key in ("name", *unique):
             value = dict(robot)[key]
             if value is None:
                 continue
             first = taken.setdefault((key, value), i)
             if first != i:
-                yield ("robots", i, key), f"is also that of {robots[first].name}; they must differ"
+                yield (
+                    ("robots", i, key),
+                    (f"is also the value of {robots[first].name}; the values must differ"),
+                )
 
 
 def too_fast(setup: Setup, speed_max_mm_s: float) -> Iterator[tuple[Loc, str]]:
@@ -382,7 +388,7 @@ def too_fast(setup: Setup, speed_max_mm_s: float) -> Iterator[tuple[Loc, str]]:
     speeds = setup.speed * setup.metres * 1000
     if speeds.max() > speed_max_mm_s:
         name = setup.names[int(speeds.argmax())]
-        yield ("speed_max_mm_s",), f"is below the speed of {name}, {speeds.max():g} mm/s"
+        yield ("speed_max_mm_s",), (f"is below the speed of {name}, which is {speeds.max():g} mm/s")
 
 
 def unknown_radii(setup: Setup, radii_mm: Iterable[float | None]) -> Iterator[tuple[Loc, str]]:
@@ -399,5 +405,5 @@ def unknown_radii(setup: Setup, radii_mm: Iterable[float | None]) -> Iterator[tu
         return
     for i, radius_mm in enumerate(radii_mm):
         if radius_mm is None:
-            message = "is missing; add it, or 'wheels: {radius: ..}' for all robots"
+            message = "is missing; add it, or add 'wheels: {radius: ..}' for all robots"
             yield ("robots", i, "radius_mm"), message

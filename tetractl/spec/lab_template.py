@@ -33,7 +33,10 @@ def lab_template(robots: str, camera: str | None) -> str:
     text = _part("robots", robots)
     if PLACE not in text:
         if camera not in (None, robots):
-            raise UsageError(f"--robots {robots} measure their own poses", "leave --camera out")
+            raise UsageError(
+                f"robots of type {robots} measure their own poses, so --camera cannot be given",
+                "leave --camera out",
+            )
         return text
     spec = parse_document(text.replace(PLACE, "").replace("@NAME@", "name: robots"), robots).data
     names = [robot["name"] for robot in spec["robots"]]
@@ -76,6 +79,9 @@ def _no_part(what: str, kind: str, parts: list[str]) -> UsageError:
         return UsageError(f"{kind} {problem}", hint)
     why = f"unknown{did_you_mean(kind, parts)}"
     if kind in types:
-        why = f"its package brings no template {what}/{kind}.yaml; write the section yourself"
-    hint = f"known are {', '.join(parts)}; other packages bring more"
+        why = (
+            f"the package of this type has no template {what}/{kind}.yaml; write the "
+            "section yourself"
+        )
+    hint = f"the known types are {', '.join(parts)}; other packages may add more"
     return UsageError(f"{option} {kind}: {why}", hint)

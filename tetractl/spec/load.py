@@ -141,7 +141,7 @@ def as_text(contents: Mapping[str, Any], name: str) -> str:
     try:
         return json.dumps(contents)
     except (TypeError, ValueError) as error:
-        hint = "give text, numbers, lists and dicts, such as array.tolist()"
+        hint = "give strings, numbers, lists and dicts; convert arrays with array.tolist()"
         raise SpecError(f"{name}: {printable(str(error), 200)}", hint) from None
 
 
@@ -153,7 +153,7 @@ def is_study(document: Document) -> bool:
 def _refuse_study(document: Document) -> None:
     if is_study(document):
         hint = f"run it with: tetractl study {document.origin}"
-        raise InvalidSpecError([SpecProblem(document.origin, "is a study, not a spec")], hint)
+        raise InvalidSpecError([SpecProblem(document.origin, "this is a study, not a spec")], hint)
 
 
 def _named_file(document: Document, loc: Loc) -> str | None:

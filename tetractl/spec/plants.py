@@ -101,7 +101,10 @@ def _with_defaults(kind: str) -> PlantSection:
     except ValidationError as error:
         locations = [details["loc"] for details in error.errors()]
         fields = ", ".join(str(loc[0]) for loc in locations if loc)
-        raise UsageError(f"--plant {kind}: write it in the spec, as it needs: {fields}") from None
+        raise UsageError(
+            f"--plant {kind}: write this plant into the spec instead, because "
+            f"it needs the fields {fields}"
+        ) from None
 
 
 def settings_on(spec: Document, sets: Sequence[str], kind: str | None) -> list[str]:
@@ -131,7 +134,9 @@ def of_lab(kind: str) -> bool:
     """
     if kind not in PLANTS:
         why, hint = not_installed(PLANTS.group, kind) or ("there is no such plant", None)
-        raise UsageError(f"--plant {kind}: {why}", hint or f"one of {', '.join(PLANTS.names())}")
+        raise UsageError(
+            f"--plant {kind}: {why}", hint or (f"the known plants are {', '.join(PLANTS.names())}")
+        )
     section: type[PlantSection] = PLANTS.load(kind)
     return issubclass(section, LabSection)
 
@@ -157,8 +162,9 @@ def lab_of(experiment: Experiment, name: str) -> LabSection:
     lab = experiment.lab if experiment.plant.simulated else experiment.plant
     if not isinstance(lab, LabSection):
         raise SpecError(
-            f"{name}: has no lab",
-            "add a 'lab:' section; `tetractl init --example three_m3pi_lab` has one",
+            f"{name}: this spec has no lab",
+            "add a section 'lab:'; `tetractl init --example three_m3pi_lab` writes a spec "
+            "with a lab",
         )
     return lab
 
@@ -199,7 +205,7 @@ def _calibration(text: str, origin: str) -> Document:
         document = None
     if document is None or "measured" not in document.data:
         raise SpecError(
-            f"{printable(origin)}: is not a calibration file",
+            f"{printable(origin)}: this is not a calibration file",
             "`tetractl lab calibrate` writes a calibration file",
         )
     return document

@@ -187,12 +187,12 @@ class Contrast(Shown):
     def reason(self) -> str | None:
         """Why there is no verdict on the two batches. None if there is one."""
         if not self.same_origin:
-            return "plants are not alike"
+            return "the plants differ"
         if self.no_controller:
-            return "directions were given: no controller decided"
+            return "directions were given, so no controller decided"
         if self.compared < ENOUGH:
             what = "pairs" if self.pairs else "complete trials on each side"
-            return f"a verdict needs {ENOUGH} {what}"
+            return f"a verdict needs at least {ENOUGH} {what}"
         for interval in self.intervals:
             if not interval.known:
                 return f"no interval: {interval.reason}"
@@ -280,8 +280,9 @@ def contrast(
     for group in batches:
         if group.unit != batches[0].unit:
             raise UsageError(
-                f"{group.name} has errors in {group.unit}, {batches[0].name} in {batches[0].unit}",
-                "compare groups with the same length unit",
+                f"{group.name} has errors in {group.unit}, but {batches[0].name} in "
+                f"{batches[0].unit}",
+                "compare only groups with the same length unit",
             )
     if baseline is None:
         sides = list(combinations(groups, 2))

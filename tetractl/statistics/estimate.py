@@ -248,11 +248,11 @@ def _mean_interval(values: Floats, mean: float, std: float) -> Interval:
     """
     n = len(values)
     if n == 1:
-        return Interval.none("one value has no spread")
+        return Interval.none("a single value has no spread")
     if not std > 0:
         return Interval.none(f"all {n} values are equal")
     if n < VALUES_MIN:
-        return Interval.none(f"an interval needs {VALUES_MIN} values")
+        return Interval.none(f"an interval needs at least {VALUES_MIN} values")
     if values[0] < 0:
         half = t_quantile(n - 1) * std / math.sqrt(n)
         return Interval(float(mean - half), float(mean + half), "t")

@@ -208,9 +208,9 @@ def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]
             setup = trial.experiment.setup
             distance_mm = float(setup.speed[i]) * result.duration_s * setup.metres / MM
             off_mm = abs(rate) * result.duration_s * distance_mm / 2
-            turned = f"it turned by {rate:+.2f} rad/s by itself"
-            off = f"if its wheels do not differ, it is up to {off_mm:.0f} mm off"
-            texts[trial.log].append(f"heading of {robot} not confirmed: {turned}; {off}")
+            turned = f"it turned by {rate:+.2f} rad/s on its own"
+            off = f"if its wheels are equal, the heading is up to {off_mm:.0f} mm off"
+            texts[trial.log].append(f"the heading of {robot} is not confirmed: {turned}; {off}")
     return texts
 
 
@@ -219,7 +219,9 @@ def turned_otherwise(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
     texts = defaultdict[str, list[str]](list)
     for turn in turns_of(trials):
         if turn.unusual:
-            text = f"{turn.robot} turned by {turn.off:+.2f} rad/s unlike in the other trials"
+            text = (
+                f"{turn.robot} turned by {turn.off:+.2f} rad/s differently than in the other trials"
+            )
             texts[turn.log].append(text)
     return texts
 

@@ -184,7 +184,9 @@ def one_source(paths: Sequence[Path | str]) -> Source:
     for folder in filter(Path.is_dir, map(Path, paths)):
         batches = len(batches_in(folder))
         if batches > 1:
-            raise UsageError(f"{folder}: holds {batches} batches", "name the folder of each")
+            raise UsageError(
+                f"{folder}: this folder holds {batches} batches", "name the folder of each batch"
+            )
     return source
 
 
@@ -214,13 +216,13 @@ def experiment_of(batch: Batch) -> Experiment:
     if not batch.trials:
         if batch.attempts:
             raise UsageError(
-                "all logs are earlier attempts",
-                "complete the batch with --resume",
-                "complete the batch with resume=True",
+                "all of these logs are earlier attempts",
+                "run the rest of the batch with --resume",
+                "run the rest of the batch with resume=True",
             )
         if batch.lost:
             raise LogError("no log can be read: {0.log}: {0.problem}".format(batch.lost[0]))
-        raise UsageError("no trial to summarise")
+        raise UsageError("there is no trial to summarise")
     first = batch.trials[0]
     for trial in (*batch.trials, *batch.attempts):
         _check_alike(first, trial)
@@ -232,9 +234,9 @@ def _check_alike(first: ResultSummary, second: ResultSummary) -> None:
     """Raise UsageError if two trials have different plants or experiments."""
     if second.origin is not first.origin:
         raise UsageError(
-            f"{first.log} is from the {first.origin}, {second.log} from the {second.origin}",
-            "give the logs of one plant, and the others with --against",
-            "give the logs of one plant, and the others with compare()",
+            f"{first.log} comes from the {first.origin}, but {second.log} from the {second.origin}",
+            "give logs from only one plant, and the others with --against",
+            "give logs from only one plant, and the others with compare()",
         )
     if second.experiment is first.experiment:
         return
@@ -242,8 +244,8 @@ def _check_alike(first: ResultSummary, second: ResultSummary) -> None:
     if fields:
         raise UsageError(
             f"{first.log} and {second.log} have different experiments: {listing(fields)}",
-            "give the logs of one batch, and the other batch with --against",
-            "give the logs of one batch, and the other batch with compare()",
+            "give logs from only one batch, and the other batch with --against",
+            "give logs from only one batch, and the other batch with compare()",
         )
 
 
@@ -256,9 +258,9 @@ def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
         twin = trials_by_key.setdefault(key, trial)
         if twin is not trial:
             raise UsageError(
-                f"{twin.log} and {trial.log} are the same trial"
-                f" (seed {trial.seed}, trial {trial.trial})",
-                "give each trial once, for instance by naming one of the two folders",
+                f"{twin.log} and {trial.log} contain the same trial (seed {trial.seed}, "
+                f"trial {trial.trial})",
+                "give each trial only once, for instance by naming only one of the two folders",
             )
 
 

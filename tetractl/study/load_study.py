@@ -196,11 +196,11 @@ def _base(study: Study, document: Document, folder: Path) -> Document:
         return parse_document(as_text(study.base, "base"), "base")
     path = folder / study.base
     if not path.exists():
-        text = f"there is no such file: {printable(str(path))}{near_files(path)}"
+        text = f"there is no file {printable(str(path))}{near_files(path)}"
         raise InvalidSpecError([document.problem_at(("base",), text, _named(study))])
     base = read_document(path)
     if is_study(base):
-        text = "is a study, not a spec, as a base must be"
+        text = "is a study, but the base of a study must be a spec"
         raise InvalidSpecError([document.problem_at(("base",), text, _named(study))])
     return base
 
@@ -243,7 +243,7 @@ def _study(document: Document) -> Study:
     """
     if "robots" in document.data and "base" not in document.data:
         origin = document.origin
-        hint = f"run it with: tetractl run {origin}; a study names it as its 'base:'"
+        hint = f"run it with: tetractl run {origin}; a study names it in its field 'base:'"
         raise InvalidSpecError([SpecProblem(origin, "is a spec, not a study")], hint)
     study = validated(Study, document)
     document.require_no_problems()
@@ -256,7 +256,7 @@ def _combinations(study: Study, document: Document) -> Iterable[tuple[str, Mappi
     controllers = study.controllers or {"": {}}
     count = len(points) * len(controllers)
     if count > MAX_ARMS:
-        text = f"gives {count} arms; a study has at most {MAX_ARMS}"
+        text = f"gives {count} arms, but a study can have at most {MAX_ARMS}"
         raise InvalidSpecError([document.problem_at(("sweep",), text)])
     return product(controllers, points)
 
@@ -297,7 +297,7 @@ def _arm(
     locations: dict[str, Loc] = {}  # of the settings in the study, by the origin a problem names
     for path, value, loc in placed:
         if path.split(".")[0] == "trials":
-            text = "cannot be swept; give count and seed in the study's 'trials:'"
+            text = "cannot be swept; set count and seed in the study's 'trials:'"
             raise InvalidSpecError([document.problem_at(loc, text)])
         sets.append(f"{path}={as_yaml(value)}")
         locations[f"--set {printable(sets[-1], 200)}"] = loc
@@ -310,7 +310,9 @@ def _arm(
         problems = [_placed(problem, locations, document) for problem in error.problems]
         raise InvalidSpecError(problems) from None
     if not spec.experiment.plant.simulated:
-        text = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"
+        text = (
+            "runs in a lab, but a study can only simulate: name a spec whose plant has 'type: sim'"
+        )
         raise InvalidSpecError([document.problem_at(("base",), text, _named(study))])
     values = _values(point)
     return Arm(
@@ -345,13 +347,16 @@ def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]
     """Yield the problems of a study that concern several arms together."""
     units = dict.fromkeys(arm.spec.experiment.units.length for arm in arms)
     if len(units) > 1:
-        text = f"has arms in {' and '.join(units)}, but a table has one length unit"
+        text = f"has arms in {' and '.join(units)}, but all arms must have the same length unit"
         yield document.problem_at(("sweep",), text)
     arm_of: dict[tuple[str, str], Arm] = {}
     for arm in arms:
         twin = arm_of.setdefault((arm.controller, arm.hash), arm)
         if twin is not arm:
-            text = f"gives the arm {arm.name} twice, once as {twin.name}; keep one"
+            text = (
+                f"gives the arm {arm.name} twice, the second time as {twin.name}; remove "
+                "one of them"
+            )
             yield document.problem_at(("sweep",), text)
 
 

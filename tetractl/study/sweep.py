@@ -96,12 +96,12 @@ class Range(Model):
     @model_validator(mode="after")
     def _rises(self) -> Self:
         if self.high <= self.low:
-            raise inconsistent("high", "must be greater than low")
+            raise inconsistent("high", "must be greater than the field low")
         if self.scale == "log" and self.low <= 0:
             raise inconsistent("low", "must be greater than 0 on a logarithmic scale")
         fractional = self.low % 1 != 0 or self.high % 1 != 0
         if self.whole and fractional:
-            raise inconsistent("whole", "needs whole numbers for low and high")
+            raise inconsistent("whole", "needs whole numbers in the fields low and high")
         return self
 
     def at(self, fraction: float) -> float:

@@ -37,7 +37,7 @@ def cache_folder() -> Path:
     which is removed at the end of the process. Raises OSError if no temporary folder can be made.
     """
     wanted = _wanted()
-    why = "the user has no home folder"
+    why = "the user has no home folder, where compiled code is kept"
     if wanted is not None:
         why = claim(wanted)
         if why is None:
@@ -45,7 +45,7 @@ def cache_folder() -> Path:
     temporary = Path(tempfile.mkdtemp(prefix="tetractl-"))  # 0700
     atexit.register(shutil.rmtree, temporary, ignore_errors=True)
     os.environ[FOLDER] = str(temporary)
-    say_once(f"{why}; compiled code is kept in a temporary folder and removed after this run")
+    say_once(f"{why}; compiled code is kept in a temporary folder, and removed after this run")
     return temporary
 
 
@@ -110,9 +110,9 @@ def read_own(file: Path) -> bytes:
     with file.open("rb") as opened:
         state = os.fstat(opened.fileno())
         if hasattr(os, "getuid") and state.st_uid not in (os.getuid(), 0):
-            raise PermissionError(f"{file} belongs to another user")
+            raise PermissionError(f"the file {file} belongs to another user")
         if hasattr(os, "getuid") and state.st_mode & stat.S_IWOTH:
-            raise PermissionError(f"others can write to {file}")
+            raise PermissionError(f"other users can write to the file {file}")
         return opened.read()
 
 

@@ -20,7 +20,7 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise LogError(f"{folder}: cannot create the folder: {error.strerror}") from error
+        raise LogError(f"{folder}: the folder cannot be created: {error.strerror}") from error
 
 
 def save_whole(path: Path, data: bytes) -> None:
@@ -33,7 +33,7 @@ def save_whole(path: Path, data: bytes) -> None:
         part.write_bytes(data)
         part.replace(path)
     except FileNotFoundError:
-        raise UsageError(f"{path}: there is no folder {path.parent}") from None
+        raise UsageError(f"{path}: the folder {path.parent} does not exist") from None
     except OSError as error:
         with suppress(OSError):
             part.unlink()

@@ -14,8 +14,8 @@ from typing import TextIO
 from tetractl.core.errors import TetractlError, text_of
 
 HINT = (
-    "PYTHONDEVMODE=1 prints the traceback; tetractl kinds --check MODULE:NAME --spec SPEC tests "
-    "a kind"
+    "PYTHONDEVMODE=1 prints the traceback; tetractl kinds --check MODULE:NAME --spec SPEC "
+    "tests a kind"
 )
 UNIX_MODULES = {"fcntl", "termios", "tty", "pty", "resource", "pwd", "grp"}
 """Modules of Python that Windows does not have; the lab needs them."""
@@ -68,7 +68,7 @@ def naming_plugins(error: BaseException, packages: Mapping[str, str]) -> PluginT
     if not packages or isinstance(error, TetractlError) or _of_computer(error):
         return None
     used = ", ".join(f"{name} {version}" for name, version in packages.items())
-    named = PluginTrialError(f"{text_of(error)}; the spec uses plug-ins of {used}", HINT)
+    named = PluginTrialError(f"{text_of(error)}; the spec uses these plug-ins: {used}", HINT)
     named.calls = tuple(
         f"{call.filename}:{call.lineno} in {call.name}: {call.line}"
         for call in extract_tb(error.__traceback__)[-CALLS_MAX:]

@@ -143,7 +143,7 @@ class WorkerPool:
                     if lines <= LINES_MAX:
                         self._tell(f"{self._who}: {text}")
                     elif lines == LINES_MAX + 1:
-                        self._tell(f"{self._who}: says more, which is not shown")
+                        self._tell(f"{self._who}: further output of this process is not shown")
 
 
 def _lost(error: BrokenProcessPool) -> "Future[Any]":

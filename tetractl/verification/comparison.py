@@ -94,10 +94,10 @@ def _differences(ours: Any, logged: Any, tolerance: Tolerance, name: str) -> Ite
     if ours is logged:
         return
     if logged is None:
-        yield Difference(None, name, "logged nothing, computed a value")
+        yield Difference(None, name, "the log has no value here, but one was computed")
         return
     if ours is None:
-        yield Difference(None, name, "logged a value, computed nothing")
+        yield Difference(None, name, "the log has a value here, but none was computed")
         return
     our_parts = _parts(ours)
     if our_parts is None:

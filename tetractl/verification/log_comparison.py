@@ -63,17 +63,17 @@ def _entry_difference(
     if logged is None:
         return Difference(None, name, "missing")
     if ours is None:
-        return Difference(None, name, "is not of the trial")
+        return Difference(None, name, "does not belong to this trial")
     times = (ours.log_ns, ours.publish_ns)
     logged_times = (logged.log_ns, logged.publish_ns)
     if logged_times != times:
-        return Difference(None, name, f"has the times {logged_times}, not {times}")
+        return Difference(None, name, f"has the times {logged_times} instead of {times}")
     message = CHANNELS[topic]
     try:
         our_message = message.FromString(ours.data)
         logged_message = message.FromString(logged.data)
     except DecodeError:
-        return Difference(None, name, "not a valid message of its channel")
+        return Difference(None, name, "is not a valid message of its channel")
     step = our_message.k if isinstance(our_message, ControllerStep) else None
     where = name if step is None else ""
     difference = first_difference(our_message, logged_message, name=where)

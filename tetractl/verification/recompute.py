@@ -96,7 +96,7 @@ def recompute(
     try:
         key, _ = trial_seeds(log.start.seed, log.start.trial)
     except (ValueError, OverflowError):
-        text = f"seed {log.start.seed} has no trial {log.start.trial}"
+        text = f"with the seed {log.start.seed}, there is no trial {log.start.trial}"
         return Recomputed(0, Difference(None, "seed", text))
     searches = StepSearches(search_again, cpu)
     controller = searches.controller(log, key)
@@ -134,8 +134,11 @@ def _step_difference(
         decision = plan_again(controller, log, last, step.observation)
         searches.require_time()
     except (TooLongError, MemoryError):
-        text = f"not computed again: the rest takes over {seconds_limit():g} s or much memory"
-        return Unchecked(step.k, "plan", f"{text}; {FACTOR}=2 allows twice as much")
+        text = (
+            f"the rest was not computed again, because it takes over {seconds_limit():g} "
+            "s or much memory"
+        )
+        return Unchecked(step.k, "plan", f"{text}; with {FACTOR}=2, twice as much is allowed")
     except NoSearchError:
         if searches.contradiction is not None:
             return searches.contradiction.in_step(step.k)
@@ -242,7 +245,7 @@ def _outcome_difference(
         if end.outcome is result.outcome:
             return None
         ends.append(end)
-    newest = ends[0] if ends else _LastDecision(None, "there is no frame to decide on")
+    newest = ends[0] if ends else _LastDecision(None, "there is no frame on which to decide")
     if newest.outcome is None and not result.outcome.complete:
         return None
     logged = result.outcome.value

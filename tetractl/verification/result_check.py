@@ -99,7 +99,7 @@ def _places(log: TrialLog, result: Result) -> Iterator[Difference]:
     entered = check_path(log.start.setup, path, is_known, result.verdict.final).entered
     for i, (stated, again) in enumerate(zip(result.verdict.entered, entered, strict=True)):
         if stated != again:
-            text = f"states {stated}, but the logged path gives {again}"
+            text = f"states {stated}, but the path in the log gives {again}"
             yield Difference(None, f"result.entered.{i}", text)
 
 
@@ -108,15 +108,17 @@ def _turns(log: TrialLog, result: Result) -> Iterator[Difference]:
     verdict = result.verdict
     rates, errors = _turning(log)
     if len(rates) != len(verdict.turn):
-        text = f"states {len(verdict.turn)} turns, the frames show {len(rates)}"
+        text = f"states {len(verdict.turn)} turns, but the frames show {len(rates)}"
         yield Difference(None, "result.turn", text)
         return
     stated = zip(verdict.turn, verdict.turn_std, rates, errors, strict=True)
     for i, (rate, error, again, std) in enumerate(stated):
         if np.isfinite(std) and not abs(rate - again) <= TURN_ERRORS * std:
-            yield Difference(None, f"result.turn.{i}", f"states {rate}, the frames show {again}")
+            yield Difference(
+                None, f"result.turn.{i}", f"states {rate}, but the frames show {again}"
+            )
         if not np.isclose(error, std, rtol=TURN_STD_SHARE):
-            yield Difference(None, f"result.turn_std.{i}", f"states {error}, not {std}")
+            yield Difference(None, f"result.turn_std.{i}", f"states {error} instead of {std}")
 
 
 def _turning(log: TrialLog) -> tuple[tuple[float, ...], tuple[float, ...]]:

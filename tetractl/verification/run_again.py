@@ -51,13 +51,13 @@ def why_not_again(log: TrialLog, elsewhere: tuple[str, ...]) -> str:
     result = log.result
     searches = (search for step in log.steps for search in step.plan.searches)
     if not (log.start.plant.simulated and plant.simulated) or plant.real_time or result is None:
-        return "it is no simulation in virtual time"
+        return "it is not a simulation in virtual time"
     if elsewhere or log.facts.get(CODE) != code_of(log.experiment):
-        return "another host, or other code, wrote it"
+        return "it was written on another computer, or by other code"
     if result.outcome is Outcome.INTERRUPTED:
         return "it was interrupted"
     if any(search.stopped == StopReason.DEADLINE for search in searches):
-        return "a deadline ended a search"
+        return "a deadline ended one of its searches"
     return ""
 
 
@@ -72,8 +72,10 @@ def differences(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
         yield Difference(None, "plant", f"cannot be simulated again: {why}")
         return
     if sink.late:
-        text = f"not compared: it would take over {2 * limits.seconds_limit():g} s"
-        yield Unchecked(None, "records", f"{text}; {limits.FACTOR}=2 allows twice as much")
+        text = f"not compared, because this would take over {2 * limits.seconds_limit():g} s"
+        yield Unchecked(
+            None, "records", f"{text}; with {limits.FACTOR}=2, twice as much is allowed"
+        )
         return
     repeated = RawLog(raw.path, records=sink.records, library=WRITER)
     yield from log_differences(repeated, raw)

@@ -149,7 +149,7 @@ def verify(path: Path, announce: Callable[[str], None] = lambda text: None) -> V
     unchecked = tuple(item for item in found if isinstance(item, Unchecked))
     notes = list(_notes(raw, log))
     if end_check is EndCheck.RECORDS and log.start.plant.simulated:
-        notes.append(f"the trial is not run again: {why_not_again}")
+        notes.append(f"the trial was not run again, because {why_not_again}")
     return Verification(
         log=str(path),
         rewritten=raw.rewritten_by,
@@ -192,9 +192,11 @@ def _differences_of_end(check: EndCheck, raw: RawLog, log: TrialLog) -> Iterator
     if check is EndCheck.NOTHING or result is None:
         return
     if log.stop is None:
-        yield Difference(None, "stop", "missing: no stop is on /commands")
+        yield Difference(None, "stop", "is missing, because /commands contains no stop")
     if result.outcome is Outcome.ABORTED and not result.reason:
-        yield Difference(None, "result.reason", "aborted without a reason")
+        yield Difference(
+            None, "result.reason", "says that the trial was aborted, but gives no reason"
+        )
     if check is EndCheck.AGAIN:
         yield from run_again.differences(raw, log)
     else:
@@ -253,7 +255,7 @@ def _notes(raw: RawLog, log: TrialLog) -> Iterator[str]:
         for gap in frame_gaps(log):
             yield f"missing: {gap}"
     if raw.reordered:
-        yield "the content digest is of another order of the messages: not compared"
+        yield ("the content digest was not compared, because the messages are in another order")
 
 
 def _may_lose_frames(log: TrialLog) -> bool:
@@ -274,4 +276,7 @@ def host_differences(log: TrialLog) -> tuple[str, ...]:
 
 def _difference(key: str, logged: str | None, present: str | None) -> str:
     """Describe how the fact `key` differs between the log's computer and this one."""
-    return f"{key}: {logged or 'unknown'} on the log's host, {present or 'unknown'} on this one"
+    return (
+        f"{key}: {logged or 'unknown'} on the computer that wrote the log, "
+        f"{present or 'unknown'} on this one"
+    )

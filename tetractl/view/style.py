@@ -212,13 +212,15 @@ def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "pictu
     if wanted not in formats:
         problem = f"cannot write '{path.suffix}' {what}s"
         if not wanted:
-            problem = f"the name of a {what} needs an ending"
+            problem = f"the name of a {what} needs an ending that tells the format"
         endings = ", ".join(f".{name}" for name in formats)
-        raise UsageError(f"{path}: {problem}", f"end the name in {endings}")
+        raise UsageError(f"{path}: {problem}", f"use one of the endings {endings}")
     if not path.absolute().parent.is_dir():
-        raise UsageError(f"{path}: there is no folder {path.parent}")
+        raise UsageError(f"{path}: the folder {path.parent} does not exist")
     if path.is_dir():
-        raise UsageError(f"{path}: is a folder", "name a file in it")
+        raise UsageError(
+            f"{path}: this is a folder, but a file is needed", "name a file in this folder"
+        )
     return wanted
 
 

@@ -78,8 +78,8 @@ def check_file(path: Path) -> str:
     ending = style.file_format(path, FORMATS, "video")
     if ending == "mp4" and shutil.which("ffmpeg") is None:
         raise UsageError(
-            f"{path}: an MP4 needs ffmpeg, which is not installed",
-            "install ffmpeg, or end the name in .gif or .webp",
+            f"{path}: writing an MP4 needs ffmpeg, which is not installed",
+            "install ffmpeg, or write a .gif or .webp instead",
         )
     return ending
 
@@ -129,7 +129,7 @@ def write_video(
             _animation(path, pictures(), len(times), rate, hold)
     except OSError as error:
         path.unlink(missing_ok=True)
-        raise LogError(f"{path}: cannot write the video: {error}") from error
+        raise LogError(f"{path}: the video cannot be written: {error}") from error
     return speed
 
 

@@ -138,7 +138,7 @@ def test_a_camera_that_sends_unasked_is_heard_and_emulated(free):
         ("type: vw", "type: vw\n    rate: 11", "for three commands within 0.25 s"),
         ("speed: 200", "speed: 600", "speed_max_mm_s: is below the speed of blue, 600 mm/s"),
         ("udp://127.0.0.1:9801", "udp://:9801", "must be udp://HOST:PORT"),
-        ("udp://127.0.0.1:9802", "udp://127.0.0.1:9801", "is also that of green"),
+        ("udp://127.0.0.1:9802", "udp://127.0.0.1:9801", "is also the value of green"),
     ],
 )
 def test_what_robots_of_another_make_cannot_do_is_refused(old, new, what):

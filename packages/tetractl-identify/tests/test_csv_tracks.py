@@ -215,7 +215,7 @@ def test_a_table_is_read_however_it_is_written(tmp_path, form):
 @pytest.mark.parametrize("separator", [",", "\t", ";"])
 def test_a_column_without_a_name_is_left_out(tmp_path, separator, corner):
     """Regression: with tabs, as pandas writes its index, and ImageJ the numbers of rows, "has 6
-    entries, the header has 5"."""
+    entries, but the header has 5"."""
     paths = write_drive(tmp_path, separated_by(separator))
     plain = csv_tracks(paths)
     for path in paths:
@@ -479,7 +479,7 @@ NEVER_SEEN = LOST.replace(",a,", ",b,").replace("0.1\n", "\n")
         (TWO_POSES.replace("robot", "body"), NO_NAME, "two different places at the time 0 s"),
         (TWO_POSES, FOR_EACH.replace("0.7,b,", "0.7,b,1"), "b receives other directions than"),
         (NEVER_SEEN, COMMANDS, "no robot was seen"),
-        (ONE_POSES + ONE_POSES, NO_NAME, "line 10: is the header again"),
+        (ONE_POSES + ONE_POSES, NO_NAME, "line 10: the header occurs a second time"),
         (
             ONE_POSES.replace("heading_rad", "theta_rad"),
             NO_NAME,
@@ -499,13 +499,13 @@ NEVER_SEEN = LOST.replace(",a,", ",b,").replace("0.1\n", "\n")
         (poses_at(np.arange(0, 1320, 33)), NO_NAME, "poses of a robot are 33 s apart"),
         (POSES, "time,direction_rad\n0,0\n1,1\n", "column time states no unit"),
         (POSES, "time (weeks),direction_rad\n0,0\n", r"column time \(weeks\) is in weeks"),
-        (POSES, sent("0,5,1,2\n"), "line 2: has 4 entries, the header has 2"),
+        (POSES, sent("0,5,1,2\n"), "line 2: has 4 entries, but the header has 2"),
         (POSES, sent('0,"1,5"\n'), "direction_rad: '1,5' is not a number"),
         (POSES, "0,0\n1,1\n", "has no header"),
         (POSES, "time_s,direction_rad,time_s\n0,0,0\n", "two columns time_s"),
         (POSES, sent("0,0\n1,\0\n"), "line 3: is not a CSV file"),
         (POSES, sent("0,0\n1,north\n"), "line 3: direction_rad: 'north' is not a number"),
-        (POSES, sent("0,0\nNaN,1\n"), "line 3: time_s: not a number"),
+        (POSES, sent("0,0\nNaN,1\n"), "line 3: time_s: this is not a number"),
         (POSES, sent("0,\n1,NaN\n"), "states no direction"),
         (POSES, sent(""), "has no rows"),
     ],
@@ -560,7 +560,7 @@ def test_a_compressed_table_is_named_as_such(tmp_path, packed, form):
     """Regression: it was said to be no UTF-8."""
     poses, commands = write_drive(tmp_path)
     commands.write_bytes(packed)
-    with pytest.raises(UsageError, match=rf"commands\.csv: is compressed \({form}\)"):
+    with pytest.raises(UsageError, match=rf"commands\.csv: the file is compressed ({form}\)"):
         csv_tracks([poses, commands])
 
 
@@ -693,4 +693,4 @@ def test_a_speed_in_a_table_of_poses_makes_it_no_commands(tmp_path):
 def test_a_word_among_numbers_is_told_from_an_entry_that_is_empty(tmp_path):
     with pytest.raises(UsageError, match=r"line 3: x_mm: 'lost' is not a number") as caught:
         tracks_of(tmp_path, POSES.replace("3,2,0.2", "lost,2,0.2"), COMMANDS)
-    assert caught.value.hint == "where nothing was measured, leave the entry empty"
+    assert caught.value.hint == "if nothing was measured, leave the entry empty"

@@ -26,11 +26,11 @@ def test_nothing_is_left_that_a_terminal_obeys(text, printed):
 
 def test_the_text_of_an_error_has_its_hint_in_words_of_python():
     error = UsageError(
-        "out: holds logs already", "choose another file with --out", "give a folder="
+        "out: this folder holds logs already", "choose another file with --out", "give a folder="
     )
-    assert str(error) == "out: holds logs already\nhint: give a folder="
+    assert str(error) == "out: this folder holds logs already\nhint: give a folder="
     assert (error.message, error.hint) == (
-        "out: holds logs already",
+        "out: this folder holds logs already",
         "choose another file with --out",
     )
     assert str(UsageError("alone")) == "alone"
@@ -38,8 +38,13 @@ def test_the_text_of_an_error_has_its_hint_in_words_of_python():
 
 def test_a_hint_that_names_no_option_is_the_same_in_python():
     """Regression: a command of a hint lost its dashes, and could not be given."""
-    error = UsageError("no lab", "`tetractl init --example three_m3pi_lab` has one")
-    assert str(error) == "no lab\nhint: `tetractl init --example three_m3pi_lab` has one"
+    error = UsageError(
+        "no lab", "`tetractl init --example three_m3pi_lab` writes a spec with a lab"
+    )
+    assert (
+        str(error)
+        == "no lab\nhint: `tetractl init --example three_m3pi_lab` writes a spec with a lab"
+    )
 
 
 def test_a_wrong_setting_is_no_option_in_python():

@@ -38,7 +38,7 @@ def test_robots_alike_are_named():
     assert reached.rank == 2
     assert reached.identical == (NAMES,)
     assert str(reached).startswith("2 of 6; ")
-    assert "move alike" in str(reached)
+    assert "move in the same way" in str(reached)
 
 
 def test_the_rates_advised_part_robots_that_are_alike():

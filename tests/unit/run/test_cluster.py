@@ -96,7 +96,7 @@ def test_a_trial_that_kills_its_workers_fails_alone(tmp_path):
     assert sorted(outcomes) == list(range(200))
     failed = [trial for trial, outcome in outcomes.items() if isinstance(outcome, Exception)]
     assert failed == [100]
-    assert str(outcomes[100]) == "the trial was lost: every worker that ran it has ended"
+    assert str(outcomes[100]) == "the trial was lost, because every worker that ran it has stopped"
     assert [100] in client.chunks
 
 

@@ -72,7 +72,7 @@ def test_the_file_of_another_host_is_believed_until_a_person_removes_it(tmp_path
 
 def test_a_folder_that_cannot_be_locked_is_one_clear_line(tmp_path):
     (tmp_path / LOCK_FILE).symlink_to(tmp_path / "other")
-    with pytest.raises(LogError, match="cannot lock the folder"), locked(tmp_path):
+    with pytest.raises(LogError, match="the folder cannot be locked"), locked(tmp_path):
         pass
 
 

@@ -90,8 +90,8 @@ def with_lags(*lags_s, std_s=0.0125):
 def test_a_lag_that_the_spec_states_wrongly_is_reported_once():
     found = with_lags(0.14, 0.14, 0.13)
     assert said((0, FITS), (1, found), (2, found)) == [
-        "the wheels follow with a lag of 0.14 s, not 0.00 s: the controller uses the lag that it "
-        "has found; state it in the spec (wheels.lag, lab.lag)"
+        "the wheels follow with a lag of 0.14 s, but the spec says 0.00 s: the controller "
+        "uses the lag that it has found; put it into the spec (wheels.lag, lab.lag)"
     ]
 
 
@@ -148,7 +148,7 @@ def test_a_robot_that_stands_is_named_once():
     stands = replace(FITS, stands=probabilities)
     assert stands.standing(SETUP.names) == [NAME]
     texts = said((1, FITS), (2, stands), (3, FITS), (4, stands))
-    assert texts == [f"{NAME} stands although it is sent a direction"]
+    assert texts == [f"{NAME} stands still although it is sent a direction"]
 
 
 def with_dead_times(*dead_times_s, std_s=0.002):
@@ -169,8 +169,8 @@ def test_a_robot_on_which_commands_act_later_is_said_once_after_two_seconds():
     late_s = 2 + LATE_ROBOT_FOR_S
     told = said((2, LATE), (late_s - 0.1, LATE), (late_s, LATE), (late_s + 1, ALIKE), (9, LATE))
     assert told == [
-        f"commands act on {SETUP.names[1]} some 0.15 s later than on {NAME}, or more: its radio or "
-        "its wheels are slow"
+        f"commands act on {SETUP.names[1]} about 0.15 s later than on {NAME}, or even later: "
+        "its radio or its wheels are slow"
     ]
 
 
@@ -196,4 +196,4 @@ def test_a_robot_that_is_late_for_a_moment_is_not_reported():
 def test_robots_that_stand_are_named_in_the_order_of_the_spec():
     """Regression: the order was that of a set, which differs between processes."""
     texts = said((1, replace(FITS, stands=np.full(ROBOTS, 0.95))))
-    assert texts == [f"{name} stands although it is sent a direction" for name in SETUP.names]
+    assert texts == [f"{name} stands still although it is sent a direction" for name in SETUP.names]

@@ -47,7 +47,9 @@ def test_a_robot_that_moves_in_rests_is_said_once(speed_mm_s, told):
         text for seed in range(4) for text in monitor.warnings(stop, frames(speed_mm_s, seed=seed))
     ]
     assert len(texts) == told
-    assert all(f"{GREEN} moves by " in text and "while it should stand" in text for text in texts)
+    assert all(
+        f"{GREEN} moves by " in text and "although it should stand still" in text for text in texts
+    )
 
 
 def test_a_robot_that_missed_the_stop_and_was_stopped_by_its_watchdog_is_not_said():

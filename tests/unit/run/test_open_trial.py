@@ -35,7 +35,7 @@ REFUSED = {
     "magnetospirillum_hold": "neither way-points nor a hold",
     "microjet_hold": "neither way-points nor a hold",
     "tetrahymena_hold": "neither way-points nor a hold",
-    "tetrahymena_dish": "each trial of the spec finds its robots",
+    "tetrahymena_dish": "a trial of this spec chooses its robots",
 }
 """The shipped specs that `sequence` cannot run, and why."""
 SHIPPED = {
@@ -123,7 +123,7 @@ def test_a_robot_that_drives_through_an_obstacle_between_two_frames_has_failed()
 @pytest.mark.parametrize("direction", [math.nan, "east", None, [1.0, 2.0]], ids=repr)
 def test_a_wrong_direction_is_not_sent(direction):
     trial = tetractl.open_trial(SPEC)
-    with pytest.raises(UsageError, match="finite number of radians"):
+    with pytest.raises(UsageError, match="must be a finite number"):
         trial.step(direction)
     assert trial.directions == ()
 
@@ -136,7 +136,7 @@ def test_an_ended_trial_is_neither_stepped_nor_stopped(tmp_path):
     with pytest.raises(UsageError, match="has not ended"):
         trial.save(tmp_path)
     trial.stop()
-    with pytest.raises(UsageError, match="the trial has ended: sequence completed"):
+    with pytest.raises(UsageError, match="the trial has already ended: sequence completed"):
         trial.step(0.0)
     with pytest.raises(UsageError, match="the trial has ended"):
         trial.stop()

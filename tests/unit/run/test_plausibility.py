@@ -47,7 +47,7 @@ robots.2.heading <- robots.red.heading=-7
 robots.0.a <- robots.green.a=360
   360 rad/s: .* within 0.0083 s | write 6.283
 wheels.radius <- units.length=cm
-  0.8 m from wheel to wheel | is units.length, cm, right
+  0.8 m apart | is the length unit units.length, cm, right
 robots.1.a <- robots.blue.a=6
   blue turns at the same rate as green .* cannot fall below 575.6 mm | different a
 robots.1.a <- robots.blue.a=5.9
@@ -55,39 +55,39 @@ robots.1.a <- robots.blue.a=5.9
 robots.1.a <- robots.blue.a=6; robots.blue.heading=0.04
   0 % in turning rate a and 0.04 rad in start heading | different a
 robots <- robots.blue.a=6
-  any plan: 575.6 mm | no controller
+  any plan is 575.6 mm | no controller
 robots.0.target <- controller.time_limit=4.2; controller.horizon_max=20
-  854.4 mm away; in the 4.2 s of a trial the robot drives 756 mm, 98.4 too few | time_limit
+  854.4 mm away, but in the 4.2 s of a trial the robot drives only 756 mm, 98.4 too few | time_limit
 controller.horizon_max <- controller.horizon_max=20
-  red is 894.4 mm from .* in 20 signals, 4 s, it drives 600 mm, 294.4 too few | more than 30
+  red is 894.4 mm from .* in 20 signals \(4 s\) it drives only 600 mm, 294.4 too few | more than 30
 controller.horizon_max <- PSO
-  red is 894.4 mm from .* in 20 signals, 4 s, it drives 600 mm, 294.4 too few | more than 30
+  red is 894.4 mm from .* in 20 signals \(4 s\) it drives only 600 mm, 294.4 too few | more than 30
 controller.horizon_max <- controller.horizon_max=102; controller.time_limit=20.2
-  plans of 20.4 s outlast the trial, .* 20.2 s | horizon_max to 101
+  plans of 20.4 s are longer than the trial, .* 20.2 s | horizon_max to 101
 controller.horizon_max <- PSO; controller.steps_max=10
-  plans of 4 s outlast the trial, .* 2.2 s | steps_max, or lower horizon_max to 11
+  plans of 4 s are longer than the trial, .* 2.2 s | steps_max, or lower horizon_max to 11
 robots.1.target <- WALL
-  walled off: .* nearer than 49\d | gap
+  walled off: .* closer than 49\d | gap
 robots.1.target <- GAP; NEAR
-  no path to it that keeps 20 mm .* within 51\d | margin
+  be reached by a path that keeps 20 mm .* within 51\d | margin
 robots.1.target <- robots.blue.target=[1420, 1200]; NEAR; controller.collision.margin=5; FIXED
-  is 20 mm from the nearest obstacle or wall; plans keep 25 mm | margin
+  is 20 mm from the nearest obstacle or wall, but plans keep a distance of 25 mm | margin
 robots.1.target <- robots.blue.target=[1420, 1200]; NEAR
-  leaves a body 0 mm of room .*; it drives 40 mm in a control period | move the target
+  leaves a body only 0 mm of free space .* drives 40 mm in a control period | move the target
 robots.1.target <- robots.blue.target=[2075, 1500]; controller.period=0.05; NEAR
-  leaves a body 5 mm of room .*; it drives 10 mm in a control period | move the target
+  leaves a body only 5 mm of free space .* drives 10 mm in a control period | move the target
 controller.accept_error <- controller.accept_error=4; controller.prior.position_noise=2
-  is less than 0.7 x position_noise x robots, 4.2 mm | accept 4.2 mm or more
+  is less than 0.7 x position_noise x robots, 4.2 mm | set it to 4.2 mm or more
 controller.period <- controller.period=0.4; controller.motion=euler; ON
-  a T = 2.4 for green, .* T = 0.4 s, is above 2: by equation \(6\) its heading | less than 0.333 s
+  a T = 2.4 for green, .* T = 0.4 s, is above 2: .* equation \(6\), its heading | less than 0.333 s
 controller.period <- controller.period=0.6; ON
-  a T = 3.6 for green, .* 2 robots make 90.9 % | less than 0.333 s
+  a T = 3.6 for green, .* 2 robots turn by 90.9 % | less than 0.333 s
 controller.period <- LAB; controller.signal_periods=14
-  a T = 4.2 for green, with signals held for T = 0.7 s, .* 3 robots make 87.8 % | 0.333 s
+  a T = 4.2 for green, which holds signals for T = 0.7 s, .* 3 robots turn by 87.8 % | 0.333 s
 plant.dead_time <- plant.dead_time=0.3; controller.estimate=false
-  is 0.3 s, but the controller assumes 0 s: .* 1.5 control periods | controller.dead_time to 0.3
+  is 0.3 s, but the controller assumes 0 s, .* 1.5 control periods | controller.dead_time to 0.3
 robots.1.start <- LAB; robots.blue.start=[900, 895]
-  is 95 mm from the start of green; .* 110 mm | lab.limits.separation_mm
+  is 95 mm from the start of green, but .* 110 mm | lab.limits.separation_mm
 robots.1.target <- LAB; robots.blue.target=[1700, 595]
   is 95 mm from the target of green | apart
 """  # a field, the settings by which it is warned of, the message and the hint

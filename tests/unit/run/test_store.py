@@ -91,7 +91,7 @@ def keep(folder, number):
 
 def test_records_of_another_spec_are_refused(tmp_path):
     keep(tmp_path, 3)
-    with pytest.raises(UsageError, match="is of another spec, seed or settings"):
+    with pytest.raises(UsageError, match="has another spec, seed or settings"):
         records(tmp_path, "spec 2")
 
 
@@ -133,7 +133,7 @@ def test_a_folder_is_made_with_its_parents(tmp_path):
     make_folder(tmp_path / "a" / "b")
     assert (tmp_path / "a" / "b").is_dir()
     (tmp_path / "file").write_text("")
-    with pytest.raises(LogError, match="cannot create the folder: Not a directory"):
+    with pytest.raises(LogError, match="the folder cannot be created: Not a directory"):
         make_folder(tmp_path / "file" / "b")
 
 

@@ -47,7 +47,7 @@ def test_a_mapping_without_a_key_of_any_rule_is_refused(robots, monkeypatch):
         parse_spec(with_robots(robots), "a.yaml")
     (line,) = caught.value.lines()
     assert line.startswith("a.yaml:5:9: robots: ")
-    assert "must be a list, each robot after a '-', or have the key marks" in line
+    assert "must be a list, with each robot after a '-', or a mapping with the key marks" in line
 
 
 @pytest.mark.parametrize(

@@ -233,7 +233,7 @@ def unsubscribe(viewer, topic):
 
 
 def test_a_port_in_use_is_a_mistake_of_the_user(server):
-    with pytest.raises(UsageError, match=f"port {server.port}: cannot be used"):
+    with pytest.raises(UsageError, match=f"port {server.port} cannot be used"):
         LoopbackServer(server.viewers, server.port)
 
 

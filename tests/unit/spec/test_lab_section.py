@@ -63,7 +63,7 @@ def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path):
         ("swap", "swop", r"m:7:\d+: plant.actuator.robots.1.swop: .*did you mean 'swap'"),
         ("name: blue", "name: pink", r"m:3:\d+: plant.camera.robots: has no entry 'pink'; .* blue"),
         ("dead_zone: 9", "dead_zone: 60}, limit: 50, x: {", "unknown key"),
-        ("measured: 2026", "meshured: 2026", "m: is not a calibration file"),
+        ("measured: 2026", "meshured: 2026", "m: this is not a calibration file"),
         (
             "camera:",
             "robots: []\ncamera:",
@@ -79,7 +79,7 @@ def test_a_wrong_calibration_is_refused_with_its_place(before, after, message):
 
 LABS = """
 wheels=null
-  lab.actuator.robots.0.radius_mm: is missing; add it, or 'wheels:
+  lab.actuator.robots.0.radius_mm: is missing; add it, or add 'wheels:
 lab.camera.robots.red.name=rod
   lab.camera.robots: has no red
 lab.camera.robots.red.name=rod
@@ -87,9 +87,9 @@ lab.camera.robots.red.name=rod
 lab.actuator.robots.red.name=rod
   lab.actuator.robots: has no red
 lab.camera.robots.2.body=green
-  robots.2.body: green: is also that of green; they must differ
+  robots.2.body: green: is also the value of green; the values must differ
 lab.actuator.robots.2.index=0
-  robots.2.index: 0: is also that of green; they must differ
+  robots.2.index: 0: is also the value of green; the values must differ
 lab.camera.version=2
   lab.camera.version: 2: must be major.minor, such as 4.1
 lab.camera.version=2.10
@@ -127,7 +127,10 @@ def test_a_spec_without_a_folder_names_its_calibration_by_the_whole_path(tmp_pat
     file = tmp_path / "m.yaml"
     file.write_text(MEASURED)
     relative = parse_spec(SPEC.read_text(), "spec.yaml", ["lab.calibration=m.yaml"])
-    with pytest.raises(SpecError, match=r"^lab.calibration: m.yaml: is in the folder of a spec"):
+    with pytest.raises(
+        SpecError,
+        match=r"^lab.calibration: m.yaml: this path is relative to the folder of the spec",
+    ):
         on_plant(relative, "lab")
     whole = parse_spec(SPEC.read_text(), "spec.yaml", [f"lab.calibration={file}"])
     assert on_plant(whole, "lab").attached == (("m.yaml", MEASURED),)
@@ -148,7 +151,7 @@ def test_no_line_of_a_file_that_is_no_calibration_is_shown(text):
     """Regression: a spec could name any readable file, and its lines were printed."""
     with pytest.raises(SpecError) as error:
         calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "/etc/secret")
-    assert error.value.message == "/etc/secret: is not a calibration file"
+    assert error.value.message == "/etc/secret: this is not a calibration file"
 
 
 @pytest.mark.parametrize(

@@ -126,14 +126,14 @@ start: [10, 10] -> start: [45, 50]
 target: [90, 80] -> target: [63, 22]
   s.yaml:5:42: robots.1.target: [63, 22]: is inside obstacles.1, a circle; move one of them
 target: [90, 80] -> target: [190, 80]
-  s.yaml:5:42: robots.1.target: [190, 80]: is outside the arena; must be within x 0 to 100, y
+  s.yaml:5:42: robots.1.target: [190, 80]: is outside the arena; it must be within x 0 to 100, y
     0 to 100
 left: 40 -> left: 140
   s.yaml:7:5: obstacles.0: is entirely outside the arena, which is x 0 to 100, y 0 to 100
 center: [60, 20] -> center: [104, 104]
   s.yaml:8:5: obstacles.1: is entirely outside the arena, which is x 0 to 100, y 0 to 100
 name: two -> name: one
-  s.yaml:5:12: robots.1.name: one: robots.0 has this name already; names must differ
+  s.yaml:5:12: robots.1.name: one: robots.0 ; names must differ
 type: target, cost: 5 -> type: 3
   stop.type: 3: must be one of paper, relative
 {type: target, cost: 5} -> paper
@@ -178,7 +178,7 @@ def test_thousands_of_problems_are_cut_short():
     unknown_keys = "".join(f"key{i}: 1\n" for i in range(500))
     *first_hundred, last = problems(GOOD + unknown_keys)
     assert len(first_hundred) == 100
-    assert last == "s.yaml: and more; fix these first"
+    assert last == "s.yaml: there are more problems; correct these first"
 
 
 SETTINGS = """
@@ -197,17 +197,17 @@ robots.2.a=5
 robots.0.start.7=5
   robots.0.start: has no entry '7'; its entries are 0 to 1
 name.x=5
-  name: has no 'x'; it is a single value
+  name: has no 'x', because it is a single value
 robots
-  must be PATH=VALUE
+  must have the form PATH=VALUE
 =5
-  must be PATH=VALUE
+  must have the form PATH=VALUE
 controller.horizon_max=1e22
   1e22: must be a whole number
 a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a=1
   the path has more than 32 steps
 controller..period=5
-  controller: a step of the path is empty
+  controller: a part of the path is empty
 trials={count: 1
   not valid YAML
 trials.count=
@@ -237,7 +237,7 @@ def test_problems_of_settings_name_the_setting(setting, line):
         ),
         (
             "controller.optimizer={type: pso, particles: 1000000}",
-            "controller: a control step would need some 1.7 GB of memory, more than 1",
+            "controller: a control step would need about 1.7 GB of memory, more than 1",
         ),
     ],
 )

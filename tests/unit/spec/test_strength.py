@@ -39,12 +39,21 @@ def test_the_strength_of_an_electric_field_is_in_volts_per_centimetre():
 @pytest.mark.parametrize(
     ("setting", "says"),
     [
-        ("strength=null", "strength: null: is missing; a of robots is per mT: add it"),
+        (
+            "strength=null",
+            "strength: null: is missing, because the a of robots is given per mT: add it",
+        ),
         ("strength=0", "strength: 0: must be greater than 0"),
-        ("robots.s.a={per_V_cm: 1}", "robots: have a per mT and a per V/cm; there is one field"),
+        (
+            "robots.s.a={per_V_cm: 1}",
+            "robots: have an a per mT and an a per V/cm, but there is only one field",
+        ),
         ("robots.r.a=-1", "robots.0.a: -1: must be greater than 0"),
         ("robots.r.a={per_mT: 0}", "robots.0.a.per_mT: must be greater than 0"),
-        ("robots.r.a={}", "robots.0.a.per_mT: give either per_mT or per_V_cm"),
+        (
+            "robots.r.a={}",
+            "robots.0.a.per_mT: give either per_mT or per_V_cm, and only one of them",
+        ),
         ("robots.r.a={per_mt: 1}", "robots.0.a.per_mt: unknown key; did you mean 'per_mT'?"),
     ],
 )
@@ -96,4 +105,4 @@ def test_an_identified_rate_of_unknown_strength_cannot_replace_alpha():
     document = parse_document(SPEC, "x.yaml")
     merge(document, identified(None), "found.yaml", estimates=True)
     (problem,) = document.problems
-    assert "its logs state no strength" in str(problem)
+    assert "the logs that gave this value state no strength" in str(problem)

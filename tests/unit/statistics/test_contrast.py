@@ -146,7 +146,7 @@ def test_unlike_plants_have_a_difference_but_no_test_and_no_verdict():
     unlike, alike, _ = contrast([a, undisturbed, c]).contrasts
     assert unlike.same_origin is False
     assert unlike.verdict is None
-    assert unlike.reason == "plants are not alike"
+    assert unlike.reason == "the plants differ"
     means = a.total.mean - undisturbed.total.mean
     assert unlike.difference.value == pytest.approx(means)
     assert_not_tested(unlike)
@@ -191,7 +191,7 @@ def test_given_directions_have_no_rank_among_controllers():
     unranked = contrast_of(hindsight, mpc)
     assert unranked.no_controller is True
     assert unranked.verdict is None
-    assert unranked.reason == "directions were given: no controller decided"
+    assert unranked.reason == "directions were given, so no controller decided"
     assert_not_tested(unranked)
     assert texts_by_label(hindsight)["given directions"].startswith("no controller decided")
     (table,) = summary(contrast([hindsight, mpc]))

@@ -145,7 +145,7 @@ def test_two_experiments_in_one_batch_are_refused_with_what_differs():
 
 def test_a_trial_given_twice_is_refused():
     trials = batch(ERRORS[:2])
-    with pytest.raises(UsageError, match="are the same trial"):
+    with pytest.raises(UsageError, match="contain the same trial"):
         group([*trials, replace(trials[0], log="copy.mcap")])
 
 
@@ -205,7 +205,7 @@ def test_an_attempt_that_cannot_be_read_is_counted_and_leaves_the_batch_whole():
 
 def test_nothing_but_attempts_is_no_batch():
     attempt = replace(batch([[1.0]])[0], log="trial-000.attempt-1.mcap")
-    with pytest.raises(UsageError, match="all logs are earlier attempts"):
+    with pytest.raises(UsageError, match="all of these logs are earlier attempts"):
         group([attempt])
 
 

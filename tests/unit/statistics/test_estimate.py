@@ -70,7 +70,7 @@ def test_one_value_carries_no_interval():
     assert single.mean == 12.5
     assert single.median == 12.5
     assert math.isnan(single.std)
-    assert single.ci95.reason == "one value has no spread"
+    assert single.ci95.reason == "a single value has no spread"
 
 
 @pytest.mark.parametrize("n", [2, 20])

@@ -101,7 +101,7 @@ def test_the_summary_says_which_trials_are_marked_and_why():
     (line,) = re.findall("less certain: .*", text)
     assert line.startswith("less certain: 3 of 20 trials, by wheels that changed or false poses: ")
     assert re.search(r"green in trial-003, \+0\.\d\d rad/s; blue in trial-009, -0\.1", line)
-    assert "trial-007: red turned by +0.20 rad/s unlike in the other trials" in text
+    assert "trial-007: red turned by +0.20 rad/s differently than in the other trials" in text
 
 
 @pytest.mark.parametrize("n", [6, 10, 20])

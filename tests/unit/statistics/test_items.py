@@ -62,7 +62,7 @@ def test_json_without_a_reference_or_enough_trials_says_null():
     assert items["reference"] is None
     assert items["total_error"]["std"] is None
     assert items["total_error"]["ci95"] is None
-    assert items["total_error"]["ci95_reason"] == "one value has no spread"
+    assert items["total_error"]["ci95_reason"] == "a single value has no spread"
 
 
 def batch_with_attempt():

@@ -72,17 +72,17 @@ def test_settings_replace_values_of_every_arm_last(tmp_path):
     ("study", "lines"),
     [
         ("name: quick\n", ["study.yaml:1:1: base: is missing; add it: path of the spec that every arm changes, relative to the study's file"]),
-        ("name: quick\nbase: other.yaml\n", ["study.yaml:2:7: base: other.yaml: there is no such file: {}/other.yaml; did you mean 'spec.yaml' or 'study.yaml'?"]),
+        ("name: quick\nbase: other.yaml\n", ["study.yaml:2:7: base: other.yaml: there is no file {}/other.yaml; did you mean 'spec.yaml' or 'study.yaml'?"]),
         (HEAD + "swep: {}\n", ["study.yaml:3:1: swep: unknown key; did you mean 'sweep'?"]),
         (HEAD + "sweep: {type: gird, fields: {}}\n", ["study.yaml:3:15: sweep.type: gird: must be one of grid, list, random, sobol; did you mean 'grid'?"]),
         (HEAD + "sweep: {type: random, count: 2, fields: {plant.dead_time: {low: 2, hgh: 1}}}\n", ["study.yaml:3:59: sweep.fields.plant.dead_time.high: is missing; add it: upper end of the range", "study.yaml:3:68: sweep.fields.plant.dead_time.hgh: unknown key; did you mean 'high'?"]),
-        (HEAD + "sweep: {type: random, count: 2, fields: {plant.dead_time: {low: 2, high: 1}}}\n", ["study.yaml:3:74: sweep.fields.plant.dead_time.high: 1: must be greater than low"]),
+        (HEAD + "sweep: {type: random, count: 2, fields: {plant.dead_time: {low: 2, high: 1}}}\n", ["study.yaml:3:74: sweep.fields.plant.dead_time.high: 1: must be greater than the field low"]),
         (HEAD + "sweep:\n  type: grid\n  fields:\n    plant.dead_tim: [0]\n    plant.a_error:\n      - 0\n      - -1\n", ["study.yaml:6:22: sweep.fields.plant.dead_tim.0: unknown key; did you mean 'dead_time'?", "study.yaml:9:9: sweep.fields.plant.a_error.1: -1: must be at least 0"]),
         (HEAD + "sweep: {type: list, points: [{robots.s.a: 1}]}\n", ["study.yaml:3:43: sweep.points.0.robots.s.a: robots: has no entry 's'; its entries are 0 to 0 or r"]),
         (HEAD + "controllers: {a: {controller.horizon_max: many}}\n", ["study.yaml:3:43: controllers.a.controller.horizon_max: \"many\": must be a whole number"]),
-        (HEAD + "sweep: {type: grid, fields: {trials.seed: [1, 2]}}\n", ["study.yaml:3:44: sweep.fields.trials.seed.0: cannot be swept; give count and seed in the study's 'trials:'", "study.yaml:3:47: sweep.fields.trials.seed.1: cannot be swept; give count and seed in the study's 'trials:'"]),
+        (HEAD + "sweep: {type: grid, fields: {trials.seed: [1, 2]}}\n", ["study.yaml:3:44: sweep.fields.trials.seed.0: cannot be swept; set count and seed in the study's 'trials:'", "study.yaml:3:47: sweep.fields.trials.seed.1: cannot be swept; set count and seed in the study's 'trials:'"]),
         (HEAD + "sweep: {type: grid, fields: {plant.dead_time: [0, 0.0]}}\n", ["study.yaml:3:8: sweep: gives the arm dead_time=0 twice, once as dead_time=0; keep one"]),
-        (HEAD + "sweep: {type: grid, fields: {units.length: [mm, um]}}\n", ["study.yaml:3:8: sweep: has arms in mm and um, but a table has one length unit"]),
+        (HEAD + "sweep: {type: grid, fields: {units.length: [mm, um]}}\n", ["study.yaml:3:8: sweep: has arms in mm and um, but all arms must have the same length unit"]),
         (HEAD + "trials: {count: 0}\n", ["study.yaml:3:17: trials.count: 0: must be at least 1"]),
     ],
 )  # fmt: skip
@@ -110,7 +110,7 @@ def test_a_lab_is_refused(tmp_path):
     without_plant = spec.replace("plant: {type: sim, dead_time: 0.02}", "")
     lab = without_plant.replace("\nlab:\n", "\nplant:\n  type: lab\n")
     error = problem_of(tmp_path, HEAD, lab)
-    why = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"
+    why = "runs in a lab, but a study can only simulate: name a spec whose plant has 'type: sim'"
     assert lines_of(tmp_path, error) == [f"study.yaml:2:7: base: spec.yaml: {why}"]
 
 

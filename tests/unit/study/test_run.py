@@ -90,7 +90,9 @@ def test_trials_whose_logs_are_damaged_or_gone_are_run_again(done):
 def test_the_log_of_another_arm_is_refused(done):
     foreign = log_path(done / "out" / OTHER_ARM, 1)
     log_path(done / "out" / ARM, 1).write_bytes(foreign.read_bytes())
-    with pytest.raises(UsageError, match=r"trial-001.mcap: was run with another spec or seed"):
+    with pytest.raises(
+        UsageError, match=r"trial-001.mcap: this trial was run with another spec or seed"
+    ):
         run(done, SMALL)
 
 

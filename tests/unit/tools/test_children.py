@@ -124,5 +124,5 @@ def test_what_workers_print_is_bounded():
     lines = []
     with WorkerPool(copying_context(), 1, "a worker", lines.append) as pool:
         pool.submit(print_much).result()
-    assert lines[-2:] == ["a worker: 49", "a worker: says more, which is not shown"]
+    assert lines[-2:] == ["a worker: 49", "a worker: further output of this process is not shown"]
     assert len(lines) == 51

@@ -35,6 +35,6 @@ def test_an_output_without_a_reader_blames_no_plugin(monkeypatch):
 def test_other_errors_name_the_plugins(error):
     """A pipe of a device that breaks is one: stdout has a reader."""
     assert naming_plugins(error, PACKAGES).message.endswith(
-        "; the spec uses plug-ins of plug-in 1.0"
+        "; the spec uses these plug-ins: plug-in 1.0"
     )
     assert naming_plugins(error, {}) is None

@@ -99,7 +99,7 @@ def test_a_file_grows_by_the_rows_of_one_table_after_another(tmp_path):
 @pytest.mark.parametrize("folder", [".", "new", "new/inner"])
 def test_other_columns_are_refused_and_leave_no_file(tmp_path, folder):
     path = tmp_path / folder / "speeds.csv"
-    reason = r"b\.mcap: the columns of speeds differ from earlier ones: other"
+    reason = r"b\.mcap: the columns of the table speeds differ from those of earlier logs: other"
     with pytest.raises(UsageError, match=reason), table_files({"speeds": path}) as add:
         add("speeds", TABLE, "a.mcap")
         add("speeds", TABLE.with_first(other=1), "b.mcap")

@@ -83,4 +83,7 @@ def test_a_record_of_another_class_differs_in_its_class():
 
 def test_a_missing_part_is_the_same_as_none():
     assert first_difference({"estimate": None}, {}) is None
-    assert first_difference({"estimate": 1}, {}).message == "logged nothing, computed a value"
+    assert (
+        first_difference({"estimate": 1}, {}).message
+        == "the log has no value here, but one was computed"
+    )

@@ -108,7 +108,7 @@ def test_only_numbers_that_the_log_has_are_compared(log, monkeypatch):
     saying = replace(first.plan, numbers={"margin_mm": 2.0})
     changed = replace(trial, steps=(replace(first, plan=saying), *trial.steps[1:]))
     assert str(recompute(changed, True).difference) == (
-        "step 0: numbers.margin_mm: logged a value, computed nothing"
+        "step 0: numbers.margin_mm: the log has a value here, but none was computed"
     )
     decide = CheckedController.plan
 
@@ -134,7 +134,7 @@ def test_every_decision_comes_out_with_the_same_bits(tmp_path, sets):
     assert verification.elsewhere == ()
     assert verification.checked == verification.steps > 0
     has_deadline = "controller.deadline=0.001" in sets
-    note = "the trial is not run again: a deadline ended a search"
+    note = "the trial was not run again, because a deadline ended one of its searches"
     assert verification.notes == (note,) * has_deadline
     for search_again in (True, False):
         assert recompute(read_trial(path), search_again).difference is None
@@ -254,7 +254,9 @@ def test_on_another_machine_equal_bits_still_count(tmp_path, contents):
     assert verification.method is Method.RECOMPUTED
     assert verification.problems == ()
     here = provenance.machine()
-    assert verification.elsewhere == (f"machine: another on the log's host, {here} on this one",)
+    assert verification.elsewhere == (
+        f"machine: another on the computer that wrote the log, {here} on this one",
+    )
 
 
 @pytest.mark.parametrize(
@@ -311,7 +313,9 @@ def test_on_another_machine_the_errors_have_to_follow_from_the_poses(tmp_path, c
     replaced = on_another_machine(contents) | stating(contents, RESULT, total_error=1.0)
     verification = verify(rewrite(contents, tmp_path / "changed.mcap", replaced))
     assert [problem.field for problem in verification.problems] == ["result.total_error"]
-    note = "the trial is not run again: another host, or other code, wrote it"
+    note = (
+        "the trial was not run again, because it was written on another computer, or by other code"
+    )
     assert verification.notes == (note,)
 
 
@@ -376,7 +380,7 @@ def test_what_viewers_cannot_decode_is_noticed(tmp_path, contents):
     entry = contents.by_topic["/tf"][0]
     torn = {entry: entry._replace(data=entry.data[:-3])}
     (problem,) = verify(rewrite(contents, tmp_path / "changed.mcap", torn)).problems
-    assert str(problem) == "trial: /tf[0]: not a valid message of its channel"
+    assert str(problem) == "trial: /tf[0]: is not a valid message of its channel"
 
 
 def test_no_step_after_a_gap_is_a_first_step():

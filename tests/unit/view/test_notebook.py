@@ -85,7 +85,7 @@ def test_the_player_is_in_a_sandbox(batch):
 
 @pytest.mark.long  # draws
 def test_what_cannot_be_shown_says_why(tmp_path, batch):
-    assert "no trial to summarise" in Batch(())._repr_html_()
+    assert "there is no trial to summarise" in Batch(())._repr_html_()
     torn = read_trial(trials.write_torn(tmp_path / "torn.mcap"))
     assert "damaged: " in torn._repr_html_()
     other = tetractl.run_trial(tetractl.parse_spec(SPEC, "robots.a.a=5"), folder=tmp_path / "a")

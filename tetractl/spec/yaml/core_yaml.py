@@ -60,9 +60,9 @@ def within_limits(origin: str, depth: int, nodes: int, mark: Mark) -> None:
         InvalidSpecError: If a limit is exceeded.
     """
     if depth > MAX_DEPTH:
-        raise not_yaml(origin, f"nested deeper than {MAX_DEPTH} levels", mark)
+        raise not_yaml(origin, f"the values are nested deeper than {MAX_DEPTH} levels", mark)
     if nodes > MAX_NODES:
-        text = f"more than {MAX_NODES} values, counting every use of an alias"
+        text = f"the file has more than {MAX_NODES} values, if every use of an alias counts"
         raise not_yaml(origin, text, mark)
 
 
@@ -113,7 +113,9 @@ def compose(text: str, origin: str) -> Node | None:
         root = composer.compose_document()
         if not composer.check_event(StreamEndEvent):
             mark = composer.peek_event().start_mark
-            raise not_yaml(origin, "a second document starts here; a spec is one document", mark)
+            raise not_yaml(
+                origin, "a second document starts here, but a spec is a single document", mark
+            )
     except ReaderError as error:
         before = text[: error.position]
         column = len(before) - before.rfind("\n") - 1
@@ -173,7 +175,7 @@ def scalar(tag: str, text: str) -> str | bool | int | float | None:
     if tag not in SCALARS or not re.match(SCALARS[tag][0], text):
         raise ValueError(f"the tag {short_tag(tag)} does not fit here; leave it out")
     if len(text) > MAX_DIGITS:
-        raise ValueError(f"a number has at most {MAX_DIGITS} digits")
+        raise ValueError(f"a number can have at most {MAX_DIGITS} digits")
     match tag.removeprefix(CORE):
         case "null":
             return None

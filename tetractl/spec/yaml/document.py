@@ -155,7 +155,7 @@ def parse_document(text: str, origin: str) -> Document:
     text = text.removeprefix("\ufeff")
     root = compose(text, document.origin)
     if root is None:
-        message = "is empty; a spec starts with 'name:'"
+        message = "is empty, but a spec starts with 'name:'"
         raise InvalidSpecError([SpecProblem(document.origin, message)])
     builder = _Builder(text, document)
     if not isinstance(root, MappingNode):

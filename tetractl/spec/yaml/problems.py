@@ -65,7 +65,7 @@ class InvalidSpecError(SpecError):
         """Return one line per problem; a very long list is cut."""
         lines = [str(problem) for problem in self.problems[:SHOWN_PROBLEMS]]
         if len(self.problems) > SHOWN_PROBLEMS:
-            lines.append(f"{self.problems[0].origin}: and more; fix these first")
+            lines.append(f"{self.problems[0].origin}: there are more problems; correct these first")
         return lines
 
 

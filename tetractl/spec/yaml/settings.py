@@ -70,11 +70,11 @@ def _put_text(document: Document, setting: str) -> None:
     path, equals, text = setting.partition("=")
     path = path.strip()
     if not (equals and path):
-        message = "must be PATH=VALUE, for instance controller.optimizer.particles=200"
+        message = "must have the form PATH=VALUE, for instance controller.optimizer.particles=200"
         raise InvalidSpecError([place.problem((), message)])
     steps = path.split(".")
     if len(steps) > MAX_DEPTH:
-        raise InvalidSpecError([place.problem((), f"the path has more than {MAX_DEPTH} steps")])
+        raise InvalidSpecError([place.problem((), f"the path has more than {MAX_DEPTH} parts")])
     loc = make_way(document, steps, place)
     value = parse_value(text, place.origin, loc)
     document.put(loc, value, replace(place, text=printable(text, 60) or None))
@@ -106,10 +106,10 @@ def _key(holder: Any, loc: Loc, step: str, place: Place) -> str | int:
     if isinstance(holder, list):
         return _index(holder, loc, step, place)
     if not isinstance(holder, dict):
-        message = f"has no '{printable(step, 60)}'; it is a single value"
+        message = f"has no '{printable(step, 60)}', because it is a single value"
         raise InvalidSpecError([place.problem(loc, message)])
     if not step:
-        raise InvalidSpecError([place.problem(loc, "a step of the path is empty")])
+        raise InvalidSpecError([place.problem(loc, "a part of the path is empty")])
     return step
 
 
@@ -123,7 +123,7 @@ def _index(entries: list[Any], loc: Loc, step: str, place: Place) -> int:
     for i in range(len(entries)):
         if step in (str(i), names.get(i)):
             return i
-    choices = "none: it is empty"
+    choices = "none, because it is empty"
     if entries:
         choices = f"0 to {len(entries) - 1}"
     if names:

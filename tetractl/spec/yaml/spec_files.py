@@ -23,9 +23,11 @@ def file_of_spec(folder: Path | None, key: str, name: str) -> Path:
     """
     if folder is None and not Path(name).is_absolute():
         raise SpecError(
-            f"{key}: {printable(name)}: is in the folder of a spec that was not read from a file",
-            f"name it by its whole path: --set {key}=/PATH; or leave it out: --set {key}=null",
-            f'name it by its whole path: "{key}=/PATH"; or leave it out: "{key}=null"',
+            f"{key}: {printable(name)}: this path is relative to the folder of the spec, but "
+            "the spec was not read from a file",
+            f"give its full path with --set {key}=/PATH, or leave the file out with --set "
+            f"{key}=null",
+            f'give its full path with "{key}=/PATH", or leave the file out with "{key}=null"',
         )
     return (folder or Path()) / name
 
@@ -59,14 +61,14 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES, what: str = SPEC_TEXT) -> 
         raise refusal(f"there is no such file{near_files(path)}") from None
     except IsADirectoryError:
         file = "YAML file" if what == SPEC_TEXT else "file"
-        raise refusal(f"is a folder; name a {file} in it") from None
+        raise refusal(f"is a folder; name a {file} in this folder") from None
     except OSError as error:
         raise refusal(f"cannot be read: {error.strerror or error}") from None
     except ValueError as error:  # a null character in the name
         raise refusal(f"cannot be read: {error}") from None
     if len(raw) > max_bytes:
         is_spec = what == SPEC_TEXT and max_bytes == MAX_BYTES
-        usual = "; a spec is a few kilobytes of YAML" if is_spec else ""
+        usual = ", but a spec is a few kilobytes of YAML" if is_spec else ""
         raise refusal(f"is larger than {max_bytes >> 20} MiB{usual}")
     if b"\0" in raw:
         raise refusal(f"is a binary file; {what}")

@@ -89,7 +89,7 @@ def folder() -> Path | None:
             return chosen
     except OSError as error:
         why = error.strerror or str(error)
-    say_once(f"compiled code is not kept: {why}")
+    say_once(f"compiled code cannot be kept: {why}")
     return None
 
 
@@ -207,7 +207,7 @@ class KernelCache:
         except PermissionError as error:
             say_once(f"{error}: compiled again")
         except Exception as error:  # after any error the code is compiled again
-            say_once(f"{place}: damaged, compiled again: {error}")
+            say_once(f"{place}: the file is damaged, so its code is compiled again: {error}")
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -228,7 +228,7 @@ class KernelCache:
                         Path(file.name).unlink()
                     raise
         except OSError as error:
-            say_once(f"compiled code is not kept: {self._place}: {error.strerror or error}")
+            say_once(f"compiled code cannot be kept: {self._place}: {error.strerror or error}")
 
     def _key(self, sig: Any, system: tuple[str, ...]) -> tuple[Any, ...]:
         # with the version of Python, whose objects the code reads
@@ -253,7 +253,10 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
             return dispatcher
         place = folder()
         if _internals() is None:
-            say_once(f"compiled code is not kept: numba {numba.__version__} is not known")
+            say_once(
+                f"compiled code cannot be kept, because numba {numba.__version__} is "
+                "unknown to tetractl"
+            )
         elif place is not None or shipped() is not None:
             dispatcher._cache = KernelCache(function, place)
         return dispatcher

@@ -57,7 +57,9 @@ def read_csv(path: Path) -> Iterator[CsvRow]:
     try:
         yield from _rows(path, csv_lines(path))
     except csv.Error as error:
-        raise UsageError(f"{path}: is not a CSV file: {error}", "save it as UTF-8") from None
+        raise UsageError(
+            f"{path}: this is not a CSV file: {error}", "save the file as UTF-8"
+        ) from None
 
 
 def csv_lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -75,7 +77,9 @@ def csv_lines(path: Path) -> Iterator[tuple[int, str]]:
         with path.open(newline="", encoding=_encoding(path)) as stream:
             yield from _lines(path, stream)
     except UnicodeError as error:
-        raise UsageError(f"{path}: is not a CSV file: {error}", "save it as UTF-8") from None
+        raise UsageError(
+            f"{path}: this is not a CSV file: {error}", "save the file as UTF-8"
+        ) from None
 
 
 def columns_of(path: Path) -> tuple[str, ...]:
@@ -86,7 +90,7 @@ def columns_of(path: Path) -> tuple[str, ...]:
 
 def _too_large(path: Path) -> UsageError:
     most = f"{CSV_BYTES >> 20} MiB, {CSV_ROWS} rows or {CSV_LINE} characters in a row"
-    return UsageError(f"{path}: has more than {most}", "split it into several files")
+    return UsageError(f"{path}: the file has more than {most}", "split the file into several files")
 
 
 def _refuse_archive(path: Path) -> None:
@@ -94,7 +98,10 @@ def _refuse_archive(path: Path) -> None:
     with path.open("rb") as file:
         form = ARCHIVES.get(file.read(2))
     if form is not None:
-        raise UsageError(f"{path}: is compressed ({form}), not a CSV file", "export or unpack it")
+        raise UsageError(
+            f"{path}: the file is compressed ({form}), so it is not a CSV file",
+            "unpack the file, or export it as CSV",
+        )
 
 
 def _encoding(path: Path) -> str:
@@ -119,7 +126,9 @@ def _lines(path: Path, stream: TextIO) -> Iterator[tuple[int, str]]:
         if number > CSV_ROWS + 1 or len(line) == CSV_LINE:
             raise _too_large(path)
         if "\0" in line:
-            raise UsageError(f"{path}, line {number}: is not a CSV file: has a null character")
+            raise UsageError(
+                f"{path}, line {number}: this is not a CSV file, because it has a null character"
+            )
         if line.strip():
             yield number, unicodedata.normalize("NFKC", line)
 
@@ -154,8 +163,9 @@ def _rows(path: Path, lines: Iterator[tuple[int, str]]) -> Iterator[CsvRow]:
         entries = csv_entries(line, separator)
         if entries == header:
             raise UsageError(
-                f"{path}, line {number}: is the header again",
-                "two tables in one file? number them in a column trial, under one header",
+                f"{path}, line {number}: the header occurs a second time",
+                "if the file holds two tables, put them under one header, and number them "
+                "in a column named trial",
             )
         if any(entries):
             yield CsvRow(number, _cells(path, number, header, entries))
@@ -234,19 +244,20 @@ def _check_header(path: Path, header: list[str]) -> None:
     """Raise UsageError if a header consists of numbers, or contains a name twice."""
     if any(map(is_number, header)):
         raise UsageError(
-            f"{path}: has no header: its first line has numbers",
-            "write the names of the columns above them, such as time_s",
+            f"{path}: the file has no header: its first line has numbers",
+            "write the names of the columns, such as time_s, into a line above the numbers",
         )
     for name in header:
         if name and header.count(name) > 1:
-            raise UsageError(f"{path}: has two columns {printable(name)}")
+            raise UsageError(f"{path}: two columns have the same name, {printable(name)}")
 
 
 def _cells(path: Path, line: int, header: list[str], entries: list[str]) -> dict[str, str]:
     """Return the entries of a row of a table, by column."""
     if any(entries[len(header) :]):
         raise UsageError(
-            f"{path}, line {line}: has {len(entries)} entries, the header has {len(header)}",
+            f"{path}, line {line}: this line has {len(entries)} entries, but the header has "
+            f"{len(header)}",
             DECIMAL_COMMA,
         )
     return {name: entry for name, entry in zip_longest(header, entries, fillvalue="") if name}

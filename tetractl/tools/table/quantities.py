@@ -66,8 +66,8 @@ _UNITS |= SPELLINGS
 _BRACKETS = re.compile(r"(.*?)_*[\[(](.*)[\])]")
 _UNKNOWN = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 """Entries that state no number."""
-NOT_MEASURED = "where nothing was measured, leave the entry empty"
-PLAIN = "write numbers as 1234.5, without units, colons or separators of thousands"
+NOT_MEASURED = "if nothing was measured, leave the entry empty"
+PLAIN = "write numbers like 1234.5, without units, colons or thousands separators"
 """Hints for a word among numbers, and for what has digits."""
 _TRUTH = {"true": True, "1": True, "yes": True, "": True, "false": False, "0": False, "no": False}
 NUMBER_MAX = 1e9
@@ -100,7 +100,9 @@ class NumberColumn:
         """
         value = self.optional(path, row)
         if math.isnan(value):
-            raise UsageError(f"{path}, line {row.line}: {printable(self.key)}: not a number")
+            raise UsageError(
+                f"{path}, line {row.line}: {printable(self.key)}: this is not a number"
+            )
         return value
 
     def optional(self, path: Path, row: CsvRow) -> float:
@@ -210,7 +212,9 @@ def refuse_degrees(path: Path, column: NumberColumn, lines: Sequence[int], angle
     said, hint = problem
     name = name_and_unit(column.key)[0]
     where = f"{path}, line {lines[first]}: {printable(column.key)}"
-    raise UsageError(f"{where}: {angles[first]:g} {said}", f"{hint}, or name the column {name}_deg")
+    raise UsageError(
+        f"{where}: {angles[first]:g} {said}", f"{hint}, or rename the column to {name}_deg"
+    )
 
 
 def earlier(path: Path, row: CsvRow, other: str = "") -> UsageError:
@@ -222,7 +226,7 @@ def earlier(path: Path, row: CsvRow, other: str = "") -> UsageError:
         other: What else may help, besides sorting the rows. Empty if nothing.
     """
     return UsageError(
-        f"{path}, line {row.line}: the time is earlier than before",
+        f"{path}, line {row.line}: the time is earlier than in the line before",
         f"sort the rows by time{other}",
     )
 

@@ -149,8 +149,8 @@ class _GrowingFile:
             if keys != self._keys:
                 odd = sorted(set(keys) ^ set(self._keys))
                 raise UsageError(
-                    f"{source}: the columns of {self._name} differ from earlier ones: "
-                    f"{', '.join(odd[:COLUMNS_NAMED])}",
+                    f"{source}: the columns of the table {self._name} differ from those of "
+                    f"earlier logs: {', '.join(odd[:COLUMNS_NAMED])}",
                     "export the logs of each experiment separately",
                 )
             _write_rows(table, self._stream)
@@ -172,7 +172,7 @@ class _GrowingFile:
             yield
         except OSError as error:
             where = error.filename or self._part
-            raise LogError(f"{where}: cannot write the table: {error.strerror}") from error
+            raise LogError(f"{where}: the table cannot be written: {error.strerror}") from error
 
 
 def json_text(value: Any, indent: int | None = 2) -> str:

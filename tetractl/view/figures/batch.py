@@ -131,7 +131,7 @@ def _drawn(
     """
     drawn = [batch for batch in batches if len(batch.totals)]
     if not drawn:
-        raise LogError("no complete trial to plot")
+        raise LogError("there is no complete trial to plot")
     if narrow:
         figure = style.figure(NARROW_IN, 6.0)
         dots, distributions_panel = figure.subplots(2, 1)

@@ -21,7 +21,9 @@ def check_kind(kind: str) -> None:
             why, hint = lack
             raise UsageError(f"{kind}: {why}", hint)
         names = ", ".join(FIGURES.names())
-        raise UsageError(f"no figure is called {kind!r}", f"there are {names}, and video")
+        raise UsageError(
+            f"there is no figure named {kind!r}", f"the figures are {names}, and video"
+        )
 
 
 def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":

@@ -141,7 +141,8 @@ def _by_panel(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
     folders = by_folder(logs, complete=False)
     if len(folders) > PANELS_MAX:
         raise UsageError(
-            f"{len(folders)} folders: this figure has a panel for each of at most {PANELS_MAX}",
+            f"there are {len(folders)} folders, but this figure has panels for at most "
+            f"{PANELS_MAX}",
             "give fewer folders, or use --kind batch",
             "give fewer folders, or use kind batch",
         )

@@ -293,4 +293,4 @@ def _true(log: TrialLog, what: str) -> Floats | None:
         values = np.array(json.loads(fact), dtype=np.float64)
         if values.shape == log.start.setup.a.shape and np.isfinite(values).all():
             return values
-    raise LogError(f"{log.log}: the fact true_{what} is not a number for each robot")
+    raise LogError(f"{log.log}: the fact true_{what} must be a number for each robot")

@@ -22,7 +22,7 @@ def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
     """
     if len(logs) > 1:
         raise UsageError(
-            f"this figure shows one trial, not {len(logs)}",
+            f"this figure shows a single trial, but {len(logs)} are given",
             "give one log, or use --kind trajectory, errors or batch",
             "give one log, or use kind trajectory, errors or batch",
         )
@@ -40,14 +40,14 @@ def by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list
     """
     units = {log.start.setup.unit for log in logs}
     if len(units) > 1:
-        raise UsageError(f"errors in {' and '.join(sorted(units))} cannot share an axis")
+        raise UsageError(f"errors in {' and '.join(sorted(units))} cannot be drawn on one axis")
     folders: dict[str, list[TrialLog]] = {}
     for log in logs:
         if not complete or not unfinished(log):
             folder, _, _ = log.log.rpartition("/")
             folders.setdefault(folder, []).append(log)
     if not folders:
-        raise LogError("no complete trial to plot")
+        raise LogError("there is no complete trial to plot")
     names = [folder.rpartition("/")[2] or "trials" for folder in folders]
     distinct = len(set(names)) == len(names)
     labels = names if distinct else list(folders)
@@ -70,21 +70,21 @@ def check_alike(logs: Sequence[TrialLog]) -> None:
     for log in logs[1:]:
         if scene(log) != scene(logs[0]):
             raise UsageError(
-                f"{logs[0].log} and {log.log} are of different experiments",
-                "plot together only trials with the same robots, arena and obstacles",
+                f"{logs[0].log} and {log.log} are trials of different experiments",
+                "plot only trials with the same robots, arena and obstacles together",
             )
 
 
 def need_steps(log: TrialLog) -> None:
     """Check that a log has control steps. LogError is raised if not."""
     if not log.steps:
-        raise LogError(f"{log.log}: contains no control steps to plot")
+        raise LogError(f"{log.log}: the log contains no control steps to plot")
 
 
 def need_frames(log: TrialLog) -> None:
     """Check that a log has camera frames. LogError is raised if not."""
     if not len(log.mocap_ns):
-        raise LogError(f"{log.log}: contains no camera frames to plot")
+        raise LogError(f"{log.log}: the log contains no camera frames to plot")
 
 
 def unfinished(log: TrialLog) -> str:

@@ -41,9 +41,10 @@ LEAVE = "q"
 No arrow is one of them, so that a hand that still steers answers nothing.
 """
 WHY = (
-    "All heard the same, but each turns at its own rate, so every turn changes the gaps between "
-    "them: the right turns in the right order bring each home. Hard: no robot moves alone; what "
-    "brings one home takes others away."
+    "All robots received the same directions, but each turns at its own rate, so every turn "
+    "changes the gaps between them. The right turns in the right order bring each robot "
+    "home. This is hard because no robot can be moved alone: what brings one home takes "
+    "others away."
 )
 """What a person has felt when the trial has ended, in eight lines of the smallest panel."""
 PAUSED = "PAUSED. Try arrows: dots show where each leads. Nothing moves until you press P."
@@ -194,10 +195,10 @@ def task(setup: Setup, disturbed: bool) -> str:
     dots = "about where that leads" if disturbed else "where that leads"
     round_what = f", round the yellow {plural('obstacle', len(setup.obstacles))}"
     return (
-        "Press an arrow: all robots turn to it as they drive, each at its own rate"
-        f"{rates}. Dots: {dots}. Bring each to the square of its colour"
-        f"{round_what if setup.obstacles else ''}: total error 0. SPACE ends your try; then the "
-        "controller can have one."
+        "Press an arrow: all robots turn to it while they drive, each at its own "
+        f"rate{rates}. Dots: {dots}. Bring each robot to the square of its "
+        f"colour{(round_what if setup.obstacles else '')}: total error 0. SPACE ends your "
+        "try; then the controller can try."
     )
 
 
@@ -234,19 +235,26 @@ def read_script(path: Path) -> KeyScript:
             continue
         where = f"{path}:{number}"
         if len(words) != 2:
-            raise UsageError(f"{where}: is not SECONDS KEY", "such as `2.5 up`")
+            raise UsageError(
+                f"{where}: the line must have the form SECONDS KEY", "for example `2.5 up`"
+            )
         time_s = _seconds(words[0], where)
         if time_s < last_s:
-            raise UsageError(f"{where}: {words[0]} s is before the {last_s:g} s above")
+            raise UsageError(
+                f"{where}: the time {words[0]} s is before the previous line's {last_s:g} s"
+            )
         last_s = time_s
         if words[1] not in ARROWS | dict.fromkeys(STOPS):
             raise UsageError(
-                f"{where}: there is no key '{words[1]}'", "up, down, left, right, space"
+                f"{where}: there is no key '{words[1]}'",
+                "the keys are up, down, left, right, space",
             )
         keys.append((time_s, words[1]))
     first_s, first_key = keys[0] if keys else (0.0, "")
     if first_key not in ARROWS:
-        raise UsageError(f"{path}: steers no robot", "begin with an arrow, such as `0 right`")
+        raise UsageError(
+            f"{path}: the script steers no robot", "start with an arrow key, such as `0 right`"
+        )
     return KeyScript([(time_s - first_s, key) for time_s, key in keys])
 
 
@@ -261,5 +269,5 @@ def _seconds(word: str, where: str) -> float:
     except ValueError:
         time_s = math.nan
     if not 0 <= time_s < math.inf:
-        raise UsageError(f"{where}: '{word}' is no time in seconds")
+        raise UsageError(f"{where}: '{word}' is not a time in seconds")
     return time_s

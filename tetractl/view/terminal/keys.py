@@ -158,7 +158,7 @@ class Keyboard:
 
 
 STOP_HINT = "SPACE or ESC: EMERGENCY STOP"
-NO_KEY = "no terminal: there is no key to stop the robots"
+NO_KEY = "without a terminal, there is no key to stop the robots"
 
 
 class StopKey:

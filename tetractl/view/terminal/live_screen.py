@@ -293,7 +293,7 @@ class TerminalPrompt:
         if (lines, questions) != self._shown:
             self._shown = lines, questions
             self._entered.clear()
-            ready = "all robots stand on their starts: press Enter to go"
+            ready = "all robots stand on their starts: press Enter to start"
             ready += ", if your answers are yes" if questions else ""
             for text in (*questions, "; ".join(lines) or ready):
                 self._console.print(text, highlight=False, markup=False, soft_wrap=True)

@@ -62,7 +62,7 @@ def go(emulator, terminal):
     Enter is the consent to the lines that it follows: a frame lost on a busy host withdraws them,
     and the run then asks again. Regression: a test that pressed once waited for 300 s.
     """
-    emulator.wait_for("run", lambda: terminal.answer("press Enter to go", "\r"))
+    emulator.wait_for("run", lambda: terminal.answer("press Enter to start", "\r"))
 
 
 def test_space_is_the_operators_emergency_stop(lab, tmp_path):

@@ -94,7 +94,7 @@ def test_an_emulated_plant_says_so_for_a_camera_that_does_not(tmp_path, monkeypa
 def test_what_cannot_be_emulated_is_one_line(tmp_path):
     done = run(tmp_path, "out", spec=ROOT / "experiments" / "three_m3pi.yaml")
     assert done.returncode == 2
-    assert "three_m3pi.yaml: has no lab" in done.stderr
+    assert "three_m3pi.yaml: this spec has no lab" in done.stderr
     with mock.patch.object(firmware, "compiler", lambda: None):
         firmware.load.cache_clear()
         with mock.patch.object(firmware, "cache_folder", lambda: tmp_path):
@@ -148,13 +148,16 @@ def test_a_log_is_not_run_again_with_files_of_the_present_folder(tmp_path):
     words = ("rerun", "one/trial-000.mcap", "--plant", "emulated", "--dry-run")
     done = tetractl(tmp_path, *words)
     assert (done.returncode, done.stdout) == (2, "")
-    assert "error: lab.calibration: calibration.yaml: is in the folder" in done.stderr
+    assert (
+        "error: lab.calibration: calibration.yaml: this path is relative to the folder"
+        in done.stderr
+    )
     without = flags(("lab.calibration=null",))
     tetractl(tmp_path, *words, *without).ok()
     script = flags(("lab.type=emulated", "lab.faults=faults.yaml"))
     done = tetractl(tmp_path, *words, *without, *script)
     assert (done.returncode, done.stdout) == (2, "")
-    assert "error: lab.faults: faults.yaml: is in the folder" in done.stderr
+    assert "error: lab.faults: faults.yaml: this path is relative to the folder" in done.stderr
 
 
 @needs_compiler

@@ -57,6 +57,6 @@ def test_a_terminal_that_takes_nothing_stops_the_robots_of_its_run(tmp_path):
             terminal.released.set()
         moving = {event["name"]: event["moving"] for event in lab.events("robot")}
     assert result.outcome is Outcome.ABORTED
-    assert "an observer is too slow for the trial" in result.reason
+    assert "an observer takes too long for the trial" in result.reason
     assert moving
     assert not any(moving.values())

@@ -86,5 +86,7 @@ def test_a_dead_time_that_is_told_is_predicted_over(dead_time):
 def test_a_lab_cannot_switch_its_field_off():
     sets = ["controller={type: ensemble}"]
     spec = load_spec(ROOT / "experiments/three_m3pi_lab.yaml", sets)  # as a simulation
-    with pytest.raises(SpecError, match="cannot switch the field off, as controller ensemble does"):
+    with pytest.raises(
+        SpecError, match="cannot switch off the field, as the controller ensemble does"
+    ):
         on_plant(spec, "lab")

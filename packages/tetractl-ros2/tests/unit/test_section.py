@@ -19,7 +19,7 @@ def spec(old="", new=""):
     ("old", "new", "what"),
     [
         ("/green/cmd_vel", "green/cmd_vel", "must be a full topic name, such as /green/cmd_vel"),
-        ("/green/cmd_vel", "/blue/cmd_vel", "is also that of"),
+        ("/green/cmd_vel", "/blue/cmd_vel", "is also the value of"),
         ("/green/cmd_vel", "'/{body}/cmd_vel'", "must be a full topic name"),
         ("message: TFMessage", "message: PoseStamped", r"must contain \{body\}"),
         ("message: TFMessage", "message: Pose", "Odometry"),

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.slow
         ("green is lost", "is it hidden"),
         ("the model does not fit: heading of green", "`tetractl identify` measures"),
         ("the model fits again: with the same values", ""),
-        ("green stands although it is sent a direction", ""),
+        ("green stands still although it is sent a direction", ""),
         ("lost packets", ""),
     ],
 )

@@ -186,7 +186,7 @@ def test_a_damaged_cache_is_compiled_again(tmp_path, monkeypatch, capsys, damage
     assert loaded(tmp_path, monkeypatch) == 0
     notes = capsys.readouterr().err
     assert notes.count("\n") == 1
-    assert "damaged, compiled again" in notes
+    assert "damaged, so its code is compiled again" in notes
     assert loaded(tmp_path, monkeypatch) == 1
 
 
@@ -198,7 +198,7 @@ def test_a_full_disk_only_costs_the_cache(tmp_path):
         said, notes = small(tmp_path)
         assert said[:2] == ["42", "0"]
         assert notes.count("\n") == 1
-        assert "compiled code is not kept" in notes
+        assert "compiled code cannot be kept" in notes
         assert list(disk.rglob("tmp*")) == []
 
 

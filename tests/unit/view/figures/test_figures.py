@@ -247,7 +247,7 @@ def refusals():
         yield kind, lambda log: [log, log], UsageError, "one trial"
     for kind in ("trajectory", "errors"):
         yield kind, lambda log: [log, other(log, obstacles=[])], UsageError, "different experiments"
-    yield "errors", arms, UsageError, "13 folders: this figure has a panel for each"
+    yield "errors", arms, UsageError, "there are 13 folders, but this figure"
     yield "batch", lambda log: moved(log, outcome=Outcome.ABORTED), LogError, "no complete trial"
     yield "batch", in_um, UsageError, "mm and um"
 

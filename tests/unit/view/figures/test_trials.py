@@ -59,7 +59,7 @@ def test_an_unfinished_trial_is_grouped_only_if_all_are_wanted(trial):
 def test_errors_in_two_units_share_no_axis(trial):
     setup = replace(trial.start.setup, unit="m", metres=1.0)
     other = replace(trial, start=replace(trial.start, setup=setup))
-    with pytest.raises(UsageError, match="cannot share an axis"):
+    with pytest.raises(UsageError, match="cannot be drawn on one axis"):
         by_folder([trial, other])
 
 

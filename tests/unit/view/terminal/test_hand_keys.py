@@ -134,14 +134,14 @@ def test_a_script_presses_its_keys_in_time(text, tmp_path):
     ("text", "problem"),
     [
         ("0 right\n1 north\n", ":2: there is no key 'north'"),
-        ("0 right\nup\n", ":2: is not SECONDS KEY"),
-        ("0 right up\n", ":1: is not SECONDS KEY"),
-        ("0 right\nsoon up\n", ":2: 'soon' is no time in seconds"),
-        ("-1 right\n", ":1: '-1' is no time in seconds"),
-        ("0 right\nnan up\n", ":2: 'nan' is no time in seconds"),
-        ("2 right\n1 up\n", ":2: 1 s is before the 2 s above"),
-        ("# nothing\n", ": steers no robot"),
-        ("0 space\n", ": steers no robot"),
+        ("0 right\nup\n", ":2: the line must have the form SECONDS KEY"),
+        ("0 right up\n", ":1: the line must have the form SECONDS KEY"),
+        ("0 right\nsoon up\n", ":2: 'soon' is not a time in seconds"),
+        ("-1 right\n", ":1: '-1' is not a time in seconds"),
+        ("0 right\nnan up\n", ":2: 'nan' is not a time in seconds"),
+        ("2 right\n1 up\n", ":2: 1 s is before the previous line's 2 s above"),
+        ("# nothing\n", ": the script steers no robot"),
+        ("0 space\n", ": the script steers no robot"),
     ],
 )
 def test_a_wrong_script_is_one_line(text, problem, tmp_path):

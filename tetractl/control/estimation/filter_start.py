@@ -245,7 +245,7 @@ def first_bank(prior: Prior) -> Bank:
 
 
 def bank_with_replaced(bank: Bank, prior: Prior, replaced: Bools) -> Bank:
-    """Return the filters after some robots were replaced: these robots' filters start anew.
+    """Return the filters after some robots were replaced: these robots' filters start again.
 
     Args:
         bank: The bank so far, which stays unchanged.

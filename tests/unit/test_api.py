@@ -1,5 +1,6 @@
 """The face: every name of `import tetractl`, used as a notebook uses it."""
 
+import csv
 import re
 import signal
 import subprocess
@@ -13,7 +14,8 @@ import yaml
 from testkit.paths import ROOT
 
 import tetractl
-from tetractl.core.errors import SpecError, UsageError
+from tetractl.core.errors import AbortError, SpecError, UsageError
+from tetractl.run import executors
 from tetractl.spec.plants import on_plant
 
 SPEC = """
@@ -181,6 +183,38 @@ def test_a_study_is_run_from_its_contents(tmp_path):
     arms = tetractl.run_study(study, tmp_path / "logs", progress=False)
     assert [len(batch.trials) for batch in arms.values()] == [1, 1]
     assert list(arms) == ["a=2", "a=3"]
+
+
+@pytest.mark.parametrize("fails", ["a=2", "a=3"])
+def test_a_trial_of_a_study_that_fails_is_raised_when_all_others_are_written(
+    tmp_path, monkeypatch, fails
+):
+    """Also the table and the figures of what ended, as the command writes them."""
+    study = {
+        "name": "turning",
+        "base": yaml.safe_load(SPEC),
+        "sweep": {"type": "grid", "fields": {"robots.0.a": [2, 3]}},
+        "trials": {"count": 2, "seed": 1},
+    }
+    run_task = executors.run_task
+
+    def run(task, *args):
+        if (task.arm, task.trial) == (fails, 0):
+            raise AbortError("the disk is full")
+        return run_task(task, *args)
+
+    monkeypatch.setattr(executors, "run_task", run)
+    folder = tmp_path / "logs"
+    with pytest.raises(AbortError, match="the disk is full"):
+        tetractl.run_study(study, folder, progress=False)
+    with (folder / "trials.csv").open(newline="") as file:
+        rows = [(row["arm"], row["trial"]) for row in csv.DictReader(file)]
+    assert sorted(rows) == [(arm, trial) for arm in ("a=2", "a=3") for trial in ("0", "1")
+                            if (arm, trial) != (fails, "0")]  # fmt: skip
+    assert list(folder.glob("*.png"))
+    monkeypatch.undo()
+    arms = tetractl.run_study(study, folder, progress=False)
+    assert [len(batch.trials) for batch in arms.values()] == [2, 2]
 
 
 NOT_TAKEN = {

@@ -54,8 +54,8 @@ def test_a_place_that_strays_is_no_misfit_and_is_said_once_a_trial():
     """Regression: "the model does not fit" stood in 20 of 20 logs of cells whose a was right."""
     again = 1 + 2 * FITS_AGAIN_AFTER_S
     assert said((1, STRAYS), (2, STRAYS), (3, FITS), (again, STRAYS)) == [
-        f"along-track motion of {NAME} is not as predicted, which does not affect a",
-        f"cross-track motion of {NAME} is not as predicted, which does not affect a",
+        f"along-track motion of {NAME} is not as predicted, which says nothing of a",
+        f"cross-track motion of {NAME} is not as predicted, which says nothing of a",
     ]
 
 

@@ -53,7 +53,7 @@ def test_controllers_that_estimate_the_motion_have_a_monitor_of_it(name):
 
 @pytest.mark.long
 def test_a_trial_reports_what_the_estimates_of_its_controller_show(tmp_path):
-    """Blue sticks after 4 s: the filter finds that it stands, and the operator is told."""
+    """Blue sticks after 4 s: the filter finds that it stands, and the operator is informed."""
     sticking = "plant.disturbances=[{type: sticking, every: 20, duration: 100}]"
     settings = [sticking, "trials.seed=2", "controller.time_limit=7"]
     run_logged(load_spec(ROOT / "experiments/three_m3pi.yaml", settings), tmp_path)

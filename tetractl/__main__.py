@@ -1,4 +1,4 @@
-"""`python -m tetractl`, the same as `tetractl`."""
+"""Makes `python -m tetractl` the same as the command `tetractl`."""
 
 import sys
 

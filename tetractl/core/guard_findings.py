@@ -53,7 +53,7 @@ class Moved:
 
 @dataclass(frozen=True, slots=True)
 class Lose:
-    """A finding: a robot is lost.
+    """A finding: a robot is lost, so that the run continues without it or ends.
 
     The run continues without it, or is aborted if the spec does not allow that.
 
@@ -97,7 +97,7 @@ Finding = Refuse | Moved | Lose | Warn | Abort
 
 @dataclass(frozen=True, slots=True)
 class RobotPlace:
-    """The place of a robot when the guard decides whether robots may continue.
+    """Where a robot is at the moment when the guard decides whether it may continue to move.
 
     Attributes:
         pose: Its pose. None if it is untracked. For a lost robot, its last pose.

@@ -85,7 +85,7 @@ class Standing:
 
 
 class Losses:
-    """Keeps track of which of N robots are lost, from one camera frame to the next.
+    """Keeps track of which of N robots are lost in a trial, from one camera frame to the next.
 
     The controller, the log's reader and `verify` all pass every camera frame to `add_frame`, in
     order, and so get the same result. Without a rule, no robot is ever lost, but dead robots are

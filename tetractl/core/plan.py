@@ -133,7 +133,7 @@ class Limits:
 
 
 class StopReason(StrEnum):
-    """Why a search ended. The value is the text in a log."""
+    """Why an optimiser's search ended. The value is the text in a log."""
 
     CRITERION = "criterion"  # the stop criterion of the optimiser, such as (20)
     ITERATIONS = "iterations"  # the optimiser's limit of iterations was reached
@@ -167,7 +167,7 @@ class Search:
 
 
 class State(StrEnum):
-    """What the robots do in a control step. The value is the text in a log."""
+    """What the robots do in a control step, such as driving. The value is the text in a log."""
 
     DRIVING = "driving"
     RESTING = "resting"

@@ -225,7 +225,7 @@ UNSTATED = Sight()
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What a controller receives from a camera frame.
+    """What a controller receives from a camera frame: measured poses, with their times.
 
     The arrays are shared with the log and therefore read-only.
 

@@ -32,7 +32,7 @@ REAL_DEVICE = "real"
 
 @dataclass(frozen=True, slots=True)
 class PlantInfo:
-    """A description of an open plant.
+    """A description of the robots of a trial, simulated or real, from the opened plant.
 
     The fact HALTS of a lab is "yes" if its robots stand still after a stop, otherwise "no". The
     fact EMULATED_DEVICES names the lab's devices that are not real, such as "camera".
@@ -316,7 +316,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialRecords:
-    """All records of a trial of N robots with M camera frames.
+    """Everything that was recorded in a trial of N robots with M camera frames.
 
     Times are ns on the trial's clock, lengths in the experiment's unit, headings in rad.
 

@@ -92,7 +92,7 @@ class DrivenPath:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """The calibration of one motor channel.
+    """The calibration of one motor channel: how its output becomes the speed of a wheel.
 
     An output above the dead zone turns the robot at the rate sign * k * (output - dead_zone)
     [rad/s], anticlockwise if positive.
@@ -144,7 +144,9 @@ def calibrate_robots(
 
 
 class _Bench:
-    """The calibration of one robot. The guard checks camera frames as it does in a run.
+    """The set-up for the calibration of one robot: camera, actuator, and a guard.
+
+    The guard checks camera frames as it does in a run.
 
     Call `open` first, then `measure`, and finally `close`, whatever has failed.
     """

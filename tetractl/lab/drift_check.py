@@ -69,7 +69,10 @@ CLIP = 1.7
 
 
 class At:
-    """The columns of the regressors, in the order of the parameters in the module's equations."""
+    """The columns of the regression by which the drift check explains a robot's motion.
+
+    They are in the order of the parameters in the module's equations.
+    """
 
     residual = 0
     """Motion that nominal wheels do not explain."""

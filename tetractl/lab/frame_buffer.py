@@ -9,7 +9,7 @@ from tetractl.tools.worker import WAITING_MAX
 
 
 class FrameBuffer:
-    """The most recent accepted camera frames, oldest first.
+    """The most recent camera frames that the guard has accepted, oldest first.
 
     The inner loop appends frames, and any thread can read them. A lock protects the buffer.
     """

@@ -22,7 +22,7 @@ from tetractl.lab.motion_check import MotionCheck
 
 @dataclass(frozen=True, slots=True)
 class GuardChecks:
-    """The checks that the guard makes for one kind of robots.
+    """All checks that the guard makes for one kind of robots, such as robots on wheels.
 
     Attributes:
         checks: The checks, in the order in which they are made.

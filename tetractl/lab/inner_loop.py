@@ -77,7 +77,7 @@ class HeldAction:
 
 
 class InnerLoop:
-    """Runs a guard between a camera and an actuator.
+    """The loop that lets a guard decide at each camera frame, and sends its decisions to robots.
 
     Without `start`, the caller must call `step` or `step_if_due`.
 

@@ -47,7 +47,7 @@ JUMP_HEADING = 0.7
 
 @dataclass(slots=True)
 class Pace:
-    """The times of the last step of this program and of the last direction from the controller."""
+    """When this program last made a step, and when the controller last gave a direction."""
 
     ticked_ns: int | None = None
     directed_ns: int = 0

@@ -95,7 +95,7 @@ One of them is the last of robots that cannot stand still.
 
 
 class LabFrames:
-    """Reads the frames of a connected lab.
+    """Reads the camera frames of a connected lab for a trial.
 
     `newest` is the last frame that was read. It is None before the first frame. The robots' paths
     are checked frame by frame. The paths of lost robots are left out.

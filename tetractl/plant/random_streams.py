@@ -14,7 +14,7 @@ import numpy as np
 
 
 class RandomStream(IntEnum):
-    """The number of each random stream.
+    """The numbers of the random streams, one for each part of a simulation that samples values.
 
     Each comment lists what is sampled from the stream, in order. N is the number of robots.
 

@@ -218,7 +218,7 @@ class LoopEnd:
 
 @dataclass(frozen=True, slots=True)
 class Halt:
-    """How the robots were stopped at the end of a trial.
+    """The record of how the robots were stopped at the end of a trial.
 
     Attributes:
         stop: The stop that was sent.

@@ -47,7 +47,7 @@ robots. With the noise stated, it was right for all of them (docs/decisions/filt
 
 
 class Notice(NamedTuple):
-    """A message about a trial, and its level in the log."""
+    """A message about how the robots differ from their model, with its level in the log."""
 
     level: Literal["info", "warning"]
     text: str

@@ -186,7 +186,7 @@ class HoldSection(Model):
 
 
 class Trials(Model):
-    """Number of trials, and the seed of all random numbers."""
+    """How many trials a batch has, and the seed of all its random numbers."""
 
     count: int = Field(default=20, ge=1, le=1_000_000)
     """Number of trials."""

@@ -20,7 +20,7 @@ from tetractl.spec.registry_fields import OrMapping
 
 @dataclass(frozen=True, slots=True)
 class StandIn:
-    """A placeholder for a robot that a trial has not found yet.
+    """A placeholder for a robot, such as a cell, that a trial has yet to find.
 
     Attributes:
         name: The robot's name.

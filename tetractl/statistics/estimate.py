@@ -32,7 +32,7 @@ Z = float(special.ndtri((1 + CONFIDENCE) / 2))
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A 95 % confidence interval.
+    """A 95 % confidence interval of a mean or a fraction.
 
     If there is none, `low` and `high` are NaN, and `reason` says why.
     """
@@ -70,7 +70,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Tail:
-    """The number of values, out of n, that are above a bound.
+    """How many of n values are above a bound: a count of rare large errors.
 
     The mean of a few values does not show rare large ones: an event with a probability of 2 % is
     missing in two of three batches of 20 trials.

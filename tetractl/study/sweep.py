@@ -48,7 +48,7 @@ Values = Annotated[tuple[Any, ...], Field(min_length=1, max_length=1000)]
 
 
 class Grid(Sweep):
-    """Every combination of the listed values. The last field changes fastest."""
+    """A sweep with every combination of the listed values. The last field changes fastest."""
 
     type: Literal["grid"]
     fields: dict[FieldPath, Values] = Field(min_length=1)
@@ -66,7 +66,10 @@ Point = Annotated[dict[FieldPath, Any], Field(min_length=1)]
 
 
 class Points(Sweep):
-    """A list of points. A field that a point does not set has the value of the base spec."""
+    """A sweep that lists its points, each of which sets some fields of the base spec.
+
+    A field that a point does not set has the value of the base spec.
+    """
 
     type: Literal["list"]
     points: tuple[Point, ...] = Field(min_length=1, max_length=100_000)
@@ -122,7 +125,10 @@ class Range(Model):
 
 
 class SampledSweep(Sweep):
-    """Points sampled at random from the ranges of some fields. The study's seed determines them."""
+    """A sweep whose points are sampled at random from the ranges of some fields.
+
+    The study's seed determines the points.
+    """
 
     count: int = Field(ge=1, le=100_000)
     """Number of points. A larger number keeps the points drawn before and adds new ones."""
@@ -156,7 +162,9 @@ class Random(SampledSweep):
 
 
 class Sobol(SampledSweep):
-    """Points of a scrambled Sobol sequence, which fill the ranges more evenly than random points.
+    """A sweep with the points of a scrambled Sobol sequence.
+
+    They fill the ranges more evenly than random points.
 
     They do so best if their number is a power of 2.
     """

@@ -42,7 +42,7 @@ class Unchecked(Difference):
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """The allowed difference between two numbers: |ours - logged| <= relative * larger + absolute.
+    """How much two numbers may differ: |ours - logged| <= relative * larger + absolute.
 
     `larger` is the larger of their magnitudes. With both tolerances 0, the two numbers must have
     the same bits, or both be NaN. Integers, texts and truth values must always be equal.

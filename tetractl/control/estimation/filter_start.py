@@ -1,4 +1,4 @@
-"""The banks of filters from which the estimation starts, or starts again.
+"""The sets of filters with which the estimation of the robots' motion starts, or starts again.
 
 This module contains the assumptions about robots on wheels and about cells. It creates three banks
 for `tetractl.control.estimation.filter`: the bank at the start of a trial, the bank after robots
@@ -115,7 +115,7 @@ FIRST_SLOT = 0
 
 
 class Tried(NamedTuple):
-    """A state for which each group of filters starts from a different value."""
+    """A quantity, such as the lag of the wheels, of which filters try several first values."""
 
     state: int
     """The index of the state."""

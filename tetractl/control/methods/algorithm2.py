@@ -37,7 +37,7 @@ from tetractl.spec.controller import Host
 
 
 class Algorithm2:
-    """The published controller, in one trial.
+    """The paper's controller, Algorithm 2 as published, in one trial.
 
     `plan` is called once a control step. Between two steps, it keeps the number of the next step,
     `k`, and `warm`, the remaining signals of the last chosen sequence.

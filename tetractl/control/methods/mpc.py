@@ -241,7 +241,7 @@ class Searched(NamedTuple):
 
 
 class Mpc:
-    """The recommended controller, in one trial.
+    """The recommended controller, `type: mpc`, in one trial.
 
     `plan` is called once a control step. Between two steps, the controller keeps the `leg`, the
     `progress` of the trial, and the records of the `estimator` and the `time`.

@@ -63,7 +63,7 @@ class Collision(Model):
 
 
 class PriorSection(Model):
-    """Prior standard deviations of the motion's values in the spec."""
+    """How uncertain the spec's values of the robots' motion are, as standard deviations."""
 
     a: Positive = 0.2
     """Relative standard deviation of each robot's turning rate a."""

@@ -15,7 +15,7 @@ _UNCOVERED = frozenset({DIGESTS, RECOVERED})
 
 
 class LogDigests:
-    """Hashes the records of a log.
+    """Computes the digests of a log while its records are read or written.
 
     Each digest is a SHA-256 over records in file order, without the digests themselves and the
     report of a recovery.

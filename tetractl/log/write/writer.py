@@ -23,7 +23,7 @@ BATCH_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class _OpenLog:
-    """A log that is being written. `worker` is the thread that calls encoder and sink."""
+    """A log that is being written; the thread of `worker` encodes and stores its records."""
 
     sink: Sink
     encoder: Encoder

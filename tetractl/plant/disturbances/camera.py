@@ -20,7 +20,7 @@ DEVIATIONS_MAX = 4.0
 
 
 class TrackingLossSection(DisturbanceSection):
-    """The camera loses each robot occasionally, independently of the others."""
+    """A disturbance of the camera: it sometimes loses a robot, each independently of the others."""
 
     type: Literal["tracking-loss"]
     every: Positive
@@ -98,7 +98,10 @@ class CameraLatency(Disturbance):
 
 
 class FrameLossSection(DisturbanceSection):
-    """Frames are lost in bursts of geometrically distributed length (Gilbert's model)."""
+    """A disturbance of the camera: frames are lost in bursts of random length.
+
+    The length is geometrically distributed (Gilbert's model).
+    """
 
     type: Literal["frame-loss"]
     share: Annotated[float, Field(ge=0, le=0.5, allow_inf_nan=False)]
@@ -142,7 +145,7 @@ class FrameLoss(Disturbance):
 
 
 class FrozenCameraSection(SpellsSection):
-    """Intervals in which all frames are lost, or repeat the last frame before the interval."""
+    """A disturbance of the camera: in some intervals, all frames are lost or repeat the last."""
 
     type: Literal["frozen-camera"]
     repeats: bool = True
@@ -180,7 +183,10 @@ class FrozenCamera(Disturbance):
 
 
 class MarkerOffSection(DisturbanceSection):
-    """Each robot's measured heading has an offset with a random sign, sampled once per trial."""
+    """A disturbance of the camera: each robot's measured heading has a constant offset.
+
+    Its sign is random, and sampled once per trial.
+    """
 
     type: Literal["marker-off"]
     heading: NonNegativeAngle
@@ -216,7 +222,7 @@ class StaleCameraSection(SpellsSection):
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """The poses that a camera frame shows, with the time `time_s` of its exposure."""
+    """The poses that a simulated camera frame shows, with its time of exposure `time_s`."""
 
     time_s: float
     poses: Poses

@@ -14,7 +14,7 @@ from tetractl.spec.disturbance import DelayedCommand, Disturbance, DisturbanceSe
 
 
 class RadioSection(DisturbanceSection):
-    """A broadcast by radio with a delay and random losses, independent for each robot."""
+    """A disturbance: commands by radio are delayed, and lost at random for each robot."""
 
     type: Literal["radio"]
     delay: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
@@ -69,7 +69,9 @@ class Radio(Disturbance):
 
 
 class SilentRadioSection(SpellsSection):
-    """Intervals in which robots receive no command and keep following the last one.
+    """A disturbance of the radio: in some intervals, no robot receives a command.
+
+    Robots then keep following the last command that they received.
 
     A watchdog (`wheels.watchdog`) may stop them.
     """
@@ -95,7 +97,7 @@ class SilentRadio(Disturbance):
 
 
 class PlanningTimeSection(DisturbanceSection):
-    """Every command is sent a random planning time after the controller has read its frame."""
+    """A disturbance: every command is sent a random time after the controller reads its frame."""
 
     type: Literal["planning-time"]
     least: float = Field(ge=0, le=10, allow_inf_nan=False)

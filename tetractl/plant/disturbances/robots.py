@@ -13,7 +13,7 @@ from tetractl.spec.disturbance import Disturbance, DisturbanceSection
 
 
 class BatterySection(DisturbanceSection):
-    """All robots slow down steadily for a time, and then keep the reduced speed."""
+    """A disturbance: all robots slow down steadily for a time, and then keep the lower speed."""
 
     type: Literal["battery"]
     speed: Fraction
@@ -41,7 +41,7 @@ class Battery(Disturbance):
 
 
 class HeadingDriftSection(DisturbanceSection):
-    """A constant rate is added to the turning rate of the paper's equation (3).
+    """A disturbance: each robot turns at a constant rate, in addition to the paper's (3).
 
     The cause may be uneven wheels, or a bent cell.
     """
@@ -70,7 +70,10 @@ class HeadingDrift(Disturbance):
 
 
 class StickingSection(DisturbanceSection):
-    """Each robot occasionally sticks, as at a cable or on dust, independently of the others."""
+    """A disturbance: each robot sometimes sticks, as at a cable or on dust.
+
+    Each robot does so independently of the others.
+    """
 
     type: Literal["sticking"]
     every: Positive
@@ -104,7 +107,7 @@ class Sticking(Disturbance):
 
 
 class WanderSection(DisturbanceSection):
-    """Relative errors of turning rate a and speed that change slowly.
+    """A disturbance: turning rates a and speeds have relative errors that change slowly.
 
     They are independent for each robot and quantity. Their logarithms are stationary
     Ornstein-Uhlenbeck processes.

@@ -12,7 +12,7 @@ from tetractl.spec.disturbance import Disturbance, DisturbanceSection
 
 
 class FlowSection(DisturbanceSection):
-    """One flow that carries all cells, constant in space and during a trial."""
+    """A disturbance: one flow carries all cells, constant in space and during a trial."""
 
     type: Literal["flow"]
     speed: NonNegative
@@ -42,7 +42,7 @@ class Flow(Disturbance):
 
 
 class WobbleSection(DisturbanceSection):
-    """The helical path of a swimming cell, which circles about an axis that the field turns.
+    """A disturbance: each cell swims on a helix about an axis that the field turns.
 
     Seen from above, the cell swings across the axis, and its body points along its path.
     """

@@ -1,4 +1,4 @@
-"""Update one hypothesis about a robot by a measured pose: the measurement step of a Kalman filter.
+"""Update what a filter knows about a robot by a measured pose: a Kalman filter's update step.
 
 For a robot in the state z (`filter_state`), a camera measures, with noise of the variances R,
 

@@ -161,7 +161,10 @@ class PoseFrames(NamedTuple):
 
 
 class FilterModel(NamedTuple):
-    """Assumptions about N robots; `noise` and `walk` are standard deviations."""
+    """What the filters assume about the motion and the measurement of N robots.
+
+    `noise` and `walk` are standard deviations.
+    """
 
     parameters: Floats
     """(N, 2) PARAMETERS of the motion: a [rad/s] and v [length unit/s]."""
@@ -327,7 +330,7 @@ class Hypotheses(NamedTuple):
 
 
 class FilterScratch(NamedTuple):
-    """Working arrays for one prediction and one update of a hypothesis."""
+    """Working arrays in which a filter predicts and updates one hypothesis."""
 
     jacobian: Floats
     """(n, n) F, the slopes of a step"""
@@ -350,7 +353,7 @@ class FilterScratch(NamedTuple):
 
 
 class CommonTimes(NamedTuple):
-    """A grid of T dead times that all robots may share.
+    """A grid of T dead times, from a command to its effect, that all robots may share.
 
     It also contains how well each filter agrees with each of these times.
     """

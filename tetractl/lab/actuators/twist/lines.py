@@ -29,7 +29,7 @@ Entry = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class LineCommand:
-    """One line for all robots that receive it.
+    """One line of text with the commands for all robots that receive it.
 
     The robots named in `entries` drive as stated there. The others stop.
     """

@@ -24,7 +24,7 @@ MODULE_LOST_HINT = (
 
 
 class Link:
-    """A connection to the XBee module.
+    """A connection to the XBee radio module of this computer.
 
     After a failure, which raises AbortError, nothing can be sent any more. `questions` about the
     module are for the operator.

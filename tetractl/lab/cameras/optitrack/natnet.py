@@ -60,7 +60,7 @@ class MessageKind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class RigidBody:
-    """One rigid body of a frame, in the server's axes.
+    """One tracked body in a camera frame of OptiTrack, in the server's axes.
 
     Attributes:
         id: Number of the body.
@@ -161,7 +161,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class EchoRequest:
-    """A request for the server's time.
+    """A request for the time of the camera server, by which the clocks are compared.
 
     `client` is the host's time [ns], which the answer repeats.
     """

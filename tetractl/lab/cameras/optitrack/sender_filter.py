@@ -17,7 +17,7 @@ REFUSED_SENDERS_MAX = 64
 
 
 class Sender(NamedTuple):
-    """The origin of refused datagrams.
+    """The origin of datagrams that were refused, and whether they were frames or answers.
 
     Attributes:
         host: IP address.

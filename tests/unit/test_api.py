@@ -1,4 +1,4 @@
-"""The face: every name of `import tetractl`, used as a notebook uses it."""
+"""Tests of the public API: every name of `import tetractl`, used as in a notebook."""
 
 import csv
 import re

@@ -1,4 +1,4 @@
-"""Child processes are started in two modules alone: `children` and `worker_pool` of `tools`."""
+"""Tests that only two modules start child processes: `children` and `worker_pool` of `tools`."""
 
 import ast
 

@@ -1,4 +1,4 @@
-"""The firmware's own tests on this computer, and its builds for the processors of the boards."""
+"""Runs the firmware's own tests on this computer, and builds it for the boards' processors."""
 
 import shutil
 import struct

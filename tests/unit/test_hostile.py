@@ -1,4 +1,4 @@
-"""Whatever comes from outside, its parser keeps its promises; longer in benchmarks/fuzz.py."""
+"""Tests that each parser of outside data keeps its contract; benchmarks/fuzz.py runs longer."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""The packages of this repository: what each needs, and what the core does without them."""
+"""Tests of what each package of this repository needs, and of the core without them."""
 
 import re
 import subprocess

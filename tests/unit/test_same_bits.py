@@ -1,4 +1,4 @@
-"""What a simulated trial follows from calls no function whose bits depend on the processor."""
+"""Tests that simulated trials call no function whose bits depend on the processor."""
 
 import ast
 

@@ -1,4 +1,4 @@
-"""What a file's marks leave to chance: a test that starts much is marked as what it is."""
+"""Tests that a test file which starts many processes is marked accordingly."""
 
 import re
 import signal

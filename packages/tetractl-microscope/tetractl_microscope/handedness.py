@@ -1,9 +1,9 @@
-"""Checks from the cells' turning whether image and field are mirrored or rotated to each other.
+"""Checks from the cells' turning whether the image is mirrored or rotated relative to the field.
 
 A cell turns towards the field: its heading h and the field's direction u obey dh/dt = a sin(u - h).
-If the image is rotated by f, h obeys dh/dt = a sin(u + f - h). If it is mirrored, dh/dt = a sin(-u
-+ f - h) for some angle f. The chosen side is the one that explains more of the turning
-(`turning_fit`).
+If the image is rotated by f, h obeys dh/dt = a sin(u + f - h). If the image is mirrored, h obeys
+dh/dt = a sin(-u + f - h) for some angle f. Both equations are fitted, and the one that explains
+more of the turning decides (`turning_fit`).
 """
 
 from collections.abc import Sequence
@@ -39,8 +39,8 @@ class Handedness:
 
     Attributes:
         cells: Number of cells.
-        mirrored: Whether they turned to the other side than the field.
-        turned: Angle from the field's direction to the one that they turned towards [rad].
+        mirrored: Whether they turned to the opposite side of the field.
+        turned: Angle from the field's direction to the direction towards which they turned [rad].
         turned_sd: Its standard deviation [rad].
         explained: Fraction of their turning that this explains.
     """
@@ -53,7 +53,7 @@ class Handedness:
 
     @property
     def rotated(self) -> bool:
-        """Whether the cells turn to a direction that is certainly not the field's."""
+        """Whether the cells certainly turn towards another direction than the field's."""
         return abs(self.turned) > max(ALLOWED, SURE * self.turned_sd)
 
 
@@ -153,11 +153,11 @@ def handedness_lines(turning: Handedness | None) -> tuple[list[str], str]:
 
 
 def wrong_sides(turning: Handedness, mirrored: str, rotated: str) -> list[str]:
-    """Describe what is wrong with the field's directions, with a cause or remedy for each.
+    """Describe wrong directions of the field, with a cause or remedy for each.
 
     Args:
         turning: How cells turned.
-        mirrored: The text if they turned to the other side.
+        mirrored: The text if they turned to the opposite side.
         rotated: The text if they turned towards a rotated direction.
     """
     if turning.explained < EXPLAINED or not (turning.mirrored or turning.rotated):

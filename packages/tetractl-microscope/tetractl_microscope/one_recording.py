@@ -41,7 +41,7 @@ directions from a wrong clock explained .80 of the turning.
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Another reading of commands that could explain the motion.
+    """Another interpretation of commands that could explain the motion.
 
     Attributes:
         fraction: Fraction of the motion that it explains.
@@ -101,7 +101,7 @@ class Span:
 
 
 def _shared_s(poses: Span, commands: Span) -> float:
-    """Return for how long both are [s], not above 0 if never."""
+    """Compute for how long both time spans overlap [s]. Not above 0 if they never do."""
     return min(poses.end, commands.end) - max(poses.begin, commands.begin)
 
 

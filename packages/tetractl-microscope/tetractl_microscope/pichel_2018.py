@@ -1,8 +1,10 @@
-"""Pichel and others, Magnetic response of Magnetospirillum gryphiswaldense, arXiv 1710.00405.
+"""Reproduces how fast bacteria turn in magnetic fields, after Pichel and others (2018).
 
-How fast bacteria turn in fields of 1 to 12 mT, from their U-turns in a channel of 5 um. Here the
-tracks are simulated, one table per strength, and fitted as by `tetractl track`. The slope of a
-against B is put in, drawn for each set of tables, so what is shown is the method.
+The paper, Magnetic response of Magnetospirillum gryphiswaldense (arXiv 1710.00405), measures how
+fast bacteria turn in fields of 1 to 12 mT, from their U-turns in a channel of 5 um. Here the tracks
+are simulated, one table for each field strength, and fitted as by `tetractl track`. The slope of
+the turning rate a against the field strength B is an input, sampled for each set of tables, so the
+result only shows that the method works.
 """
 
 import math
@@ -51,7 +53,7 @@ def _bacteria(slope: float, rng: np.random.Generator) -> Swimmers:
 
 
 def _tracked(strength: float, slope: float, rng: np.random.Generator) -> Sequence[CellSummary]:
-    """Return the results of `track` for the cells of a table, in a field that reverses."""
+    """Simulate the tracks of a table in a field that reverses, and fit them as `track` does."""
     times = np.arange(round(REVERSALS * HOLD_S * RATE_HZ)) / RATE_HZ
     angles = rng.uniform(-math.pi, math.pi) + math.pi * (times // HOLD_S)
     cells = _bacteria(slope, rng)
@@ -70,8 +72,8 @@ def _tracked(strength: float, slope: float, rng: np.random.Generator) -> Sequenc
 def fitted(slopes: Floats, deviations: Floats) -> tuple[float, float, float]:
     """Fit the slope a / B from the slopes of tracks (T,), with its 95 % interval.
 
-    It is the line through the origin of a on B. Each track is weighted by its own variance and the
-    variance among cells. The interval is by Student's t. Tracks more than OUTLIER deviations away
+    The result is a line through the origin. Each track is weighted by its own variance plus the
+    variance among cells. The interval uses Student's t. Tracks more than OUTLIER deviations away
     are left out.
     """
     from scipy import stats  # slow to import
@@ -91,7 +93,7 @@ def fitted(slopes: Floats, deviations: Floats) -> tuple[float, float, float]:
 
 
 def tables(seed: int, number: int) -> dict[str, Any]:
-    """Generate a set of tables, one for each field strength, with a known slope.
+    """Simulate a set of tables, one for each field strength, with a known slope.
 
     Returns:
         The slope, and a / B of each track with its standard deviation [rad/(mT s)].
@@ -114,7 +116,7 @@ def interval_width(tables_of_set: Mapping[str, Any]) -> float:
 
 
 def misses_slope(tables_of_set: Mapping[str, Any]) -> bool:
-    """Decide whether the interval from a set of tables excludes the slope that was simulated."""
+    """Check whether the interval from a set of tables excludes the simulated slope."""
     _, low, high = _fitted_to(tables_of_set)
     return not low <= tables_of_set["put in"] <= high
 

@@ -1,14 +1,14 @@
-"""Determines which directions robots turn by: those that were sent, or others.
+"""Determines whether robots turned by the directions in a file, or by other directions.
 
-The others are their mirror image, or directions in another unit of angles or time.
+Other directions are their mirror image, or the same numbers in another unit of angle or time.
 
 A robot turns towards the direction u that acts. Its heading h obeys dh/dt = a sin(u - h) or, if the
 directions are rotated by f, dh/dt = a sin(u + f - h), which is linear in a cos f and a sin f:
 
     dh/dt = a cos f sin(u - h) + a sin f cos(u - h).
 
-This is fitted to each robot by least squares. The fraction of the turning that it explains is near
-1 for the directions that acted, and near 0 for others, unless these hardly change.
+This equation is fitted to each robot by least squares. The fraction of the turning that it explains
+is near 1 for the directions that acted. It is near 0 for others, unless these hardly change.
 """
 
 from collections.abc import Callable, Sequence
@@ -94,7 +94,7 @@ class SentDirections:
 
     @cached_property
     def acts(self) -> NDArray[np.complex128]:
-        """The field that acts from each time on, as complex numbers x + iy, shape (C,)."""
+        """The field from each time of a command until the next one, as x + iy, shape (C,)."""
         return np.asarray(self.strengths * np.exp(1j * self.angles), dtype=np.complex128)
 
     def at(self, times: Floats) -> NDArray[np.complex128]:
@@ -108,7 +108,7 @@ class SentDirections:
 
 @dataclass(frozen=True, slots=True)
 class DirectionReading:
-    """Directions that may have acted instead of the stated ones.
+    """Directions that may have acted instead of the directions in the file.
 
     Attributes:
         sent: The directions.

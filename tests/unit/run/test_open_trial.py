@@ -1,4 +1,4 @@
-"""A trial that a script steps is the trial of `sequence` with the directions sent."""
+"""Tests that a trial stepped by a script equals the trial of `sequence` with its directions."""
 
 import gc
 import math

@@ -1,4 +1,4 @@
-"""A stop that goes on: robots pause before a wall, and are planned for from standing."""
+"""Tests of stops during a trial: robots pause before a wall, and start again from standstill."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Each warning where it is due, with its number, and none where a spec is sound."""
+"""Tests that each warning about a spec appears with its number, and not for a sound spec."""
 
 import re
 from copy import deepcopy

@@ -1,4 +1,4 @@
-"""`lab check` practises control steps: a slow or busy computer is a problem before robots move."""
+"""Tests that `lab check` reports a slow or busy computer before robots move."""
 
 import pytest
 from testkit.running import QUICK

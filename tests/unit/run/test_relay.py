@@ -1,4 +1,4 @@
-"""The relay that passes a trial's events on to an observer in another thread."""
+"""Tests of passing a trial's events to an observer in another thread."""
 
 import threading
 from contextlib import closing

@@ -1,4 +1,4 @@
-"""Way-points and a hold: robots on wheels stand, others circle, and both are measured."""
+"""Tests of way-points and a hold, for robots on wheels that stand and for cells that circle."""
 
 from dataclasses import replace
 

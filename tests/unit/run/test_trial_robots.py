@@ -1,4 +1,4 @@
-"""A package can bring a rule by which each trial finds its robots."""
+"""Tests that a package can add a rule by which each trial finds its robots."""
 
 import pytest
 from testkit.marked_robots import MarkedRobots, install

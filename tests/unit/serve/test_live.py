@@ -1,4 +1,4 @@
-"""What a run that is served sends to viewers, and when."""
+"""Tests of what a served run sends to viewers, and when."""
 
 import pytest
 from testkit import random_trials

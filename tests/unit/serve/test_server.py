@@ -1,4 +1,4 @@
-"""The server of log viewers, read by a real client on a real socket."""
+"""Tests of the server for log viewers, with a real client on a real socket."""
 
 import json
 import socket

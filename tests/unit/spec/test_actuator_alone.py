@@ -1,4 +1,4 @@
-"""The actuator of a spec that is wrong elsewhere."""
+"""Tests of reading only the actuator of a spec that is wrong elsewhere."""
 
 import pytest
 

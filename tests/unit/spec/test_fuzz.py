@@ -1,4 +1,4 @@
-"""Whatever a file holds, loading it gives an experiment or one line a problem."""
+"""Tests that loading any file gives an experiment, or one line for each problem."""
 
 import copy
 

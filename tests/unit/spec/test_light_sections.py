@@ -1,4 +1,4 @@
-"""Specs are checked without compiled code or pictures: sections import those when they are used."""
+"""Tests that specs are checked without importing compiled code or image libraries."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""Specs: each problem is one line at its place, and what is loaded is what was written."""
+"""Tests of specs: each problem is one line at its place, and values are loaded as written."""
 
 import hashlib
 import itertools

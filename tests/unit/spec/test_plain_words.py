@@ -1,4 +1,4 @@
-"""Whatever pydantic may find wrong is said in tetractl's words, not in pydantic's."""
+"""Tests that errors from pydantic are reported in tetractl's words."""
 
 import pytest
 from testkit.schema_errors import without_words

@@ -1,4 +1,4 @@
-"""What we recommend is what the recommended controller does by default, in every spec of ours."""
+"""Tests that all our specs use the defaults of the recommended controller."""
 
 from functools import cache
 

@@ -1,4 +1,4 @@
-"""The shipped specs with a lab say of its devices what `tetractl init --lab` writes of them."""
+"""Tests that shipped lab specs describe devices in the same way as `tetractl init --lab`."""
 
 import pytest
 

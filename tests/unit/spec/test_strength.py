@@ -1,4 +1,4 @@
-"""The field's strength B, and turning rates a = alpha B."""
+"""Tests of the field's strength B, and of turning rates a = alpha B."""
 
 import pytest
 

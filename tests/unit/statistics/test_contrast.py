@@ -1,6 +1,6 @@
-"""Which of two batches is better, and when no verdict may be given.
+"""Tests of which of two batches is better, and of when no verdict is allowed.
 
-A difference is of mean total errors, the first group's less the second's: negative is "lower".
+A difference is the first group's mean total error minus the second's, so negative means "lower".
 """
 
 from dataclasses import replace

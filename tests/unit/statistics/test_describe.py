@@ -1,4 +1,4 @@
-"""What the figures of a batch are computed from, and which of its trials count."""
+"""Tests of which trials of a batch count, and of what its figures are computed from."""
 
 import math
 from dataclasses import replace

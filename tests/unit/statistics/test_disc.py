@@ -1,4 +1,4 @@
-"""The disc in which a robot is for 95 % of a hold, as a statistic with its interval."""
+"""Tests of the disc that holds a robot for 95 % of a hold, as a statistic with its interval."""
 
 import numpy as np
 import pytest

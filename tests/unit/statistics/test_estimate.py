@@ -1,4 +1,4 @@
-"""Means, tails and fractions with their intervals, against the standard library and SciPy."""
+"""Tests of means, tails and fractions with intervals, against the standard library and SciPy."""
 
 import math
 import statistics

@@ -1,4 +1,4 @@
-"""Robots that turn by themselves in one trial, unlike in the batch's other trials."""
+"""Tests of flagging robots that turn on their own in one trial of a batch, but not in others."""
 
 import io
 import re

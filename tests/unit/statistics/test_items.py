@@ -1,4 +1,4 @@
-"""The keys of JSON and the columns of CSV, which scripts rely on."""
+"""Tests of the keys of JSON and the columns of CSV, which users' scripts rely on."""
 
 import csv
 import io

@@ -1,4 +1,4 @@
-"""Tests of two means and of ranks, against SciPy, and what a number of trials can detect."""
+"""Tests of comparing two means or ranks, against SciPy, and of detectable differences."""
 
 import math
 

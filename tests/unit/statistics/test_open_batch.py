@@ -1,4 +1,4 @@
-"""Trials of studies, read from their logs: each once, whatever is in the folder."""
+"""Tests of reading the trials of studies from logs, each of them once."""
 
 import pytest
 from testkit.studies import FAILING, SMALL, run

@@ -1,4 +1,4 @@
-"""How near robots came to the edge, to obstacles and to one another, over the trials of a batch."""
+"""Tests of how near robots came to the edge, to obstacles and to one another in a batch."""
 
 from dataclasses import replace
 

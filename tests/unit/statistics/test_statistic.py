@@ -1,4 +1,4 @@
-"""Every kind of figure has one text, one brief text, and its items in JSON."""
+"""Tests that every kind of figure has a text, a short text, and items in JSON."""
 
 import numpy as np
 from testkit.batches import batch

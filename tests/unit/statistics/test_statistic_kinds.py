@@ -1,4 +1,4 @@
-"""A statistic of one's own is one function and one line, and is in every output."""
+"""Tests that a user's own statistic, one function and one line, is in every output."""
 
 import csv
 import io

@@ -1,4 +1,4 @@
-"""The tables and the summary of batches: as text, Markdown and LaTeX."""
+"""Tests of the tables and the summary of batches, as text, Markdown and LaTeX."""
 
 import io
 import re

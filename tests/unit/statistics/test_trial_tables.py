@@ -1,4 +1,4 @@
-"""The tables of one log, whose control steps are read as columns."""
+"""Tests of the tables of a single log, which read its control steps as columns."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The tables and figures of a study: errors by arm, and by each field that is swept."""
+"""Tests of the tables and figures of a study: errors by arm and by each swept field."""
 
 import csv
 from dataclasses import replace

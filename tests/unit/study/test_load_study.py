@@ -1,4 +1,4 @@
-"""Studies: their arms, and where problems of the study and of its base spec are reported."""
+"""Tests of studies: their arms, and the places of problems in a study or its base spec."""
 
 # ruff: noqa: E501 (the lines printed are long)
 

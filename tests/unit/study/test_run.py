@@ -1,4 +1,4 @@
-"""Runs of a study: which trials are run again, and what their logs and tables hold."""
+"""Tests of running a study: which trials are run again, and the contents of logs and tables."""
 
 import pickle
 import shutil

@@ -1,4 +1,4 @@
-"""The points of a study: grids, lists and draws from ranges."""
+"""Tests of the points of a study: grids, lists, and values sampled from ranges."""
 
 import numpy as np
 import pytest

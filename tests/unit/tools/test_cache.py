@@ -1,4 +1,4 @@
-"""The folder for compiled code: only this user's, or a new one."""
+"""Tests of the folder for compiled code, which only this user can write to."""
 
 import os
 import stat

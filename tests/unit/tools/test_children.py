@@ -1,4 +1,4 @@
-"""Child processes: what they import, and what of their words is shown."""
+"""Tests of child processes: their imports, and which of their output is shown."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""A reader of the output that ends early is no fault of the plug-in that prints."""
+"""Tests that a plug-in is not blamed if the reader of its output ends early."""
 
 import io
 

@@ -1,4 +1,4 @@
-"""Directions in degrees are distinguished from directions that count turns, by their steps."""
+"""Tests of distinguishing directions in degrees from directions that count turns."""
 
 from pathlib import Path
 

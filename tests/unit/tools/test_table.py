@@ -1,4 +1,4 @@
-"""A table and its writers: the same cells to a reader and to a program."""
+"""Tests of a table and its writers, which give people and programs the same cells."""
 
 import csv
 import io

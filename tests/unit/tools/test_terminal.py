@@ -1,4 +1,4 @@
-"""What counts as a terminal: a pseudo-terminal does, unless it belongs to a cell of a notebook."""
+"""Tests of what counts as a terminal: a pseudo-terminal does, except in a notebook cell."""
 
 import os
 import pty

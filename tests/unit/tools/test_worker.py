@@ -1,4 +1,4 @@
-"""The background worker: order, a full queue, failures, and the end."""
+"""Tests of the background worker: order, a full queue, failures, and the end."""
 
 import threading
 

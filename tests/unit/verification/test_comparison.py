@@ -1,4 +1,4 @@
-"""The comparison of a logged record with the same record computed again."""
+"""Tests of comparing a logged record with the same record computed again."""
 
 import math
 import struct

@@ -1,4 +1,4 @@
-"""What `verify` notices of a log tampered with in any channel, record or field."""
+"""Tests of what `verify` notices in a log that was changed in any channel, record or field."""
 
 import pytest
 from testkit.mutate import rewrite, rewritten, stating

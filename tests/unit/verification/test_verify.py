@@ -1,4 +1,4 @@
-"""`verify`: every kind of run comes out with the same bits, and no change goes unnoticed."""
+"""Tests that `verify` accepts every kind of run bit for bit, and notices every change."""
 
 import time
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What results show in a notebook, without `print` and without `%matplotlib inline`."""
+"""Tests of how results are displayed in a notebook, without `print` or `%matplotlib inline`."""
 
 import importlib
 import re

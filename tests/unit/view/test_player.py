@@ -1,4 +1,4 @@
-"""Replay: which keys move the time shown, and what a frame at that time shows."""
+"""Tests of replay: which keys change the shown time, and what a frame shows at this time."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Videos of a trial: their length, what moves in them, and what cannot be written."""
+"""Tests of videos of a trial: their length, their motion, and formats that cannot be written."""
 
 import shutil
 from dataclasses import replace

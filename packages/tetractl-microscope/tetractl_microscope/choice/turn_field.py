@@ -50,7 +50,7 @@ def turn_field(
 ) -> list[RobotCandidate]:
     """Rotate the field of a connected lab, and return the cells in view with their responses.
 
-    The field keeps rotating afterwards, even after an error, until the caller stops it.
+    Afterwards, the field keeps rotating until the caller stops it, even after an error.
 
     Args:
         rig: The connected lab.

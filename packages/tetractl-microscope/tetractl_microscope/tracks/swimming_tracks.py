@@ -122,10 +122,10 @@ def swimming_tracks(source: Path, tracks: Sequence[SpotTrack], with_field: bool)
 
 
 def stage_remarks(paths: Sequence[CellPath], field: FieldRecord | None = None) -> tuple[str, ...]:
-    """Return a warning if all cells move together, as what lies still does on a stage that moves.
+    """Return a warning if all cells move together, as objects do on a moving stage.
 
-    Cells without a field swim each its own way: the mean of their velocities is small. Those that
-    follow a field that turns about move together, but to no side for long.
+    Without a field, each cell swims in its own direction, so the mean of their velocities is small.
+    In a field that turns, cells move together, but never to one side for long.
     """
     velocities = np.array(
         [(p.places[-1] - p.places[0]) / (p.times[-1] - p.times[0]) for p in paths]
@@ -160,7 +160,7 @@ def _cells(names: Sequence[str]) -> str:
 
 
 def organism_by_speed(paths: Sequence[CellPath]) -> Organism:
-    """Return the organism whose speeds are most like the median one of cells."""
+    """Find the organism whose speed is most similar to the median speed of the cells."""
     speed_um_s = float(np.median([_speed_um_s(path) for path in paths]))
     log_speed = math.log(speed_um_s)
 

@@ -1,4 +1,4 @@
-"""A process that compiles the kernels and one that loads them compute the same bits."""
+"""Tests that a process that compiles kernels and one that loads them compute the same bits."""
 
 import os
 import platform

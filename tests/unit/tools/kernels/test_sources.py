@@ -1,4 +1,4 @@
-"""Code is compiled again once anything that it was compiled from has changed."""
+"""Tests that code is compiled again once its sources have changed."""
 
 import importlib
 import sys

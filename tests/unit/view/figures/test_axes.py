@@ -1,4 +1,4 @@
-"""Limits of logarithmic axes, and room for the names of categories."""
+"""Tests of the limits of logarithmic axes, and of space for the names of categories."""
 
 import matplotlib.pyplot as plt
 import numpy as np

@@ -1,4 +1,4 @@
-"""The figure of batches: a dot for each trial, and the distribution of their errors."""
+"""Tests of the figure of batches: a dot for each trial, and the distribution of errors."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""The figures of trials: what they show of a log, and that no text hides another."""
+"""Tests of the figures of trials: their contents, and that no text hides another."""
 
 from dataclasses import replace
 from inspect import cleandoc

@@ -1,4 +1,4 @@
-"""The arena drawn in characters: where robots lie, and signs for angles and numbers."""
+"""Tests of the arena in characters: where robots are drawn, and signs for angles and numbers."""
 
 import math
 

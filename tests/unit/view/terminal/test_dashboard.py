@@ -1,4 +1,4 @@
-"""The screen of a replay: what it shows at any size of terminal."""
+"""Tests of the screen of a replay at any size of the terminal."""
 
 import re
 from dataclasses import replace

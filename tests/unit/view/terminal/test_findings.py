@@ -1,4 +1,4 @@
-"""What a lab check prints, and what scripts read of it."""
+"""Tests of what a lab check prints, and of what scripts read from it."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What keys, the mouse and a file of keys ask the robots to do."""
+"""Tests of steering robots with keys, the mouse and a file of keys."""
 
 import math
 import threading

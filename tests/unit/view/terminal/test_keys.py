@@ -1,4 +1,4 @@
-"""Keys from bytes, and those that stop the robots."""
+"""Tests of decoding keys from bytes, and of the keys that stop the robots."""
 
 import os
 import sys

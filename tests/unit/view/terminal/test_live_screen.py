@@ -1,4 +1,4 @@
-"""What an operator sees while trials run: the live view, bars, and lines of progress."""
+"""Tests of what an operator sees during trials: the live view, bars, and lines of progress."""
 
 import io
 import re

@@ -72,7 +72,7 @@ def test_why_no_frame_is_used_follows_from_where_frames_come_from(sender, says, 
 @pytest.mark.parametrize(
     ("version", "reported", "hint"),
     [
-        ((2, 9), (3, 1), "leave lab.camera.version out"),
+        ((2, 9), (3, 1), "remove lab.camera.version"),
         ((3, 1), (3, 1), "in unicast"),
         ((99, 0), (99, 0), "lab.camera.transport to unicast"),
     ],
@@ -97,7 +97,7 @@ def test_an_axis_that_cannot_be_up_is_named(answer, says):
     assert says in diagnosis.no_up_axis(stream(up_answer=answer)).message
 
 
-@pytest.mark.parametrize(("unread", "says"), [(0, "does not answer when asked"), (2, "cannot be")])
+@pytest.mark.parametrize(("unread", "says"), [(0, "did not answer a request"), (2, "cannot be")])
 def test_bodies_whose_names_are_unknown_are_wanted_by_name(unread, says):
     asked = stream(
         counts=StreamCounts(unread_models=unread), robots=robots("green", 4), seen=(3, 4)

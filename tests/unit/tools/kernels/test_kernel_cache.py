@@ -4,6 +4,7 @@ import os
 import platform
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 from testkit.durable import small_disk
@@ -256,3 +257,31 @@ def test_another_python_compiles_afresh(tmp_path, monkeypatch):
     for tag, hits in (("cpython-311", 0), ("cpython-311", 1), ("cpython-313", 0)):
         monkeypatch.setattr(sys.implementation, "cache_tag", tag)
         assert loaded(tmp_path, monkeypatch) == hits
+
+
+def test_the_time_of_compiling_counts_once_in_the_whole_and_once_with_its_function(monkeypatch):
+    """`outer` compiles `first`, which compiles `inner`, and then `second`, each for some time."""
+    now_s = 0.0
+    monkeypatch.setattr(cache.time, "thread_time", lambda: now_s)
+    listener = cache._Compiling()
+
+    def compiling(name, own_s, *called):
+        nonlocal now_s
+        function = SimpleNamespace(__module__="m", __name__=name)
+        compiled = SimpleNamespace(data={"dispatcher": SimpleNamespace(py_func=function)})
+        listener.on_start(compiled)
+        now_s += own_s
+        for call in called:
+            compiling(*call)
+        listener.on_end(compiled)
+
+    monkeypatch.setattr(cache, "compiling", ())
+    compiling("outer", 1.0, ("first", 2.0, ("inner", 4.0)), ("second", 8.0))
+    now_s += 100.0  # nothing is compiled
+    compiling("inner", 16.0)
+    times = {name: (time.versions, time.own_s) for name, time in listener.times.items()}
+    assert times == {
+        "m.outer": (1, 1.0), "m.first": (1, 2.0), "m.inner": (2, 20.0), "m.second": (1, 8.0),
+    }  # fmt: skip
+    assert listener.spent_s == 31.0
+    assert listener.spent_s == sum(time.own_s for time in listener.times.values())

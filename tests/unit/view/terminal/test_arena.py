@@ -10,8 +10,9 @@ from rich.style import Style
 from testkit.trials import experiment, three_robots
 
 from tetractl.core.setup import Bounds
+from tetractl.model.shapes import Rectangle
 from tetractl.view.player import Moment, Recording
-from tetractl.view.terminal.arena import ACROSS, DOWN, Canvas, Projection, draw
+from tetractl.view.terminal.arena import ACROSS, DOWN, Canvas, Projection, _filling, draw
 from tetractl.view.terminal.glyphs import arrow, sparkline
 
 pytestmark = pytest.mark.slow
@@ -123,3 +124,31 @@ def test_a_sparkline_scales_from_zero_and_leaves_the_rest_open():
     assert line.plain == "█▅▁···"
     assert sparkline([100, 10, 1], 3, log=True).plain == "█▅▁"
     assert sparkline([], 4).plain == "····"
+
+
+@given(arenas, st.integers(20, 60), st.integers(8, 30), shares, shares, shares, shares)
+def test_an_obstacle_fills_its_part_of_the_arena(arena, width, height, x, y, wide, high):
+    """Each dot whose middle is inside of both, in arenas of any proportions and any place."""
+    view = Projection.fit(arena, width, height)
+    rectangle = Rectangle(
+        type="rectangle",
+        left=arena.left + (1.4 * x - 0.4) * arena.width,
+        bottom=arena.bottom + (1.4 * y - 0.4) * arena.height,
+        width=max(wide, 0.01) * arena.width,
+        height=max(high, 0.01) * arena.height,
+    )
+    shape = rectangle.shape()
+    columns, rows = view.dots(_filling(shape, view))
+    drawn = set(zip(columns.tolist(), rows.tolist(), strict=True))
+    centres_x = np.arange(math.floor(arena.width / view.scale) + 1) * view.scale + arena.left
+    down = np.arange(math.floor(arena.height / view.scale) + 1)
+    centres_y = arena.top - down * view.scale
+    margin = 0.6 * view.scale
+    in_x = (centres_x > rectangle.left + margin) & (
+        centres_x < rectangle.left + rectangle.width - margin
+    )
+    in_y = (centres_y > rectangle.bottom + margin) & (
+        centres_y < rectangle.bottom + rectangle.height - margin
+    )
+    inner = {(c, r) for c in np.flatnonzero(in_x).tolist() for r in np.flatnonzero(in_y).tolist()}
+    assert inner <= drawn

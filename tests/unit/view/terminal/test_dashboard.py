@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from testkit.random_trials import experiment
 from testkit.terminal import console as terminal
 from testkit.trials import three_robots
 
@@ -13,8 +14,8 @@ from tetractl.core.commands import Stop
 from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Outcome, State
 from tetractl.core.trial import Note
-from tetractl.view.player import Player, Recording, span
-from tetractl.view.terminal.dashboard import _end_lines
+from tetractl.view.player import Moment, Player, Recording, span
+from tetractl.view.terminal.dashboard import Dashboard, Footer, _end_lines
 from tetractl.view.terminal.replay_screen import dashboard, step_line
 from tetractl.view.terminal.screen import shows_pictures
 
@@ -151,3 +152,33 @@ def test_only_what_went_wrong_at_the_end_is_red(outcome, touched):
         "bold red" if outcome is Outcome.ABORTED else ""
     }
     assert (lines[-1].plain == "a robot entered an obstacle") == touched
+
+
+def of_distances(distances):
+    """A moment at which robots are this far from their targets."""
+    setup = experiment(len(distances)).setup
+    poses = np.zeros((len(distances), 3))
+    poses[:, :2] = setup.targets + np.column_stack([distances, np.zeros(len(distances))])
+    trail = poses[None, :, :2]
+    return Moment(setup, 1.0, None, poses, trail, None, np.zeros(0), 0, None)
+
+
+@pytest.mark.parametrize("height", [14, 16, 18, 40])
+@pytest.mark.parametrize(
+    "distances",
+    [
+        (200.0, 300.0, 400.0, 500.0, 600.0, 700.0),
+        (700.0, 600.0, 500.0, 400.0, 300.0, 200.0),
+        (200.0, 300.0, 900.0, 400.0, 800.0, 300.0),
+    ],
+)
+def test_robots_for_which_there_is_no_line_are_described_together(distances, height):
+    """By their number and the largest distance of these, not of those that are listed."""
+    view = Dashboard(of_distances(np.array(distances)), "t", Footer("", 0.5, ""))
+    _, *lines = (line.plain for line in view._robots(60, height))
+    listed = [line for line in lines if "robot " in line]
+    for line, distance in zip(listed, distances, strict=False):
+        assert f"{distance:.1f}" in line
+    others = distances[len(listed) :]
+    described = [f"and {len(others)} more, at most {max(others):.0f}"] if others else []
+    assert lines[len(listed) :] == described

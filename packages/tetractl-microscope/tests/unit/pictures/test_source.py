@@ -277,3 +277,33 @@ def test_a_camera_that_is_not_there_is_said_once(capfd):
             VirtualClock(), 1.0
         )
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("field", "accepted", "refused"),
+    [
+        ("index", (0, 1, 63), (-1, 64)),
+        ("gain", (None, 0, 0.5, 255), (-0.1,)),
+        ("exposure", (None, 0.1, 5000), (0, -1)),
+        ("rate", (0.1, 30, 1000), (0, -5)),
+    ],
+)
+def test_settings_of_a_device_are_taken_up_to_their_bounds(field, accepted, refused):
+    """A gain of 0 is what most cameras have as their least."""
+    for value in accepted:
+        assert getattr(DeviceSource(**{"type": "device", field: value}), field) == value
+    for value in refused:
+        with pytest.raises(ValidationError, match=field):
+            DeviceSource(**{"type": "device", field: value})
+
+
+@pytest.mark.parametrize(
+    ("field", "accepted", "refused"), [("latency", (0, 0.5), (-0.1,)), ("connect", (0.1,), (0, -1))]
+)
+def test_times_of_a_section_are_taken_up_to_their_bounds(field, accepted, refused):
+    check = TypeAdapter(Annotated[float, PictureSection.model_fields[field]])
+    for value in accepted:
+        assert check.validate_python(value) == value
+    for value in refused:
+        with pytest.raises(ValidationError):
+            check.validate_python(value)

@@ -126,29 +126,35 @@ def test_a_sparkline_scales_from_zero_and_leaves_the_rest_open():
     assert sparkline([], 4).plain == "····"
 
 
-@given(arenas, st.integers(20, 60), st.integers(8, 30), shares, shares, shares, shares)
-def test_an_obstacle_fills_its_part_of_the_arena(arena, width, height, x, y, wide, high):
-    """Each dot whose middle is inside of both, in arenas of any proportions and any place."""
-    view = Projection.fit(arena, width, height)
+@pytest.mark.parametrize(
+    "arena",
+    [
+        arena_of(0, 0, 1000, 1000),
+        arena_of(-900, 0, 500, 2000),
+        arena_of(5000, -300, 1600, 700),
+        arena_of(-3, -8, 2, 1),
+        arena_of(-4e3, 6e3, 3e3, 2e3),
+    ],
+)
+@given(shares, shares, st.floats(0.1, 1), st.floats(0.1, 1))
+def test_an_obstacle_fills_its_part_of_the_arena(arena, x, y, wide, high):
+    """Each dot whose middle is inside of both, wherever the arena lies; part may be outside."""
+    view = Projection.fit(arena, 40, 20)
     rectangle = Rectangle(
         type="rectangle",
         left=arena.left + (1.4 * x - 0.4) * arena.width,
         bottom=arena.bottom + (1.4 * y - 0.4) * arena.height,
-        width=max(wide, 0.01) * arena.width,
-        height=max(high, 0.01) * arena.height,
+        width=wide * arena.width,
+        height=high * arena.height,
     )
-    shape = rectangle.shape()
-    columns, rows = view.dots(_filling(shape, view))
+    columns, rows = view.dots(_filling(rectangle.shape(), view))
     drawn = set(zip(columns.tolist(), rows.tolist(), strict=True))
-    centres_x = np.arange(math.floor(arena.width / view.scale) + 1) * view.scale + arena.left
-    down = np.arange(math.floor(arena.height / view.scale) + 1)
-    centres_y = arena.top - down * view.scale
     margin = 0.6 * view.scale
-    in_x = (centres_x > rectangle.left + margin) & (
-        centres_x < rectangle.left + rectangle.width - margin
-    )
-    in_y = (centres_y > rectangle.bottom + margin) & (
-        centres_y < rectangle.bottom + rectangle.height - margin
+    centres_x = np.arange(arena.left, arena.right, view.scale)
+    centres_y = np.arange(arena.top, arena.bottom, -view.scale)
+    in_x = np.abs(centres_x - rectangle.left - rectangle.width / 2) < rectangle.width / 2 - margin
+    in_y = np.abs(centres_y - rectangle.bottom - rectangle.height / 2) < (
+        rectangle.height / 2 - margin
     )
     inner = {(c, r) for c in np.flatnonzero(in_x).tolist() for r in np.flatnonzero(in_y).tolist()}
     assert inner <= drawn

@@ -18,7 +18,7 @@ class HearsDirections(Protocol):
     """A camera that is notified of each transmission, to identify robots by their response."""
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
-        """Record that a common direction u [rad] was sent, or None if the field was switched off.
+        """Take note that a common direction u [rad] was sent. None if the field was switched off.
 
         The thread of the inner loop calls this, with the time of sending.
         """

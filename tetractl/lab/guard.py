@@ -652,7 +652,7 @@ class Guard:
                         self._robots[i].ghost = finding.text
 
     def _warn_once(self, text: str) -> None:
-        """Add a warning, unless the same one was given before."""
+        """Add a warning of the guard, unless the same one was given before."""
         if text not in self._warned:
             self._warned.add(text)
             self._warnings.append(text)

@@ -274,7 +274,7 @@ class MotionCheck(GuardCheck):
         self._times = times
 
     def _integrate(self, robots: slice | list[int], since_ns: int, until_ns: int) -> None:
-        """Integrate the bounds of some robots' motion between the times of two poses."""
+        """Add up how far commands allow some robots to move between the times of two poses."""
         bounds = self._bounds_between(since_ns, until_ns)[:, robots]
         self._bounds[:, robots] = bounds
         self._since_rest.integrals[:, robots] += bounds * ((until_ns - since_ns) / SECOND)

@@ -1,4 +1,4 @@
-"""Compile the functions that the controller of a spec runs."""
+"""Compile the functions that the controller of a spec needs, before a trial starts."""
 
 import gc
 import time

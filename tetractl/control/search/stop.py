@@ -15,7 +15,7 @@ WINDOW = 10
 
 
 class PaperStop(Model):
-    """Stop when the search has converged by the paper's equation (20), as printed.
+    """The stop criterion of a search by the paper's equation (20), as printed.
 
     The criterion compares logarithms of lengths, so it depends on the length unit.
     """
@@ -24,13 +24,16 @@ class PaperStop(Model):
 
 
 class RelativeStop(Model):
-    """Stop when the best cost has fallen by less than 1 % over ten iterations."""
+    """A criterion that stops a search if the best cost fell by under 1 % over ten iterations."""
 
     type: Literal["relative"]
 
 
 class TargetStop(Model):
-    """Stop as soon as the best cost J is at or below `cost` (in the spec's length unit)."""
+    """A criterion that stops a search as soon as the best cost J is at most `cost`.
+
+    `cost` is in the spec's length unit.
+    """
 
     type: Literal["target"]
     cost: Positive

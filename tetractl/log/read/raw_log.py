@@ -118,7 +118,7 @@ class RawLog:
         return run
 
     def _without_run(self) -> LogError:
-        """Create the error for a file that does not contain the record of a run."""
+        """Create the error for a log that lacks the record which identifies its trial."""
         if self.has_loose_messages:
             return LogError(
                 f"{self.path}: another program has rewritten this log without chunks, so its "

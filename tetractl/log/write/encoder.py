@@ -171,7 +171,7 @@ class Encoder:
             self._add(channels.TRANSFORMS, transform, first_received_ns, first_sampled_ns)
 
     def on_command(self, command: Command) -> None:
-        """Add a command sent outside the control steps."""
+        """Add a command that was sent outside the control steps to the log."""
         self._add(channels.COMMANDS, codec.encode_command(command), command.sent_ns)
 
     def on_note(self, note: Note) -> None:

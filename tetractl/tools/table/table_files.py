@@ -181,7 +181,10 @@ def json_text(value: Any, indent: int | None = 2) -> str:
 
 
 def plain(value: Any) -> Any:
-    """Convert data to dictionaries, lists, texts and finite numbers. Other numbers become None."""
+    """Convert data to what JSON can express: dictionaries, lists, texts and finite numbers.
+
+    Other numbers become None.
+    """
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
     if isinstance(value, Array):

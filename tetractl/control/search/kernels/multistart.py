@@ -238,7 +238,7 @@ def _scatter(task, rounds):
     """Generate the random sequences of the next round, and take the best of them as starts.
 
     Returns:
-        Whether the search has ended instead.
+        Whether the search has ended, so that no round was begun.
     """
     state = rounds.state
     signals = rounds.scattered

@@ -44,7 +44,7 @@ def test_no_text_hides_another_and_the_plant_is_named(log):
 def test_what_has_no_swarm_is_told(log):
     with pytest.raises(LogError, match="contains no"):
         draw("swarm", [cut_short(log, 0)])
-    with pytest.raises(UsageError, match="one trial"):
+    with pytest.raises(UsageError, match="a single trial"):
         draw("swarm", [log, log])
     other = experiment(controller={"optimizer": {"type": "multistart"}})
     with pytest.raises(LogError, match="its optimiser is multistart"):

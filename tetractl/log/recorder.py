@@ -6,7 +6,12 @@ from tetractl.core.commands import Command
 from tetractl.core.poses import PICTURE, Frames, Sample
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import Note, Result, Start, Step
-from tetractl.log.format.messages import TrackingNotes, end_note, start_note, undelivered_notes
+from tetractl.log.format.derived_messages import (
+    TrackingNotes,
+    end_note,
+    start_note,
+    undelivered_notes,
+)
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.spec.load import parse_written
 

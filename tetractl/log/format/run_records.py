@@ -11,7 +11,7 @@ from tetractl.core.poses import Poses
 from tetractl.core.trial import Result, Start, Verdict
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import FORMAT_VERSION, TEXT
-from tetractl.log.format.messages import outcome_from_log, outcome_to_log
+from tetractl.log.format.derived_messages import outcome_from_log, outcome_to_log
 
 
 def encode_facts(facts: Mapping[str, str]) -> Iterable[pb.Fact]:

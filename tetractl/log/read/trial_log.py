@@ -14,7 +14,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
 from tetractl.core.shown import Shown
 from tetractl.core.trial import EMULATED_DEVICES, EMULATED_PLANT, PlantInfo, Result, TrialRecords
-from tetractl.log.format.messages import outcome_from_log
+from tetractl.log.format.derived_messages import outcome_from_log
 from tetractl.spec.experiment import Experiment
 from tetractl.spec.loaded_spec import LoadedSpec
 

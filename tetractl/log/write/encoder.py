@@ -30,7 +30,7 @@ from tetractl.core.trial import Note, Result, Start, Step
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec, layout
 from tetractl.log.format.channels import Entry, Record
-from tetractl.log.format.messages import (
+from tetractl.log.format.derived_messages import (
     TrackingNotes,
     end_note,
     start_note,

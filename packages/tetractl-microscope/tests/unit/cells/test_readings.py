@@ -163,3 +163,13 @@ def test_a_size_follows_usual_blobs_slowly_and_others_not_at_all():
         tracked = cell()
         note_own_reading(BlobReading(tracked, newest, (0, 0, 0), (1, 1, 1)))
         assert tracked.size == (LONG_UM, WIDE_UM)
+
+
+@pytest.mark.parametrize("is_first_large", [True, False])
+def test_a_large_cell_may_hide_a_small_one(is_first_large):
+    cells = [cell(), cell()]
+    cells[is_first_large].size = BodySize(LONG_UM / 2, WIDE_UM / 2)
+    points = pixels((X_UM - 25, X_UM + 25), (Y_UM - 12, Y_UM + 12))
+    expected = np.array([[X_UM + 10, Y_UM, 0.1], [X_UM - 10, Y_UM, -0.2]])
+    for reading in shared_readings(cells, blob(), expected, picture(points), LONG_UM):
+        assert reading.deviations[0] == pytest.approx(HIDDEN.position * LONG_UM)

@@ -1,10 +1,13 @@
 """Defaults of the recommended controller that follow from the spec, and its prior's units."""
 
+from dataclasses import replace
+
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tetractl.core.poses import Sight
 from tetractl.spec.load import parse_contents
 
 ROBOTS = [
@@ -93,6 +96,17 @@ def test_the_prior_has_the_lengths_of_the_spec_in_its_unit():
     assert first.spread[2] == second.spread[2]
     assert first.helix_frequency == second.helix_frequency
     assert first.side_std == 0
+
+
+@pytest.mark.parametrize(("unit", "in_unit"), [("mm", 1), ("um", 1000), ("cm", 0.1)])
+def test_the_precision_of_a_camera_is_in_the_unit_of_the_spec(unit, in_unit):
+    experiment = loaded(units={"length": unit})
+    sight = Sight(grid_mm=4.0, grid_rad=0.1, noise_mm=2.0, noise_rad=0.05)
+    x, y, heading = experiment.controller.known(replace(experiment.setup, sight=sight)).spread
+    x_mm, y_mm, heading_rad = sight.spread
+    assert x_mm > 0
+    assert (x, y) == pytest.approx((x_mm * in_unit, y_mm * in_unit))
+    assert heading == heading_rad
 
 
 def test_cells_that_may_rest_are_attempted_for_at_most_half_the_time():

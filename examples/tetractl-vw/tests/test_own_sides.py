@@ -136,7 +136,11 @@ def test_a_camera_that_sends_unasked_is_heard_and_emulated(free):
     [
         ("watchdog: 0.25", "watchdog: 0.5", "stop after 0.25 s without a command"),
         ("type: vw", "type: vw\n    rate: 11", "for three commands within 0.25 s"),
-        ("speed: 200", "speed: 600", "speed_max_mm_s: is below the speed of blue, 600 mm/s"),
+        (
+            "speed: 200",
+            "speed: 600",
+            "speed_max_mm_s: is below the speed of blue, which is 600 mm/s",
+        ),
         ("udp://127.0.0.1:9801", "udp://:9801", "must be udp://HOST:PORT"),
         ("udp://127.0.0.1:9802", "udp://127.0.0.1:9801", "is also the value of green"),
     ],

@@ -441,7 +441,9 @@ def test_a_noisy_camera_that_repeats_its_last_frame_is_frozen_whatever_is_comman
     assert moving[6] == (False, False)  # 56 ms: as robots that are not tracked
     course.frames(UNTIL_LOST, frozen)
     assert course.guard.state is GuardState.ABORT
-    assert course.guard.reason.startswith("green is not tracked: the frame repeats the one before")
+    assert course.guard.reason.startswith(
+        "green is not tracked: the frame repeats the previous frame"
+    )
 
 
 def test_a_noisy_camera_that_froze_before_the_run_lets_no_robot_drive():

@@ -174,7 +174,7 @@ def test_that_no_stop_could_be_sent_next_to_another_program_is_said(port, hold):
         raise AbortError("the radio is stuck")
 
     with pytest.raises(
-        AbortError, match="can be ended; the stops failed as well: the radio is stuck"
+        AbortError, match="so it is not ended; the stops failed as well: the radio is stuck"
     ):
         stop_beside(port, refused, lambda line: None)
 

@@ -45,7 +45,7 @@ robots.2.heading <- robots.red.heading=90
 robots.2.heading <- robots.red.heading=-7
   6.283 rad | write -0.1222
 robots.0.a <- robots.green.a=360
-  360 rad/s: .* within 0.0083 s | write 6.283
+  360 rad/s, .* within 0.0083 s | write 6.283
 wheels.radius <- units.length=cm
   0.8 m apart | is the length unit units.length, cm, right
 robots.1.a <- robots.blue.a=6
@@ -174,7 +174,7 @@ robots:
 def test_robots_at_one_place_are_told():
     warnings = list(map(str, find_warnings(parse_spec(SAME, "s"))))
     of_places = [line for line in warnings if "stand there" in line]
-    assert [line.partition(": both")[0] for line in of_places] == [
+    assert [line.partition(", so that")[0] for line in of_places] == [
         "s:7:26: robots.2.start: [10, 10]: is 0 mm from the start of one",
         "s:7:44: robots.2.target: [90, 90]: is 0 mm from the target of one",
     ]
@@ -248,7 +248,7 @@ def test_targets_where_bodies_might_touch_are_told(y, told):
     sets = (*BODIES, f"robots.blue.target=[1700, {y}]")
     warnings = [w for w in found(THREE, *sets).values() if "might touch" in w.message]
     assert [w.field for w in warnings] == ["robots.1.target"] * told
-    assert all(" led to places 109 mm apart" in w.message for w in warnings)
+    assert all(" the two robots to places 109 mm apart" in w.message for w in warnings)
 
 
 @pytest.mark.parametrize(("x", "fits"), [(1419, False), (1420, True)])

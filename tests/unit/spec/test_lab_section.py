@@ -81,11 +81,11 @@ LABS = """
 wheels=null
   lab.actuator.robots.0.radius_mm: is missing; add it, or add 'wheels:
 lab.camera.robots.red.name=rod
-  lab.camera.robots: has no red
+  lab.camera.robots: has no entry for red
 lab.camera.robots.red.name=rod
   robots.2.name: rod: is not a robot of the spec
 lab.actuator.robots.red.name=rod
-  lab.actuator.robots: has no red
+  lab.actuator.robots: has no entry for red
 lab.camera.robots.2.body=green
   robots.2.body: green: is also the value of green; the values must differ
 lab.actuator.robots.2.index=0
@@ -167,5 +167,5 @@ def test_a_calibration_that_never_ends_is_not_read(tmp_path):
     os.mkfifo(tmp_path / "m.yaml")
     (tmp_path / "spec.yaml").write_text(SPEC.read_text())
     loaded = load_spec(tmp_path / "spec.yaml", ["lab.calibration=m.yaml"])
-    with pytest.raises(SpecError, match=r"m.yaml: this is not a regular file"):
+    with pytest.raises(SpecError, match=r"m.yaml: is not a regular file"):
         on_plant(loaded, "lab")

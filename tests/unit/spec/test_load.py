@@ -133,7 +133,7 @@ left: 40 -> left: 140
 center: [60, 20] -> center: [104, 104]
   s.yaml:8:5: obstacles.1: is entirely outside the arena, which is x 0 to 100, y 0 to 100
 name: two -> name: one
-  s.yaml:5:12: robots.1.name: one: robots.0 ; names must differ
+  s.yaml:5:12: robots.1.name: one: is already the name of robots.0; names must differ
 type: target, cost: 5 -> type: 3
   stop.type: 3: must be one of paper, relative
 {type: target, cost: 5} -> paper
@@ -205,7 +205,7 @@ robots
 controller.horizon_max=1e22
   1e22: must be a whole number
 a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a=1
-  the path has more than 32 steps
+  the path has more than 32 parts
 controller..period=5
   controller: a part of the path is empty
 trials={count: 1
@@ -233,7 +233,7 @@ def test_problems_of_settings_name_the_setting(setting, line):
     [
         (
             "controller.period=1e6",
-            "gives 1.92e+09 poses in each control period of 1e+06 s; at most 2e+06 are allowed",
+            "gives 1.92e+09 poses in each control period of 1e+06 s, but at most 2e+06 are allowed",
         ),
         (
             "controller.optimizer={type: pso, particles: 1000000}",

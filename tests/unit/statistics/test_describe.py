@@ -172,7 +172,9 @@ def test_only_real_robots_are_compared_with_a_published_result(plant, origin, co
 def test_a_lab_and_its_emulation_are_no_batch():
     trials = batch(ERRORS[:2])
     mixed = [replace(trials[0], origin=Origin.LAB), replace(trials[1], origin=Origin.EMULATED)]
-    with pytest.raises(UsageError, match=r"from the lab, trial-001\.mcap from the emulated lab"):
+    with pytest.raises(
+        UsageError, match=r"from the lab, but trial-001\.mcap from the emulated lab"
+    ):
         group(mixed)
 
 

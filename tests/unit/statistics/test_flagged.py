@@ -61,7 +61,9 @@ def test_a_robot_that_turns_by_itself_has_no_confirmed_heading():
     """Regression: a pose that turned slowly while its robot drove passed without a word."""
     trial = turning_by(0.03, -0.1, 0.0)
     (text,) = unconfirmed_headings([trial])[trial.log]
-    assert text.startswith("heading of blue not confirmed: it turned by -0.10 rad/s by itself")
+    assert text.startswith(
+        "the heading of blue is not confirmed: it turned by -0.10 rad/s on its own"
+    )
     setup = trial.experiment.setup
     drove_mm = setup.speed[1] * setup.metres * 1000 * trial.result.duration_s
     assert text.endswith(f"up to {0.1 * trial.result.duration_s * drove_mm / 2:.0f} mm off")

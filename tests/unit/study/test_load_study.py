@@ -81,7 +81,7 @@ def test_settings_replace_values_of_every_arm_last(tmp_path):
         (HEAD + "sweep: {type: list, points: [{robots.s.a: 1}]}\n", ["study.yaml:3:43: sweep.points.0.robots.s.a: robots: has no entry 's'; its entries are 0 to 0 or r"]),
         (HEAD + "controllers: {a: {controller.horizon_max: many}}\n", ["study.yaml:3:43: controllers.a.controller.horizon_max: \"many\": must be a whole number"]),
         (HEAD + "sweep: {type: grid, fields: {trials.seed: [1, 2]}}\n", ["study.yaml:3:44: sweep.fields.trials.seed.0: cannot be swept; set count and seed in the study's 'trials:'", "study.yaml:3:47: sweep.fields.trials.seed.1: cannot be swept; set count and seed in the study's 'trials:'"]),
-        (HEAD + "sweep: {type: grid, fields: {plant.dead_time: [0, 0.0]}}\n", ["study.yaml:3:8: sweep: gives the arm dead_time=0 twice, once as dead_time=0; keep one"]),
+        (HEAD + "sweep: {type: grid, fields: {plant.dead_time: [0, 0.0]}}\n", ["study.yaml:3:8: sweep: gives the arm dead_time=0 twice, the second time as dead_time=0; remove one of them"]),
         (HEAD + "sweep: {type: grid, fields: {units.length: [mm, um]}}\n", ["study.yaml:3:8: sweep: has arms in mm and um, but all arms must have the same length unit"]),
         (HEAD + "trials: {count: 0}\n", ["study.yaml:3:17: trials.count: 0: must be at least 1"]),
     ],

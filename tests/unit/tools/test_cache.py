@@ -77,7 +77,7 @@ def test_a_file_to_which_others_can_write_is_not_read(tmp_path):
     file = tmp_path / "code.kernel"
     file.write_bytes(b"code")
     file.chmod(0o646)
-    with pytest.raises(PermissionError, match="others can write"):
+    with pytest.raises(PermissionError, match="other users can write"):
         read_own(file)
     file.chmod(0o600)
     assert read_own(file) == b"code"

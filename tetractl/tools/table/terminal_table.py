@@ -73,7 +73,7 @@ def _print(table: Table, console: "Console") -> None:
     console.print(drawn)
     headings = {column.heading for column in fitted.columns}
     left_out = [column.heading for column in table.columns if column.heading not in headings]
-    notes = [f"the terminal is too narrow for: {', '.join(left_out)}"] if left_out else []
+    notes = [f"too narrow for: {', '.join(left_out)}"] if left_out else []
     for line in [*notes, *table.note.splitlines()]:
         console.print(Text(printable(line)), soft_wrap=not console.is_terminal)
     console.print()

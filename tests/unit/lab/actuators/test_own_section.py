@@ -27,7 +27,7 @@ def section(speed_max_mm_s):
     ("speed_mm_s", "problems"),
     [
         (400.0, []),
-        (600.0, [(("speed_max_mm_s",), "is below the speed of blue, 600 mm/s")]),
+        (600.0, [(("speed_max_mm_s",), "is below the speed of blue, which is 600 mm/s")]),
     ],
 )
 def test_a_robot_that_is_faster_than_its_wheels_are_driven_is_refused(speed_mm_s, problems):

@@ -58,9 +58,9 @@ def test_a_server_at_another_address_is_named_if_one_answers():
 @pytest.mark.parametrize(
     ("sender", "says", "hint"),
     [
-        (None, "no frames come (2 s)", "multicast"),
+        (None, "no frames came within 2 s", "multicast"),
         (ELSEWHERE, "from another address: 5 frames", "lab.camera.server to 10.0.0.9"),
-        (SAME_HOST, "from another port than the one it reports, 1511", "data port to 1999"),
+        (SAME_HOST, "from the port that it reports, 1511", "data port to 1999"),
     ],
 )
 def test_why_no_frame_is_used_follows_from_where_frames_come_from(sender, says, hint):
@@ -137,7 +137,7 @@ def missing_of(*wanted, seen, complete=True):
 def test_only_a_robot_whose_body_is_not_streamed_is_named():
     assert missing_of("green", "blue", seen=(1, 2)) == []
     (line,) = missing_of("green", "blue", seen=(2,))
-    assert "do not stream the rigid body 'green', wanted for robot green" in line
+    assert "do not stream the rigid body 'green' for robot green" in line
 
 
 def test_an_unknown_body_is_named_with_the_most_similar_one_that_is_free():
@@ -145,7 +145,7 @@ def test_an_unknown_body_is_named_with_the_most_similar_one_that_is_free():
     assert "know no rigid body 'gren'" in line
     assert "green" in line.partition("they have")[0]
     (line,) = missing_of(7, seen=(1, 2))
-    assert "know no rigid body of id 7, wanted for robot 7; the nearest id is 2" in line
+    assert "know no rigid body with id 7 for robot 7; the nearest id is 2" in line
     (line,) = missing_of(7, seen=())
     assert "nearest" not in line
 

@@ -25,14 +25,14 @@ USAGE = r"""
 run study.yaml | study.yaml: this is a study, not a spec | run it with: tetractl study study.yaml
 study spec.yaml | spec.yaml: is a spec, not a study | run it with: tetractl run spec.yaml; a study
 replay spec.yaml | spec.yaml: this is not a log (*.mcap) | run it with: tetractl run spec.yaml
-stats out/trials.csv | out/trials.csv: this is not a log (*.mcap) | name the folder: out
-report out/trials.csv | out/trials.csv: this is not a log (*.mcap) | name the folder: out
+stats out/trials.csv | out/trials.csv: this is not a log (*.mcap) | name the folder instead: out
+report out/trials.csv | out/trials.csv: this is not a log (*.mcap) | name the folder instead: out
 replay picture.png | picture.png: this is not a log (*.mcap)
 replay logs/figure.png | not a log (*.mcap) | name the log of a trial, such as logs/trial-0
 run | SPEC
 run nowhere.yaml | nowhere.yaml: there is no such file
 run spec.yml | spec.yml: there is no such file; did you mean 'spec.yaml'?
-run . | .: this is a folder, but a file is needed
+run . | .: is a folder
 run empty.yaml | empty.yaml: is empty
 run binary.yaml | binary.yaml: is a binary file
 run wrong.yaml | wrong.yaml:3:
@@ -61,13 +61,13 @@ rerun LOG --seed 3 | No such option
 study circular.yaml | circular.yaml:2:7: base: circular.yaml: is a study, but the base
 study of-a-study.yaml | of-a-study.yaml:2:7: base: study.yaml: is a study, but the base
 stats nowhere | nowhere: there is no such file or folder
-stats empty | empty: no logs
-stats '' | an argument of the command is empty | a shell variable that is not set?
-export logs -o '' | an argument of the command is empty | a shell variable that is not set?
+stats empty | empty: this folder contains no logs
+stats '' | an argument of the command is empty | does the command use a shell variable
+export logs -o '' | an argument of the command is empty | does the command use a shell variable
 stats '*.nothing' | no log matches this pattern
 stats logs --plot batch.gif | batch.gif: cannot write '.gif' pictures
 stats out --format yaml | 'yaml' is not one of 'table', 'json' | try
-stats out/dead_time=0 --against out | out: holds 2 batches
+stats out/dead_time=0 --against out | out: this folder holds 2 batches
 info logs | logs: 3 logs | name one of its logs, such as logs/trial-000.mcap
 report logs -o empty | empty: this is a folder, but | name a file in this folder
 report logs -o no/where.html | no/where.html: the folder no
@@ -85,7 +85,7 @@ plot LOG -o folder.png | folder.png: this is a folder, but | name a file in this
 plot LOG --kind video -o folder.gif | folder.gif: this is a folder, but | name a file in this folder
 plot LOG -o nowhere/a.png | nowhere/a.png: the folder nowhere
 plot LOG --kind pie | there is no figure named 'pie'
-plot logs --kind over-time | shows one trial, not 3
+plot logs --kind over-time | shows a single trial, but 3
 plot logs --kind video | a video shows a single trial, but 3
 plot LOG --kind video -o video.avi | video.avi: cannot write '.avi' videos
 export logs -o x.csv | a single file can hold only one table
@@ -104,8 +104,8 @@ kinds --set x=1 | --set and --spec can be used only together with --check
 lab stop | give either a spec or --port, and only one of them
 lab stop --port x --baud 7 | --baud
 lab check spec.yaml | has no lab
-lab check lab.yaml --plant sim | this plant has no camera and | choose --plant lab or
-lab calibrate lab.yaml --plant sim | this plant has no camera and | choose --plant lab or
+lab check lab.yaml --plant sim | this plant has no camera and | choose --plant lab
+lab calibrate lab.yaml --plant sim | this plant has no camera and | choose --plant lab
 lab calibrate lab.yaml --yes -o no/found.yaml | no/found.yaml: the folder no
 lab calibrate lab.yaml | robots would move
 lab calibrate lab.yaml --robot pink --yes | has no robot with this name
@@ -120,7 +120,7 @@ schema -o no/such/new.json | no/such/new.json: there is no such file or folder
 FAILED = """
 info noise.mcap | noise.mcap: this is not an MCAP file
 recover noise.mcap | noise.mcap: this is not an MCAP file
-stats noise.mcap | none of 1 logs can be read
+stats noise.mcap | none of its 1 logs can be read
 report noise.mcap | none of the logs can be read: noise.mcap: this is not an MCAP file
 lab stop --port empty | empty: this is not a serial port
 lab stop --port spec.yaml | spec.yaml: this is not a serial port

@@ -244,7 +244,7 @@ def refusals():
         if kind != "trajectory":
             yield kind, lambda log: [cut_short(log, 0)], LogError, "contains no"
     for kind in ALONE:
-        yield kind, lambda log: [log, log], UsageError, "one trial"
+        yield kind, lambda log: [log, log], UsageError, "single trial"
     for kind in ("trajectory", "errors"):
         yield kind, lambda log: [log, other(log, obstacles=[])], UsageError, "different experiments"
     yield "errors", arms, UsageError, "there are 13 folders, but this figure"

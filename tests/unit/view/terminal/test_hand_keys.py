@@ -139,7 +139,7 @@ def test_a_script_presses_its_keys_in_time(text, tmp_path):
         ("0 right\nsoon up\n", ":2: 'soon' is not a time in seconds"),
         ("-1 right\n", ":1: '-1' is not a time in seconds"),
         ("0 right\nnan up\n", ":2: 'nan' is not a time in seconds"),
-        ("2 right\n1 up\n", ":2: 1 s is before the previous line's 2 s above"),
+        ("2 right\n1 up\n", ":2: the time 1 s is before the previous line's 2 s"),
         ("# nothing\n", ": the script steers no robot"),
         ("0 space\n", ": the script steers no robot"),
     ],

@@ -60,7 +60,7 @@ def test_a_server_at_another_address_is_named_if_one_answers():
     [
         (None, "no frames came within 2 s", "multicast"),
         (ELSEWHERE, "from another address: 5 frames", "lab.camera.server to 10.0.0.9"),
-        (SAME_HOST, "from the port that it reports, 1511", "data port to 1999"),
+        (SAME_HOST, "from the port that it reports, 1511", "data port in Motive to 1999"),
     ],
 )
 def test_why_no_frame_is_used_follows_from_where_frames_come_from(sender, says, hint):

@@ -175,7 +175,7 @@ def test_a_lost_index_costs_nothing(log, tmp_path):
 def test_a_recovered_log_says_what_was_lost(rotten):
     done = recover(rotten)
     damage = read_trial(out_path(done)).damage
-    assert damage.problems[0] == "recovered from trial.mcap, which was damaged"
+    assert damage.problems[0] == "this log was recovered from trial.mcap, which was damaged"
     assert set(done.damage.lost) <= set(damage.lost)
     assert read_result(out_path(done)).recovered
 

@@ -58,7 +58,7 @@ def test_a_lab_has_the_robots_and_the_camera_that_are_asked_for(tetractl, tmp_pa
     [
         (
             ["--lab", "--robots", "twits"],
-            "--robots twits: unknown; did you mean 'twist'?\nhint: known are m3pi",
+            "--robots twits: unknown; did you mean 'twist'?\nhint: the known types are m3pi",
         ),
         (
             ["--robots", "twist"],

@@ -105,5 +105,5 @@ def test_too_few_addresses_are_one_line():
         capture_output=True, text=True, timeout=300, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     first, hint = done.stderr.splitlines()
-    assert first == "error: 410 MB, but tetractl needs 1000 MB"
+    assert first == "error: the address space is limited to 410 MB, but tetractl needs 1000 MB"
     assert (done.returncode, hint) == (1, "  hint: remove the limit with: ulimit -v unlimited")

@@ -50,8 +50,8 @@ def test_other_limits_can_be_tried():
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ("robots.one.speed=3", "this command takes `lab.limits.NAME=VALUE` only"),
-        ("lab.limits.wheel_error", "this command takes `lab.limits.NAME=VALUE` only"),
+        ("robots.one.speed=3", "this command accepts only `lab.limits.NAME=VALUE`"),
+        ("lab.limits.wheel_error", "this command accepts only `lab.limits.NAME=VALUE`"),
         ("lab.limits.wheel_error=3", "lab.limits.wheel_error: must be at most 1"),
         ("lab.limits.no_such=3", "lab.limits.no_such: unknown key"),
         ("lab.limits.height_mm=[5, 2]", "must be two heights"),

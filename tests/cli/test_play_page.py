@@ -314,7 +314,7 @@ def test_the_page_has_the_specs_robots_without_its_disturbances():
     ("words", "message"),
     [
         (["--html", "play.html", "--speed", "2"], "--html writes a page"),
-        (["--html", "nowhere/play.html"], "there is no folder nowhere"),
+        (["--html", "nowhere/play.html"], "the folder nowhere does not exist"),
         (["--html", "play.html", "--set", "hold={radius: 100}"], "hold"),
     ],
 )

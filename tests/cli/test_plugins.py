@@ -56,23 +56,6 @@ assert frames[0].poses[0].heading == 0.5
 assert len(woken) >= 5
 print(camera.check().facts)
 """
-ACTUATOR = """
-from pathlib import Path
-from tetractl import load_spec
-from tetractl.core.clock import VirtualClock
-from tetractl_testing.device_checks import MovedRobots, check_actuator
-
-experiment = load_spec("three.yaml", "lab.actuator={type: csv-actuator, file: rows.csv}").experiment
-setup = experiment.setup
-rows = Path("rows.csv")
-
-def moves():
-    lines = rows.read_text().splitlines()
-    return [bool(lines) and lines[-1].split(",")[1] != "stop"] * len(setup.names)
-
-check_actuator(experiment.lab.actuator, setup, MovedRobots(VirtualClock(), moves, None))
-print({line.split(",")[1] for line in rows.read_text().splitlines()})
-"""
 POSES = """time_s,robot,x,y,heading
 1.00,a,200,500,0.5
 1.00,b,200,700,0
@@ -135,14 +118,6 @@ def test_the_examples_camera_shows_the_files_frames(site, tmp_path):
     done = python(tmp_path, [site], "-c", CAMERA)
     assert done.returncode == 0, done.stderr
     assert "poses.csv" in done.stdout
-
-
-def test_the_examples_actuator_keeps_the_contract_of_actuators(site, tmp_path):
-    lab = (ROOT / "experiments" / "three_m3pi_lab.yaml").read_text("utf-8")
-    (tmp_path / "three.yaml").write_text(lab, encoding="utf-8")
-    done = python(tmp_path, [site], "-c", ACTUATOR)
-    assert done.returncode == 0, done.stderr
-    assert all(name in done.stdout for name in ("steer", "turn", "stop"))
 
 
 def test_kinds_are_listed_with_their_package(site, tmp_path):

@@ -84,14 +84,16 @@ def test_a_torn_log_is_flagged_and_the_rest_printed(work):
     done = stats("ten", "--format", "json", cwd=work)
     document = json.loads(done.stdout)
     assert done.returncode == 1
-    assert "damaged: ten/trial-004.mcap" in done.stderr
+    assert "ten/trial-004.mcap is damaged" in done.stderr
     assert "damaged: ten/trial-011.mcap: this is not an MCAP file" in done.stderr
     assert document["n_trials"] == 10
     assert document["recovered"] == 1
     assert [trial["log"] for trial in document["trials"] if trial["recovered"]] == [
         "ten/trial-004.mcap"
     ]
-    assert document["damaged"] == [{"log": "ten/trial-011.mcap", "problem": "not an MCAP file"}]
+    assert document["damaged"] == [
+        {"log": "ten/trial-011.mcap", "problem": "this is not an MCAP file"}
+    ]
 
 
 @pytest.fixture

@@ -144,5 +144,5 @@ def test_the_guide_counts_the_lines_that_are_not_blank():
 
 def test_init_says_that_a_camera_has_no_template():
     """Regression: it was called unknown, though its package is installed."""
-    with pytest.raises(UsageError, match=r"brings no template cameras/json-poses\.yaml"):
+    with pytest.raises(UsageError, match=r"has no template cameras/json-poses\.yaml"):
         lab_template("twist", "json-poses")

@@ -430,7 +430,7 @@ def test_a_recording_that_begins_amidst_another_may_be_numbered(tmp_path):
     """Regression: they were only to be sorted by time, which mixes them."""
     middle_s = float(ONE_POSES.splitlines()[-1].partition(",")[0]) / 2
     with pytest.raises(
-        UsageError, match=r"earlier than before\nhint: sort.*column named trial instead"
+        UsageError, match=r"earlier than in the line before\nhint: sort.*column named trial instead"
     ):
         tracks_of(tmp_path, twice(ONE_POSES, middle_s), NO_NAME)
 
@@ -499,11 +499,11 @@ NEVER_SEEN = LOST.replace(",a,", ",b,").replace("0.1\n", "\n")
         (poses_at(np.arange(0, 1320, 33)), NO_NAME, "poses of a robot are 33 s apart"),
         (POSES, "time,direction_rad\n0,0\n1,1\n", "column time states no unit"),
         (POSES, "time (weeks),direction_rad\n0,0\n", r"column time \(weeks\) is in weeks"),
-        (POSES, sent("0,5,1,2\n"), "line 2: has 4 entries, but the header has 2"),
+        (POSES, sent("0,5,1,2\n"), "line 2: this line has 4 entries, but the header has 2"),
         (POSES, sent('0,"1,5"\n'), "direction_rad: '1,5' is not a number"),
         (POSES, "0,0\n1,1\n", "has no header"),
-        (POSES, "time_s,direction_rad,time_s\n0,0,0\n", "two columns time_s"),
-        (POSES, sent("0,0\n1,\0\n"), "line 3: is not a CSV file"),
+        (POSES, "time_s,direction_rad,time_s\n0,0,0\n", "two columns have the same name, time_s"),
+        (POSES, sent("0,0\n1,\0\n"), "line 3: this is not a CSV file"),
         (POSES, sent("0,0\n1,north\n"), "line 3: direction_rad: 'north' is not a number"),
         (POSES, sent("0,0\nNaN,1\n"), "line 3: time_s: this is not a number"),
         (POSES, sent("0,\n1,NaN\n"), "states no direction"),
@@ -560,7 +560,7 @@ def test_a_compressed_table_is_named_as_such(tmp_path, packed, form):
     """Regression: it was said to be no UTF-8."""
     poses, commands = write_drive(tmp_path)
     commands.write_bytes(packed)
-    with pytest.raises(UsageError, match=rf"commands\.csv: the file is compressed ({form}\)"):
+    with pytest.raises(UsageError, match=rf"commands\.csv: the file is compressed \({form}\)"):
         csv_tracks([poses, commands])
 
 

@@ -117,7 +117,7 @@ def test_a_latency_that_is_wrong_is_named(dead_time, std, told):
     monitor = ModelMonitor(StatedModel(0.03, ("controller.dead_time", "lab.camera.latency")))
     estimate = replace(UNFIT, dead_time=dead_time, dead_time_std=std)
     texts = [text for s in (1, 2) for _, text in monitor.notices(estimate, SETUP, round(1e9 * s))]
-    question = "not 0.030 s: is controller.dead_time or lab.camera.latency wrong?"
+    question = "but the spec says 0.030 s: is controller.dead_time or lab.camera.latency wrong?"
     assert texts[1:] == ([f"commands act {told} after they are sent, {question}"] if told else [])
 
 

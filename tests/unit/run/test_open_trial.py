@@ -138,7 +138,7 @@ def test_an_ended_trial_is_neither_stepped_nor_stopped(tmp_path):
     trial.stop()
     with pytest.raises(UsageError, match="the trial has already ended: sequence completed"):
         trial.step(0.0)
-    with pytest.raises(UsageError, match="the trial has ended"):
+    with pytest.raises(UsageError, match="the trial has already ended"):
         trial.stop()
     with pytest.raises(UsageError, match="a folder is a path, but this is of type int"):
         trial.save(3)
@@ -203,7 +203,7 @@ def test_a_trial_that_is_broken_off_has_ended():
     trial._controller.asked.put(KeyboardInterrupt())  # as if Ctrl-C came amid the next step
     with pytest.raises(KeyboardInterrupt):
         trial.step(0.1)
-    with pytest.raises(UsageError, match="broken off"):
+    with pytest.raises(UsageError, match="cut short"):
         trial.step(0.1)
 
 

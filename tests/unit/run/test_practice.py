@@ -39,7 +39,7 @@ def test_a_computer_that_plans_in_time_is_ready():
     findings = practice.added_to(GOOD, LIMITS)
     assert findings.can_start
     assert findings.warnings == ()
-    assert findings.facts[FACT].startswith("100 ms, at most 100 ms, for a period of 200 ms")
+    assert findings.facts[FACT].startswith("median 100 ms, at most 100 ms, for a period of 200 ms")
 
 
 def test_a_computer_that_plans_late_is_a_problem():
@@ -85,6 +85,8 @@ def test_a_signal_ends_the_practice():
 def test_the_median_and_the_longest_step_are_stated():
     delays_ns = tuple(ms * MILLISECOND for ms in (20, 170, 30, 40, 90))
     findings = Practice(PERIOD_NS, delays_ns, 0).added_to(GOOD, LIMITS)
-    assert findings.facts[FACT].startswith("40 ms, at most 170 ms, for a period of 200 ms, in 5 ")
+    assert findings.facts[FACT].startswith(
+        "median 40 ms, at most 170 ms, for a period of 200 ms, in 5 "
+    )
     assert (findings.problems, findings.warnings) == ((), ())
     assert FACT not in Practice(PERIOD_NS, (), 0).added_to(GOOD, LIMITS).facts

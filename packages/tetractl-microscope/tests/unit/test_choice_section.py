@@ -56,7 +56,7 @@ def test_a_simulated_trial_chooses_among_cells_drawn_from_its_seed(tmp_path):
         ),
         (
             "{ring: {center: [1, 1], radius: 5}, a: 4, speed: 4}",
-            "robots: .* have the key choose",
+            "robots: .* with the key choose",
         ),
         (
             "{choose: 2, targets: [[9, 9]], a: 4, speed: 4}",

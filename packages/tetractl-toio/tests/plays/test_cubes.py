@@ -150,7 +150,10 @@ def test_a_cube_whose_command_has_ended_is_silent():
 @pytest.mark.parametrize(
     ("setting", "field"),
     [
-        ("lab.actuator.robots.0.cube=toio-Xxx", "lab.actuator.robots.0.cube: toio-Xxx: is not gre"),
+        (
+            "lab.actuator.robots.0.cube=toio-Xxx",
+            "lab.actuator.robots.0.cube: toio-Xxx: differs from the cube of green",
+        ),
         ("robots.2.speed=500", "lab.actuator.speed_max_mm_s: is below the speed of red"),
     ],
 )

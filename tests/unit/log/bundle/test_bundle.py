@@ -100,5 +100,5 @@ def test_what_cannot_be_packed_is_refused_and_nothing_is_left(lab_log, tmp_path)
     with pytest.raises(UsageError, match="exists already"):
         write_bundle([lab_log], out, [])
     assert out.read_text() == "mine"
-    with pytest.raises(UsageError, match="no folder"):
+    with pytest.raises(UsageError, match="none does not exist"):
         write_bundle([lab_log], tmp_path / "none" / "report.zip", [])

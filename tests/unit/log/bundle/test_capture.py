@@ -97,5 +97,5 @@ def test_captures_that_cannot_be_copied_are_refused():
     assert not is_capture(bytes.fromhex("0a0d0d0a"))  # pcapng
     with pytest.raises(UsageError, match="link type 105"):
         aliased_capture(capture(105), Aliases())
-    with pytest.raises(UsageError, match="cut off"):
+    with pytest.raises(UsageError, match="the capture ends within"):
         aliased_capture(capture(ETHERNET)[:10], Aliases())

@@ -49,7 +49,7 @@ def test_a_copy_of_a_torn_log_is_damaged_as_its_source_is(tmp_path):
     assert raw.problems == []
     assert raw.damaged
     damage = trial_of(raw).damage
-    assert damage.problems[0] == "recovered from torn.mcap, which was damaged"
+    assert damage.problems[0] == "this log was recovered from torn.mcap, which was damaged"
 
 
 def test_an_altered_log_is_not_whole_though_all_its_records_can_be_read(tmp_path):

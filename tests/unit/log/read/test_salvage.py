@@ -212,7 +212,9 @@ def test_a_log_of_another_format_is_refused(tmp_path, log):
     contents = scan(log)
     newer = rewrite(contents, tmp_path / "new.mcap", stating(contents, RUN, format_version=5))
     with pytest.raises(
-        LogError, match="format 5, not 4; read the log with the version that wrote it, tetractl 0"
+        LogError,
+        match="format 5, but this version of tetractl reads format 4; read the log with the "
+        "version that wrote it, tetractl 0",
     ):
         read_trial(newer)
 

@@ -220,6 +220,15 @@ def _tests_of_folder(folders: Sequence[str], files: Sequence[Path]) -> list[Path
     return []
 
 
+def compiled_folder(tree: Path) -> Path:
+    """Return the folder of compiled kernels for the tests of a copy.
+
+    It is not the user's: a defect in how kernels are named would leave wrong code there, which
+    later ends other processes.
+    """
+    return tree.with_name("compiled")
+
+
 def first_failure(tree: Path, tests: Sequence[str], limit_s: float) -> str:
     """Run tests in a copy of the sources.
 
@@ -232,7 +241,10 @@ def first_failure(tree: Path, tests: Sequence[str], limit_s: float) -> str:
         The first test that fails, "time limit" if the tests do not end, or "" if all pass.
     """
     packages = [str(folder) for folder in (tree / "packages").iterdir()]
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tree), *packages])}
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(tree), *packages]),
+        "NUMBA_CACHE_DIR": str(compiled_folder(tree)),
+    }
     words = [sys.executable, "-m", "pytest", "-x", "--tb=no", "-m", MARKS, *tests]
     try:
         done = subprocess.run(
@@ -269,6 +281,8 @@ def find_defect(tree: Path, site: Site, limit_s: float, whole: bool) -> str:
         return ""
     finally:
         planted.write_bytes(site.path.read_bytes())
+        if "tools" in site.path.parts:
+            shutil.rmtree(compiled_folder(tree), ignore_errors=True)
 
 
 def choose_sites(folders: Sequence[str], seed: int, count: int) -> list[Site]:

@@ -170,7 +170,10 @@ STOOD = "while others drive", "though commanded to move"
 
 
 def describe_dead(names: Sequence[str], dead: Bools) -> str:
-    """Describe which robots are dead. The text is empty if none is.
+    """Describe which robots are dead: they stand still while others drive.
+
+    The text is, for example, "A, B do not move while others drive". It is empty if no robot is
+    dead.
 
     Args:
         names: Names of the robots.

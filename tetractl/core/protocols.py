@@ -57,7 +57,11 @@ class Plant(Protocol):
         ...
 
     def stop(self) -> Command:
-        """Stop every robot. It may be called repeatedly and never raises."""
+        """Stop every robot, and return the command that was sent.
+
+        It may be called repeatedly and never raises. Later calls need not send anything, and return
+        the command of the first call.
+        """
         ...
 
     def settle(self) -> Verdict:

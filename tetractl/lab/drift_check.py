@@ -69,9 +69,11 @@ CLIP = 1.7
 
 
 class At:
-    """The columns of the regression by which the drift check explains a robot's motion.
+    """Column indices of the regression matrix that the drift check fits to a robot's motion.
 
-    They are in the order of the parameters in the module's equations.
+    Column 0 is the motion to be explained: what nominal wheels do not explain. Each further column
+    belongs to one unknown, such as the mean error s of the wheels. They follow the order of the
+    unknowns in the equations at the head of this module.
     """
 
     residual = 0

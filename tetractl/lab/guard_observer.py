@@ -211,9 +211,10 @@ class GuardObserver:
 
 
 def check_of(text: str, excess: Excess | None) -> str:
-    """Return the name of the check that gave a reason.
+    """Return the name of the guard check that gave a reason.
 
-    Without an excess, the name follows from the text of the reason.
+    It is the name in `excess` if there is one. Otherwise the text decides: "frozen" for a repeated
+    frame, "height" for a body at a wrong height or tilt, and "other" for everything else.
     """
     if excess is not None:
         return excess.check

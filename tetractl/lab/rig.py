@@ -126,7 +126,11 @@ class Rig:
         self._releases.callback(act)
 
     def emulated(self, camera: Health, actuator: Health) -> tuple[str, ...]:
-        """Name the emulated devices ("camera", "actuator"), as the plant or the devices report."""
+        """Return which devices are emulated: a tuple with "camera", "actuator", both or neither.
+
+        A device counts as emulated if its health check reports this, or if it was named as emulated
+        when this object was created.
+        """
         said = {"camera": camera.emulated, "actuator": actuator.emulated}
         return tuple(name for name in said if said[name] or name in self._emulated)
 

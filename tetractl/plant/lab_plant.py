@@ -282,7 +282,11 @@ class LabPlant:
         return sorted(events, key=lambda it: it.t_ns if isinstance(it, Note) else it.sent_ns)
 
     def stop(self) -> Command:
-        """Stop every robot, ten times over 200 ms."""
+        """Send ten stops to every robot within 200 ms, and return the first of them.
+
+        Only the first call sends stops. Later calls return the same command, even if no stop could
+        be sent; `delivered` is then False for every robot.
+        """
         if self._stop is None:
             self._stop = self._halt()
         return self._stop

@@ -215,9 +215,9 @@ class ServedRun(Encoder):
         super().on_start(start)
 
     def on_samples(self, samples: Sequence[Sample]) -> None:
-        """Send camera frames to the viewers.
+        """Send camera frames to the connected viewers.
 
-        If there are none, keep the newest for later viewers.
+        If no viewer watches, only the newest frame is kept, for viewers that connect later.
         """
         wanted = samples if self._viewers.watched else samples[-1:]
         for sample in wanted:

@@ -69,7 +69,10 @@ class PlantSection(Model):
 
     @property
     def sight(self) -> Sight:
-        """How precisely the plant's camera measures, as far as the spec says."""
+        """How precisely a lab's camera measures, as far as the spec says.
+
+        It is unknown for a simulation, even if the spec gives the simulated measurement noise.
+        """
         return UNSTATED
 
     def require_devices(self) -> None:

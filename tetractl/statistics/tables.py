@@ -124,7 +124,10 @@ GIVEN_DIRECTIONS = "given directions"
 
 
 def figures_of(group: BatchStatistics) -> Iterator[Figure]:
-    """Yield the figures of a batch that tables show below its errors, in their order."""
+    """Yield the lines that a table shows for a batch below its errors, from top to bottom.
+
+    Examples are the plant, the number of valid trials and the number of earlier attempts.
+    """
     yield Figure("plant", str(group.origin), unusual=False)
     if group.experiment.directions_given:
         yield Figure(GIVEN_DIRECTIONS, "no controller decided; not ranked with controllers")

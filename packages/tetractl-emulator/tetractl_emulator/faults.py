@@ -68,7 +68,7 @@ class Fault(Model):
         return fields.get("robot", fields.get("cell"))
 
     def names(self) -> Iterator[str]:
-        """Yield the names of the robots in the fault's fields."""
+        """Yield the robots that the fault names in its fields `robot` and `other`, if any."""
         fields = dict(self)
         yield from (fields[key] for key in ("robot", "other") if fields.get(key) is not None)
 
@@ -181,12 +181,13 @@ def fault_kind(
 
 
 def port_faults(what: str, unplugged: str, stuck: str) -> tuple[type[Fault], type[Fault]]:
-    """Create the faults of a device's port: it is unplugged, or it takes no bytes.
+    """Create two kinds of faults of an actuator's port: it is unplugged, or accepts no bytes.
 
     Args:
         what: The device, for the names of the variants.
-        unplugged: Pattern of the reasons that name an unplugged port correctly.
-        stuck: Pattern of the reasons that name a stuck port correctly.
+        unplugged: Regular expression. If the reason of an abort matches it, the lab has recognised
+            that the port is unplugged.
+        stuck: The same for a port that accepts no more bytes.
     """
     return (
         fault_kind(

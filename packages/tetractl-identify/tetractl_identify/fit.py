@@ -461,7 +461,16 @@ def _is_correlated(residuals: Floats) -> list[bool]:
 
 
 def block_numbers(duration_s: Floats) -> Integers:
-    """Assign steps with durations (S,) [s] to blocks of time."""
+    """Divide a recording into blocks of equal duration, and return the block of each step.
+
+    The blocks last about BLOCK_S, but there are at least BLOCKS_LEAST.
+
+    Args:
+        duration_s: Duration of each step [s], shape (S,). The steps follow each other in time.
+
+    Returns:
+        The index of the block in which each step ends, from 0, shape (S,).
+    """
     elapsed_s = np.cumsum(duration_s)
     count = max(BLOCKS_LEAST, round(elapsed_s[-1] / BLOCK_S))
     return np.minimum(elapsed_s / elapsed_s[-1] * count, count - 1).astype(np.int64)

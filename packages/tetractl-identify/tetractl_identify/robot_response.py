@@ -109,10 +109,14 @@ UNITS = {
 
 
 def response_table(responses: Sequence[RobotResponse], title: str, unit: str) -> Table:
-    """Create a table of robots' values with their 95 % intervals, with a row per value.
+    """Create a table of the identified values, with a column per robot and a row per value.
+
+    Each value has its 95 % interval. Three more rows have none: how much of the turning and of the
+    distance the commands explain, and how many steps were left out. Notes below the table give a
+    lag for the spec, and list undetermined and unusual values.
 
     Args:
-        responses: The robots' responses, at least one.
+        responses: The robots' responses, at least one. All must have a clock drift, or none.
         title: The title of the table.
         unit: The length unit.
     """

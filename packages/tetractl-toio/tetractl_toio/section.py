@@ -24,14 +24,14 @@ MatPoint = tuple[Annotated[int, Field(ge=0, le=65_535)], Annotated[int, Field(ge
 
 
 class CubeOfCamera(RobotPart):
-    """A robot's entry in the camera's section."""
+    """The entry of one robot in the spec's camera section: which toio cube the robot is."""
 
     cube: str = Field(min_length=3, max_length=100)
     """The cube: its name, such as toio-M0p, or its Bluetooth address."""
 
 
 class CubeOfActuator(CubeOfCamera):
-    """A robot's entry in the actuator's section."""
+    """The entry of one robot in the spec's actuator section: its toio cube and its wheels."""
 
     left_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
     """True speed of the left wheel over its nominal speed."""

@@ -12,7 +12,7 @@ from tetractl.spec.yaml.problems import Loc
 
 
 class OwnRobot(SpeedRobot):
-    """One of your own robots in the spec of the lab."""
+    """The spec's entry for one of your own two-wheeled robots: its wheels and its address."""
 
     address: str = Field(min_length=1, max_length=500)
     """Where its commands go: udp://HOST:PORT, or a serial port such as /dev/rfcomm0."""

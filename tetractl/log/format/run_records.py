@@ -15,12 +15,12 @@ from tetractl.log.format.derived_messages import outcome_from_log, outcome_to_lo
 
 
 def encode_facts(facts: Mapping[str, str]) -> Iterable[pb.Fact]:
-    """Convert facts, which are pairs of a name and a text, to messages."""
+    """Convert a mapping from names to texts to protobuf messages, one `Fact` for each name."""
     return (pb.Fact(key=key, value=value) for key, value in facts.items())
 
 
 def decode_facts(facts: Iterable[pb.Fact]) -> dict[str, str]:
-    """Convert messages of facts to a mapping from names to texts."""
+    """Convert protobuf `Fact` messages to a mapping from names to texts."""
     return {fact.key: fact.value for fact in facts}
 
 

@@ -56,7 +56,11 @@ class Overview:
 def overview(path: Path) -> Overview:
     """Read a whole log, and return a summary of its contents.
 
-    It raises LogError in the same cases as `read_trial`.
+    A damaged or unfinished log is summarised as far as it can be read, and `damage` states what is
+    missing.
+
+    Raises:
+        LogError: If the file is not a log of tetractl, has a newer format, or has lost its spec.
     """
     contents = scan(path)
     trial = trial_of(contents)

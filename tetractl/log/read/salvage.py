@@ -365,8 +365,14 @@ class _Scan:
 def unpack(chunk: Chunk, unsealed: bool = False) -> bytes:
     """Decompress a chunk of a log, and check its checksum.
 
-    ValueError, or an error of zstd or lz4, is raised if the chunk is damaged or too large. The same
-    holds if it has no checksum, unless it may be `unsealed`.
+    Args:
+        chunk: The compressed chunk.
+        unsealed: Whether to accept a chunk that has no checksum.
+
+    Raises:
+        ValueError: If the chunk is too large, its compression is unknown, its size or checksum does
+            not match, or it has no checksum and `unsealed` is False. If the compressed data are
+            damaged, zstd or lz4 raise their own errors.
     """
     data = chunk.data
     size = chunk.uncompressed_size

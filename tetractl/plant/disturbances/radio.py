@@ -51,7 +51,12 @@ class Radio(Disturbance):
             self._late_ns = np.rint(section.spread * SECOND * rng.random(robots)).astype(np.int64)
 
     def sent(self, command: DelayedCommand) -> DelayedCommand:
-        """Add random delays to a transmission, and mark the robots that receive it."""
+        """Delay a transmission, and remove the robots that lose it from those that receive it.
+
+        The random delay (`jitter`) is the same for all robots, and new in each transmission. Each
+        robot's own delay (`spread`) stays the same for the whole trial. Robots that an earlier
+        disturbance excluded stay excluded.
+        """
         section = self._section
         chances = self._rng.random(1 + command.reached.size)  # of the delay, then of each robot
         delay_s = section.delay + section.jitter * float(chances[0])

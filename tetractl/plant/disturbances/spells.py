@@ -12,7 +12,10 @@ from tetractl.spec.disturbance import DisturbanceSection
 
 
 class SpellsSection(DisturbanceSection):
-    """A disturbance that acts only in a few intervals per trial, each at a random time."""
+    """Base class of sections for disturbances that act only in a few random intervals of a trial.
+
+    A subclass defines the disturbance, and calls `draw` for the intervals.
+    """
 
     times: Annotated[int, Field(ge=0, le=1000)] = 1
     """Number of intervals in a trial. They may overlap."""

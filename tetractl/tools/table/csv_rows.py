@@ -232,7 +232,11 @@ def has_decimal_comma(entry: str) -> bool:
 
 
 def is_number(entry: str) -> bool:
-    """Check whether an entry of a table is a number with a decimal point, not a comma."""
+    """Check whether Python's `float` can read an entry of a table.
+
+    This holds for "3" and "1.5", and also for "nan", "inf" and "1_000". It does not hold for "1,5"
+    with a decimal comma.
+    """
     try:
         float(entry)
     except ValueError:

@@ -161,9 +161,10 @@ class PoseFrames(NamedTuple):
 
 
 class FilterModel(NamedTuple):
-    """What the filters assume about the motion and the measurement of N robots.
+    """The assumptions of the Kalman filters about N robots: how they move and are measured.
 
-    `noise` and `walk` are standard deviations.
+    `noise` contains the standard deviations of a measured pose. `walk` contains, for each state,
+    the standard deviation of its random change, which grows with the square root of time.
     """
 
     parameters: Floats

@@ -120,7 +120,10 @@ def flatten(problem: Problem) -> FlatProblem:
 
 @compiled(**INLINE_FAST)
 def robot_of(robots, i):
-    """Return the parameters of robot i, from row i of a problem's array (N, 4)."""
+    """Return the parameters of robot i: its turning rate a, speed, side and saturation.
+
+    They are row i of `robots`, shape (N, 4).
+    """
     return RobotParameters(robots[i, 0], robots[i, 1], robots[i, 2], robots[i, 3])
 
 

@@ -166,7 +166,7 @@ def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_ag
 def test_too_few_cells_that_answer_are_one_clear_error(tmp_path):
     few = "emulation: {actuator: {cells: 1, strangers: 2}, camera: {specks: 0}}\n"
     with virtual_dish(tmp_path, 3, SMALL, few) as dish:
-        with pytest.raises(AbortError, match=r"1 of \d cells respond to the field, 2 are needed"):
+        with pytest.raises(AbortError, match="cells respond to the field, but 2 are needed"):
             run_trial(dish, tmp_path)
         assert not driver_after(dish).running
 

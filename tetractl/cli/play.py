@@ -332,7 +332,7 @@ def _you_steer(game: Game, console: "Console", speed: float) -> str:
     def say_at_end(result: "Result") -> None:
         you = f"You: {_how_well(result, game.experiment)}"
         if _was_stopped(result):
-            you = f"{you}. This try is lost."
+            you = f"{you}. This try is lost"
         if game.theirs is None:
             view.say(f"{you}. {WHY}", "ENTER: the controller", "R: again")
         else:

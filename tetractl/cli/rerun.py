@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from tetractl.log.read.trial_log import TrialLog
     from tetractl.spec.loaded_spec import LoadedSpec
 
-PLANT_NAMES = {"sim": "simulated", "lab": "of the lab"}
-"""What a log is called by the kind of its plant."""
+PLANT_NAMES = {"sim": "a simulation", "lab": "the lab", "emulated": "an emulated lab"}
+"""Where a log comes from, by the type of its plant."""
 
 
 def rerun(

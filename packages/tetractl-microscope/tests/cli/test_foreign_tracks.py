@@ -50,7 +50,7 @@ def test_tracks_of_others_are_identified(dish):
     done = tetractl(folder, *words).ok()
     printed = json.loads(done.stdout)["cells"]
     assert [cell["cell"] for cell in printed] == [7, 8]
-    assert "left out: cell 9" in done.stderr
+    assert "seen for less than 2 s: cell 9" in done.stderr
     for cell, a in zip(printed, A, strict=True):
         assert cell["a_rad_s"]["value"] == pytest.approx(a, rel=0.02)
         assert cell["a_rad_s"]["ci95"][0] < a < cell["a_rad_s"]["ci95"][1]
@@ -127,7 +127,7 @@ def test_rare_pictures_show_no_turning_but_ways(dish):
     refused = tetractl(folder, *words, "--field", "field.csv")
     assert refused.returncode == 2
     assert "images are 0.5 s apart, which is too long, because a heading" in refused.stderr
-    assert "film at 7 pictures/s or more" in refused.stderr
+    assert "film at 7 images/s or more" in refused.stderr
     done = tetractl(folder, *words, "--json").ok()
     assert [cell["speed_um_s"] for cell in json.loads(done.stdout)["cells"]] == [None, None]
 

@@ -76,7 +76,7 @@ def test_a_tag_that_no_page_holds_is_refused():
 def test_a_new_spec_with_tags_is_printed_on_true_pages(tmp_path):
     tetractl(tmp_path, "init", "shelf", "--lab", "--camera", "apriltag", "--robots", "twist").ok()
     done = tetractl(tmp_path, "lab", "markers", "shelf.yaml", "-o", "tags.pdf").ok()
-    assert done.stderr == "wrote 7 tags on 5 pages of a4 paper\n"
+    assert done.stderr == "wrote 7 tags on 5 pages of a4 paper; print them without scaling\n"
     pages = re.findall(
         rb"/MediaBox \[ 0 0 ([\d.]+) ([\d.]+) \]", (tmp_path / "tags.pdf").read_bytes()
     )

@@ -52,7 +52,7 @@ def test_side_and_rotation_are_found(mirrored, rotated):
     assert turning.turned_sd < 0.1
     problems, _ = handedness_lines(turning)
     assert len(problems) == (mirrored or rotated != 0.0)
-    words = "the picture is mirrored" if mirrored else "rad off the field's direction"
+    words = "the image is mirrored" if mirrored else "rad off the field's direction"
     assert all(words in problem for problem in problems)
 
 

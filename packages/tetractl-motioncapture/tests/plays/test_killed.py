@@ -67,7 +67,7 @@ def test_robots_stop_when_the_process_is_killed(tmp_path, monkeypatch):
     assert bridge is not None, run.communicate()
     os.kill(bridge, signal.SIGKILL)
     _, said = run.communicate(timeout=120)
-    assert run.returncode == 1 and "the process of the camera has ended: Killed" in said
+    assert run.returncode == 1 and "the process that reads the camera has stopped: Killed" in said
     trial = read_trial(tmp_path / "logs" / "trial-000.mcap")
     driven = [command.sent_ns for command in trial.commands if command.action != Stop()]
     assert max(driven) - trial.received_ns[-1] < 0.15 * SECOND  # stale, and a tick of a busy host

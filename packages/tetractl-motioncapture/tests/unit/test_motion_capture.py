@@ -143,7 +143,7 @@ def test_a_process_that_is_killed_is_a_fault_in_the_next_frame(library):
             lambda: gathered.extend(camera.frames()) or (gathered[-1:] and gathered[-1].fault),
             60,
         )
-        assert gathered[-1].fault == "the process of the camera has ended: Killed"
+        assert gathered[-1].fault == "the process that reads the camera has stopped: Killed"
         assert gathered[-1].poses == (None, None)
 
 
@@ -153,7 +153,7 @@ def test_a_process_that_cannot_connect_is_said(library):
     lab, setup = lab_of()
     section = lab.camera.model_copy(update={"system": "vrpn"})
     with (
-        pytest.raises(AbortError, match="the camera has ended: exit code 1"),
+        pytest.raises(AbortError, match="the camera has stopped: exit code 1"),
         section.build(setup, MonotonicClock(), lambda: None),
     ):
         pass

@@ -75,7 +75,9 @@ def test_a_paper_is_run_once_and_its_table_printed(tmp_path, monkeypatch, capsys
 def test_another_verdict_than_the_pages_is_told(tmp_path, monkeypatch, capsys):
     add(Paper("x", ARMS, [claim(0)]), monkeypatch)
     assert command.reproduce(["mine"], trials=3, out=tmp_path) is Exit.FAILED
-    assert "mine: error: missed, but reached on the page" in capsys.readouterr().err
+    assert (
+        "mine: error: the result is missed, but the page states reached" in capsys.readouterr().err
+    )
 
 
 @pytest.mark.long

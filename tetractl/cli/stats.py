@@ -45,7 +45,8 @@ def stats(
     full: Annotated[
         bool,
         switch(
-            "Print all figures: for each robot, distances, solve times, and each flagged trial.",
+            "Print all figures, including the distances of each robot, the solve times and every "
+            "flagged trial.",
             "--full",
         ),
     ] = False,

@@ -47,7 +47,7 @@ def study(
     rerun_outdated: Annotated[
         bool,
         switch(
-            "Also run the trials again that another version of the code has run.",
+            "Also rerun trials that were run with another version of the code.",
             "--rerun-outdated",
         ),
     ] = False,

@@ -63,7 +63,8 @@ def check_plan(plan: Plan, robots: int) -> None:
         if search.history.ndim != 1 or not search.history.size:
             raise ValueError("a search has no history")
         if not isinstance(search.stopped, str):
-            raise ValueError(f"a search was stopped by {type(search.stopped).__name__}, not a text")
+            wrong = type(search.stopped).__name__
+            raise ValueError(f"the field stopped of a search must be a text, but it is {wrong}")
     if len(plan.numbers) > NUMBERS_MAX:
         raise ValueError(f"a plan has {len(plan.numbers)} numbers of its controller")
     for name in plan.numbers:

@@ -118,7 +118,10 @@ def unpack_fields(layout: struct.Struct, kind: int, frame: bytes) -> tuple[int, 
     """
     payload = checked_payload(frame)
     if len(payload) != layout.size or payload[0] != kind:
-        raise WireError(f"not a frame of type 0x{kind:02X} with {layout.size} bytes")
+        raise WireError(
+            f"expected a frame of type 0x{kind:02X} with {layout.size} bytes, but received type "
+            f"0x{payload[0]:02X} with {len(payload)} bytes"
+        )
     return layout.unpack(payload)[1:]
 
 

@@ -151,8 +151,9 @@ class PolicyController(PlainController):
         )
         if not np.isfinite(outputs).all():
             raise ControlError(
-                "the policy's network gave outputs that are not finite numbers",
-                "the weights are too large, or a pose is not a number",
+                "the policy's network returned an output that is not a finite number",
+                "check the weights of the network (they may be too large) and the poses (one may "
+                "be NaN)",
             )
         along_x, along_y = np.clip(outputs, -1.0, 1.0)
         direction = atan2(along_y, along_x)

@@ -52,7 +52,7 @@ TopicName = Annotated[str, Field(max_length=200), AfterValidator(_full_name)]
 
 
 class BodyOfRobot(RobotPart):
-    """A robot's entry in the camera's section."""
+    """The entry of one robot in the spec's camera section: its body in the ROS 2 graph."""
 
     body: str = Field(min_length=1, max_length=200)
     """What the graph calls the robot: its child frame, its name in a NamedPoseArray, or the part of
@@ -133,7 +133,7 @@ class Ros2CameraSection(CameraSection):
 
 
 class Ros2Robot(SpeedRobot):
-    """A robot's entry in the actuator's section."""
+    """The entry of one robot in the spec's actuator section: its topics and its wheels."""
 
     topic: TopicName
     """The topic of its commands, such as /green/cmd_vel."""

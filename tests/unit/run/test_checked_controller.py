@@ -264,7 +264,9 @@ def test_what_an_optimiser_of_another_package_gives_is_refused():
     """Regression: the log could not hold it, and stayed a .part."""
     optimizer = Silent(particles=2, iterations=1)
     section = experiment().controller.model_copy(update={"optimizer": optimizer})
-    with pytest.raises(WrongValueError, match="a search was stopped by NoneType, not a text"):
+    with pytest.raises(
+        WrongValueError, match="the field stopped of a search must be a text, but it is NoneType"
+    ):
         CheckedController(section, SETUP, 1).plan(SEEN)
 
 

@@ -214,7 +214,10 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
     if not message.signals:
         raise ValueError(f"step {message.k} has no signal")
     if not 0 <= message.chosen < len(message.searches):
-        raise ValueError(f"step {message.k} chooses a search that does not exist")
+        count = len(message.searches)
+        raise ValueError(
+            f"step {message.k} refers to search {message.chosen}, but it contains {count} searches"
+        )
     command = decode_command(message.command)
     x = _floats(message.path_x)
     y = _floats(message.path_y)

@@ -80,7 +80,7 @@ def decode_command(line: bytes) -> LineCommand:
                 f"robot {index} cannot drive at the speeds {first_speed} {second_speed}"
             )
     if not 0 <= sequence <= 255:
-        raise WireError(f"the sequence number {sequence} is not from 0 to 255")
+        raise WireError(f"the sequence number must be from 0 to 255, but it is {sequence}")
     return LineCommand(kind, sequence, cobs.checked_flags(flags), entries)
 
 

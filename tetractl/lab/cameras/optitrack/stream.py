@@ -351,7 +351,7 @@ class Stream:
         self._mistimed += 1
         when = f"{abs(age_ns) / SECOND:.3f} s {'before' if age_ns > 0 else 'after'} reception"
         if self._mistimed < 5:  # a damaged frame, not yet a wrong clock
-            raise WireError(f"a frame was exposed {when}")
+            raise WireError(f"the exposure time of a frame is not plausible: {when}")
         self._fault = self._fault or (
             f"according to the camera server's clock, frames were exposed {when}: the clock "
             "was set, or runs at a wrong rate"

@@ -120,30 +120,30 @@ def atan2(y: Floats, x: Floats) -> Floats:
 
 
 def is_angle(x: Floats) -> NDArray[np.bool_]:
-    """Check which arguments `sin` and `cos` take."""
+    """Check which angles [rad] `sin` and `cos` accept: below ANGLE_MAX in magnitude, not NaN."""
     return np.abs(x) < ANGLE_MAX
 
 
 def is_exponent(x: Floats) -> NDArray[np.bool_]:
-    """Check which arguments `exp` and `expm1` take."""
+    """Check which arguments `exp` and `expm1` accept: below EXPONENT_MAX in magnitude."""
     return np.abs(x) < EXPONENT_MAX
 
 
 def is_half_exponent(x: Floats) -> NDArray[np.bool_]:
-    """Check which arguments `tanh` takes."""
+    """Check which arguments `tanh` accepts: below half of EXPONENT_MAX in magnitude."""
     return is_exponent(2.0 * x)
 
 
 def is_positive(x: Floats) -> NDArray[np.bool_]:
-    """Check which arguments `log` takes."""
+    """Check which arguments `log` accepts: positive and finite numbers."""
     return (x > 0.0) & (x < np.inf)
 
 
 def is_above_minus_1(x: Floats) -> NDArray[np.bool_]:
-    """Check which arguments `log1p` takes."""
+    """Check which arguments `log1p` accepts: finite numbers above -1."""
     return is_positive(1.0 + x)
 
 
 def is_off_origin(y: Floats, x: Floats) -> NDArray[np.bool_]:
-    """Check which points `atan2` takes."""
+    """Check which points `atan2` accepts: finite points other than the origin."""
     return is_positive(np.abs(x) + np.abs(y))

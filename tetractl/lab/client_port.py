@@ -42,7 +42,7 @@ class ClientPort(SerialPort, ABC):
         return self._name
 
     def take(self, message: bytes, waited_ns: int = 0) -> None:
-        """Pass on a message that arrived `waited_ns` ago [ns]."""
+        """Pass on a received message. It arrived `waited_ns` before now [ns]."""
         self._on_received(message, self._clock.now() - waited_ns)
 
     def lost(self, why: object) -> None:

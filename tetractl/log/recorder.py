@@ -48,7 +48,7 @@ class TrialRecorder(Observer):
         self._commands.append(command)
 
     def on_note(self, note: Note) -> None:
-        """Keep an operator message."""
+        """Keep a message to the operator for the log."""
         self._notes.append(note)
 
     def on_step(self, step: Step) -> None:
@@ -58,7 +58,7 @@ class TrialRecorder(Observer):
         self._notes += undelivered_notes(self._start.setup.names, step)
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Keep the stop and the result."""
+        """Keep the stop command and the result, and add a message about the end of the trial."""
         self._commands.append(stop)
         self._notes.append(end_note(stop, result))
         self._result = result

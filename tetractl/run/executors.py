@@ -122,7 +122,7 @@ class Here:
             yield task, ended
 
     def end(self) -> None:
-        """Let no further trial start."""
+        """Start no further trial. A trial that already runs goes on."""
         self._ended = True
 
 

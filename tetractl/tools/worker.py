@@ -78,7 +78,7 @@ class Worker:
         self._thread.start()
 
     def put(self, call: Callable[..., object], *args: object) -> None:
-        """Queue the call `call(*args)` for the worker's thread."""
+        """Queue the call `call(*args)`, which the thread of this worker will make."""
         self.check()
         if self.failure is None:
             place = self._places.acquire(blocking=False)

@@ -133,7 +133,7 @@ class EmulatedLab:
         self.injector.happened("start")
 
     def run(self) -> None:
-        """Run in real time until `loop.end()` is called."""
+        """Run the emulated devices in real time until `loop.end()` is called."""
         self.loop.run()
 
     def close(self) -> None:

@@ -160,7 +160,7 @@ def one_of(*values: Any) -> DrawValue:
 
 
 def pair(draw: DrawValue) -> DrawValue:
-    """Create a function that samples two whole numbers."""
+    """Create a function that samples two values with `draw` and rounds each to a whole number."""
     return lambda d: [round(draw(d)), round(draw(d))]
 
 

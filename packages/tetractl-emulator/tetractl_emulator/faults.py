@@ -87,15 +87,15 @@ class ActingFaults:
 
     @property
     def any_yet(self) -> bool:
-        """Whether any fault acts or has acted."""
+        """Whether any fault has begun in this lab so far, even if it has ended since."""
         return bool(self._faults)
 
     def add(self, fault: Fault) -> None:
-        """Add a fault that begins."""
+        """Add a fault that begins to act now."""
         self._faults.setdefault(fault.fault, []).append(fault)
 
     def remove(self, fault: Fault) -> None:
-        """Remove a fault that ends."""
+        """Remove a fault that no longer acts."""
         self._faults[fault.fault].remove(fault)
 
     def of_kind(self, name: str, robot: str | None = None) -> Sequence[Any]:

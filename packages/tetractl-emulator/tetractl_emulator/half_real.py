@@ -37,7 +37,7 @@ class Blind:
     join: Any = None
 
     def open(self, loop: Loop) -> dict[str, Any]:
-        """Do nothing, and return the camera's description."""
+        """Do nothing, and return the facts that the record states about the camera: it is real."""
         return {"camera": "real"}
 
     def close(self) -> dict[str, Any]:
@@ -76,7 +76,7 @@ class MovedCamera:
 
     @property
     def damaged(self) -> int:
-        """Number of messages that could not be decoded."""
+        """Number of messages of the real camera that could not be decoded."""
         return self._camera.damaged
 
     def check(self) -> Health:

@@ -78,7 +78,7 @@ class Loop:
         self._readers[fd] = act
 
     def forget(self, fd: int) -> None:
-        """Stop watching the file descriptor `fd`."""
+        """Stop watching the file descriptor `fd`; see `watch`."""
         self._readers.pop(fd, None)
 
     def end(self) -> None:
@@ -86,11 +86,11 @@ class Loop:
         self._ended = True
 
     def catch_up(self) -> None:
-        """Run all events up to the present time."""
+        """Run all events of the timeline that are due by now, without waiting for later ones."""
         self.timeline.run_to(self.now())
 
     def run(self) -> None:
-        """Run until `end` is called."""
+        """Run events at their times, and read data that arrive, until `end` is called."""
         while not self._ended:
             self.turn()
 

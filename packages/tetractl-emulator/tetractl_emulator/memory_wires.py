@@ -40,7 +40,7 @@ class MemoryNetwork:
         self.ports: dict[str, MemoryPort] = {}
 
     def bound_socket(self, host: str, port: int) -> "MemorySocket":
-        """Create a UDP socket that listens at an address."""
+        """Create a UDP socket in memory that listens at the address `host` and `port`."""
         opened = MemorySocket(self)
         opened.bind((host, port))
         return opened
@@ -128,7 +128,7 @@ class MemoryPort(PseudoPort):
         self.stalled = False
 
     def plug(self) -> None:
-        """Make the port available under its name."""
+        """Plug the port in, so that programs can open it by its name."""
         ports = self._network.ports
         self.fd = 1 + max((port.fd for port in ports.values()), default=2)
         ports[self.name] = self
@@ -155,7 +155,7 @@ class MemoryPort(PseudoPort):
         return self.ours.bits_a_second if self.ours else 0
 
     def take(self, data: bytes) -> None:
-        """Queue bytes that our end has written."""
+        """Queue bytes that our end of the port has written, until the device reads them."""
         self._taken.append(data)
 
     def read(self) -> bytes:
@@ -223,7 +223,7 @@ class MemorySerial(SerialPort):
         return self._clock.now()
 
     def set_baud(self, baud: int) -> None:
-        """Set the speed of the port [bits/s]."""
+        """Set the speed of the port [bits/s], which the device can read."""
         self.bits_a_second = baud
 
     def close(self) -> None:

@@ -127,7 +127,7 @@ class SerialDevice(ABC):
 
     @abstractmethod
     def hear(self, data: bytes) -> None:
-        """Process bytes that the device has received."""
+        """Process bytes that have arrived at the device over the serial line."""
 
     def _witness(self, data: bytes) -> None:
         """Record the commands in bytes read from the port, even if they do not reach the device."""

@@ -141,7 +141,7 @@ class ThisProcess(Process):
         self._supervision.fail_log(OSError(ENOSPC, os.strerror(ENOSPC)))
 
     def press_stop(self) -> None:
-        """Trigger the emergency stop, as the operator's key would."""
+        """Trigger the emergency stop of our process, as the operator's key would."""
         self._supervision.emergency.set()
 
 

@@ -64,7 +64,7 @@ class Emulation(Model):
 
 
 class Script(Model):
-    """A script, as read from YAML."""
+    """A fault script, as read from its YAML file: an emulated lab and the faults that happen."""
 
     about: str = Field(min_length=1, max_length=500)
     """Purpose of the script, in one or two sentences."""
@@ -85,7 +85,7 @@ NOTHING = Script(about="nothing goes wrong")
 
 @dataclass(frozen=True, slots=True)
 class Sides:
-    """The classes that emulate a lab's camera and actuator."""
+    """The two classes that emulate a lab's devices: the camera and the actuator."""
 
     camera: Any
     actuator: Any

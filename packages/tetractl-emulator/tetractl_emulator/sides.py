@@ -89,7 +89,7 @@ class Stage:
 
     @property
     def mm(self) -> float:
-        """Millimetres per length unit of the spec."""
+        """How many millimetres one length unit of the spec has."""
         return self.setup.metres * 1000
 
 

@@ -83,7 +83,7 @@ class LabClock(VirtualClock):
 
     @property
     def stopped(self) -> bool:
-        """Whether a fault suspends our process now."""
+        """Whether a fault has suspended our process at this moment."""
         return bool(self.acting.of_kind("stopped"))
 
     @property

@@ -132,7 +132,11 @@ class DrivenTrack:
         return np.diff(until, axis=0)
 
     def acts(self, dead_time: float) -> Bools:
-        """Find the steps (S,) in which a command acts."""
+        """Find the steps during which some command acts, shape (S,).
+
+        These steps lie between the times at which the first and the last command take effect.
+        Commands take effect `dead_time` [s] after they are sent.
+        """
         if not len(self.sent_s):
             return np.zeros(len(self.steps.turned), dtype=np.bool_)
         times = self.pose_s - dead_time
@@ -189,12 +193,12 @@ class UsedSteps:
 
     @property
     def way(self) -> Floats:
-        """The distances along the heading (M,) [length unit]."""
+        """Distance travelled along the heading in each step, shape (M,) [length unit]."""
         return self.moved.real
 
     @property
     def speed(self) -> float:
-        """The median speed [length unit/s]."""
+        """The median of the robot's speed over the steps [length unit/s]. It is never 0."""
         return max(float(np.median(np.abs(self.way) / self.duration_s)), 1e-12)
 
     def driven(self, integrals: Floats) -> DrivenSteps:

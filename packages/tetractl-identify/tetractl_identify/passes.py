@@ -299,7 +299,10 @@ class Passed:
 
     @property
     def likelihood(self) -> Floats:
-        """ln of the likelihood of all frames (B, R)."""
+        """ln of the likelihood of all frames, up to a constant, shape (B, R).
+
+        It is the sum of `by_block` over the blocks of time.
+        """
         return self.by_block.sum(axis=0)
 
 

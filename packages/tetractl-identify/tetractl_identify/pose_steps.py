@@ -52,7 +52,7 @@ class PoseSteps:
         )
 
     def at(self, rows: Bools) -> "PoseSteps":
-        """Select some of the steps."""
+        """Return only the steps in which `rows` is True, shape (S,)."""
         return PoseSteps(self.duration_s[rows], self.moved[rows], self.turned[rows])
 
 

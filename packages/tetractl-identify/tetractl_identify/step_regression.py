@@ -138,7 +138,7 @@ class Whitened:
         return -self.ln_root - np.square(self.y - self.x @ gains) / 2
 
     def restricted_likelihood(self) -> float:
-        """Compute the ln likelihood integrated over all gains."""
+        """Compute the restricted ln likelihood, in which the two gains are integrated out."""
         _, ln_information = np.linalg.slogdet(self.information)
         likelihoods = self.likelihoods(self.gains())
         return float(likelihoods.sum() - ln_information / 2)
@@ -167,11 +167,16 @@ def _whiten(
 
 
 def whitened_turns(steps: UsedSteps, p: ResponseParameters) -> Whitened:
-    """Whiten the turns of a robot for given parameters."""
+    """Whiten the turn of each step, so that its noise is independent and has variance 1.
+
+    Args:
+        steps: The steps of a robot.
+        p: The parameters of its response, which determine the noise.
+    """
     return _whiten(steps.turned, 1, p, steps, p.heading_walk, p.heading_noise, TURN_ERROR_RAD)
 
 
 def whitened_ways(steps: UsedSteps, p: ResponseParameters) -> Whitened:
-    """Whiten the distances of a robot along its heading for given parameters."""
+    """Whiten the distance of each step along the heading; see `whitened_turns`."""
     error = WAY_ERROR * float(np.median(np.abs(steps.way))) + 1e-12
     return _whiten(steps.way, 0, p, steps, p.way_walk, p.position_noise, error)

@@ -39,13 +39,16 @@ headings in emulated pictures had (450 poses of three cells)."""
 
 
 def cell_checks(rules: GuardRules) -> GuardChecks:
-    """Return the checks of cells."""
+    """Create the checks of the guard for a lab whose robots are cells."""
     swims = Swims(rules)
     return GuardChecks((swims, Stays(rules)), DriftCheck(rules, swims), together=True)
 
 
 class Swims(MotionCheck):
-    """The operator is warned of a cell that moves as no command does, and it is compared again."""
+    """The check of a cell's motion. It warns if a cell moves as no command explains.
+
+    After a warning, the comparison with the commands starts anew with the next pose.
+    """
 
     def __init__(self, rules: GuardRules) -> None:
         super().__init__(rules, NOISE, WANDERS)
@@ -96,7 +99,7 @@ class Stays(GuardCheck):
         self._rules = rules
 
     def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
-        """Check where the robots are."""
+        """Check whether a cell leaves the arena, or two cells come too close."""
         now: dict[str, Pose] = {}
         then: dict[str, Pose] = {}
         for i, robot in enumerate(robots):

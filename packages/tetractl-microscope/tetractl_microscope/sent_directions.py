@@ -74,7 +74,7 @@ class TurnedCourse:
     angle: Floats
 
     def at(self, rows: Bools | slice) -> "TurnedCourse":
-        """Return the course at the selected times."""
+        """Return the part of the course at the times that `rows` selects."""
         return TurnedCourse(self.times[rows], self.angle[rows])
 
 

@@ -35,7 +35,7 @@ _ENDS = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
 
 
 class Fate(StrEnum):
-    """The verdict on a claim."""
+    """The verdict on a paper's claim, after it was compared with our trials."""
 
     REACHED = "reached"
     AGREES = "agrees"
@@ -223,7 +223,7 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A claim with our number and the verdict."""
+    """A claim of a paper, the number that our trials gave, and the verdict."""
 
     claim: Claim
     ours: OurNumber

@@ -47,7 +47,7 @@ class FrameGroup:
 
     @property
     def last(self) -> Readings:
-        """The last readings of all robots."""
+        """The last reading of each robot, in the setup's order."""
         return tuple(self._last)
 
     def add(self, stamp: int, readings: Mapping[int, RobotReading]) -> list[Readings]:

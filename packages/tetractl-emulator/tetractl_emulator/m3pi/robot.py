@@ -40,7 +40,7 @@ class Program(Protocol):
     """The program of a robot's microcontroller, such as a `WheelsCore`. Times are in ms."""
 
     def push(self, data: bytes, now_ms: int) -> Any:
-        """Process bytes from the radio."""
+        """Process bytes that the robot has received by radio."""
         ...
 
     def wheels(self, now_ms: int) -> Counts:
@@ -56,7 +56,7 @@ class Program(Protocol):
         ...
 
     def set_battery(self, battery_mv: int) -> None:
-        """Set the battery's voltage [mV]."""
+        """Set the battery voltage that the program measures [mV]."""
         ...
 
 
@@ -149,7 +149,7 @@ class EmulatedRobot:
 
     @property
     def status(self) -> Status:
-        """The status flags of its program."""
+        """The status flags that the program of the robot reports now."""
         return self.core.status(self._now_ms)
 
     def counts(self) -> Counts:

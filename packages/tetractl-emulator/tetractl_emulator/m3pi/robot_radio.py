@@ -67,7 +67,10 @@ class RobotRadio(SerialDevice):
 
     @property
     def times(self) -> int:
-        """How many times robots receive each transmission."""
+        """How many times a robot receives each transmission: 2 during the fault `doubled_packets`.
+
+        Otherwise it is 1.
+        """
         return 2 if self.acting.of_kind("doubled_packets") else 1
 
     def pass_on(self, message: bytes, arrives_ns: int) -> None:

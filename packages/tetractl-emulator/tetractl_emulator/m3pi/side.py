@@ -31,7 +31,7 @@ SERIES_2 = (0x1944, 0x21A7)  # HV and VR of one with Zigbee
 
 
 class TrueRobot(Model):
-    """A robot's true properties that differ from the spec."""
+    """The true properties of one emulated robot, if they differ from the values in the spec."""
 
     name: Name
     """Name of a robot of the spec."""

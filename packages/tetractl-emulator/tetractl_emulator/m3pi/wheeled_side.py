@@ -70,12 +70,12 @@ class WheeledSide(PluggedDevices):
 
     @property
     def wired(self) -> Sequence[RobotRadio]:
-        """The radios, each on its port."""
+        """The emulated radios, each of which is connected to its own port."""
         return self.radios
 
     @property
     def bodies(self) -> Sequence[EmulatedRobot]:
-        """The robots, in the order of the setup."""
+        """The emulated robots at their true poses, in the order of the setup."""
         return self.robots
 
     @property
@@ -96,7 +96,7 @@ class WheeledSide(PluggedDevices):
         return {"wheels": wheels, "status": status}
 
     def switch(self, on: bool) -> None:
-        """Switch every robot on or off."""
+        """Switch the power of every emulated robot on or off."""
         for robot in self.robots:
             robot.switch(on)
 
@@ -105,7 +105,7 @@ class WheeledSide(PluggedDevices):
         self.wheels.advance(until_ns)
 
     def tick(self) -> None:
-        """Send the answers that robots have ready."""
+        """Send the replies that the emulated robots have ready."""
         for radio in self.radios:
             radio.poll_answers()
 
@@ -161,7 +161,7 @@ class WheeledSide(PluggedDevices):
 
 
 class TrueWheels(Model):
-    """A robot's true properties that differ from the spec."""
+    """The true properties of one emulated robot, if they differ from the values in the spec."""
 
     name: Name
     """Name of a robot of the spec."""

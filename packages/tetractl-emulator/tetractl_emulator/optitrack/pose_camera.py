@@ -24,7 +24,7 @@ DELAYED_PERIODS = 0.45  # greatest delay of those [frame periods]
 
 @dataclass(frozen=True, slots=True)
 class Exposure:
-    """A frame and the time of its exposure [ns]."""
+    """A frame that an emulated camera exposed, and the time of its exposure `at_ns` [ns]."""
 
     frame: Any
     at_ns: int
@@ -82,7 +82,7 @@ class PoseCamera(ABC):
         """Pack a frame, and send it to the clients."""
 
     def begin(self) -> None:
-        """Expose the first frame now, and schedule the others."""
+        """Expose the first frame now, and all later frames at the frame rate."""
         self._start_ns = self.timeline.now_ns
         self._plan()
 

@@ -91,12 +91,12 @@ class CurrentDriver(SerialDevice):
 
     @property
     def status(self) -> DriverStatus:
-        """The present status flags of the driver."""
+        """The status flags that the driver reports now; SILENT if it is switched off."""
         return self._core.status(self._now_ms) if self.powered else DriverStatus.SILENT
 
     @property
     def running(self) -> bool:
-        """Whether the driver makes a field."""
+        """Whether the driver is running, so that its coils make a magnetic field."""
         return DriverStatus.RUNNING in self.status
 
     def hear(self, data: bytes) -> None:
@@ -337,12 +337,12 @@ class EmulatedField(PluggedDevices):
 
     @property
     def bodies(self) -> Sequence[CellBody]:
-        """The cells, in the order of the setup."""
+        """The cells at their true poses, in the order of the setup."""
         return self._bodies
 
     @property
     def driven(self) -> bool:
-        """Whether the driver makes a field."""
+        """Whether the driver is running, so that its coils make a magnetic field."""
         return self.driver.running
 
     @property
@@ -359,7 +359,7 @@ class EmulatedField(PluggedDevices):
         return truth | {"born": [[d.x, d.y, d.heading] for d in daughters]}
 
     def switch(self, on: bool) -> None:
-        """Switch the driver on or off."""
+        """Switch the power of the coil driver on or off."""
         self.driver.switch(on)
 
     def advance(self, until_ns: int) -> None:

@@ -168,7 +168,7 @@ class EmulatedNetworkCamera:
 
     @property
     def port(self) -> int:
-        """The port that the camera serves at."""
+        """The TCP port at which the camera serves its stream."""
         return self._server.server_address[1]
 
     @property
@@ -249,7 +249,7 @@ def url_at(port: int) -> str:
 
 
 def coded(picture: Grey, quality: int = 90) -> bytes:
-    """Encode an image as a JPEG file."""
+    """Encode a grey image as the bytes of a JPEG file; `quality` is from 0 to 100."""
     return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
 

@@ -124,7 +124,10 @@ class SceneHistory:
         self._scenes.append((time_ns, scene))
 
     def at(self, when_ns: int) -> Floats:
-        """Interpolate the scene at a time [ns]."""
+        """Interpolate linearly between the stored scenes, and return the scene at a time [ns].
+
+        Before the first and after the last stored scene, that scene is returned.
+        """
         scenes = list(self._scenes)
         times_ns = [time_ns for time_ns, _ in scenes]
         later = max(bisect_left(times_ns, when_ns), 1)
@@ -231,7 +234,7 @@ class StreamedCamera(ABC):
 
     @property
     def seed(self) -> int:
-        """The seed of all random numbers."""
+        """The seed of all random numbers in the emulation."""
         return self._stage.options.seed
 
     @property

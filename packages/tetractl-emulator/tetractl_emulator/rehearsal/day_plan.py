@@ -54,7 +54,7 @@ class DayPlan:
 
     @property
     def faults_in_order(self) -> list[Mapping[str, Any]]:
-        """The faults, sorted by their times."""
+        """The faults of this test run, sorted by the times at which they begin."""
         return sorted(self.faults, key=lambda fault: fault["at"])
 
     def script(self) -> dict[str, Any]:

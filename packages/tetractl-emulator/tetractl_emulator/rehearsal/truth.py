@@ -135,7 +135,7 @@ class VisibleFault:
 
     @property
     def is_kill(self) -> bool:
-        """Whether the fault kills our process."""
+        """Whether this fault kills our process with SIGKILL."""
         return self.fields.get("signal") == "KILL"
 
     @property
@@ -151,7 +151,7 @@ class VisibleFault:
 
 
 def time_s(event: Event) -> float:
-    """Return the time of an event [s]."""
+    """Return when a recorded event happened [s], on the clock of the emulation."""
     return float(event["t_ns"] / SECOND)
 
 
@@ -200,7 +200,7 @@ class Truth:
 
     @property
     def unit_mm(self) -> float:
-        """The length unit of the spec [mm]."""
+        """How many millimetres one length unit of the spec has."""
         return self.setup.metres * 1000
 
     # What was recorded
@@ -226,12 +226,12 @@ class Truth:
 
     @cached_property
     def exposures(self) -> list[Event]:
-        """The events of the T exposures."""
+        """The recorded events of the camera's T exposures, in the order of time."""
         return self.events("truth")
 
     @cached_property
     def times_s(self) -> Floats:
-        """Times of the exposures, shape (T,) [s]."""
+        """When each of the camera's T exposures happened, shape (T,) [s]."""
         return np.array([*map(time_s, self.exposures)])
 
     @cached_property
@@ -289,16 +289,16 @@ class Truth:
 
     @cached_property
     def commands(self) -> list[Event]:
-        """The events of the C commands."""
+        """The recorded events of the C commands, in the order of time."""
         return self.events("command")
 
     @cached_property
     def commanded_s(self) -> Floats:
-        """Times of the commands, shape (C,) [s]."""
+        """When each of the C recorded commands happened, shape (C,) [s]."""
         return np.array([*map(time_s, self.commands)])
 
     def drives(self, command: Event) -> list[bool]:
-        """Return for each robot whether a command drives it."""
+        """Return for each robot whether a recorded command lets it drive."""
         if "drives" in command:
             return command["drives"]
         may_run = bool(command["flags"] & RUN)
@@ -306,7 +306,7 @@ class Truth:
 
     @cached_property
     def halts_s(self) -> list[float]:
-        """Times of the commands that drive no robot [s]."""
+        """When each command happened that lets no robot drive [s]."""
         return [time_s(command) for command in self.commands if not any(self.drives(command))]
 
     @cached_property
@@ -428,7 +428,7 @@ class Truth:
 
     @cached_property
     def killed(self) -> bool:
-        """Whether our process was killed."""
+        """Whether a fault killed our process during this test run."""
         return any(fault.is_kill for fault in self.faults)
 
     @cached_property

@@ -57,7 +57,7 @@ class LineRadio(RobotRadio):
         return data.split(b"\n")
 
     def stop_elsewhere(self, sequence: int) -> None:
-        """Deliver an emergency stop, as if from another program."""
+        """Deliver an emergency stop to the robots, as if another program had sent it."""
         self.hear(encode_command(LineCommand("W", sequence, Flag.EMERGENCY_STOP)))
 
     def drive_elsewhere(self, sequence: int, counts: Counts) -> None:

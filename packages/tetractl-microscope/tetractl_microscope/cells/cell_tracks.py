@@ -103,7 +103,7 @@ class CellTrack:
 
     @property
     def is_shared(self) -> bool:
-        """Whether its blob also shows other cells."""
+        """Whether the blob that shows this cell in the newest image also shows other cells."""
         return self.newest is not None and self.newest.is_shared
 
     @property

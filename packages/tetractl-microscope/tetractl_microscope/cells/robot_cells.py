@@ -28,7 +28,7 @@ class RobotCell:
 
 @dataclass(eq=False, slots=True)
 class RobotCells:
-    """Which cell in the camera's images each robot of a setup is.
+    """The cells that serve as the robots of a setup, as they appear in the images of the camera.
 
     Attributes:
         setup: The constants of the experiment.
@@ -41,7 +41,7 @@ class RobotCells:
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """The numbers of the cells."""
+        """The numbers of the robots' cells, in the order of the setup."""
         return tuple(cell.number for cell in self.cells)
 
     @property
@@ -50,5 +50,5 @@ class RobotCells:
         return tuple(i for i, cell in enumerate(self.cells) if cell.divided)
 
     def bind(self, numbers: Sequence[int]) -> None:
-        """Set the numbers of the robots' cells."""
+        """Assign a cell, given by its number, to each robot in the setup's order."""
         self.cells = [RobotCell(number) for number in numbers]

@@ -60,7 +60,7 @@ class SettlesRobots(Protocol):
     """An actuator that can change to other robots: those that a trial has chosen in the dish."""
 
     def settle(self, setup: Setup) -> None:
-        """Use the robots of this setup from now on."""
+        """Replace the robots by the robots of this setup, starting now."""
         ...
 
 

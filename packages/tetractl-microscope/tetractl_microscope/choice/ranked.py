@@ -77,7 +77,7 @@ class RankedChoice:
 
     @property
     def numbers(self) -> list[int]:
-        """The numbers of the choice's cells."""
+        """The numbers of the cells that this choice would use as robots."""
         return [cell.number for cell in self.cells]
 
 

@@ -32,12 +32,12 @@ class PictureSearch(Generic[S]):
 
 
 def stated(values: Iterable[T | None]) -> list[T]:
-    """Return the values that are not None."""
+    """Return the given values without those that are None."""
     return [value for value in values if value is not None]
 
 
 def search_ms(searches: Sequence[PictureSearch[Any]]) -> float:
-    """Compute the median duration of a search [ms]."""
+    """Compute the median time that the search of one image took [ms]."""
     return statistics.median(search.search_ns for search in searches) / 1e6
 
 

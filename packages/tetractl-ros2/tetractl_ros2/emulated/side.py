@@ -67,7 +67,7 @@ class EmergencyStop(OwnRadio):
     """The common topic of the emergency stop, which reaches the drivers of all robots."""
 
     def hear(self, data: bytes) -> None:
-        """Process a received message."""
+        """Process a message of the emergency topic: if it is True, stop all robots at once."""
         asked = False
         with suppress(*UNREADABLE):
             asked = Bool.deserialize(data).data

@@ -157,7 +157,7 @@ class OpenRequests:
         self._echoes: deque[int] = deque(maxlen=64)  # times in requests for the server's
 
     def add(self, request: natnet.ClientMessage) -> None:
-        """Record a request that was sent."""
+        """Record a request that was sent to the server, until its answer arrives."""
         match request:
             case natnet.NatNetRequest(text):
                 self._text = text

@@ -168,7 +168,7 @@ class CellBody:
 
     @property
     def heading(self) -> float:
-        """Direction of swimming [rad]."""
+        """The direction in which the cell swims [rad]."""
         return float(self.dish.cells.heading[self.row])
 
     @property

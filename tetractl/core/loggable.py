@@ -128,7 +128,7 @@ def stop_reason(text: str) -> StopReason | str:
 
 
 def require_finite(what: str, values: Iterable[float]) -> None:
-    """Check that values are finite."""
+    """Raise ValueError if a value is infinite or NaN. The message begins with `what`."""
     numbers = np.asarray(values, dtype=np.float64)
     wrong = numbers[~np.isfinite(numbers)]
     if wrong.size:

@@ -120,7 +120,11 @@ class Verdict:
         return cls(nowhere, (False,) * robots, (math.inf,) * robots, can_restart=False)
 
     def in_obstacle(self, radius: float = 0.0) -> list[bool]:
-        """Return the robots (N,) that entered an obstacle."""
+        """Return for each robot whether it entered an obstacle.
+
+        A positive `radius` [length unit] widens every obstacle: a robot that came closer than this
+        also counts.
+        """
         return [
             entered or gap < radius
             for entered, gap in zip(self.entered, self.clearance, strict=True)

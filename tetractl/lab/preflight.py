@@ -60,7 +60,7 @@ class RobotFinding:
 
     @property
     def tracked(self) -> bool:
-        """Whether the camera sees the robot."""
+        """Whether the camera tracked the robot when its start was checked."""
         return self.off_mm is not None
 
     @property

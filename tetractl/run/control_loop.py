@@ -114,7 +114,7 @@ class StepPacing:
         self._first_ns = self._clock.now()
 
     def delay(self, by_ns: int) -> None:
-        """Delay all later control steps by a time."""
+        """Delay all later control steps by `by_ns` [ns]."""
         self._first_ns += by_ns
 
     def finish(self, k: int, pauses: bool) -> int:
@@ -170,7 +170,7 @@ class FrameIntake:
 
 @dataclass(slots=True)
 class StepCounts:
-    """Counters over the control steps of one trial."""
+    """What a trial counts and measures over its control steps, such as solve times."""
 
     solve_ns: list[int] = field(default_factory=list)  # wall time of each plan
     drove: list[bool] = field(default_factory=list)  # whether robots drove meanwhile

@@ -219,7 +219,7 @@ class WallPace(Observer):
         self._sent_ns = None
 
     def on_step(self, step: Step) -> None:
-        """Wait until the command of a step is due."""
+        """Wait until the command of a step is due at the chosen speed of the game."""
         now_ns = self._wall.now()
         sent_ns = step.command.sent_ns
         if self._sent_ns is None:

@@ -209,7 +209,7 @@ class Mismatch:
 
 
 def model_monitor(experiment: Experiment) -> "ModelMonitor":
-    """Create the monitor of a trial's estimates."""
+    """Create the monitor that compares the estimates of a trial with the values in its spec."""
     return ModelMonitor(stated_model(experiment))
 
 

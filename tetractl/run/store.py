@@ -228,10 +228,10 @@ class RecordStore:
         return record if is_whole else None
 
     def add(self, number: int, record: Mapping[str, Any]) -> None:
-        """Write a record.
+        """Write the record with this number to its file.
 
         Raises:
-            LogError: If that fails.
+            LogError: If the file cannot be written.
         """
         text = json.dumps({"of": self._identity, "record": dict(record)})
         save_whole(self.folder / f"record-{number:06d}.json", text.encode())

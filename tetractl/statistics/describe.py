@@ -235,7 +235,7 @@ class Contrast(Shown):
 
     @property
     def test_of_means(self) -> str:
-        """The name of the statistical test of the means."""
+        """The test that compares the means: "paired t" for paired trials, otherwise "Welch's t"."""
         return "paired t" if self.pairs else "Welch's t"
 
     @property
@@ -265,7 +265,7 @@ class BatchComparison(Shown):
 
     @property
     def whole(self) -> bool:
-        """Whether no log of any batch is damaged."""
+        """Whether all logs of all batches are intact."""
         return all(group.batch.whole for group in self.groups)
 
 

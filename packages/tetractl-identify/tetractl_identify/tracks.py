@@ -92,12 +92,12 @@ class Track:
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """The files of the poses and of the commands."""
+        """The files that the poses and the commands come from, without unknown ones."""
         return tuple(filter(None, (self.source, self.commands_source)))
 
     @property
     def exposed(self) -> Floats:
-        """The times of the poses (M, N) [s]."""
+        """When each robot was exposed in each of M frames, shape (M, N) [s]."""
         if self.own_times.size:
             return self.own_times
         return np.repeat(self.time[:, None], len(self.names), axis=1)

@@ -57,7 +57,7 @@ class Layer(Model):
         return text
 
     def arrays(self) -> tuple[Floats, Floats]:
-        """Decode W, shape (outputs, inputs), and b, shape (outputs,)."""
+        """Decode the weights W, shape (outputs, inputs), and the bias b, shape (outputs,)."""
         data = base64.b64decode(self.numbers)
         numbers = np.frombuffer(data, LITTLE_ENDIAN).astype(np.float64)
         split = self.outputs * self.inputs

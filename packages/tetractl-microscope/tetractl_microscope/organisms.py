@@ -64,7 +64,7 @@ class Organism:
 
     @property
     def slowest_um_s(self) -> float:
-        """Speed below which an individual rests [um/s]."""
+        """Speed below which an individual counts as resting [um/s]."""
         return SLOW * self.speed_um_s[0]
 
     @property

@@ -27,12 +27,18 @@ def error_of_a_robot(log: TrialLog) -> float:
 
 
 def entered(log: TrialLog) -> bool:
-    """Return whether any robot's centre entered an obstacle."""
+    """Return whether any robot's centre entered an obstacle during the trial.
+
+    The result is False if the log has no result.
+    """
     return log.result is not None and log.result.entered_obstacle
 
 
 def left(log: TrialLog) -> bool:
-    """Return whether any robot's centre left the arena."""
+    """Return whether any robot's centre left the arena during the trial.
+
+    The result is False if the log has no result.
+    """
     return log.result is not None and log.result.left_arena
 
 

@@ -123,7 +123,7 @@ class SimulatedRun:
 
     @property
     def plans(self) -> list[Plan]:
-        """The decisions that are plans."""
+        """All plans among the decisions of the controller, in the order of time."""
         return [decision for decision in self.decisions if isinstance(decision, Plan)]
 
     @property

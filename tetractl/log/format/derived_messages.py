@@ -29,7 +29,7 @@ def outcome_from_log(text: str) -> str:
 
 
 def start_note(start: Start) -> Note:
-    """Return the message about the start of a trial."""
+    """Create the message in the log that a trial starts, with its number and its setup."""
     return Note(0, "info", f"trial {start.trial} of {start.setup.name} starts")
 
 
@@ -70,6 +70,6 @@ def undelivered_notes(names: Sequence[str], step: Step) -> list[Note]:
 
 
 def end_note(stop: Command, result: Result) -> Note:
-    """Return the message about the end of a trial."""
+    """Create the message in the log that states how a trial ended: an error if it was aborted."""
     level = "error" if result.outcome is Outcome.ABORTED else "info"
     return Note(stop.sent_ns, level, outcome_to_log(result.summary))

@@ -194,7 +194,7 @@ class LiveView(Observer):
         self._task = task
 
     def trial_ended(self, ending: Ending) -> None:
-        """Add the trial that has ended to the counts."""
+        """Add the result of the trial that has ended to the summary of all trials."""
         if ending.result:
             self._tally.add(ending.result)
 

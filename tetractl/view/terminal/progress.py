@@ -32,13 +32,16 @@ class Tally:
         self.entered = 0
 
     def add(self, result: Result) -> None:
-        """Add a finished trial to the counts."""
+        """Add the result of a finished trial: its total error, and whether it was aborted."""
         self.errors.append(result.total_error)
         self.aborted += result.outcome == "aborted"
         self.entered += result.entered_obstacle
 
     def summary(self, unit: str) -> str:
-        """Describe the counts in one line of text."""
+        """Describe the finished trials in one line: mean total error, entered obstacles, aborts.
+
+        The line is empty before the first trial has finished.
+        """
         if not self.errors:
             return ""
         words = [f"mean total error {sum(self.errors) / len(self.errors):.1f} {unit}"]

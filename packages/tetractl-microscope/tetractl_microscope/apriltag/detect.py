@@ -37,7 +37,7 @@ class Sighting:
 
     @property
     def side_px(self) -> float:
-        """Mean length of the four sides [px]."""
+        """Mean length of the four sides of the tag in the image [px]."""
         sides = self.corners - np.roll(self.corners, 1, axis=0)
         return float(np.linalg.norm(sides, axis=1).mean())
 

@@ -158,7 +158,7 @@ class Meeting:
 
     @property
     def tracks(self) -> list[CellTrack]:
-        """The tracks that are in the meeting now."""
+        """The tracks that are too close together now, one for each member."""
         return [member.track for member in self.members]
 
     @property
@@ -197,7 +197,7 @@ class WhichIsWhich:
 
     @property
     def tracks(self) -> list[CellTrack]:
-        """The tracks whose identities are inferred."""
+        """The tracks that have separated, and for which it is open which cell is which."""
         return [member.track for member in self.members]
 
     def add(

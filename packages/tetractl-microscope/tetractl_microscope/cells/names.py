@@ -70,7 +70,7 @@ class Names:
         return answers
 
     def take_number(self) -> int:
-        """Return the next number for a new cell."""
+        """Return a number for a new cell. Each call returns the next number, starting with 1."""
         self._last_number += 1
         return self._last_number
 

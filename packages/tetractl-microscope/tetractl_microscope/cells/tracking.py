@@ -107,7 +107,7 @@ class CellTracker:
 
     @property
     def born(self) -> Sequence[Born]:
-        """The cells that were recognised in the newest image."""
+        """The cells that were recognised for the first time in the newest image."""
         return self._newcomers.born
 
     def see(self, picture: Grey, seconds: float, field: FieldPieces) -> list[SeenCell]:

@@ -98,7 +98,7 @@ class Choice(TrialRobots):
 
     @property
     def are_found(self) -> bool:
-        """Whether a trial has already chosen its robots."""
+        """Whether a trial has already chosen its robots among the cells in the dish."""
         return self.found
 
     def sought(self) -> Self:

@@ -140,7 +140,7 @@ class PictureSearches(Generic[R]):
         self._last: deque[PictureSearch[R]] = deque(maxlen=KEPT_SEARCHES)
 
     def add(self, frame: CameraFrame, search: PictureSearch[R]) -> None:
-        """Add a frame and the search that found it."""
+        """Add a camera frame, and the search of the image in which its poses were found."""
         with self.changed:
             self._frames.append((frame, search.result))
             self._last.append(search)
@@ -171,7 +171,7 @@ class PictureSearches(Generic[R]):
             return drained(self._frames)
 
     def last(self) -> tuple[PictureSearch[R], ...]:
-        """Return the newest searches, oldest first."""
+        """Return the last KEPT_SEARCHES searches, or fewer at the start, oldest first."""
         with self.changed:
             return tuple(self._last)
 

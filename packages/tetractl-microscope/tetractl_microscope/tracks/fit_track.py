@@ -78,7 +78,7 @@ class CellPath:
 
     @property
     def rows(self) -> Floats:
-        """Times and places, shape (K, 3) [s, um, um]."""
+        """One row for each image: time, x and y, shape (K, 3) [s, um, um]."""
         return np.column_stack([self.times, self.places])
 
 

@@ -61,7 +61,7 @@ class Onward:
 
     @property
     def goes_on(self) -> bool:
-        """Whether the object mostly keeps its direction."""
+        """Whether successive displacements mostly point in the same direction."""
         return self.alike >= ONWARD * self.most
 
 

@@ -62,7 +62,7 @@ def _parse_server_info(payload: bytes) -> natnet.ServerInfo:
 
 
 def pack_message(message: natnet.ClientMessage) -> bytes:
-    """Pack one message of a client into a datagram."""
+    """Encode a message from a client to the NatNet server as one datagram."""
     match message:
         case natnet.Connect(version, pinned):
             bitstream = pack_fields("?4B", False, *version, 0, 0) if pinned else b""
@@ -145,7 +145,11 @@ def pack_fields(layout: str, *values: Any) -> bytes:
 
 
 def pack_name(name: str) -> bytes:
-    """Pack a NUL-terminated name."""
+    """Encode a name in UTF-8, and append the NUL that ends it.
+
+    Raises:
+        WireError: If the name is longer than NAME_MAX bytes or contains a NUL.
+    """
     raw = name.encode("utf-8", "replace")
     if len(raw) > NAME_MAX or b"\0" in raw:
         raise WireError(f"a name has at most {NAME_MAX} bytes and no NUL, unlike {name[:40]!r}")
@@ -158,7 +162,7 @@ def pack_sender(name: str, version: natnet.Version) -> bytes:
 
 
 def read_sender(payload: bytes) -> tuple[str, natnet.Version]:
-    """Read the sender's name and protocol version."""
+    """Read the name and the protocol version of the program that sent a message."""
     name, *versions = unpack_fields(SENDER, payload[: SENDER.size])
     return read_text(name), natnet.Version(*versions[4:6])
 

@@ -30,7 +30,7 @@ class Turn:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """The action by which all robots stand still."""
+    """The action that makes all robots stand still."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -112,7 +112,7 @@ class RobotTrack:
 
     @property
     def untracked_ns(self) -> int:
-        """How old the robot's last accepted pose is [ns]."""
+        """How much older the last accepted pose of the robot is than the newest frame [ns]."""
         return self.newest_ns - self.last_ns
 
     @property

@@ -206,7 +206,7 @@ class WheeledRobots:
 
     @property
     def poses(self) -> Poses:
-        """The present poses of the robots."""
+        """The present poses of all robots, as a copy. They can be set."""
         return Poses(*self.pose.copy())
 
     @poses.setter

@@ -146,12 +146,12 @@ class DisturbanceSection(Model):
 
     @property
     def loses_frames(self) -> bool:
-        """Whether `Disturbance.received` may lose a frame."""
+        """Whether this disturbance can lose camera frames; see `Disturbance.received`."""
         return False
 
     @property
     def planning_max_s(self) -> float:
-        """Upper bound of `Disturbance.planning_s` [s]."""
+        """The longest planning time that this disturbance can cause [s]; 0 if it causes none."""
         return 0.0
 
     @abstractmethod

@@ -77,7 +77,7 @@ class Batch(Shown):
 
     @property
     def logs(self) -> list[Path]:
-        """The paths of the logs of the batch's trials."""
+        """The paths of the logs, one for each trial in the batch."""
         return [Path(trial.log) for trial in self.trials]
 
     @property

@@ -153,7 +153,7 @@ RATE_MAX = 64.0
 
 
 class Playback(StrEnum):
-    """The state of a player: playing, paused, or finished."""
+    """The states that the player of a recording can be in."""
 
     PLAYING = "playing"
     PAUSED = "paused"

@@ -36,7 +36,7 @@ class MotionCaptureSection(CameraSection):
 
     @property
     def address(self) -> str:
-        """The computer that streams."""
+        """The host name of the computer that streams the poses, for display."""
         return self.hostname
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:

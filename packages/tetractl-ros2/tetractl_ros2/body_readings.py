@@ -49,7 +49,7 @@ def sightings(kind: str, message: Any) -> list[BodySighting]:
 
 
 def stamp_ns(header: Any) -> int:
-    """Return the time in a header [ns]."""
+    """Return the time stamp in the header of a ROS 2 message [ns]."""
     return header.stamp.sec * SECOND + header.stamp.nanosec
 
 

@@ -93,7 +93,7 @@ class Ros2CameraSection(CameraSection):
 
     @property
     def address(self) -> str:
-        """The domain and the topic, for display."""
+        """The ROS 2 domain and the name of the topic, for display."""
         return f"ros2://{self.domain}{self.topic_pattern}"
 
     def topics(self, setup: Setup) -> tuple[str, ...]:

@@ -155,7 +155,7 @@ class ToioCamera:
         ]
 
     def check(self) -> Health:
-        """Report each robot that does not see the mat."""
+        """Check whether every cube sees the mat, and report each robot whose cube does not."""
         _, reports = self._reports.now()
         problems = tuple(
             (f"{name} does not see the mat: is the cube on the mat, and is its underside clean?")

@@ -112,7 +112,7 @@ class PlanningTimeSection(DisturbanceSection):
 
     @property
     def planning_max_s(self) -> float:
-        """Longest planning time of a control step [s]."""
+        """The longest planning time that this disturbance can cause [s]."""
         return self.least + self.spread
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "PlanningTime":
@@ -128,5 +128,5 @@ class PlanningTime(Disturbance):
         self._rng = rng
 
     def planning_s(self, time_s: float) -> float:
-        """Return the planning time of one control step [s]."""
+        """Sample the planning time of one control step [s]."""
         return self._section.least + self._section.spread * self._rng.random()

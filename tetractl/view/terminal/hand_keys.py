@@ -164,7 +164,7 @@ class HandKeys:
 
     @property
     def pauses(self) -> bool:
-        """Whether the person wants a pause."""
+        """Whether the person has asked for a pause, and no stop or end of the trial came since."""
         return self._wish.pauses and not (self._wish.stops or self._has_ended())
 
     def await_end_of_pause(self, show: Callable[[float], None]) -> None:

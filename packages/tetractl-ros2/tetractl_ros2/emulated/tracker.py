@@ -63,7 +63,7 @@ class EmulatedTracker(PoseStream):
             body.asset.offset = robot.heading_offset
 
     def open(self, loop: Loop) -> Facts:
-        """Join the topics, and start with the first frame."""
+        """Join the ROS 2 topics of the emulated tracker, and expose its first frame."""
         for port in (*self._ports, self._marker):
             port.plug()
         self.begin()
@@ -76,7 +76,7 @@ class EmulatedTracker(PoseStream):
         return {"frames": self.frames}
 
     def packed(self, shot: Shot) -> bytes:
-        """Encode the message that contains all robots."""
+        """Encode one message with the poses of all tracked robots."""
         return self._message(shot, [body for body in shot.bodies if body.tracking_valid])
 
     def _stream(self, frame: Shot, now_ns: int) -> None:

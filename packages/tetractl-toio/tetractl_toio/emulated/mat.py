@@ -26,7 +26,7 @@ BOTTOM = 455
 
 
 class MatSettings(Model):
-    """Properties of the readings that differ from the spec."""
+    """Properties of the emulated mat readings that a fault script can change."""
 
     notify: Annotated[float, Field(ge=0.01, le=1)] = 0.01
     """Time between two readings of a cube [s]."""
@@ -107,7 +107,7 @@ class EmulatedMat:
         return {"camera": f"{len(self.cubes)} cubes on a mat"}
 
     def close(self) -> Facts:
-        """Return the number of reports, as "frames"."""
+        """Return how many readings the cubes have reported, under the key "frames"."""
         return {"frames": self._exposures}
 
     def _read(self, i: int) -> None:

@@ -71,7 +71,7 @@ def test_logs_of_different_experiments_are_exported_apart(folder, tmp_path):
     assert tetractl(tmp_path, "run", "other.yaml", "--out", "logs", "--quiet").returncode == 0
     done = tetractl(tmp_path, "export", folder / "logs", "logs", "-o", "out")
     assert done.returncode == 2
-    assert "the columns of trials differ" in done.stderr
+    assert "the columns of the table trials differ" in done.stderr
     assert not (tmp_path / "out").exists()
 
 

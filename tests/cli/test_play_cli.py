@@ -111,7 +111,7 @@ def test_keys_and_mouse_steer_and_the_terminal_is_restored(folder):
             (r"← \+180°", "p"),
             ("arrows steer", "\x1b[<0;20;10M\x1b[<32;24;8M"),
             (r"↗ \+45°", " "),
-            (r"You: [\d.]+ mm in \d+ s. All heard", ""),
+            (r"You: [\d.]+ mm in \d+ s\. All robots", ""),
             ("ENTER: the controller  R: again", "\x1b[A\r"),  # the arrow answers nothing
             (r"Your best: [\d.]+ mm in \d+ s", ""),
             ("ENTER: end", "\r"),

@@ -69,7 +69,7 @@ def test_without_the_extra_one_clear_line_says_how_to_get_it(tmp_path):
     )
     assert done.returncode == 2
     assert done.stderr == (
-        "error: this needs websockets, which is not installed\n"
+        "error: this command needs websockets, which is not installed\n"
         "hint: install it in your copy of the tetractl repository with: pip install '.[serve]'\n"
     )
     assert done.stdout == ""

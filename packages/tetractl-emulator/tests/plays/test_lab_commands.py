@@ -167,7 +167,7 @@ def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
     assert (refused.returncode, refused.stdout) == (2, "")
     started = 2
     again = run(*log, "lab", "--plant", "lab", "--yes").ok()
-    assert "both logs are of the lab, so they are not compared" in again.stderr
+    assert "both logs come from the lab, so they are not compared" in again.stderr
 
 
 @pytest.mark.long

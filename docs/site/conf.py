@@ -17,6 +17,7 @@ include_patterns = [
     "experiments/**/README.md",
     "packages/*/README.md",
     "packages/*/docs/**.md",
+    "packages/*/tests/data/README.md",
     "firmware/README.md",
 ]
 exclude_patterns = [".venv*", "logs", "build", "dist"]

@@ -80,7 +80,7 @@ def rule_of(mapping: dict[Any, Any]) -> type[TrialRobots]:
     rules = ", ".join([*installed, *not_here])
     raise PydanticCustomError(
         "no_rule",
-        f"must be a list, with each robot after a '-', or a mapping with the key {rules}",
+        "must be a list, with each robot after a '-', or a mapping with the key {rules}",
         {"rules": rules},
     )
 

@@ -47,7 +47,7 @@ def cell_checks(rules: GuardRules) -> GuardChecks:
 class Swims(MotionCheck):
     """The check of a cell's motion. It warns if a cell moves as no command explains.
 
-    After a warning, the comparison with the commands starts anew with the next pose.
+    After a warning, the comparison with the commands starts again with the next pose.
     """
 
     def __init__(self, rules: GuardRules) -> None:

@@ -58,4 +58,4 @@ def test_a_trial_reports_what_the_estimates_of_its_controller_show(tmp_path):
     settings = [sticking, "trials.seed=2", "controller.time_limit=7"]
     run_logged(load_spec(ROOT / "experiments/three_m3pi.yaml", settings), tmp_path)
     texts = [note.text for note in read_trial(log_path(tmp_path, 0)).notes]
-    assert "blue stands although it is sent a direction" in texts
+    assert "blue stands still although it is sent a direction" in texts

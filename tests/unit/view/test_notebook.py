@@ -96,7 +96,7 @@ def test_what_cannot_be_shown_says_why(tmp_path, batch):
 @pytest.mark.long  # draws
 def test_a_video_is_of_one_trial_and_is_written_where_it_is_wanted(tmp_path, batch):
     log = batch.trials[0].log
-    with pytest.raises(UsageError, match="a video shows a single trial, but 2"):
+    with pytest.raises(UsageError, match="a video shows one trial, not 2"):
         tetractl.plot(batch, "video")
     video = tetractl.plot(log, "video", file=tmp_path / "trial.gif")
     assert video.format == "gif"

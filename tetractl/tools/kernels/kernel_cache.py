@@ -37,6 +37,7 @@ from tetractl.tools.cache import (
     say_once,
 )
 from tetractl.tools.kernels import sources
+from tetractl.tools.kernels.kernel_compiler import KernelCompiler
 
 
 class _Internals(NamedTuple):
@@ -244,11 +245,17 @@ class KernelCache:
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator like `numba.njit`, whose compiled code is kept between runs.
 
+    By default, a function is compiled as a kernel, which contains all code that it calls. Numba's
+    own compiler would leave the functions that it calls visible to others. A function that was
+    compiled in another process may then call one of the same name, of this process.
+
     The code of a function without a wrapper for Python is kept only within that of kernels.
     """
 
+    chosen = {"pipeline_class": KernelCompiler} | options
+
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher: Any = njit(**options)(function)
+        dispatcher: Any = njit(**chosen)(function)
         if options.get("no_cpython_wrapper"):
             return dispatcher
         place = folder()

@@ -252,7 +252,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     The code of a function without a wrapper for Python is kept only within that of kernels.
     """
 
-    chosen = {"pipeline_class": KernelCompiler} | options
+    chosen: Any = {"pipeline_class": KernelCompiler} | options
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher: Any = njit(**chosen)(function)

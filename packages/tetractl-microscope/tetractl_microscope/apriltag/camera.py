@@ -166,10 +166,7 @@ def _findings(
     if double:
         yield (
             True,
-            (
-                f"the camera sees floor {_tags(double)} twice, but each tag number may be "
-                "used only once"
-            ),
+            (f"floor {_tags(double)} seen twice, but each tag number may be used only once"),
         )
     plane = tracker.floor.plane or tracker.floor.misfit
     if plane is not None:

@@ -148,7 +148,10 @@ DOWN = {"tilt": 0.0}
             {"hidden": {101, 103, 7}},
             {},
             {},
-            ["floor tags 101, 103 are not seen; tags seen: 0, 100, 102, 586", "blue: tag 7 is not"],
+            [
+                "floor tags 101, 103 are not seen; tags seen: 0, 100, 102, 586",
+                "blue: the camera does not see tag 7",
+            ],
             "",
         ),
         (
@@ -156,7 +159,7 @@ DOWN = {"tilt": 0.0}
             {},
             {},
             [
-                "floor tag 100 is seen twice: each",
+                "floor tag 100 is seen twice, but each",
                 "red: the camera sees tag 586 twice, so the robot is not",
             ],
             "",

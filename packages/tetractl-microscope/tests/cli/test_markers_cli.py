@@ -85,7 +85,7 @@ def test_a_new_spec_with_tags_is_printed_on_true_pages(tmp_path):
     assert size == pytest.approx(PAPERS["a4"], abs=0.01)
     for words, why in (
         (["shelf.yaml", "--paper", "a5"], "--paper a5: must be a4, a3, letter"),
-        (["shelf.yaml", "-o", "no/tags.pdf"], "there is no folder no"),
+        (["shelf.yaml", "-o", "no/tags.pdf"], "the folder no does not exist"),
     ):
         wrong = tetractl(tmp_path, "lab", "markers", *words)
         assert (wrong.returncode, why in wrong.stderr) == (2, True)

@@ -417,7 +417,7 @@ def _conclude(
         if in_lab and interrupt.terminated:
             ui.tell(
                 "interrupted by a signal. If the signal came from `tetractl lab stop`, the "
-                f"robots stay stopped until you switch each off and on; then {go_on}"
+                f"robots stay stopped until you switch each off and on; then, {go_on}"
             )
         else:
             ui.tell(f"interrupted; {go_on}")

@@ -13,7 +13,7 @@ from tetractl.lab.serial_port import SWITCH_OFF
 ENDING_SIGNALS = (
     (signal.SIGTERM, "asked the process to stop its robots and to end", 1.0),
     (signal.SIGTERM, "asked the process to end at once", 4.0),
-    (signal.SIGKILL, "killed the process; repair its log with `tetractl recover`", 6.0),
+    (signal.SIGKILL, "killed the process; `tetractl recover` repairs its log", 6.0),
 )
 """The signals sent to a process that has the port, in order.
 

@@ -72,7 +72,7 @@ class CheckedController:
         try:
             return self._checked(decision)
         except ValueError as error:
-            text = f"a {type(decision).__name__} that cannot be used, because {error}"
+            text = f"a {type(decision).__name__} that cannot be used: {error}"
             who = f"controller '{self._section.type}'"
             raise WrongValueError(who, text) from None
 

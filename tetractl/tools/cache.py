@@ -37,7 +37,7 @@ def cache_folder() -> Path:
     which is removed at the end of the process. Raises OSError if no temporary folder can be made.
     """
     wanted = _wanted()
-    why = "the user has no home folder, where compiled code is kept"
+    why = "the user has no home folder"
     if wanted is not None:
         why = claim(wanted)
         if why is None:

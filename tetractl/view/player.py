@@ -303,7 +303,7 @@ def span(recording: Recording, start_s: float, until_s: float | None) -> tuple[i
     end_s = recording.log.elapsed_s(recording.end_ns)
     if not start_s >= first_s:
         begins = f"at {first_s:.4g}" if first_s else "with the first command, at 0"
-        raise UsageError(f"--start {start_s:g} lies before the beginning of the log, {begins}")
+        raise UsageError(f"--start {start_s:g} lies before the log, which begins {begins}")
     if start_s > end_s:
         raise UsageError(
             f"--start {start_s:g} lies after the end of the trial, which lasts {end_s:g} s"

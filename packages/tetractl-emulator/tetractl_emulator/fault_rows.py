@@ -19,7 +19,7 @@ from tetractl.spec.lab_section import LabSection
 # regular expressions of reasons
 SIGHT = (
     r"no new camera frame|no new frames|no frames|outdated|not tracked|too rarely|old on arrival"
-    r"|watched long enough|before reception|no camera frame|not known: the camera|frames came"
+    r"|watched long enough|before reception|no camera frame|cannot be found: the camera|frames came"
     r"|no message came|no camera server answers"
 )
 MOTION = (

@@ -430,10 +430,7 @@ def _fit_text(robots: Sequence[FittedRobot]) -> str:
     misfits = [f"{robot.name} ({', '.join(robot.misfits)})" for robot in robots if robot.misfits]
     if not misfits:
         return "the model fits"
-    return (
-        f"the model does not fit {'; '.join(misfits)}: the robot's speed or turning varies "
-        "over seconds"
-    )
+    return f"the model does not fit {'; '.join(misfits)}: speed or turning varies over seconds"
 
 
 def cell(interval: SampleInterval) -> str:

@@ -206,13 +206,13 @@ def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]
 def _choice_line(proposal: "RankedChoice", unit: str) -> str:
     """Describe a choice of cells: its predicted error, and which cells were near the edge."""
     numbers = ", ".join(map(str, proposal.numbers))
-    error = f"{proposal.error:.0f} {unit}" if math.isfinite(proposal.error) else "no plan was found"
-    near_edge = ", ".join(str(cell.number) for cell in proposal.cells if not cell.free)
-    doubt = (
-        f"; less certain, because this cell was near the edge: cell {near_edge}"
-        if near_edge
-        else ""
+    error = (
+        f"{proposal.error:.0f} {unit}"
+        if math.isfinite(proposal.error)
+        else "none, as no plan was found"
     )
+    near_edge = ", ".join(str(cell.number) for cell in proposal.cells if not cell.free)
+    doubt = f"; less certain, because of cells near the edge: {near_edge}" if near_edge else ""
     return f"cells {numbers}: predicted mean total error {error}{doubt}"
 
 

@@ -177,7 +177,7 @@ class Ros2Camera:
                 topic = self.section.topics(self._setup)[row]
                 lines.append(f"{name} has no pose, because no message came on {topic}")
             else:
-                where = f"{self.section.topic_pattern}; it has the bodies {self._body_list()}"
+                where = f"{self.section.topic_pattern}; bodies there: {self._body_list()}"
                 lines.append(f"there is no body {body} for {name} on {where}")
         return tuple(lines)
 

@@ -94,7 +94,7 @@ class AprilTagSection(PictureSection):
         for tag, count in Counter(printed.tag for printed in (*self.robots, *self.floor)).items():
             if count > 1:
                 raise inconsistent(
-                    "floor", f"uses tag {tag} twice; each tag number may be used only once"
+                    "floor", f"tag {tag} is used twice; each tag number may be used only once"
                 )
         if _flat([tag.at for tag in self.floor]):
             raise inconsistent("floor", "the floor tags must not lie on one line")

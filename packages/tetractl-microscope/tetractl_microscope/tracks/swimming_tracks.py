@@ -209,7 +209,7 @@ def track_record(
     if turning:
         names = _cells(turning)
         notes.append(
-            f"have no speed and no a, because they turn by themselves, unlike a helix: {names}"
+            f"without speed and a, because they turn by themselves, unlike a helix: {names}"
         )
     return plain(
         {

@@ -159,9 +159,7 @@ def test_without_any_pose_the_topic_is_named():
 def test_bodies_that_are_streamed_are_listed_if_one_is_missing():
     array = NamedPoseArray(header(SECOND), [NamedPose("G", pose(1.0)), NamedPose("X", pose(2.0))])
     camera, _ = camera_of("NamedPoseArray", [("/poses", array, SECOND)])
-    assert camera.check().problems == (
-        "there is no body B for blue on /poses; it has the bodies G, X",
-    )
+    assert camera.check().problems == ("there is no body B for blue on /poses; bodies there: G, X",)
 
 
 def test_long_names_of_bodies_are_cut_and_many_are_counted():

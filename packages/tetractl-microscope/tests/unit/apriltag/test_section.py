@@ -26,7 +26,7 @@ GOOD = {
         ({"source": {"type": "mjpeg", "url": "http://user:word@camera/"}}, "url"),
         ({"source": {"type": "device", "index": -1}}, "index"),
         ({"source": {"type": "usb"}}, "source"),
-        ({"robots": [{**ROBOT, "tag": 100}]}, "uses tag 100 twice"),
+        ({"robots": [{**ROBOT, "tag": 100}]}, "tag 100 is used twice"),
         ({"robots": [{**ROBOT, "tag": 587}]}, "tag"),
         ({"floor": FLOOR[:3]}, "floor"),
         ({"floor": [{**tag, "at": (i, i)} for i, tag in enumerate(FLOOR)]}, "on one line"),

@@ -184,14 +184,14 @@ class SimSection(PlantSection):
             message = f"gives {poses:.3g} poses in each control period of {setup.period_s:g} s"
             yield (
                 ("truth_rate",),
-                (f"{message}, but at most {POSES_MAX:g} are allowed; lower the rate"),
+                f"{message}, but at most {POSES_MAX:g} are allowed; lower the rate",
             )
         if self.drive is not None and self.cells is not None:
             yield ("cells",), "have no wheels in this spec; leave out 'drive' or 'cells'"
         if self.drive is not None and not setup.on_wheels:
             yield (
                 ("drive",),
-                ("needs the radius of the wheels: add 'wheels: {radius: ..}' to the spec"),
+                "needs the radius of the wheels: add 'wheels: {radius: ..}' to the spec",
             )
         repeats_hz = None if self.drive is None else self.drive.rate
         transmissions_hz = repeats_hz or 1 / setup.period_s

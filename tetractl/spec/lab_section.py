@@ -369,7 +369,7 @@ def mismatches(
         if robot.name not in names:
             yield (
                 ("robots", i, "name"),
-                (f"is not a robot of the spec, whose robots are {', '.join(names)}"),
+                f"is not a robot of the spec, whose robots are {', '.join(names)}",
             )
         for key in ("name", *unique):
             value = dict(robot)[key]
@@ -379,7 +379,7 @@ def mismatches(
             if first != i:
                 yield (
                     ("robots", i, key),
-                    (f"is also the value of {robots[first].name}; the values must differ"),
+                    f"is also the value of {robots[first].name}; the values must differ",
                 )
 
 
@@ -388,7 +388,7 @@ def too_fast(setup: Setup, speed_max_mm_s: float) -> Iterator[tuple[Loc, str]]:
     speeds = setup.speed * setup.metres * 1000
     if speeds.max() > speed_max_mm_s:
         name = setup.names[int(speeds.argmax())]
-        yield ("speed_max_mm_s",), (f"is below the speed of {name}, which is {speeds.max():g} mm/s")
+        yield ("speed_max_mm_s",), f"is below the speed of {name}, which is {speeds.max():g} mm/s"
 
 
 def unknown_radii(setup: Setup, radii_mm: Iterable[float | None]) -> Iterator[tuple[Loc, str]]:

@@ -135,7 +135,7 @@ def of_lab(kind: str) -> bool:
     if kind not in PLANTS:
         why, hint = not_installed(PLANTS.group, kind) or ("there is no such plant", None)
         raise UsageError(
-            f"--plant {kind}: {why}", hint or (f"the known plants are {', '.join(PLANTS.names())}")
+            f"--plant {kind}: {why}", hint or f"the known plants are {', '.join(PLANTS.names())}"
         )
     section: type[PlantSection] = PLANTS.load(kind)
     return issubclass(section, LabSection)

@@ -255,7 +255,7 @@ def _notes(raw: RawLog, log: TrialLog) -> Iterator[str]:
         for gap in frame_gaps(log):
             yield f"missing: {gap}"
     if raw.reordered:
-        yield ("the content digest was not compared, because the messages are in another order")
+        yield "the content digest was not compared, because the messages are in another order"
 
 
 def _may_lose_frames(log: TrialLog) -> bool:

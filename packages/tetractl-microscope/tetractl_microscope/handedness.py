@@ -133,7 +133,7 @@ def handedness_lines(turning: Handedness | None) -> tuple[list[str], str]:
     """
     if turning is None:
         return [
-            (f"no result: fewer than {LEAST_CELLS} cells were seen for 2 s while the field turned")
+            f"no result: fewer than {LEAST_CELLS} cells were seen for 2 s while the field turned"
         ], "-"
     off = f"{turning.turned:+.2f} +- {1.96 * turning.turned_sd:.2f} rad off it"
     text = (
@@ -142,7 +142,7 @@ def handedness_lines(turning: Handedness | None) -> tuple[list[str], str]:
     )
     if turning.explained < EXPLAINED:
         return [
-            ("the cells do not turn with the field: is the field on, and are the cells magnetised?")
+            "the cells do not turn with the field: is the field on, and are the cells magnetised?"
         ], text
     mirrored = (
         "the image is mirrored (change lab.camera.mirrored), or the current of one coil pair "

@@ -67,7 +67,7 @@ class MotionCapture(PortCamera):
         rest = len(self._bodies) - NAMES_MAX
         streamed = f"{streamed or 'none'} and {rest} more" if rest > 0 else streamed or "none"
         lines = [
-            (f"the system streams no rigid body {o.body} for {o.name}; it streams {streamed}")
+            f"the system streams no rigid body {o.body} for {o.name}; it streams {streamed}"
             for o in lost
         ]
         return Health(tuple(lines), emulated=self.emulated)

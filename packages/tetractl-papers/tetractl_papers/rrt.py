@@ -73,7 +73,7 @@ class RrtSection(PlainSection):
             )
             yield ("type",), message
         if not setup.speed.all():
-            yield ("type",), ("needs a robot that moves, but the robot's speed in the spec is 0")
+            yield ("type",), "needs a robot that moves, but the robot's speed in the spec is 0"
 
     def problem(self, setup: Setup) -> Problem:
         """Return the problem for computing the logged cost, with the robot at its start."""

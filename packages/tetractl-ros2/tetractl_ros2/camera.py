@@ -244,7 +244,7 @@ class Ros2Camera:
         self._wake()
 
     def _take_failure(self, topic: int, at_ns: int) -> None:
-        fault = self._ports[topic].failure or (f"reading the topic {self.section.address} failed")
+        fault = self._ports[topic].failure or f"reading the topic {self.section.address} failed"
         self._number += 1
         none = (None,) * len(self._setup.names)
         self._waiting.append(CameraFrame(self._number, at_ns, at_ns, none, fault=fault))

@@ -119,7 +119,7 @@ class Ros2CameraSection(CameraSection):
             if BODY in pattern and NAME.fullmatch(f"/{robot.body}") is None:
                 yield (
                     ("robots", i, "body"),
-                    ("must consist of letters, digits and _, because it is part of a topic's name"),
+                    "must consist of letters, digits and _, because it is part of a topic's name",
                 )
 
     def bounds(self) -> dict[str, str]:
@@ -173,7 +173,7 @@ class Ros2Section(SpeedSection):
         for i, robot in enumerate(self.robots):
             for key in ("topic", "battery"):
                 if "{" in (getattr(robot, key) or ""):
-                    yield ("robots", i, key), ("must be a full topic name, such as /green/cmd_vel")
+                    yield ("robots", i, key), "must be a full topic name, such as /green/cmd_vel"
         if self.stops_after is None:
             if math.isfinite(setup.watchdog_s):
                 text = (

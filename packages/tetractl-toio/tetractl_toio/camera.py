@@ -158,7 +158,7 @@ class ToioCamera:
         """Check whether every cube sees the mat, and report each robot whose cube does not."""
         _, reports = self._reports.now()
         problems = tuple(
-            (f"{name} does not see the mat: is the cube on the mat, and is its underside clean?")
+            f"{name} does not see the mat: is the cube on the mat, and is its underside clean?"
             for name, report in zip(self.setup.names, reports, strict=True)
             if report.pose is None
         )

@@ -166,7 +166,7 @@ def _findings(
     if double:
         yield (
             True,
-            (f"floor {_tags(double)} seen twice, but each tag number may be used only once"),
+            f"floor {_tags(double)} seen twice, but each tag number may be used only once",
         )
     plane = tracker.floor.plane or tracker.floor.misfit
     if plane is not None:

@@ -180,7 +180,7 @@ class FieldSection(ActuatorSection):
         if setup.strength is not None and self.strength_mt is not None:
             yield (
                 ("strength_mt",),
-                ("repeats a value that the spec's strength already gives; remove one of them"),
+                "repeats a value that the spec's strength already gives; remove one of them",
             )
 
     def reference_mt(self, setup: Setup) -> float:

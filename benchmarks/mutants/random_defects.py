@@ -281,7 +281,7 @@ def find_defect(tree: Path, site: Site, limit_s: float, whole: bool) -> str:
         return ""
     finally:
         planted.write_bytes(site.path.read_bytes())
-        if "tools" in site.path.parts:
+        if "tools" in site.path.parts:  # such as how kernels are named
             shutil.rmtree(compiled_folder(tree), ignore_errors=True)
 
 

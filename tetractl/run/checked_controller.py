@@ -20,7 +20,7 @@ from tetractl.core.setup import Setup
 from tetractl.spec.controller import ALONE, ControllerSection, Host
 from tetractl.spec.experiment import Experiment
 
-NUMBERS_MAX = 1 << 19
+PLAN_SIZE_MAX = 1 << 19
 """Maximum count of numbers in a plan: a quarter of the largest chunk of a log that is read
 (`CHUNK_MAX` of `tetractl.log.read.limits`)."""
 
@@ -90,7 +90,7 @@ class CheckedController:
                 if not 0 <= search.evaluations < 1 << 63:
                     raise ValueError(f"a search has {search.evaluations} evaluations")
             searched = sum(search.signals.size + search.history.size for search in checked.searches)
-            if checked.signals.size + checked.path.size + searched > NUMBERS_MAX:
+            if checked.signals.size + checked.path.size + searched > PLAN_SIZE_MAX:
                 raise ValueError("the plan has too many numbers to log")
             if not 0 <= checked.chosen < len(checked.searches):
                 raise ValueError(
@@ -130,7 +130,7 @@ _hints = cache(get_type_hints)
 
 def _array(value: Any) -> Floats:
     array = np.asarray(value)
-    if array.size > NUMBERS_MAX:
+    if array.size > PLAN_SIZE_MAX:
         raise ValueError(f"{array.size} numbers")
     return array.astype(np.float64, casting="same_kind")  # not of text, objects, complex numbers
 

@@ -32,9 +32,8 @@ from tetractl.core.trial import Result, Start, Step
 from tetractl.log.write.sink import TRIAL_PART
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.logged_trial import log_path, supervision_of
-from tetractl.run.observer_relay import relayed
-from tetractl.run.spec_trial import ready_trial, trial_seeds
+from tetractl.run.logged_trial import log_path, run_with_log
+from tetractl.run.spec_trial import trial_seeds
 from tetractl.spec.loaded_spec import LoadedSpec, start_of, with_controller
 from tetractl.tools.files import make_folder
 from tetractl.tools.worker import Relay
@@ -175,21 +174,17 @@ def run_by_hand(
     make_folder(folder)
     path = log_path(folder, controller.trial)
     hand_log = HandLog(controller)
-    interrupt = interrupt or Interrupt()
-    real_time = spec.experiment.plant.real_time
-    with (
-        LogWriter(path, real_time=real_time, keeps_part=True) as log,
-        relayed(observers, real_time) as relays,
-        ready_trial(
+    with LogWriter(path, real_time=spec.experiment.plant.real_time, keeps_part=True) as log:
+        result = run_with_log(
+            log,
             spec,
             controller.trial,
-            [log, hand_log, *relays],
+            observers,
             interrupt,
-            supervision or supervision_of(log, interrupt),
-            controller,
-        ) as ready,
-    ):
-        result = ready.run()
+            supervision,
+            recorders=[hand_log],
+            controller=controller,
+        )
     if controller.directions:
         hand_log.save(spec, path)
     path.with_name(path.name + TRIAL_PART).unlink()  # last: a crash leaves one log at least

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from tetractl.core.protocols import LabSupervision, Observer
+from tetractl.core.protocols import Controller, LabSupervision, Observer
 from tetractl.core.trial import Result
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.interrupt import Interrupt
@@ -41,18 +41,38 @@ def run_logged(
         interrupt: Ends the trial on request; by default, nothing else does.
         supervision: Supervises the lab; by default this process does.
     """
+    with LogWriter(log_path(folder, trial), real_time=spec.experiment.plant.real_time) as log:
+        return run_with_log(log, spec, trial, observers, interrupt, supervision)
+
+
+def run_with_log(
+    log: LogWriter,
+    spec: LoadedSpec,
+    trial: int,
+    observers: Sequence[Observer],
+    interrupt: Interrupt | None,
+    supervision: LabSupervision | None,
+    recorders: Sequence[Observer] = (),
+    controller: Controller | None = None,
+) -> Result:
+    """Run a trial of a spec, whose log has been opened.
+
+    Args:
+        log: The writer of the log.
+        spec: The spec.
+        trial: The number of the trial.
+        observers: See `run_logged`.
+        interrupt: See `run_logged`.
+        supervision: See `run_logged`.
+        recorders: Observers that the loop's own thread calls, after the writer of the log.
+        controller: Steers the robots; by default the spec's controller does.
+    """
     interrupt = interrupt or Interrupt()
-    real_time = spec.experiment.plant.real_time
+    supervision = supervision or replace(own_supervision(interrupt), fail_log=log.fail)
     with (
-        LogWriter(log_path(folder, trial), real_time=real_time) as log,
-        relayed(observers, real_time) as relays,
+        relayed(observers, spec.experiment.plant.real_time) as relays,
         ready_trial(
-            spec, trial, [log, *relays], interrupt, supervision or supervision_of(log, interrupt)
+            spec, trial, [log, *recorders, *relays], interrupt, supervision, controller
         ) as ready,
     ):
         return ready.run()
-
-
-def supervision_of(log: LogWriter, interrupt: Interrupt) -> LabSupervision:
-    """Return the supervision of a lab by the process that runs the trial and writes its log."""
-    return replace(own_supervision(interrupt), fail_log=log.fail)

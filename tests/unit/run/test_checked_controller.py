@@ -18,7 +18,7 @@ from tetractl.core.plan import End, Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation, Poses
 from tetractl.log.read.limits import CHUNK_MAX
 from tetractl.log.read.reader import read_trial
-from tetractl.run.checked_controller import NUMBERS_MAX, CheckedController
+from tetractl.run.checked_controller import PLAN_SIZE_MAX, CheckedController
 from tetractl.spec.controller import ControllerSection
 
 SETUP = experiment().setup
@@ -145,7 +145,7 @@ WRONG = {
     "signals complex": plan(signals=np.full(2, 1j)),
     "no signals": plan(0),
     "million": plan(10**6),
-    "long": plan(NUMBERS_MAX // 2),
+    "long": plan(PLAN_SIZE_MAX // 2),
     # of the numbers
     "cost nan": plan(cost=np.nan),
     "cost text": plan(cost="low"),
@@ -218,7 +218,7 @@ def test_what_cannot_be_sent_and_logged_is_refused(name):
 FINE = {
     "plan": plan(),
     "large": plan(path=path_with(1e38), signals=np.full(2, -1e300)),
-    "as long as it may be": plan(NUMBERS_MAX // 12),
+    "as long as it may be": plan(PLAN_SIZE_MAX // 12),
     "signals of a list": plan(signals=[0.5, 0.5]),
     "path of a list": plan(path=PATH.tolist()),
     "searches of a list": plan(searches=list(plan().searches)),
@@ -290,4 +290,4 @@ def test_a_controller_of_another_package_has_a_setup_of_its_own():
 
 
 def test_the_largest_plan_fits_in_a_chunk_that_the_reader_accepts():
-    assert 8 * NUMBERS_MAX <= CHUNK_MAX / 4  # numbers of 8 bytes
+    assert 8 * PLAN_SIZE_MAX <= CHUNK_MAX / 4  # numbers of 8 bytes

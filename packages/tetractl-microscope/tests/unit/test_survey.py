@@ -12,7 +12,7 @@ def test_a_choice_with_a_cell_near_the_edge_says_so():
     proposal = SimpleNamespace(numbers=[3, 7], cells=cells, error=41.2)
     line = _choice_line(proposal, "um")
     assert line.startswith("cells 3, 7: predicted mean total error 41 um;")
-    assert line.endswith("near the edge: cell 7")
+    assert line.endswith("because of cells near the edge: 7")
     cells[1].free = True
     assert _choice_line(proposal, "um") == "cells 3, 7: predicted mean total error 41 um"
 

@@ -1,1 +1,1 @@
-"""Control: what estimates, what searches, and the methods that use both."""
+"""Control: estimate the robots' motion, search for plans, and decide what to send."""

@@ -25,11 +25,11 @@ class Clock(Protocol):
     """A clock that starts at 0 when it is created."""
 
     def now(self) -> int:
-        """Return the present time on this clock [ns]."""
+        """Return the time since the clock was created [ns]."""
         ...
 
     def sleep_until(self, when: int) -> None:
-        """Wait until `when` [ns]; return at once if that time has passed."""
+        """Wait until `when` [ns] on this clock. Returns at once if that time has passed."""
         ...
 
 
@@ -40,11 +40,14 @@ class VirtualClock:
         self._now = 0
 
     def now(self) -> int:
-        """Return the present virtual time [ns]."""
+        """Return the virtual time since the clock was created [ns]."""
         return self._now
 
     def sleep_until(self, when: int) -> None:
-        """Jump to the virtual time `when` [ns], without waiting."""
+        """Jump to the virtual time `when` [ns], without waiting.
+
+        An earlier time changes nothing.
+        """
         self._now = max(self._now, when)
 
 
@@ -61,17 +64,17 @@ def host_ns() -> int:
 
 
 class MonotonicClock:
-    """The host's monotonic clock, which is not affected by changes of the wall clock."""
+    """A clock that follows the host's monotonic clock, not the adjustable wall clock."""
 
     def __init__(self) -> None:
         self._start = host_ns()
 
     def now(self) -> int:
-        """Return the present time of the host's monotonic clock [ns]."""
+        """Return the time since the clock was created, by the host's monotonic clock [ns]."""
         return host_ns() - self._start
 
     def sleep_until(self, when: int) -> None:
-        """Wait until the host's clock shows `when` [ns]."""
+        """Wait until `when` [ns] on this clock. Returns at once if that time has passed."""
         remaining_ns = when - self.now()
         while remaining_ns > 0:
             time.sleep(remaining_ns / SECOND)
@@ -82,13 +85,12 @@ def next_due_ns(due_ns: int, sent_ns: int, period_ns: int) -> int:
     """Compute when a transmission that is sent once a period is due next [ns].
 
     The average rate stays constant. However, the next time is at least half a period and at most
-    two periods after the last. (More than two would be possible if new values came faster than the
-    period.)
+    two periods after the last transmission.
 
     Args:
-        due_ns: When it was due last.
-        sent_ns: When it was really sent.
-        period_ns: The period.
+        due_ns: When the last transmission was due [ns].
+        sent_ns: When it was really sent [ns].
+        period_ns: The period [ns].
     """
     earliest_ns = sent_ns + period_ns // 2
     latest_ns = sent_ns + 2 * period_ns

@@ -17,7 +17,7 @@ PALETTE = (GREEN, BLUE, RED, "#CC79A7", "#E69F00", "#56B4E9", "#8C564B", "#6F4E9
 They are the colour-blind safe ones of Okabe and Ito (2008) without yellow and black, and two more.
 """
 NAMED = {"green": GREEN, "blue": BLUE, "red": RED}
-"""The paper's colours by name, in shades that colour-blind readers can distinguish."""
+"""The paper's colours, which a robot gets by its name, in shades safe for colour-blind readers."""
 SLATES = ("#2B3A4A", "#7A8EA3", "#B3C0CC")
 """The colours of batches, from dark to light."""
 INK = "#222222"
@@ -55,7 +55,7 @@ def _own_color(name: str, color: str | None) -> str | None:
 
 
 def known_colors() -> dict[str, str]:
-    """Return the colours of CSS by name, as #RRGGBB."""
+    """Return the colours of CSS, as {name: "#RRGGBB"}."""
     from matplotlib.colors import CSS4_COLORS, to_hex  # slow to import, and only names need it
 
     return {name: to_hex(color).upper() for name, color in CSS4_COLORS.items()}

@@ -8,7 +8,7 @@ from tetractl.core.poses import Floats
 
 @dataclass(frozen=True, slots=True)
 class Steer:
-    """All robots drive and turn towards the common direction u [rad].
+    """An action: all robots drive and turn towards the common direction u [rad].
 
     `lag_s` is the lag of the wheels that the host assumes, starting with this command [s]. If it
     is None, the host keeps the lag that it has, at first the spec's.
@@ -20,7 +20,7 @@ class Steer:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """All robots stand still and turn on the spot towards a direction [rad].
+    """An action: all robots stay in place and turn towards the direction `facing` [rad].
 
     They turn by the paper's equation (3) with speed 0.
     """
@@ -30,16 +30,16 @@ class Turn:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """The action that makes all robots stand still."""
+    """An action: all robots stand still."""
 
 
 @dataclass(frozen=True, slots=True)
 class FieldOff:
-    """The magnetic field is off, so that no robot is turned, and all go straight on."""
+    """An action: the magnetic field is off, so that cells are not turned and swim straight on."""
 
 
 Action = Steer | Turn | Stop | FieldOff
-"""What one command makes all robots do."""
+"""What one command makes all robots do: drive, turn, stand still, or swim unsteered."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +68,15 @@ class Command:
 
     @property
     def direction(self) -> float | None:
-        """The common direction u [rad]. None if the action has no direction."""
+        """The common direction u in which robots drive [rad].
+
+        None for a turn, a stop, or no field.
+        """
         return self.action.direction if isinstance(self.action, Steer) else None
 
     @property
     def stops(self) -> bool:
-        """Whether no robot drives; robots may turn on the spot."""
+        """Whether no robot drives: the action is a stop or a turn on the spot."""
         return isinstance(self.action, Stop | Turn)
 
 

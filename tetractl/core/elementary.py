@@ -31,16 +31,16 @@ LN_2_1 = float.fromhex("0x1.62e42feep-1")
 LN_2_2 = float.fromhex("0x1.a39ef35793c76p-33")
 ROOT_HALF = math.sqrt(0.5)
 TAN_EIGHTH_TURN = (0.0, math.sqrt(2.0) - 1.0, 1.0)
-"""tan(j pi/8), j = 0, 1, 2."""
+"""tan(j pi/8) for j = 0, 1, 2: the angles that `atan2` subtracts."""
 FIRST_LIMIT = float.fromhex("0x1.975f5e0553158p-3")
-"""tan(pi/16)."""
+"""tan(pi/16): above this ratio, `atan2` subtracts the angle pi/8."""
 SECOND_LIMIT = float.fromhex("0x1.561b82ab7f990p-1")
-"""tan(3 pi/16)."""
+"""tan(3 pi/16): above this ratio, `atan2` subtracts the angle pi/4."""
 
 ANGLE_MAX = 1e6
-"""Largest angle [rad] that is reduced by pi/2; whole turns are taken off larger ones before."""
+"""Limit of angles [rad] below which `sin` and `cos` need not subtract whole turns first."""
 EXPONENT_MAX = 800.0
-"""exp(x) of a larger x is infinite, and exp(-x) is 0."""
+"""Limit of |x| from which exp(x) is infinite for a positive x, and 0 for a negative x."""
 
 
 def without_quarter_turns(x):
@@ -59,14 +59,20 @@ def without_quarter_turns(x):
 
 
 def sin(x):
-    """Compute the sine of an angle x [rad], with the same bits on every processor."""
+    """Compute the sine of an angle x [rad], with the same bits on every processor.
+
+    The result is NaN if x is not finite.
+    """
     k, r = without_quarter_turns(x)
     value = cos_near_0(r) if k & 1 else sin_near_0(r)
     return -value if k & 2 else value
 
 
 def cos(x):
-    """Compute the cosine of an angle x [rad], with the same bits on every processor."""
+    """Compute the cosine of an angle x [rad], with the same bits on every processor.
+
+    The result is NaN if x is not finite.
+    """
     k, r = without_quarter_turns(x)
     value = sin_near_0(r) if k & 1 else cos_near_0(r)
     return -value if (k + 1) & 2 else value
@@ -110,7 +116,10 @@ def without_powers_of_2(x):
 
 
 def exp(x):
-    """Compute e^x. It is infinite if the result is too large for a float."""
+    """Compute e^x.
+
+    The result is infinite from x = EXPONENT_MAX on, or if it is too large for a float.
+    """
     if not abs(x) < EXPONENT_MAX:
         return _exp_of_large(x)
     k, r = without_powers_of_2(x)
@@ -120,7 +129,7 @@ def exp(x):
 
 
 def expm1(x):
-    """Compute e^x - 1, which is also exact for small x."""
+    """Compute e^x - 1, without loss of precision for small x."""
     if not abs(x) < EXPONENT_MAX:
         return _exp_of_large(x) - 1.0
     k, r = without_powers_of_2(x)
@@ -178,7 +187,10 @@ def log(x):
 
 
 def log1p(x):
-    """Compute ln(1 + x), which is also exact for small x."""
+    """Compute ln(1 + x), without loss of precision for small x.
+
+    The result is -infinite for x = -1, and NaN below.
+    """
     whole = 1.0 + x
     if not 0.0 < whole < math.inf:
         return log(whole)
@@ -215,7 +227,10 @@ def atan(x):
 
 
 def atan2(y, x):
-    """Compute the angle of the point (x, y) [rad], from -pi to pi. It is 0 at the origin."""
+    """Compute the angle of the point (x, y) [rad], from -pi to pi.
+
+    The result is 0 at the origin, and NaN if a coordinate is NaN.
+    """
     total = abs(x) + abs(y)
     if not total > 0.0:
         return 0.0 if total == 0.0 else math.nan
@@ -254,7 +269,7 @@ def arctan_near_0(z):
 
 
 def hypot(x, y):
-    """Compute the length of the vector (x, y)."""
+    """Compute the length of the vector (x, y), also if its square would overflow."""
     size = max(abs(x), abs(y))
     if not 0.0 < size < math.inf:
         return size
@@ -264,7 +279,7 @@ def hypot(x, y):
 
 
 def log_of_sum(ln_x, ln_y):
-    """Compute ln(x + y) from ln x and ln y."""
+    """Compute ln(x + y) from ln x and ln y, where -inf means 0."""
     high = max(ln_x, ln_y)
     if high == -math.inf:
         return high

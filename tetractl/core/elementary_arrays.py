@@ -37,8 +37,11 @@ from tetractl.core.elementary import (
 Floats = NDArray[np.float64]
 
 EXPONENT_MAX = 300.0
-"""Largest |x| for which exp(x) and expm1(x) are ordinary: powers of two stay in the range of
-floats, and neither the 1 nor the power of expm1 may be neglected."""
+"""Limit of |x| below which `exp` and `expm1` accept an argument.
+
+Below it, powers of two stay in the range of floats, and neither the 1 nor the power of expm1 may
+be neglected.
+"""
 
 
 def sin(x: Floats) -> Floats:
@@ -56,7 +59,7 @@ def cos(x: Floats) -> Floats:
 
 
 def _quarter_turns(x: Floats) -> tuple[NDArray[np.int64], Floats]:
-    """Split angles into the nearest number of quarter turns and a rest [rad]."""
+    """Split angles [rad] into the nearest number of quarter turns and the remainder [rad]."""
     k = np.floor(x * TWO_OVER_PI + 0.5)
     r = ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3
     return k.astype(np.int64), r

@@ -17,7 +17,7 @@ from tetractl.core import elementary_arrays as arrays
 Floats = NDArray[np.float64]
 
 LARGE = 64
-"""Minimum number of elements that array operations compute faster than a loop does."""
+"""Minimum number of elements for which array operations are faster than a loop."""
 
 
 def _elementwise(
@@ -26,12 +26,13 @@ def _elementwise(
     are_ordinary: Callable[..., NDArray[np.bool_]],
     arity: int = 1,
 ) -> Callable[..., Floats]:
-    """Make a function of arrays.
+    """Make a function of arrays from a function of numbers, with the same bits.
 
     Args:
         function: The function of numbers.
-        of_arrays: The same for large arrays of ordinary arguments.
-        are_ordinary: Checks which arguments are ordinary.
+        of_arrays: The same function for large arrays of ordinary arguments.
+        are_ordinary: Checks which arguments `of_arrays` accepts. The others are computed one by
+            one.
         arity: Number of arguments.
     """
     loop = np.frompyfunc(function, arity, 1)
@@ -69,7 +70,7 @@ atan2 = _elementwise(elementary.atan2, arrays.atan2, arrays.is_off_origin, arity
 
 
 def hypot(x: ArrayLike, y: ArrayLike) -> Floats:
-    """Compute the lengths of vectors (x, y)."""
+    """Compute the lengths of vectors (x, y), numbers or arrays that broadcast."""
     size = np.maximum(np.abs(x), np.abs(y))
     ordinary = (size > 0) & (size < np.inf)
     unit = np.where(ordinary, size, 1.0)

@@ -13,7 +13,7 @@ from typing import Any
 
 
 class Exit(IntEnum):
-    """The exit codes of the command line, by which scripts learn how a command ended."""
+    """The exit codes of the command line, by which scripts see how a command ended."""
 
     DONE = 0
     FAILED = 1  # a trial was aborted, a check failed, or a log is damaged
@@ -31,7 +31,8 @@ class TetractlError(Exception):
     Args:
         message: What is wrong, in one line.
         hint: What to do. None without a hint.
-        in_python: The hint in Python, where options of the command line do not exist. None if it is
+        in_python: The hint in Python, where options of the command line do not exist. None if it
+            is
             the same.
     """
 
@@ -139,10 +140,11 @@ class WireError(ValueError):
 
 
 def printable(text: str, length: int | None = None) -> str:
-    """Make a text safe for one line of a terminal, cut to `length` characters.
+    """Make a string safe for one line of a terminal, and cut it to `length` characters.
 
-    Control characters (C0, escape and C1), changes of the writing direction, line separators and
-    the bytes of a file name that is not UTF-8 are written as escapes.
+    A cut string ends with "...". If `length` is None, nothing is cut. Control characters (C0,
+    escape and C1), changes of the writing direction, line separators and the bytes of a file name
+    that is not UTF-8 are written as escapes.
     """
     printed = text if length is None else text[: length + 1]  # escaping never shortens a text
     if not printed.isprintable():
@@ -153,14 +155,14 @@ def printable(text: str, length: int | None = None) -> str:
 
 
 def unit_of(unit: str) -> str:
-    """Return a spec's length unit as people write it, such as "µm"."""
+    """Return a spec's length unit as people write it: "um" becomes "µm"."""
     return unit.replace("um", "µm")
 
 
 def text_of(error: BaseException) -> str:
-    """Return the class and the text of an exception in one line.
+    """Return the class and the message of an exception in one line of at most 300 characters.
 
-    This also works if the exception's text cannot be created.
+    This also works if the creation of the exception's message raises an exception.
     """
     try:
         text = " ".join(str(error)[:2000].split())

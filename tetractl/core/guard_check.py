@@ -39,10 +39,10 @@ class GuardCheck(Protocol):
     statistical: ClassVar[bool] = False
 
     def start(self) -> None:
-        """Forget everything from earlier runs: the robots start from standstill."""
+        """Forget everything from earlier runs: a run begins, with the robots standing still."""
 
     def replace(self, robot: int) -> None:
-        """Forget a lost robot, because another body is tracked in its place from now on.
+        """Forget a lost robot, because another body is tracked under its name from now on.
 
         Args:
             robot: Index of the robot.
@@ -58,7 +58,7 @@ class GuardCheck(Protocol):
         """
 
     def exposed(self, times: tuple[int, ...]) -> None:
-        """Record the times at which the poses of a frame were measured, N entries."""
+        """Record the times at which the poses of a frame were measured [ns], N entries."""
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterable[Finding]:
         """Check a new pose of a robot during a run, and return what is wrong with it.
@@ -66,7 +66,10 @@ class GuardCheck(Protocol):
         Args:
             robot: Index of the robot.
             before: Its last accepted pose.
-            pose: Its new pose.
+            pose: Its new pose, which is not accepted yet.
+
+        Returns:
+            The findings. Empty if nothing is wrong.
         """
         return ()
 

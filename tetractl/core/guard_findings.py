@@ -45,7 +45,12 @@ class Refuse:
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """A finding: a robot moved during a pause, when no robot is commanded to move."""
+    """A finding: a robot moved between two runs, when no robot is commanded to move.
+
+    Attributes:
+        robot: Index of the robot.
+        text: What happened, for the operator.
+    """
 
     robot: int
     text: str
@@ -70,7 +75,7 @@ class Lose:
 
 @dataclass(frozen=True, slots=True)
 class Warn:
-    """A finding: the operator is warned once, and the run continues."""
+    """A finding: the operator is warned once with the message `text`, and the run continues."""
 
     text: str
 

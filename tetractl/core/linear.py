@@ -40,5 +40,8 @@ def solve(a: Floats, b: Floats) -> Floats:
 
 
 def inverse(a: Floats) -> Floats:
-    """Compute the inverses of symmetric, positive definite matrices (..., n, n)."""
+    """Compute the inverses of symmetric, positive definite matrices (..., n, n).
+
+    For a singular matrix, the result is not finite.
+    """
     return solve(a, np.eye(a.shape[-1]))

@@ -21,17 +21,17 @@ ESTIMATE_FIELDS = tuple(column.name for column in fields(Estimate) if column.com
 STOP_REASON_MAX = 60
 """Maximum number of characters of the reason why a search stopped."""
 NUMBERS_MAX = 100
-"""Maximum number of names that the numbers of a controller have in a log."""
+"""Maximum number of values that a controller may report in the `numbers` of one plan."""
 NUMBER_NAME_MAX = 60
-"""Maximum number of characters of such a name."""
+"""Maximum number of characters of the name of such a value."""
 DRAWN_BITS_CUT = 10
-"""Bits of single precision's 24 that `drawn` sets to 0."""
+"""Number of bits that `drawn` sets to 0, of the 24 bits of a single-precision fraction."""
 DRAWN_PRECISION = 2.0 ** (DRAWN_BITS_CUT - 24)
-"""Largest relative rounding error of `drawn`."""
+"""Maximum relative rounding error of `drawn`."""
 
 
 def check_actions(actions: Iterable[Action]) -> None:
-    """Check that all directions of actions are finite numbers."""
+    """Raise ValueError if a direction or a wheel lag in an action is not a finite number."""
     directions: list[float] = []
     lags: list[float] = []
     for action in actions:
@@ -49,7 +49,15 @@ def check_actions(actions: Iterable[Action]) -> None:
 
 
 def check_plan(plan: Plan, robots: int) -> None:
-    """Check a plan for N robots. The headings of its path may be NaN."""
+    """Check that a plan for N robots can be sent and logged, and raise ValueError if it cannot.
+
+    Arrays must have matching shapes, all numbers must be finite (except the headings of the path),
+    and the names of the controller's own numbers must be short identifiers.
+
+    Args:
+        plan: The plan.
+        robots: The number N of robots.
+    """
     count = plan.signals.size
     if plan.signals.shape != (count,) or plan.path.shape != (count + 1, robots, 3):
         shapes = f"{plan.path.shape} for signals of shape {plan.signals.shape}"
@@ -105,7 +113,7 @@ def _numbers_of_estimate(estimate: Estimate, robots: int) -> dict[str, Floats]:
 
 @np.errstate(all="ignore")  # numbers beyond single precision
 def drawn(values: Floats) -> Floats:
-    """Round numbers that are only used for drawing to 14 significant bits.
+    """Round numbers that are only used for drawing to 14 significant bits, in a new array.
 
     The zeros at the end take almost no space in a compressed log.
     """
@@ -116,9 +124,10 @@ def drawn(values: Floats) -> Floats:
 
 
 def stop_reason(text: str) -> StopReason | str:
-    """Convert a text to the reason why a search stopped.
+    """Convert a string to the reason why a search stopped.
 
-    If there is no such reason, the result is the text itself, with unprintable characters removed.
+    If there is no such reason, the result is the string itself, made printable and cut to
+    STOP_REASON_MAX characters.
     """
     reason = printable(text, STOP_REASON_MAX)
     try:

@@ -26,14 +26,14 @@ DEAD_S = 5.0  # way, as a time of driving, that one robot drives until another o
 
 @dataclass(frozen=True, slots=True)
 class LossRule:
-    """The rule by which a robot counts as lost, so that the trial goes on without it.
+    """The rule by which a robot counts as lost, and whether the trial then goes on without it.
 
     Attributes:
         after_s: Time for which a robot must be untracked to be lost [s].
         replaced: Whether a body that is tracked again under the robot's name counts as another
             robot, which takes over the lost robot's target.
         dead: Whether a robot that is seen but dead (see `Standing`) is also lost.
-        ends: Whether the trial ends then. Its robots are never lost.
+        ends: Whether a lost robot ends the trial. In this case, robots never count as lost here.
     """
 
     after_s: float
@@ -54,15 +54,21 @@ class Standing:
     def __init__(self, speed: Floats) -> None:
         count = len(speed)
         self.due_ns = 0
-        """Time of the next frame to check [ns]."""
+        """Time of the first frame that has to be checked next [ns].
+
+        Earlier frames can be skipped.
+        """
         self._can_drive = speed > 0
         self._speed = np.where(self._can_drive, speed, np.inf)
         self._moved_at = np.full((count, 2), np.nan)
-        """Where each robot was when it last moved (N, 2), NaN before it was seen."""
+        """Position of each robot when it last moved [length unit], shape (N, 2).
+
+        NaN until it is seen.
+        """
         self._way_s = np.zeros(count)
-        """The way of each robot so far (N,) [s]."""
+        """Distance each robot has travelled, as a time of driving at its speed [s], shape (N,)."""
         self._way_when_moved_s = np.zeros((count, count))
-        """Row i: the ways of all robots when robot i last moved (N, N) [s]."""
+        """Row i: the entries of `_way_s` when robot i last moved, shape (N, N) [s]."""
 
     def add_frame(self, frame: Observation) -> Bools | None:
         """Check in a new camera frame which robots stand still although others drive.
@@ -95,11 +101,11 @@ class Losses:
     def __init__(self, rule: LossRule | None, speed: Floats) -> None:
         count = len(speed)
         self.dead: Bools = np.zeros(count, dtype=np.bool_)
-        """Which robots are dead (N,)."""
+        """Which robots are dead, shape (N,): they stood still while others drove."""
         self.lost: Bools = np.zeros(count, dtype=np.bool_)
-        """Which robots are lost (N,)."""
+        """Which robots are lost now, shape (N,)."""
         self.changes = 0
-        """How often this has changed."""
+        """How often the set of lost robots has changed."""
         self.times: Integers = np.zeros(count, dtype=np.int64)
         """How often each robot has been lost (N,)."""
         self._rule = rule
@@ -110,9 +116,9 @@ class Losses:
         None before the first frame.
         """
         self._waiting = list[Observation]()
-        """Frames that are not counted yet, as no robot can be lost or back in them."""
+        """Frames that are not evaluated yet, because no robot can be lost or back in them."""
         self._due_ns = 0
-        """Earliest time at which a robot can be lost or back [ns]."""
+        """Earliest time at which a robot can be lost, or back if it was lost [ns]."""
 
     @property
     def present(self) -> Bools:
@@ -120,7 +126,11 @@ class Losses:
         return ~self.lost
 
     def add_frame(self, frame: Observation) -> list[int]:
-        """Add the next camera frame, and return which robots are replaced in it (indices)."""
+        """Add the next camera frame, and return the indices of robots that were replaced.
+
+        A lost robot is replaced when it is tracked again, if the rule says so. Without a rule, or
+        if a loss ends the trial, only dead robots are found, and the result is empty.
+        """
         if frame.sampled_ns >= self._standing.due_ns:
             self._add_dead(self._standing.add_frame(frame))
         if self._rule is None or self._rule.ends:
@@ -140,7 +150,7 @@ class Losses:
             self._change(newly_lost, self.lost | newly_lost)
 
     def _count_waiting(self, rule: LossRule) -> list[int]:
-        """Count the frames in which lost robots were seen again; return the robots now back."""
+        """Evaluate the waiting frames by the rule, and return which robots are back (indices)."""
         after_ns = round(rule.after_s * SECOND)
         tracked_ns = self._tracked_ns
         if tracked_ns is None:
@@ -159,14 +169,14 @@ class Losses:
         return np.flatnonzero(is_back).tolist()
 
     def _change(self, newly_lost: Bools, lost: Bools) -> None:
-        """Count the robots that are newly lost (N,), and store which are lost from now on (N,)."""
+        """Count the robots that are newly lost (N,), and store which are lost now (N,)."""
         self.times = self.times + newly_lost
         self.lost = lost
         self.changes += 1
 
 
 STOOD = "while others drive", "though commanded to move"
-"""Endings of the reason of a result if a robot stood still: today's, and those of older logs."""
+"""Endings of the reason of a result if a robot stood still: today's, and the one of older logs."""
 
 
 def describe_dead(names: Sequence[str], dead: Bools) -> str:

@@ -20,13 +20,15 @@ images a second arrived 0.06 s late, 3 of 67 false alarms reached it (`benchmark
 """
 
 INNOVATIONS = "along-track motion", "cross-track motion", "heading"
-"""What the columns of `Estimate.misfit` are about."""
+"""What the columns of `Estimate.misfit` are about: motion along and across the course, heading."""
 OF_TURNING = INNOVATIONS[2:]
 OF_PLACES = INNOVATIONS[:2]
-"""Those that a turning rate determines, and the others."""
+"""The innovations of the position. OF_TURNING is the one that a turning rate determines."""
 LAG_ERROR_S = 0.02
-"""Minimum error of the spec's lag of the wheels that is reported [s]. What such an error costs is
-in docs/decisions/plant.md."""
+"""Minimum error of the spec's lag of the wheels that is reported [s].
+
+docs/decisions/plant.md shows what such an error costs.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +87,9 @@ class Estimate:
         return None if self.lag is None else float(self.lag.mean())
 
     def standing(self, names: Sequence[str]) -> list[str]:
-        """List the robots that almost certainly stand still although they should drive.
+        """List the names of robots that almost certainly stand still though they should drive.
+
+        The list is empty if `stands` is not estimated.
 
         Args:
             names: Names of the robots.
@@ -96,11 +100,11 @@ class Estimate:
         ]
 
     def unexplained(self, names: Sequence[str], parts: Sequence[str]) -> set[str]:
-        """List the parts of the motion that the model does not explain, such as "heading of red".
+        """List the parts of the motion that the model fails to explain, as "heading of red".
 
         If a part OF_TURNING is unexplained, a may be wrong by more than its standard deviation. If
         a part OF_PLACES is unexplained, the standard deviations already include that error
-        (docs/decisions/filter.md).
+        (docs/decisions/filter.md). The result is empty if the fit is not tested.
 
         Args:
             names: Names of the robots.

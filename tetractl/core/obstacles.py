@@ -23,11 +23,11 @@ from tetractl.core.shape import Shape
 LEFT = 0
 """Minimum x of the region between the walls [length unit]."""
 BOTTOM = 1
-"""Minimum y of it [length unit]."""
+"""Minimum y of the region between the walls [length unit]."""
 RIGHT = 2
-"""Greatest x of it [length unit]."""
+"""Maximum x of the region between the walls [length unit]."""
 TOP = 3
-"""Greatest y of it [length unit]."""
+"""Maximum y of the region between the walls [length unit]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +44,11 @@ class Obstacles:
     corner_counts: Integers
     """Number of corners of each polygon, (M,)."""
     radii: Floats
-    """Radius of each shape, (M,)."""
+    """Radius of each shape, by which its polygon is enlarged [length unit], shape (M,)."""
     low: Floats
     """Minimum x, y of the corners of each polygon, (M, 2)."""
     high: Floats
-    """Greatest x, y of them, (M, 2)."""
+    """Maximum x, y of the corners of each polygon, (M, 2)."""
     walls: Floats
     """The walls at LEFT, BOTTOM, RIGHT and TOP, shape (4,). Shape (0,) if there are no walls."""
 
@@ -84,7 +84,10 @@ class Obstacles:
 
     @property
     def count(self) -> int:
-        """The number O of obstacles, in which each wall of the arena counts."""
+        """The number O of obstacles.
+
+        Each of the four walls counts as one, if there are walls.
+        """
         return len(self.radii) + self.walls.size
 
     def grown(self, margins: Floats) -> Self:
@@ -118,7 +121,10 @@ class Obstacles:
         return Bounds(left=left, bottom=bottom, right=right, top=top)
 
     def distances(self, x: Floats, y: Floats) -> Floats:
-        """Compute the distance of each point to each obstacle (O, ...), negative inside."""
+        """Compute the distance of each point to each obstacle and wall, shape (O, ...).
+
+        It is negative inside an obstacle and beyond a wall. The arrays x and y broadcast.
+        """
         x, y = np.broadcast_arrays(x, y)
         distances = [shape.distance(x, y) for shape in self.shapes]
         arena = self.inside
@@ -127,9 +133,9 @@ class Obstacles:
         return np.stack(distances) if distances else np.empty((0, *x.shape))
 
     def contain(self, x: Floats, y: Floats) -> Bools:
-        """Check which points are in an obstacle, p(s) of the paper's equation (13).
+        """Check which points are in an obstacle, on its edge, or not between the walls.
 
-        The arrays x and y broadcast.
+        This is p(s) of the paper's equation (13). The arrays x and y broadcast.
         """
         return self.distance(x, y) <= 0
 
@@ -151,14 +157,17 @@ class Obstacles:
         return touched
 
     def distance(self, x: Floats, y: Floats) -> Floats:
-        """Compute the distance to the nearest obstacle: negative inside, inf if there is none."""
+        """Compute the distance of each point to the nearest obstacle or wall [length unit].
+
+        It is negative inside an obstacle or beyond a wall, and inf if there is none.
+        """
         return self.distances(x, y).min(axis=0, initial=np.inf)
 
     def at_least(self, x: Floats, y: Floats) -> Floats:
-        """Compute a quick lower bound of `distance`.
+        """Compute a quick lower bound of `distance`, for arrays x and y of equal shape.
 
-        It is the distance to the nearest wall or bounding box of a shape. Inside an obstacle, the
-        bound is 0. It is inf if there is no obstacle.
+        It is the distance to the nearest wall or bounding box of a shape: 0 inside a box, negative
+        beyond a wall, and inf if there is no obstacle.
         """
         least_squared = np.full(x.shape, np.inf)
         lows = (self.low - self.radii[:, None]).tolist()

@@ -100,12 +100,12 @@ class Problem:
         return np.array([elementwise.cos(bias), elementwise.sin(bias), *flow])
 
     def seconds(self, length: int) -> float:
-        """Compute the duration of a sequence with `length` signals [s]."""
+        """Compute the duration of a sequence with `length` signals, at least one [s]."""
         return self.first_period + (length - 1) * self.period
 
 
 def never(evaluations: int) -> bool:
-    """Return False. It is the default of `Limits.expired`, for a search without a deadline."""
+    """Return False: by default, the deadline of a search never passes."""
     return False
 
 
@@ -124,7 +124,10 @@ class Limits:
 
     @property
     def timed(self) -> bool:
-        """Whether the search has a deadline, in addition to its maximum number of evaluations."""
+        """Whether the search has a deadline.
+
+        A maximum number of evaluations is not a deadline.
+        """
         return self.expired is not never
 
     def allow(self, evaluations: int) -> bool:
@@ -167,7 +170,10 @@ class Search:
 
 
 class State(StrEnum):
-    """What the robots do in a control step, such as driving. The value is the text in a log."""
+    """What the robots do in a control step, such as driving or standing still (`RESTING`).
+
+    The value is the string in a log.
+    """
 
     DRIVING = "driving"
     RESTING = "resting"
@@ -224,7 +230,7 @@ class Plan:
 
     @property
     def action(self) -> Action:
-        """The action, a direction or a stop, that this control step sends to the robots."""
+        """The action that this step sends: `instead`, or else the direction `signals[0]`."""
         lag_s = None if self.estimate is None else self.estimate.common_lag
         return self.instead or Steer(float(self.signals[0]), lag_s)
 
@@ -240,20 +246,20 @@ class Plan:
 
     @property
     def search(self) -> Search:
-        """The search that found the sequence of signals which the plan follows."""
+        """The search whose sequence of signals the plan follows."""
         return self.searches[self.chosen]
 
     @property
     def evaluations(self) -> int:
-        """Number of predicted paths that the searches of this control step evaluated."""
+        """Number of cost evaluations in all searches of this control step."""
         return sum(search.evaluations for search in self.searches)
 
     def extend_to_all(self, present: Bools, poses: Poses) -> "Plan":
-        """Extend a plan for the robots that are present to all N robots.
+        """Return the plan with a path of all N robots, instead of only those that are present.
 
         Args:
             present: Which robots the plan is for, shape (N,).
-            poses: Poses at which the lost robots stay in the plan's path.
+            poses: Poses of all robots. The lost ones stay there in the plan's path.
         """
         if present.all():
             return self
@@ -275,7 +281,10 @@ class Outcome(StrEnum):
 
     @property
     def complete(self) -> bool:
-        """Whether the controller ended the trial. Only then does the trial's error count."""
+        """Whether the controller ended the trial, so that the trial's error counts.
+
+        This is not so after an interruption or an abort.
+        """
         return self not in (Outcome.INTERRUPTED, Outcome.ABORTED)
 
 

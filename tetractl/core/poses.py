@@ -32,10 +32,11 @@ Times = Integers  # [ns]
 Grey = NDArray[np.uint8]  # a picture (height, width)
 
 POSE_MAX = 1e9
-"""Limit of coordinates [length unit] and headings [rad]: logs hold no others."""
+"""Maximum absolute value of coordinates [length unit] and headings [rad] that a log can hold."""
 CAMERA = "/camera/"
-"""Beginning of the topics on which a camera adds messages to its frames, in this version or an
-earlier one. Such messages are logged unchanged, and nothing depends on them.
+"""Beginning of the topics on which a camera adds messages to its frames.
+
+Such messages are logged unchanged, and nothing depends on them.
 """
 PICTURE = f"{CAMERA}picture"
 """Topic of the images of a camera, as `CompressedImage` of Foxglove."""
@@ -64,7 +65,7 @@ class Pose:
     tilt: float | None = None
 
     def distance_to(self, place: "Pose") -> float:
-        """Return the distance between two positions [length unit]."""
+        """Return the distance between the positions of two poses [length unit]."""
         return hypot(self.x - place.x, self.y - place.y)
 
 
@@ -84,12 +85,12 @@ class Poses:
 
     @classmethod
     def from_array(cls, array: Floats) -> Self:
-        """Return poses from an array of shape (N, 3): x, y, heading."""
+        """Create poses from an array of shape (N, 3): x, y [length unit] and heading [rad]."""
         x, y, heading = array.T
         return cls(np.ascontiguousarray(x), np.ascontiguousarray(y), np.ascontiguousarray(heading))
 
     def array(self) -> Floats:
-        """Return the poses as an array of shape (N, 3): x, y, heading."""
+        """Return the poses as an array of shape (N, 3): x, y [length unit] and heading [rad]."""
         array = np.empty((len(self.x), 3))
         array[:, 0] = self.x
         array[:, 1] = self.y
@@ -107,7 +108,7 @@ class Poses:
 
 
 def wrap(angles: Floats) -> Floats:
-    """Return angles [rad] wrapped into [-pi, pi], by adding whole turns."""
+    """Return angles [rad] wrapped into [-pi, pi]. NaN stays NaN."""
     return angles - 2 * np.pi * np.rint(angles / (2 * np.pi))
 
 
@@ -131,15 +132,15 @@ class CameraFrame:
 
     Most cameras measure all poses at the same time, and `exposed_ns` is empty. Robots that measure
     their own poses do so one after another. Then `exposed_ns` holds the time of each pose, and
-    `sampled_ns` is the latest of them. A pose that is no newer than in the previous frame keeps its
-    time.
+    `sampled_ns` is the latest of them. A pose that is no newer than in the previous frame keeps
+    its time.
 
     Attributes:
         number: Number of the frame.
         sampled_ns: Time of exposure on the run's clock [ns].
         received_ns: Time of arrival at the host on the run's clock [ns].
         poses: Pose of each robot, N entries. None if a robot is untracked.
-        strangers: Poses of tracked bodies that are not robots.
+        unknown_objects: Poses of tracked bodies that are not robots.
         fault: Why the poses must not be used. Empty if they can be used.
         exposed_ns: Time at which each pose was measured [ns], N entries, or empty.
     """
@@ -193,20 +194,24 @@ class Sight:
 
     @property
     def coarse(self) -> bool:
-        """Whether a pose may repeat to the last bit while its robot moves."""
+        """Whether the camera measures on a grid, so that the pose of a moving robot may repeat."""
         return self.grid_mm > 0 or self.grid_rad > 0
 
     @property
     def largest_error_mm(self) -> float:
         """The maximum error of a measured position [mm].
 
-        It consists of noise, and of the distance from a grid point to the corner of its square.
+        It is four standard deviations of the noise, plus the distance from a grid point to the
+        corner of its square.
         """
         return self.grid_mm / math.sqrt(2) + 4 * self.noise_mm
 
     @property
     def largest_error_rad(self) -> float:
-        """The maximum error of a heading that the camera measures [rad]."""
+        """The maximum error of a measured heading [rad].
+
+        It is four standard deviations of the noise, plus half a step of the grid.
+        """
         return self.grid_rad / 2 + 4 * self.noise_rad
 
     @property
@@ -220,7 +225,7 @@ class Sight:
 
 
 UNSTATED = Sight()
-"""What is known of a camera that says nothing."""
+"""The `Sight` of a camera about which nothing is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,7 +257,7 @@ class Observation:
 
     @property
     def seconds(self) -> Floats:
-        """The times at which the poses were measured, shape (N,) [s]."""
+        """The time at which each pose was measured, on the trial's clock [s], shape (N,)."""
         times = self.exposed_ns or (self.sampled_ns,) * len(self.valid)
         return np.array(times) / SECOND
 
@@ -289,9 +294,15 @@ class Sample:
 class Frames(NamedTuple):
     """M camera frames of N robots, stored as arrays.
 
-    `numbers`, `sampled_ns` and `received_ns` are (M,), `poses` and `truth` (M, N, 3) and `valid`
-    (M, N); `truth` is None if no true poses are known. `exposed_ns` (M, N) are the times of the
-    poses, by default those of their frames.
+    Attributes:
+        numbers: Number of each frame, shape (M,).
+        sampled_ns: Time of each exposure [ns], shape (M,).
+        received_ns: When each frame reached the host [ns], shape (M,).
+        poses: Measured x, y [length unit] and heading [rad], shape (M, N, 3). An untracked robot
+            keeps its last pose.
+        valid: Whether each robot was tracked, shape (M, N).
+        truth: True poses, shape (M, N, 3). None if they are unknown.
+        exposed_ns: Time of each pose [ns], shape (M, N): usually the time of its frame.
     """
 
     numbers: Integers
@@ -306,8 +317,8 @@ class Frames(NamedTuple):
     def from_samples(cls, samples: Sequence[Sample], robots: int) -> "Frames":
         """Convert samples to arrays.
 
-        `truth` is None unless every sample has true poses. If there are no samples, `truth` is
-        empty, and `joined` treats it as known.
+        `truth` is None unless every sample has true poses. If there are no samples, `truth` is an
+        empty array, so that `joined` does not treat it as unknown.
         """
         observations = [sample.observation for sample in samples]
         truths = [sample.truth for sample in samples if sample.truth is not None]
@@ -329,10 +340,7 @@ class Frames(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence["Frames"]) -> "Frames":
-        """Join several parts in order.
-
-        `truth` is None unless every part has true poses.
-        """
+        """Join several parts in order. `truth` is None if any part has no true poses."""
         columns: list[Any] = []
         for of_parts in zip(*parts, strict=True):
             all_known = all(column is not None for column in of_parts)
@@ -340,7 +348,7 @@ class Frames(NamedTuple):
         return cls(*columns)
 
     def part(self, rows: slice | Integers) -> "Frames":
-        """Return only the camera frames in the given rows."""
+        """Return the frames in the given rows: a slice, or an array of indices."""
         columns: list[Any] = [None if column is None else column[rows] for column in self]
         return Frames(*columns)
 

@@ -28,7 +28,10 @@ class Plant(Protocol):
         ...
 
     def observe(self) -> Observation:
-        """Return the newest camera frame, with the measured poses of all robots."""
+        """Return the newest camera frame, with the measured poses of all robots.
+
+        An untracked robot keeps its last pose, and its entry in `valid` is False.
+        """
         ...
 
     def send(self, action: Action) -> Command:
@@ -45,7 +48,10 @@ class Plant(Protocol):
         ...
 
     def samples(self) -> list[Sample]:
-        """Return every camera frame since the last call, oldest first."""
+        """Return every camera frame since the last call, oldest first.
+
+        Empty if there is none.
+        """
         ...
 
     def events(self) -> list[Command | Note]:
@@ -157,7 +163,10 @@ class RobotStatus:
 
     @property
     def battery(self) -> str | None:
-        """The battery's voltage or charge, for display. None if neither is known."""
+        """The battery's voltage, such as "4.10 V", or else its charge, such as "80 %".
+
+        None if neither is known.
+        """
         if self.battery_v is not None:
             return f"{self.battery_v:.2f} V"
         return None if self.charge is None else f"{self.charge} %"
@@ -172,12 +181,12 @@ class Actuator(Device, Protocol):
 
     @property
     def halts(self) -> bool:
-        """Whether robots stand still after a stop. Swimmers in a magnetic field do not."""
+        """Whether robots stand still after a stop. False for swimmers in a magnetic field."""
         ...
 
     @property
     def period_ns(self) -> int:
-        """Time between two transmissions while a direction is held [ns]."""
+        """Time between two transmissions of the same direction while it is held [ns]."""
         ...
 
     @property
@@ -315,7 +324,7 @@ class Observer(Protocol):
     """
 
     def on_start(self, start: Start) -> None:
-        """Called before the first step."""
+        """Called once, before the first control step."""
 
     def on_samples(self, samples: list[Sample]) -> None:
         """Called with new camera frames, oldest first. Each frame is passed once."""
@@ -330,7 +339,7 @@ class Observer(Protocol):
         """Called for a message to the operator, for example that a robot does not move."""
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Called after the robots were stopped, for any reason."""
+        """Called once at the end, after the robots were stopped for any reason."""
 
 
 class PlacementPrompt(Protocol):
@@ -349,7 +358,7 @@ class PlacementPrompt(Protocol):
         ...
 
     def go(self) -> bool:
-        """Decide whether the operator lets the robots start."""
+        """Return whether the operator has let the robots start. It is called repeatedly."""
         ...
 
 

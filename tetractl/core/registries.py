@@ -99,7 +99,7 @@ SPEC_REGISTRIES = (
     ACTUATORS,
     TRIAL_ROBOTS,
 )
-"""Registries of the kinds that a spec may name."""
+"""The registries of the kinds that a spec can name."""
 
 SWEEPS = Registry(
     "tetractl.sweeps",
@@ -181,13 +181,19 @@ LAB_COMMANDS = Registry(
 )
 """The commands, and the subcommands of `tetractl lab`, in the order of the help."""
 KIND_CHECKS = Registry("tetractl.kind_checks", {})
-"""What `tetractl kinds --check` calls: the function `kind`, which tetractl-testing brings."""
+"""What `tetractl kinds --check` calls: the function `kind`, which tetractl-testing provides."""
 EXAMPLES = Registry("tetractl.examples", {})
-"""Folders of further examples. Each is a `Path`, named after the package that brings it."""
+"""Folders of further example specs.
+
+Each is a `Path`, named after the package that provides it.
+"""
 TEMPLATES = Registry("tetractl.templates", {})
 """Folders with further parts for the specs that `init --lab` writes. Each is a `Path`."""
 
 
 def all_registries() -> list[Registry]:
-    """Return all registries of kinds, including those that other packages declare."""
+    """Return all registries of kinds, including those that other packages declare.
+
+    A registry of another package is left out if it cannot be loaded.
+    """
     return [*REGISTRIES, *Registry("tetractl.registries", {}).usable().values()]

@@ -14,7 +14,7 @@ from tetractl.core.errors import UsageError
 
 
 class PluginError(UsageError):
-    """A kind, such as a camera, that another package provides cannot be used."""
+    """An error: a kind, such as a camera, that another package provides cannot be used."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class Registry:
         self.what = group.removeprefix("tetractl.").removesuffix("s").replace("_", " ")
 
     def names(self) -> tuple[str, ...]:
-        """Return the names of all kinds, the built-in ones first."""
+        """Return the names of all kinds: first the built-in ones, then the others by alphabet."""
         return (*self.builtin, *sorted(self._installed.keys() - self.builtin.keys()))
 
     def kinds(self) -> tuple[Kind, ...]:
@@ -102,7 +102,10 @@ class Registry:
         return loaded
 
     def usable(self) -> dict[str, Any]:
-        """Load the object of each name, leaving out kinds that raise PluginError."""
+        """Load the objects of all kinds, as {name: object}.
+
+        Kinds of other packages that cannot be loaded (PluginError) are left out.
+        """
         objects: dict[str, Any] = {}
         for name in self.names():
             with suppress(PluginError):
@@ -110,7 +113,7 @@ class Registry:
         return objects
 
     def unusable(self, name: str, why: str) -> PluginError:
-        """Return an error that says why another package's object cannot be used.
+        """Create the error that explains why another package's object cannot be used.
 
         Args:
             name: The name of the kind.
@@ -144,12 +147,18 @@ _builtin = cache(resolve_name)  # controllers load the motion several times in a
 
 
 def _package(point: EntryPoint) -> tuple[str, str]:
-    """Return the name and the version of the package that declares an entry point."""
+    """Return the name and the version of the package that declares an entry point.
+
+    They are "unknown" and "" if the package is not known.
+    """
     return (point.dist.name, point.dist.version) if point.dist else ("unknown", "")
 
 
 def package_files(package: str) -> Iterator[Path]:
-    """Yield all source files of a package that extends tetractl, without importing anything."""
+    """Yield the Python files of a package that extends tetractl, without importing anything.
+
+    Yields nothing if the package is not installed, or declares no entry points of tetractl.
+    """
     modules = list[str]()
     with suppress(PackageNotFoundError):
         points = distribution(package).entry_points

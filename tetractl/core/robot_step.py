@@ -22,7 +22,7 @@ from tetractl.core.poses import Floats, Pose
 PARTS = ("along its heading", "sideways", "around")
 """Names of the three parts, as messages use them."""
 EXACT = np.zeros(3)
-"""The variance of a step whose noise is known to others, such as the check that made it."""
+"""The variance of a step between two poses: 0, because its noise is not known to the step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +55,12 @@ class RobotStep:
         until_ns: int = 0,
         robot: int = 0,
     ) -> "RobotStep":
-        """Compute the step between two poses, on an arc.
+        """Compute the step between two poses, as if the robot drove on an arc.
 
         `along` is the length of the arc, `across` the displacement across the heading halfway. The
         displacement along the heading halfway is the chord of the arc: sin(h) / h of its length,
         where h is half the angle turned. If the robot turned by more than half a turn, as may
-        happen in a long gap, `turned` is the shorter way round, which is wrong.
+        happen in a long gap, `turned` is the shorter rotation to the same heading, which is wrong.
 
         Args:
             before: The earlier pose.

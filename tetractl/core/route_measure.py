@@ -37,27 +37,27 @@ class RouteMeasure:
         self, legs: Floats, hold: HoldTask | None, loss: LossRule | None, speed: Floats
     ) -> None:
         self.losses = Losses(loss, speed)
-        """Which robots were lost, and which are dead."""
+        """Which robots were lost so far, and which are dead."""
         self._legs = legs
         self._hold = hold
         self._leg = 0
         self._hold_began_ns: int | None = None
-        """When the hold began [ns]. None before that."""
+        """Time of the trial at which the hold began [ns]. None before that."""
         self._passed: list[float] = []
         self._hold_frames = 0
-        """Number of frames of the hold."""
+        """Number of camera frames since the hold began."""
         self._frames_inside = np.zeros(legs.shape[1], dtype=np.int64)
-        """Number of these frames in which each robot was near enough to its target, shape (N,)."""
+        """Number of these frames in which each robot was within the hold's radius, shape (N,)."""
 
     def step(self, leg: int, observation: Observation) -> str:
-        """Note the leg of a control step, the way to the next way-point; announce a new leg.
+        """Record the leg of a control step, and return a message if a new leg begins.
 
         Args:
-            leg: Number of way-points passed.
+            leg: Number of way-points passed; one more than there are way-points during the hold.
             observation: The observation of the step.
 
         Returns:
-            The message. Empty if no new leg begins.
+            The message for the operator. Empty if no new leg begins.
         """
         way_points = len(self._legs) - 1
         for way_point in self._legs[self._leg : min(leg, way_points)]:
@@ -88,7 +88,7 @@ class RouteMeasure:
                 self._frames_inside += self._are_inside(sample, self._hold.radius)
 
     def _are_inside(self, sample: Sample, radius: float) -> Bools:
-        """Check which robots are within a radius of their targets, shape (N,).
+        """Check which robots are within a radius [length unit] of their targets, shape (N,).
 
         True poses are used if they are known. Otherwise, an untracked robot counts as outside.
         """
@@ -113,7 +113,7 @@ class RouteMeasure:
 
     @property
     def lost(self) -> tuple[int, ...]:
-        """How often each robot was lost, N entries. Empty if no robot was ever lost."""
+        """How often each robot was lost, N entries. Empty if no robot was lost."""
         times = self.losses.times
         return tuple(times.tolist()) if times.any() else ()
 

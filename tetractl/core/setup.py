@@ -16,7 +16,7 @@ from tetractl.core.route_measure import HoldTask
 from tetractl.core.shape import Shape
 
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
-"""The length of each unit that a spec may declare [m]."""
+"""The length of each unit that a spec can declare [m]."""
 MM = METRES["mm"]  # a millimetre [m]
 
 
@@ -41,7 +41,7 @@ class Bounds:
 
     @property
     def longer_side(self) -> float:
-        """The greater of the rectangle's width and height [length unit]."""
+        """The larger of the rectangle's width and height [length unit]."""
         return max(self.width, self.height)
 
     def contains(self, x: float, y: float) -> bool:
@@ -49,9 +49,9 @@ class Bounds:
         return self.left <= x <= self.right and self.bottom <= y <= self.top
 
     def inside(self, x: Floats, y: Floats) -> Floats:
-        """Compute the distance of each point to the nearest edge line [length unit].
+        """Compute how far each point is inside the rectangle [length unit].
 
-        It is negative for points outside.
+        This is the distance to the nearest edge line. It is negative for points outside.
         """
         across = np.minimum(x - self.left, self.right - x)
         return np.minimum(across, np.minimum(y - self.bottom, self.top - y))
@@ -117,12 +117,12 @@ class Setup:
 
     @property
     def on_wheels(self) -> bool:
-        """Whether all robots drive on wheels, so that they can stand still. Cells swim on."""
+        """Whether the robots drive on wheels, so that they can stand still. False for cells."""
         return self.wheel_radius is not None
 
     @property
     def legs(self) -> Floats:
-        """The way-points and then the targets, (M + 1, N, 2) [length unit]."""
+        """The way-points, then the targets of each robot [length unit], shape (M + 1, N, 2)."""
         return np.concatenate(
             [self.way_points.reshape(-1, *self.targets.shape), self.targets[None]]
         )
@@ -142,6 +142,6 @@ class Setup:
         )
 
     def distances(self, xy: Floats) -> Floats:
-        """Return the distances (..., N) of positions (..., N, 2) to the targets."""
+        """Return the distances of positions (..., N, 2) to the targets, (..., N) [length unit]."""
         off = xy - self.targets
         return elementwise.hypot(off[..., 0], off[..., 1])

@@ -21,7 +21,7 @@ from tetractl.core import elementwise
 from tetractl.core.poses import Bools, Floats
 
 EDGES_AT_A_TIME = 8
-"""Number of edges that are compared with all points at a time, to bound the memory."""
+"""Number of edges that are compared with all points at once, which limits the memory used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,22 +29,25 @@ class Shape:
     """An obstacle in the plane, including its edge; lengths are in the spec's unit."""
 
     corners: Floats
-    """Corners (K, 2) of the polygon, anticlockwise; if the radius is positive, convex."""
+    """Corners of the polygon, anticlockwise, shape (K, 2).
+
+    It is convex if the radius is positive.
+    """
     radius: float = 0.0
 
     def grown(self, margin: float) -> "Shape":
-        """Return the shape of all points that are within the margin of this one."""
+        """Return the shape enlarged on all sides by a margin [length unit]."""
         return replace(self, radius=self.radius + margin)
 
     @cached_property
     def box(self) -> tuple[float, float, float, float]:
-        """The smallest rectangle around the shape: left, bottom, right, top."""
+        """The smallest axis-aligned rectangle around the shape: left, bottom, right, top."""
         low = self.corners.min(axis=0)
         high = self.corners.max(axis=0)
         return *(low - self.radius).tolist(), *(high + self.radius).tolist()
 
     def contain(self, x: Floats, y: Floats) -> Bools:
-        """Check which points are in the shape, p(s) of the paper's equation (13)."""
+        """Check which points are in the shape or on its edge: p(s) of the paper's (13)."""
         return self.distance(x, y) <= 0
 
     def distance(self, x: Floats, y: Floats) -> Floats:

@@ -19,15 +19,21 @@ from tetractl.core.setup import Setup
 EPOCH_NS = 1_577_836_800_000_000_000
 
 OWN_FILES = frozenset({"spec.yaml", "spec.resolved.yaml", "environment.json", "layout.json"})
-"""Names of the files attached to every log, which no file named in a spec may have."""
+"""Names of the files that tetractl attaches to every log.
+
+No file that a spec names may have them.
+"""
 HALTS = "halts"
-"""The fact of a lab that says whether its robots stand still after a stop."""
+"""Key in `PlantInfo.facts`: "yes" if a lab's robots stand still after a stop, otherwise "no"."""
 EMULATED_PLANT = "emulated"
-"""The type of the plant that emulates a lab in virtual time."""
+"""Type of the plant that emulates a lab in virtual time."""
 EMULATED_DEVICES = "emulated"
-"""Key in `PlantInfo.facts` for the names of the emulated devices."""
+"""Key in `PlantInfo.facts` for the names of the emulated devices, such as "camera"."""
 REAL_DEVICE = "real"
-"""The key of `PlantInfo.facts` that names the real device of plant `emulated`, if there is one."""
+"""Key in `PlantInfo.facts` for the real device of the plant `emulated`.
+
+Absent if it has none.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,15 +121,19 @@ class Verdict:
 
     @classmethod
     def unknown(cls, robots: int) -> Self:
-        """Create a verdict for N robots whose final positions are unknown."""
+        """Create a verdict for N robots whose final positions are unknown.
+
+        The positions are NaN, no robot entered an obstacle, and another trial cannot start by
+        itself.
+        """
         nowhere = Poses.from_array(np.full((robots, 3), np.nan))
         return cls(nowhere, (False,) * robots, (math.inf,) * robots, can_restart=False)
 
     def in_obstacle(self, radius: float = 0.0) -> list[bool]:
-        """Return for each robot whether it entered an obstacle.
+        """Return for each robot whether it entered an obstacle, N entries.
 
-        A positive `radius` [length unit] widens every obstacle: a robot that came closer than this
-        also counts.
+        A positive `radius` [length unit] also counts a robot whose centre came closer to an
+        obstacle than this.
         """
         return [
             entered or gap < radius
@@ -131,11 +141,17 @@ class Verdict:
         ]
 
     def over_edge(self, radius: float = 0.0) -> list[bool]:
-        """Return the robots (N,) that left the arena. Empty if the log does not record it."""
+        """Return for each robot whether it came closer than `radius` to the edge of the arena.
+
+        With radius 0, this means that it left the arena. Empty if the log does not record it.
+        """
         return [edge < radius for edge in self.edge]
 
     def touched(self, radius: float = 0.0) -> list[bool]:
-        """Return the robots (N,) that touched another one. Empty if the log does not record it."""
+        """Return for each robot whether its centre came within 2 `radius` of another robot's.
+
+        Empty if the log does not record it.
+        """
         return [apart < 2 * radius for apart in self.apart]
 
 
@@ -293,15 +309,18 @@ class Result:
 
     @property
     def summary(self) -> str:
-        """The result as a sentence, the last message of a log."""
+        """The result as a sentence: outcome, reason and number of steps.
+
+        The last message of a log.
+        """
         reason = f" ({self.reason})" if self.reason else ""
         return f"{self.outcome.value}{reason} after {self.steps} control steps"
 
     @property
     def driving_ns(self) -> tuple[int, ...]:
-        """The solve times of plans that were made while robots drove [ns].
+        """The wall times of planning in steps in which the robots drove [ns].
 
-        Only these plans must take less than a control period. In older logs, all plans but the
+        Only these steps must take less than a control period. In older logs, all steps but the
         first count.
         """
         drove = self.drove or (False, *(True,) * (len(self.solve_ns) - 1))
@@ -354,7 +373,7 @@ class TrialRecords:
 
     @property
     def route(self) -> RouteMeasure:
-        """The measure of how the robots passed their way-points and held, up to the stop."""
+        """The measurement of how the robots passed way-points and held, up to the last stop."""
         setup = self.start.setup
         stops = [command.sent_ns for command in self.commands if command.stops]
         measure = RouteMeasure(setup.legs, setup.hold, setup.loss, setup.speed)

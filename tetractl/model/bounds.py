@@ -31,10 +31,10 @@ only raise it.
 
 @np.errstate(over="ignore")  # a speed may be so great that the robot drives an infinite way
 def reach(setup: Setup, seconds: float) -> Floats:
-    """Compute each robot's error after driving straight towards its target (N,) [length unit].
+    """Compute the minimum final distance of each robot from its target (N,) [length unit].
 
-    It is 0 if the robot arrives within `seconds`. No other path brings the robot nearer, because
-    |w_i| <= t.
+    It is 0 if the robot can arrive within `seconds`. Each robot is assumed to drive straight to
+    its target. No other path brings it nearer, because |w_i| <= t.
     """
     gaps = setup.starts.distances(setup.targets)
     return np.maximum(gaps - setup.speed * seconds, 0.0)
@@ -47,9 +47,9 @@ def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
 
     w is the integral of a robot's unit heading vector over at most `seconds`.
 
-    Let delta = theta_1 - theta_2, s = a_1 + a_2, d = |a_1 - a_2| and m be u minus the mean heading.
-    Then delta' = a_1 sin(m - delta/2) - a_2 sin(m + delta/2) = (a_1 - a_2) sin m cos(delta/2) - s
-    cos m sin(delta/2), and over all m
+    Let delta = theta_1 - theta_2, s = a_1 + a_2, d = |a_1 - a_2| and m be u minus the mean
+    heading. Then delta' = a_1 sin(m - delta/2) - a_2 sin(m + delta/2) = (a_1 - a_2) sin m
+    cos(delta/2) - s cos m sin(delta/2), and over all m
 
         |delta|' <= sqrt(d^2 cos^2(delta/2) + s^2 sin^2(delta/2)) <= sqrt(d^2 + (s delta/2)^2).
 
@@ -87,7 +87,11 @@ def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
 
 
 def least_total_error(setup: Setup, seconds: float) -> float:
-    """Compute a lower bound of the total error of any sequence of directions [length unit]."""
+    """Compute a lower bound of the total error after `seconds` [length unit].
+
+    No sequence of common directions leads to a smaller sum of the robots' distances from their
+    targets. Obstacles are ignored.
+    """
     alone = reach(setup, seconds)
     pairs, pair_errors = _pair_bounds(setup, seconds)
     gain = pair_errors - alone[pairs[:, 0]] - alone[pairs[:, 1]]
@@ -123,9 +127,10 @@ def _pair_bounds(setup: Setup, seconds: float) -> tuple[NDArray[np.int64], Float
 
 
 def _least_sum(alone: Floats, pairs: NDArray[np.int64], pair_errors: Floats) -> float:
-    """Compute the minimum of e_1 + ... + e_N by a linear programme.
+    """Compute the minimum of the total error e_1 + ... + e_N by a linear programme.
 
-    The constraints are e_i >= alone_i, and that e_i + e_j is at least the error of each pair.
+    The constraints are that e_i >= alone_i, and that e_i + e_j is at least the bound `pair_errors`
+    of each pair (i, j). If the solver fails, the result is a weaker lower bound.
     """
     from scipy.optimize import linprog
     from scipy.sparse import coo_array

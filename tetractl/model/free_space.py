@@ -19,9 +19,12 @@ from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
 
 CELLS = 200
-"""Number of cells along the longer side of the arena."""
+"""Number of square cells along the longer side of the arena."""
 TOUCHING = 1e-6
-"""Gaps narrower than this fraction of a cell are closed, so that obstacles may touch a wall."""
+"""Width of the gaps that are closed, as a fraction of a cell's side.
+
+Obstacles may therefore touch a wall without leaving a gap.
+"""
 
 
 def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
@@ -39,7 +42,7 @@ def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
 
 @np.errstate(all="ignore")
 def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
-    """Compute how near each robot can come to its target, given obstacles, (N,) [length unit].
+    """Compute how near each robot can come to its target past obstacles, (N,) [length unit].
 
     The distance is 0 if there may be a path from start to target. It is also 0 if the start is
     nearer to an obstacle than the margin, because such a start is not in free space.
@@ -77,9 +80,9 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
 
 
 def _centres(begin: float, extent: float, side: float, walls: bool) -> Floats:
-    """Return the centres of the cells along an axis.
+    """Return the coordinates of the cells' centres along an axis, in ascending order.
 
-    If not `walls`, two cells are added at each end.
+    Unless `walls` is true, two cells are added at each end, outside the arena.
     """
     beyond = 0 if walls else 2
     count = max(math.ceil(extent / side - 1e-9), 1)  # a side far shorter than the other has one
@@ -113,9 +116,9 @@ def connected(cells: Bools, free: Bools) -> Bools:
 
 
 def _runs(free: Bools) -> NDArray[np.int64]:
-    """Return the index of each free cell's run.
+    """Return for each cell the index of the run of free cells to which it belongs.
 
-    A run consists of free cells in a row without a gap.
+    A run consists of neighbouring free cells in a row. The values of other cells have no meaning.
     """
     ends = np.pad(~free, ((0, 0), (0, 1)), constant_values=True)
     return np.cumsum(ends, dtype=np.int64).reshape(ends.shape)[:, :-1]

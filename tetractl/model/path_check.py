@@ -95,7 +95,7 @@ class PathCheck:
         `at_least` is a lower bound of each sample's distance, and cheap. A sample can be left out
         if this bound exceeds two values: the smallest distance found so far, because the sample
         then is not the nearest; and the longest step, because a path that touches an obstacle
-        before the next sample is nearer to it than that.
+        before the next sample is nearer to it than that. Samples with NaN are left out.
         """
         at_least = self.obstacles.at_least(x, y)
         robots = np.arange(len(x))
@@ -106,7 +106,12 @@ class PathCheck:
         return at_least <= (np.fmax(clearance, step_max) + self._slack)[:, None]
 
     def verdict(self, final: Poses, not_at_rest: str = "") -> Verdict:
-        """Return the verdict on the path so far, with the final poses `final`."""
+        """Return the verdict on the path so far.
+
+        Args:
+            final: The final poses of the robots.
+            not_at_rest: Describes robots that did not stand still at the end. Empty if all did.
+        """
         return Verdict(
             final=final,
             entered=tuple(bool(entered) for entered in self.entered),
@@ -118,14 +123,18 @@ class PathCheck:
 
 
 def _longest_step(coordinates: Floats) -> Floats:
-    """Return the maximum difference between successive samples (N, M) of each robot, (N,)."""
+    """Return the maximum change of a coordinate (N, M) between successive samples, (N,).
+
+    NaN samples are ignored.
+    """
     return np.fmax.reduce(np.abs(np.diff(coordinates)), axis=1, initial=0.0)
 
 
 def separations(x: Floats, y: Floats) -> Floats:
     """Compute the minimum distance of each of N robots to another robot over M samples, (N,).
 
-    x and y have shape (N, M) [length unit]. NaN samples are ignored.
+    x and y have shape (N, M) [length unit]. NaN samples are ignored. The result is inf for a
+    single robot.
     """
     count = len(x)
     apart = np.full(count, np.inf)

@@ -21,16 +21,16 @@ class Rectangle(ShapeSection):
 
     type: Literal["rectangle"]
     left: Finite
-    """Minimum x [length unit]."""
+    """x of the left edge [length unit]."""
     bottom: Finite
-    """Minimum y [length unit]."""
+    """y of the lower edge [length unit]."""
     width: Positive
     """Extent in x [length unit]."""
     height: Positive
     """Extent in y [length unit]."""
 
     def shape(self) -> Shape:
-        """Return the rectangle as the four corners of a polygon."""
+        """Return the rectangle as a polygon with four corners, anticlockwise."""
         right = self.left + self.width
         top = self.bottom + self.height
         corners = [(self.left, self.bottom), (right, self.bottom), (right, top), (self.left, top)]
@@ -42,7 +42,7 @@ class Circle(ShapeSection):
 
     type: Literal["circle"]
     center: Point
-    """Centre [x, y]."""
+    """Coordinates of the centre, [x, y] [length unit]."""
     radius: Positive
     """Radius [length unit]."""
 
@@ -101,7 +101,7 @@ class Polygon(ShapeSection):
         return self
 
     def shape(self) -> Shape:
-        """Return the vertices of the polygon, in anticlockwise order."""
+        """Return the polygon with its corners in anticlockwise order."""
         vertices = np.array(self.vertices, dtype=np.float64)
         return Shape(vertices if _doubled_area(vertices) > 0 else vertices[::-1])
 

@@ -134,13 +134,13 @@ class Swimmers:
         return replace(self, **copies)
 
     def joined(self, others: "Swimmers") -> "Swimmers":
-        """Return these cells followed by other cells, as one set."""
+        """Return these cells followed by other cells, as one new set."""
         appended = vars(others)
         columns = {name: np.append(values, appended[name]) for name, values in vars(self).items()}
         return Swimmers(**columns)
 
     def kept(self, which: Bools) -> "Swimmers":
-        """Return the cells for which a mask (N,) is true."""
+        """Return the cells for which the mask `which`, shape (N,), is true, as a new set."""
         return Swimmers(**{name: values[which] for name, values in vars(self).items()})
 
     def laid_out(
@@ -193,10 +193,10 @@ class Swimmers:
         drift: tuple[float, float] = (0.0, 0.0),
         walls: Bounds | None = None,
     ) -> None:
-        """Advance every cell by its swimming motion.
+        """Advance every cell by its swimming motion, in place.
 
         Args:
-            field: B / B_ref times the unit vector of u.
+            field: B / B_ref times the unit vector of u. (0, 0) without a field.
             seconds: Duration [s].
             random: The random generator.
             drift: Flow of the medium [um/s].
@@ -214,13 +214,16 @@ class Swimmers:
         self.depth = np.array(cells.depth)
 
     def set_resting(self, cell: int, resting: bool = True) -> None:
-        """Make a cell rest, or swim again if not `resting`."""
+        """Make the cell with the index `cell` rest, or swim again if `resting` is False."""
         self.resting[cell] = resting
 
     def divide(self, cell: int, random: np.random.Generator) -> "Swimmers":
-        """Return the cells after one of them has divided. The new cell is the last.
+        """Return the cells after the one with the index `cell` has divided.
 
-        Both cells have the mother's width and 0.8 of its length, and share its magnet unequally.
+        The new cell is the last.
+
+        Both cells have the mother's width and 0.8 of its length, share its magnet unequally, and
+        turn away from each other. The present object stays unchanged.
         """
         daughter = self.kept(np.arange(len(self)) == cell)
         cells = self.copy()
@@ -236,7 +239,7 @@ class Swimmers:
 
 
 def walls_of(setup: Setup, rim_um: float = 0.0) -> Bounds:
-    """Return the edges of the arena [um], moved inwards by `rim_um`."""
+    """Return the edges of the arena in micrometres, each moved inwards by `rim_um` [um]."""
     um = setup.metres * 1e6
     arena = setup.arena
     return Bounds(

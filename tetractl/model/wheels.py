@@ -37,11 +37,11 @@ from tetractl.model.motion.rolling import (
 )
 
 COUNT_MAX = 127
-"""Largest count of a wheel: counts are sent as signed bytes."""
+"""Maximum count of a wheel, because counts are sent as signed bytes."""
 Counts = tuple[int, int]
 """Counts of one robot's two wheels, from -COUNT_MAX to COUNT_MAX."""
 STOP: Counts = (0, 0)
-"""Outputs at which both wheels stand [counts]."""
+"""The counts with which both wheels of a robot stand still."""
 CountArray = NDArray[np.int64]
 
 
@@ -84,7 +84,11 @@ class Drivetrains:
     swap: Bools
 
     def speeds(self, counts: CountArray) -> Floats:
-        """Return the wheel speeds [length unit/s] that result from counts of the motor driver."""
+        """Return the wheel speeds, left and right, for counts (2, N) of the motors.
+
+        The speeds are in [length unit/s]. A wheel whose count is within its dead zone stands
+        still.
+        """
         by_wheel = self._by_wheel(counts)
         beyond = np.maximum(np.abs(by_wheel) - self.dead_zone, 0)
         return self.gain * (np.sign(by_wheel) * beyond)
@@ -153,11 +157,14 @@ class WheelHost:
         return wish(heading, np.full(heading.shape, u), since_ns, acts_ns, robots, self._sent)
 
     def assume_lag(self, lag_s: float) -> None:
-        """Assume this lag of the wheels [s], starting with the next command."""
+        """Set the lag of the wheels that the host assumes [s], starting with the next command."""
         self._known = self._known._replace(lag_s=lag_s)
 
     def counts(self, wished: Floats) -> CountArray:
-        """Return the counts (2, N) to send for wheel speeds (2, N)."""
+        """Return the counts (2, N) to send for wheel speeds (2, N) [length unit/s].
+
+        The rounding errors are kept, and are corrected by the next call.
+        """
         counts, self._owed = self.drivetrains.counts(wished, self._owed)
         return counts
 
@@ -174,7 +181,7 @@ class WheelHost:
 
 
 NOTHING = np.zeros((0, 0))
-"""An empty array of random numbers, for robots whose headings do not swerve."""
+"""An empty array of random numbers, for robots whose headings have no random walk."""
 
 
 class WheeledRobots:
@@ -206,7 +213,7 @@ class WheeledRobots:
 
     @property
     def poses(self) -> Poses:
-        """The present poses of all robots, as a copy. They can be set."""
+        """The present poses of all robots, as a copy. Setting them moves the robots."""
         return Poses(*self.pose.copy())
 
     @poses.setter
@@ -216,7 +223,10 @@ class WheeledRobots:
         self.body[HEADING] = poses.heading
 
     def scale(self, turning: Floats, speed: Floats) -> None:
-        """Multiply turning rates and speeds by factors (N,), for example because of slip."""
+        """Set the ratios (N,) of true to ideal turning rates and speeds, for example for slip.
+
+        They replace the ratios of the previous call.
+        """
         self.body[TURNS] = turning / (2 * self.radius)
         self.body[MOVES] = speed / 2
 

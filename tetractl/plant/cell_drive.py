@@ -62,9 +62,9 @@ class CellDrive:
         self.poses = starts
 
     def _drawn(self, section: CultureSection, setup: Setup, walk: float) -> CellArrays:
-        """Sample the properties of the cells that are not given.
+        """Sample the properties of the cells that the spec does not give, all at rest.
 
-        The order of sampling is part of the result.
+        The order of sampling determines the result, so it must not change.
         """
         count = len(setup.names)
         cells = Swimmers.drawn(self._random, count)
@@ -81,7 +81,7 @@ class CellDrive:
 
     @property
     def poses(self) -> Poses:
-        """The present poses of the bodies."""
+        """The present poses of the bodies. Setting them moves the axes of the helices."""
         return self._poses
 
     @poses.setter
@@ -118,7 +118,11 @@ class CellDrive:
         return path
 
     def apply(self, command: DelayedCommand) -> None:
-        """Apply a direction or a stop to those cells that it reaches."""
+        """Apply a command to those cells that it reaches.
+
+        A direction sets the field and makes them swim. A stop makes them rest. `FieldOff` makes
+        them swim without a field.
+        """
         reached = command.reached
         field_x = 0.0
         field_y = 0.0

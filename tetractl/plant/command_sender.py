@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tetractl.plant.wheel_host import SimHost
 
 STOPS_MAX = 3000
-"""Maximum number of stops sent until every robot has received one. They take one minute."""
+"""Maximum number of stops sent while some robot has not received one. They take one minute."""
 
 
 class CommandSender:
@@ -56,9 +56,9 @@ class CommandSender:
 
     @property
     def repeats_ns(self) -> int:
-        """The time at which the host repeats the held action [ns].
+        """The time at which the host transmits the held action again [ns].
 
-        NEVER if it does not repeat it.
+        NEVER if it does not.
         """
         return NEVER if self._host is None else self._host.repeats_ns
 
@@ -68,9 +68,12 @@ class CommandSender:
         """Send an action, or send the held action again with wheel speeds for this frame.
 
         Args:
-            now_ns: The time.
+            now_ns: The time of sending [ns].
             answered: The frame that the command answers.
             action: The action, which is held from now on. None to repeat the held one.
+
+        Returns:
+            The command as the host logs it, with the robots that receive it in `delivered`.
         """
         if action is not None:
             self._held = action
@@ -92,7 +95,8 @@ class CommandSender:
         """Send a stop to every robot, and return the first stop.
 
         If stops may be lost, the stop is sent at least `STOPS` times, and until every robot has
-        received one.
+        received one or STOPS_MAX stops were sent. `delivered` of the result is True for the robots
+        that receive any of them.
         """
         robots = len(self._setup.names)
         if self._host is not None:

@@ -10,13 +10,13 @@ from tetractl.model.motion.motion import Held, Motion
 from tetractl.spec.disturbance import DelayedCommand
 
 LEAST_A = 1e-12
-"""Turning rate of a robot that is held still [rad/s]; not 0, as the closed form divides by it."""
+"""Minimum turning rate a that the equations use [rad/s], because they divide by it."""
 
 
 def aim(action: Steer | Turn | FieldOff, heading: Floats) -> Floats:
-    """Return the direction [rad] to which each robot turns.
+    """Return the direction [rad] to which each robot turns, shape (N,).
 
-    Without a field, this is its heading.
+    Without a field, this is its own heading, so that it does not turn.
     """
     match action:
         case Steer(u) | Turn(u):
@@ -52,7 +52,7 @@ class DirectDrive:
             course=np.zeros(robots),
             moving=np.zeros(robots),
         )
-        """What each robot holds."""
+        """The command that each robot follows at present."""
         self._sine = np.zeros(robots)  # sin(u - heading) when the command was received
         self._without_field = np.zeros(robots, dtype=np.bool_)
         self._on_the_spot = np.zeros(robots, dtype=np.bool_)  # robots that turn without driving
@@ -69,7 +69,10 @@ class DirectDrive:
         return np.where(self._able, self.held.moving, 0.0)
 
     def vary(self, a: Floats, speed: Floats) -> None:
-        """Change the true turning rates a and speeds, shape (N,) each, starting now."""
+        """Change the true turning rates a [rad/s] and speeds [length unit/s], shape (N,), now.
+
+        A robot with a = 0 and speed 0 stands still.
+        """
         self._able = (a > 0) | (speed > 0)
         self._a = np.maximum(a, LEAST_A)
         self._speed = speed

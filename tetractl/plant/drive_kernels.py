@@ -31,17 +31,20 @@ class Trains(NamedTuple):
     """The left and right wheels of N robots with their motors, shape (2, N) each."""
 
     owed: Floats
-    """The rounding error that is carried to the next transmission [counts]; `answer` changes it."""
+    """Rounding errors that are carried over to the next transmission [counts].
+
+    `answer` changes them.
+    """
     gain: Floats
-    """Wheel speed of one count, as the host knows it [length unit/s]."""
+    """Wheel speed for each count, as the host knows it [length unit/s]."""
     dead_zone: Floats
     """Largest count at which a wheel does not move, as the host knows it."""
     true_gain: Floats
-    """The wheel's true gain [length unit/s]."""
+    """True wheel speed for each count [length unit/s]."""
     true_dead_zone: Floats
-    """The wheel's true dead zone [counts]."""
+    """True largest count at which a wheel does not move."""
     limit: Floats
-    """Largest count that is sent, (N,); 0 if speeds are not rounded to counts."""
+    """Maximum count sent to each robot, shape (N,). 0 if speeds are not rounded to counts."""
 
 
 @compiled(**ENTRY)

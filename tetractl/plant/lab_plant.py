@@ -38,7 +38,7 @@ from tetractl.tools.worker import WAITING_MAX
 
 
 class RigSection(LabSection):
-    """A lab whose camera and actuator, real or emulated, are used together in one `Rig`."""
+    """Base class of the fields of a lab, real or emulated, whose devices form one `Rig`."""
 
     def clock(self) -> Clock:
         """Return the clock of the trials: the host's monotonic clock."""
@@ -65,13 +65,14 @@ class RigSection(LabSection):
         return build_rig(self, setup, clock, supervision.emergency if supervision else None)
 
     def require_calibratable(self) -> None:
-        """Check that the camera shows the robots that the actuator drives.
+        """Raise UsageError if no calibration is possible with the devices of this lab.
 
-        Otherwise no calibration can measure them, and UsageError is raised.
+        A calibration needs a camera that shows the robots that the actuator drives. This base
+        class allows it.
         """
 
     def plant(self, rig: Rig, supervision: LabSupervision) -> "LabPlant":
-        """Create the plant for a lab whose devices are connected."""
+        """Create the plant of a trial for the connected lab `rig`."""
         return LabPlant(rig, supervision, self.type)
 
     def build(
@@ -82,15 +83,15 @@ class RigSection(LabSection):
 
 
 class LabPlantSection(RigSection):
-    """A lab with real robots: a camera, an actuator and limits."""
+    """The fields of a plant with real robots: a camera, an actuator and limits."""
 
     type: Literal["lab"] = "lab"
 
 
 RECENT = 600
-"""Number of frames kept, a few seconds.
+"""Number of observations kept, a few seconds.
 
-One of them is the last of robots that cannot stand still.
+For robots that cannot stand still, the one nearest to the stop gives the final poses.
 """
 
 
@@ -112,11 +113,17 @@ class LabFrames:
         self._recent: deque[Observation] = deque(maxlen=RECENT)
 
     def begin(self) -> None:
-        """Begin with the newest frame, which `observe` may return. Earlier frames are ignored."""
+        """Start with the newest frame, so that `read` returns it first.
+
+        Earlier frames are ignored.
+        """
         self._read_count = self._rig.loop.frames.count - 1
 
     def read(self) -> list[Sample]:
-        """Return the camera frames since the last call, oldest first."""
+        """Return the frames that the guard accepted since the last call, oldest first.
+
+        The path of the robots is checked at the same time.
+        """
         frames, self._read_count = self._rig.loop.frames.since(self._read_count)
         if self._adds is not None:
             for addition in self._adds.additions():
@@ -142,7 +149,7 @@ class LabFrames:
         return samples
 
     def nearest(self, t_ns: int) -> Observation:
-        """Return the recent frame whose exposure is nearest to a time."""
+        """Return the recent observation whose exposure is nearest to a time of the run [ns]."""
         return min(self._recent, key=lambda frame: abs(frame.sampled_ns - t_ns))
 
     def _observation(self, accepted: AcceptedFrame) -> Observation:
@@ -204,7 +211,11 @@ class LabPlant:
     # ---- the protocol `Plant`, in the order of its calls ----
 
     def open(self) -> PlantInfo:
-        """Connect, run the preflight check, and wait until the robots are on their starts."""
+        """Connect, run the preflight check, and wait until the robots are on their starts.
+
+        Raises:
+            AbortError: If the run cannot start. Robots that move are stopped first.
+        """
         rig = self.rig
         rig.open()
         try:
@@ -234,7 +245,11 @@ class LabPlant:
     def send(self, action: Action) -> Command:
         """Send an action repeatedly, starting now, and return its first transmission.
 
-        A stop is sent ten times.
+        A stop is sent ten times. If the guard holds all robots still at present, the returned
+        command was delivered to none.
+
+        Raises:
+            AbortError: If the guard has ended the run, or for `FieldOff`.
         """
         if isinstance(action, FieldOff):
             raise AbortError("this lab cannot switch off its field while the robots drive")
@@ -268,9 +283,9 @@ class LabPlant:
         return samples
 
     def events(self) -> list[Command | Note]:
-        """Return every warning, and every transmission that `send` did not return.
+        """Return warnings, and every transmission that `send` did not return, oldest first.
 
-        It returns what is new since the last call.
+        Only what is new since the last call is returned.
         """
         warnings = [Note(t_ns, "warning", text) for t_ns, text in self.rig.loop.warnings()]
         events: list[Command | Note] = [
@@ -292,10 +307,16 @@ class LabPlant:
         return self._stop
 
     def settle(self) -> Verdict:
-        """Wait until every robot is tracked and, if possible, stands still; then check the path.
+        """Wait until every robot is tracked and, if possible, stands still.
+
+        Then check the path.
 
         If there was a fault since the last step, such as a stop that could not be sent, the robots
         do not count as standing still.
+
+        Returns:
+            The verdict. Its `can_restart` is False if a person has to look at robots or devices
+            first.
         """
         guard = self.rig.loop.guard
         rest = self._come_to_rest()
@@ -351,9 +372,9 @@ class LabPlant:
         return camera.watch(self.setup, self.rig.limits) if watches else None
 
     def _take_losses(self, watch: RobotWatch, now: int) -> None:
-        """Report the robots that count as lost to the guard.
+        """Report the robots that the camera's watch counts as lost to the guard.
 
-        If the spec requires it, another body replaces a robot that has been lost for long enough.
+        If the spec allows it, another body replaces a robot that has been lost for long enough.
         """
         losses = tuple(watch.lost())
         if losses:
@@ -373,10 +394,10 @@ class LabPlant:
                 self._notes.append(Note(now, "warning", f"{self.setup.names[i]} {what}"))
 
     def _final(self) -> Poses:
-        """Return the final poses.
+        """Return the final poses of the robots.
 
         They are the poses at standstill. For robots that swim on, they are the poses in the frame
-        with an exposure nearest to the time of the stop.
+        whose exposure is nearest to the time of the stop. Without any frame, they are the starts.
         """
         newest = self._frames.newest
         if newest is None:
@@ -405,9 +426,9 @@ class LabPlant:
         return wait_for_rest(self.rig, self._supervision.cancelled)
 
     def _refused(self, error: AbortError) -> AbortError:
-        """Extend the reason why a run does not start, after stopping robots that move.
+        """Return the error for a run that does not start, after stopping robots that move.
 
-        The result names these robots.
+        The error's message then also names robots that may still be driving.
         """
         if not (self.rig.actuator.halts and drifting_robots(self.rig)):
             return error
@@ -416,9 +437,9 @@ class LabPlant:
         return AbortError(joined(error.message, self._come_to_rest().unrest), error.hint)
 
     def _check_pause(self, when: str) -> bool:
-        """Abort if a robot moved during a pause without a command, and return whether it aborted.
+        """Abort if a robot moved while none was commanded to, and return whether it did.
 
-        A robot that moves after all robots have stood still for `REST_NS` also counts.
+        Only motion after all robots had stood still for a while counts. `when` starts the message.
         """
         guard = self.rig.loop.guard
         if not (self._stopped_ns and self.rig.actuator.halts and guard.state is GuardState.READY):

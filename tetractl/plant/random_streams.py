@@ -22,21 +22,22 @@ class RandomStream(IntEnum):
     """
 
     CAMERA = 0
-    """Errors of the measured poses: for each frame N of x, then N of y, then N of the heading."""
+    """Errors of the measured poses: for each frame, N of x, then N of y, then N of the heading."""
     HEADINGS = 1
-    """Random walk of the headings: N numbers for each frame, or for each sample if robots have
-    wheels.
+    """Random walk of the headings: N numbers for each frame.
+
+    For robots with wheels, N numbers for each sample of the true path.
     """
     RADIO = 2
-    """Lost commands: N numbers for each transmission, except for a stop."""
+    """Lost commands: N numbers for each transmission except a stop."""
     PARAMETERS = 3
-    """Errors of the true parameters, once a trial: N of the turning rate a, then N of the speed."""
+    """Errors of the true parameters, once per trial: N of the rate a, then N of the speed."""
     DISTURBANCES = 4
-    """The k-th disturbance of the spec, k = 0, 1, ..., 99, draws from stream 4 + k."""
+    """First stream of disturbances: the k-th one, k = 0, 1, ..., 99, uses stream 4 + k."""
     TRIAL_ROBOTS = 1000
-    """What finds the robots of a trial, see `tetractl.spec.trial_robots`, once a trial."""
+    """The choice of the robots of a trial, once per trial (`tetractl.spec.trial_robots`)."""
     BODIES = 2**32 - 1
-    """What is constant in a trial but no parameter.
+    """Constants of the robots' bodies in a trial, which are not parameters of the motion.
 
     For wheels: gains, dead zones and radii. For cells: all properties, then the noise of their
     swimming.
@@ -44,6 +45,6 @@ class RandomStream(IntEnum):
 
 
 def generator(seed: np.random.SeedSequence, number: int) -> np.random.Generator:
-    """Create the random generator of a stream, for the trial with this seed."""
+    """Create the random generator of the stream `number`, for the trial with the seed `seed`."""
     key = (*seed.spawn_key, number)
     return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))

@@ -33,7 +33,7 @@ class SimCamera:
         random: np.random.Generator,
     ) -> None:
         self.newest: Observation | None = None
-        """The newest frame that the host has received."""
+        """The newest frame that the host has received. None before the first."""
         self._coming: deque[Sample] = deque()  # on their way to the host, in the order of arrival
         self._unread: list[Sample] = []  # received, oldest first
         self._noise = np.array([[noise.position], [noise.position], [noise.heading]])
@@ -75,12 +75,12 @@ class SimCamera:
     def arriving_ns(self) -> int | None:
         """The time at which the next frame reaches the host [ns].
 
-        None if no frame is on its way.
+        None if none is on its way.
         """
         return self._coming[0].observation.received_ns if self._coming else None
 
     def receive(self, until_ns: int) -> None:
-        """Pass to the host every frame that arrives up to `until_ns`."""
+        """Pass to the host every frame that arrives up to and including `until_ns`."""
         while self._coming and self._coming[0].observation.received_ns <= until_ns:
             sample = self._coming.popleft()
             self.newest = sample.observation

@@ -45,7 +45,10 @@ class MeasurementNoise(Model):
 
 
 class WheelDriveSection(Model):
-    """The wheels of simulated robots. The defaults describe ideal wheels."""
+    """The wheels of simulated robots, and how their host sends wheel speeds.
+
+    The defaults describe ideal wheels.
+    """
 
     rate: Positive | None = None
     """Transmissions per second while a direction is held [Hz].
@@ -68,7 +71,7 @@ class WheelDriveSection(Model):
     transmission. By default, they are not rounded.
     """
     dead_zone: Annotated[int, Field(ge=0, le=60)] = 0
-    """Largest count at which the host assumes that a wheel does not move; needs `count`."""
+    """Largest count at which the host assumes that a wheel does not move. Needs `count`."""
     dead_zone_error: Annotated[int, Field(ge=0, le=60)] = 0
     """Maximum difference between a wheel's true dead zone and `dead_zone` [counts].
 
@@ -126,14 +129,14 @@ class SimSection(PlantSection):
     cells: CultureSection | None = None
     """Simulates swimming cells instead of points that move by `motion`, which is then ignored."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
-    """Rate of measurements [Hz]."""
+    """Number of camera frames per second [Hz]."""
     truth_rate: float = Field(default=960.0, ge=1, le=100_000, allow_inf_nan=False)
     """Sampling rate of the true path, from which errors and obstacle violations are computed [Hz].
 
     It is at least the camera rate.
     """
     measurement_noise: MeasurementNoise = MeasurementNoise()
-    """Standard deviations of the camera's noise."""
+    """Standard deviations of the camera's errors of measurement."""
     heading_noise: NonNegative = 0.0
     """Random walk of the true heading of robots that move [rad/sqrt(s)]."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
@@ -207,7 +210,7 @@ class SimSection(PlantSection):
 
     @property
     def disturbed(self) -> bool:
-        """Whether the plant differs in any way from the paper's equations.
+        """Whether the plant differs in any way from the paper's equations (1)-(3).
 
         Errors of measurement count as a difference.
         """

@@ -43,7 +43,7 @@ from tetractl.plant.true_motion import Drive, MotionDisturbances, TrueMotion
 from tetractl.spec.disturbance import Disturbance
 
 NO_FRAME_S = 60
-"""A trial is given up if no frame arrives for so long after the stop [s]."""
+"""Time without a frame after the stop after which the trial is aborted [s]."""
 
 
 def draw_robots(
@@ -137,16 +137,16 @@ class SimPlant:
         random = generator(seed, RandomStream.PARAMETERS)
         a, speed, starts = draw_robots(settings, setup, disturbances, random)
         self.a = a
-        """The true turning rates before they vary, (N,) [rad/s]."""
+        """The true turning rates before disturbances vary them [rad/s], shape (N,)."""
         self.speed = speed
-        """The true speeds before they vary, (N,) [length unit/s]."""
+        """The true speeds before disturbances vary them [length unit/s], shape (N,)."""
         drive = build_drive(settings, setup, a, speed, starts, seed)
         self.drive = drive
-        """What moves the robots."""
+        """The part that moves the robots."""
         self.camera = SimCamera(
             count, settings.measurement_noise, disturbances, generator(seed, RandomStream.CAMERA)
         )
-        """The camera that sees them."""
+        """The simulated camera that measures the robots' poses."""
         walk_rad = 0.0  # drives that sum up their path walk at each of its samples instead
         if not drive.sampled:
             walk_rad = float(settings.heading_noise / np.sqrt(settings.camera_rate))
@@ -184,7 +184,10 @@ class SimPlant:
         return self._motion.disturbances.rates
 
     def open(self) -> PlantInfo:
-        """Prepare the simulation, and expose its first camera frame."""
+        """Prepare the simulation, and expose its first camera frame.
+
+        The facts of the result contain the true turning rates and speeds.
+        """
         self._catch_up()
         a, speed = self.drive.gains * np.array([self.a, self.speed])
         facts = {
@@ -231,13 +234,17 @@ class SimPlant:
         return news
 
     def stop(self) -> Command:
-        """Send a stop to all robots. Further calls do nothing."""
+        """Send a stop to all robots. Later calls only return the command of the first call."""
         if self._stop is None:
             self._stop = self.send(Stop())
         return self._stop
 
     def settle(self) -> Verdict:
-        """Wait until a frame shows all robots standing still, and check the true path."""
+        """Wait until a frame shows all robots standing still, and check the true path.
+
+        Raises:
+            AbortError: If no frame arrives within NO_FRAME_S.
+        """
         stopped_ns = max(self._motion.transit.settled_ns, self.clock.now())
         stand_ns = stopped_ns + round(self.drive.rest_s * SECOND)
         two_frames_ns = round(2 * SECOND / self.settings.camera_rate)
@@ -259,7 +266,10 @@ class SimPlant:
         return newest
 
     def _await_frame(self, since_ns: int) -> None:
-        """Wait until the host has received a frame exposed at `since_ns` or later."""
+        """Wait until the host has received a frame exposed at `since_ns` or later.
+
+        Raises AbortError after NO_FRAME_S without such a frame.
+        """
         give_up_ns = self.clock.now() + NO_FRAME_S * SECOND
         camera = self.camera
         while camera.newest is None or camera.newest.sampled_ns < since_ns:

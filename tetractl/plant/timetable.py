@@ -9,7 +9,7 @@ from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.poses import Bools, Times
 
 TIMES_BLOCK_NS = 4 * SECOND
-"""The timetable is laid out for so long in advance [ns]."""
+"""Duration for which the timetable is computed in advance [ns]."""
 SPARE_NS = SECOND
 """A block continues for this long after its end [ns], so that it always has a next time.
 
@@ -19,13 +19,13 @@ Rates are at least 1 Hz.
 
 @dataclass(frozen=True, slots=True)
 class DueTimes:
-    """The M times in one part of a simulation at which something is due, in order, each once."""
+    """The M times in one part of a simulation at which a frame or a sample is due, ascending."""
 
     times_ns: Times
     frames: Bools
-    """At which of the times a frame is exposed, (M,)."""
+    """Whether a camera frame is exposed at each time, shape (M,)."""
     samples: Bools
-    """At which of them the true path is sampled, (M,)."""
+    """Whether the true path is sampled at each time, shape (M,)."""
 
     def part(self, begin: int, end: int) -> "DueTimes":
         """Return a copy of the rows from `begin` up to, but not including, `end`."""
@@ -38,16 +38,20 @@ class DueTimes:
 class Timetable:
     """The times of frames and samples of a simulation: k / rate [ns] with k = 0, 1, 2, ...
 
-    The times are taken in order, and each only once.
+    `take` returns the times in order, and each only once.
+
+    Args:
+        camera_hz: Number of frames per second [Hz].
+        truth_hz: Number of samples of the true path per second [Hz].
     """
 
     def __init__(self, camera_hz: float, truth_hz: float) -> None:
         self._camera_hz = camera_hz
         self._truth_hz = truth_hz
         self.next_ns = 0
-        """The first time that was not taken yet [ns]."""
+        """The first time that `take` has not returned yet [ns]."""
         self.next_frame_ns = 0
-        """The first time of a frame that was not taken yet [ns]."""
+        """The first time of a frame that `take` has not returned yet [ns]."""
         self._lay_out(TIMES_BLOCK_NS)
 
     def take(self, until_ns: int, with_end: bool) -> DueTimes:

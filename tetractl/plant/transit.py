@@ -31,11 +31,14 @@ class Transit:
 
     @property
     def next_ns(self) -> int:
-        """When the next command takes effect [ns]. NEVER if there is none."""
+        """The time at which the next command takes effect [ns]. NEVER if there is none."""
         return self._in_flight[0].due_ns if self._in_flight else NEVER
 
     def send(self, command: DelayedCommand, now_ns: int) -> DelayedCommand:
-        """Send a command at `now_ns`, and return it as the robots will receive it."""
+        """Send a command at `now_ns`, and return it as disturbances have changed it.
+
+        The result contains the time at which it takes effect and the robots that receive it.
+        """
         for disturbance in self._disturbances:
             command = disturbance.sent(command)
         if command.late_ns is None and command.due_ns >= max(self.settled_ns, now_ns):
@@ -47,7 +50,7 @@ class Transit:
         return command
 
     def pop(self) -> DelayedCommand:
-        """Remove the next command that is on its way to the robots, and return it."""
+        """Remove the command that takes effect next, and return it. There must be one."""
         return self._in_flight.pop(0)
 
     def _add_by_robot(self, command: DelayedCommand, now_ns: int) -> None:
@@ -75,10 +78,13 @@ class Watchdogs:
         self._timeout_s = timeout_s
         self._expire_ns = [NEVER] * robots
         self.next_ns = NEVER
-        """The time when the next watchdog expires [ns]."""
+        """The time when the next watchdog expires [ns]. NEVER if none is active."""
 
     def hear(self, command: DelayedCommand) -> None:
-        """Restart the timers of the robots on which this command acts now."""
+        """Restart the watchdogs of the robots on which this command acts now.
+
+        A stop makes them inactive.
+        """
         if self._timeout_s == math.inf:
             return
         if isinstance(command.action, Stop):

@@ -31,9 +31,12 @@ if TYPE_CHECKING:
     from tetractl.plant.wheel_host import SimHost
 
 UNCHECKED_MAX = 200
-"""Number of parts of the path that are kept until they are checked together, which is quicker."""
+"""Number of parts of the path that are collected before they are checked together.
+
+A common check is quicker.
+"""
 NO_POSES = np.empty((0, 3, 0))
-"""The poses of a step in which no pose is needed."""
+"""An empty array for the poses of a step in which no pose is computed."""
 
 
 class Drive(Protocol):
@@ -53,14 +56,14 @@ class Drive(Protocol):
     def sampled(self) -> bool:
         """Whether the path is integrated from sample to sample.
 
-        Such a path depends on the times at which it is computed. Otherwise, it is known in closed
-        form at any time.
+        Such a path depends on the times at which it is computed. If False, the path is known in
+        closed form at any time.
         """
         ...
 
     @property
     def rest_s(self) -> float:
-        """Time from a stop until the robots stand still [s]."""
+        """Maximum time from a stop until the robots stand still [s]."""
         ...
 
     @property
@@ -137,9 +140,9 @@ class MotionDisturbances:
         }
         self._acted_ns = -1  # the time up to which they have acted
         self.rates = (a, speed)
-        """The present a and speed, (N,) each."""
+        """The present turning rates a [rad/s] and speeds [length unit/s], (N,) each."""
         self.any = bool(self._moving or self._varying)
-        """Whether there is any such disturbance."""
+        """Whether any disturbance moves the robots or varies their rates."""
 
     def act(self, drive: Drive, now_ns: int) -> None:
         """Apply the disturbances: move the robots, and vary a and speed starting now.
@@ -189,20 +192,23 @@ class MotionStep:
 
     end_ns: int
     disturbed: bool
-    """Disturbances act on the robots."""
+    """Whether disturbances act on the robots at the end of the step."""
     at_frame: bool
-    """A camera frame is exposed."""
+    """Whether a camera frame is exposed at the end of the step."""
     command: DelayedCommand | None
-    """This command acts."""
+    """The command that takes effect at the end of the step. None if there is none."""
     repeats: bool
-    """The host transmits again; never together with a command."""
+    """Whether the host transmits again at the end of the step.
+
+    Never together with a command.
+    """
     due: DueTimes | None = None
-    """The M times at which poses are computed; the last one is the robots' present time.
+    """The M times at which poses are computed. The last is the time of the robots' new state.
 
     The stage `_move` sets it. It stays None if no pose is needed yet.
     """
     poses: Floats = field(default_factory=lambda: NO_POSES)
-    """x, y, heading at these times, (M, 3, N)."""
+    """x, y and heading of the robots at these times, shape (M, 3, N)."""
 
 
 class TrueMotion:
@@ -261,7 +267,7 @@ class TrueMotion:
             self._swerve,  # the headings' random walk, if a frame was due at the end
             self._act,  # the command, or the host's next transmission
         )
-        """What a step does, in this order."""
+        """The functions that make up a step, in the order in which they are called."""
 
     def advance(self, until_ns: int) -> None:
         """Advance the simulated robots to the time `until_ns`, from event to event."""
@@ -346,7 +352,7 @@ class TrueMotion:
             self._unchecked = []
 
     def verdict(self) -> Verdict:
-        """Return the verdict on the path so far. The robots are at its end now."""
+        """Return the verdict on the true path so far, with the present poses as the final ones."""
         self._check_path()
         return self._check.verdict(self.drive.poses)
 

@@ -18,7 +18,7 @@ from tetractl.plant.wheel_host import SimHost
 from tetractl.spec.disturbance import DelayedCommand
 
 REST = 1e-10
-"""Wheels slower than this fraction of the fastest robot's speed count as standing."""
+"""Speed below which wheels count as standing still, as a fraction of the fastest robot's speed."""
 
 
 class WheelDrive(WheeledRobots):
@@ -60,10 +60,10 @@ class WheelDrive(WheeledRobots):
         self.host = host
         self.gains = host.gains * np.array([setup.wheel_radius / radii, np.ones(a.size)])
         self.rest_s = wheels.lag * -elementary.log(REST) + 1 / section.truth_rate
-        """Time until the wheels of a stopped robot stand [s]."""
+        """Time from a stop until all wheels count as standing still [s]."""
         self._setup = setup
         self._walk_rad = section.heading_noise / np.sqrt(section.truth_rate)
-        """Standard deviation of the headings' random walk from sample to sample."""
+        """Standard deviation of the headings' random walk from one sample to the next [rad]."""
         self._walking = generator(seed, RandomStream.HEADINGS)
         self.vary(a, speed)
 
@@ -78,7 +78,10 @@ class WheelDrive(WheeledRobots):
         return self.body[MOVING].copy()
 
     def vary(self, a: Floats, speed: Floats) -> None:
-        """Change the true turning rates a and speeds, shape (N,) each, starting now."""
+        """Change the true turning rates a [rad/s] and speeds [length unit/s], shape (N,), now.
+
+        A robot with a = 0 and speed 0 counts as standing still.
+        """
         spec = self._setup
         speed_factors = np.divide(speed, spec.speed, out=np.ones(speed.size), where=spec.speed > 0)
         self.scale(a / spec.a, speed_factors)

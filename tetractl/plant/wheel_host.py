@@ -49,17 +49,17 @@ class SimHost:
         self._speeds = np.zeros((2, robots)), np.zeros((2, robots))
         """The wheel speeds of the last transmission, as `transmit` returns them."""
         self.trains = true_trains(section, robots, random)
-        """Wheels as calibrated and in truth."""
+        """The wheels as the host knows them, and as they truly are."""
         self.gains = np.mean(self.trains.true_gain / self.trains.gain, axis=0)
-        """How much faster robots drive and turn than commanded, as factors (N,).
+        """Mean ratio of the true speed of each robot's wheels to the known speed, shape (N,).
 
-        If the two wheels differ, the robot also turns while it drives: its heading bias.
+        If the two wheels of a robot differ, it also turns while it drives straight.
         """
         self.repeats_ns = NEVER
-        """The time of the next transmission of the same action [ns]."""
+        """The time of the next transmission of the same action [ns]. NEVER if there is none."""
 
     def halt(self, now_ns: int) -> None:
-        """Stop transmitting wheel speeds, because a stop is sent."""
+        """Stop transmitting wheel speeds, because a stop is sent at `now_ns` [ns]."""
         self.repeats_ns = NEVER
         radius = self._known.radius
         self._sent = self._sent.with_room()

@@ -58,7 +58,10 @@ class StateEstimator:
         self.robots_changed = False  # whether robots were lost or replaced since the step before
         self._period_ns = round(period_s * SECOND)
         self.filter = None if prior.certain else _filter_bank(prior)
-        """The filters that identify the motion. None if it is known."""
+        """The filters that identify each robot's motion.
+
+        None if the motion is known exactly.
+        """
         self._predictor = self.filter or KnownMotion(prior)
         self.estimate: Estimate | None = None if prior.certain else prior.estimate()
         self._last_sent_ns: int | None = None
@@ -68,19 +71,22 @@ class StateEstimator:
 
     @property
     def present(self) -> Bools:
-        """An array (N,) that is True for each robot that is still in the trial, not lost."""
+        """An array (N,) that is True for each robot still in the trial, False for a lost one."""
         return self.losses.present
 
     @property
     def is_radio_sparse(self) -> bool:
-        """Whether the filters found that only a few of the directions sent reach the robots."""
+        """Whether the filters found that the radio loses most directions.
+
+        False without filters.
+        """
         return self.filter is not None and self.filter.reception.is_sparse
 
     @property
     def known(self) -> Estimate | None:
-        """The latest estimate for the robots that are not lost.
+        """The latest estimate of the motion, for the robots that are not lost.
 
-        None if no motion is being identified.
+        None if the motion is known exactly, so that nothing is identified.
         """
         return self.estimate and self.estimate.only(self.present)
 
@@ -90,7 +96,7 @@ class StateEstimator:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Problem:
-        """Add the previous step's command and the frames since, and predict the present problem.
+        """Add the previous step's command and the new frames, and predict the present problem.
 
         Args:
             observation: The newest frame.
@@ -99,7 +105,10 @@ class StateEstimator:
 
         Returns:
             The problem with the poses that the robots will have when the next direction takes
-            effect.
+            effect, and with the motion identified so far. Lost robots are left out.
+
+        Raises:
+            ControlError: If all robots are lost.
         """
         if last_command is not None:
             self.add_command(last_command)
@@ -131,11 +140,11 @@ class StateEstimator:
         return problem.only(self.present)
 
     def add_command(self, command: Command) -> None:
-        """Add a command with the time at which it was sent.
+        """Record a command that was sent to the robots, with the time at which it was sent.
 
         If the radio lets only a few directions through, robots hardly ever receive the repetition
-        of a direction within the same signal period. In this case, the filter is given each signal
-        only once.
+        of a direction within the same signal period. In this case, such repetitions are ignored,
+        so that the filter counts each signal only once.
         """
         if not isinstance(command.action, FieldOff):
             self._last_sent_ns = None if command.direction is None else command.sent_ns

@@ -110,7 +110,10 @@ from tetractl.core.motion_estimate import INNOVATIONS
 from tetractl.core.poses import Bools, Floats, Integers, Observation, Poses
 
 SPACING_NS = round(0.03 * SECOND)
-"""Minimum time between two frames used [ns]; docs/decisions/filter.md has errors with others."""
+"""Minimum time between two frames that the filters use [ns].
+
+docs/decisions/filter.md lists the errors that other values give.
+"""
 REOPEN_S = 4.0
 """Minimum time before the bank is opened again [s].
 
@@ -118,9 +121,9 @@ It counts from the start of a trial, or from the last time that the bank was ope
 few blocks of frames test the model. Chosen, not measured.
 """
 TRIAL_STARTS_NS = 0
-"""Time at which a trial starts [ns]: its clock begins then."""
+"""Time at which a trial starts [ns]: the trial's clock begins at 0."""
 HEADING_MISFIT = INNOVATIONS.index("heading")
-"""Column of a misfit that is about the heading."""
+"""Column of the heading in the array of misfits, which has one column for each innovation."""
 
 
 class FilterBank:
@@ -143,19 +146,28 @@ class FilterBank:
         self.commands = SentCommands(np.empty(0), np.empty(0))
         """The commands that were sent, each as the direction that robots shall follow."""
         self.turns_on_the_spot = False
-        """Whether robots were sent to turn on the spot since the last direction."""
+        """Whether the last command that moved robots was a turn on the spot.
+
+        Stops do not count.
+        """
         self.reception = Reception()
-        """Whether few of the directions sent are received."""
+        """The running test whether most of the directions sent are lost on the radio."""
         self.last_frame: Observation | None = None
-        """The last frame used: the filters are at its time. None before the first."""
+        """The last frame used. All filters are at its time. None before the first frame."""
         self.reopened_ns: int | None = None
-        """Time at which the bank was last opened again [ns], None if it never was."""
+        """Time of the trial at which the bank was last opened again [ns].
+
+        None if it never was.
+        """
         self._is_noisy = False
-        """Whether robots that were not sent anything were measured at different poses."""
+        """Whether measured poses changed before anything was sent, so that the camera is noisy."""
         self.bank = first_bank(prior)
-        """The filters, B of each robot. Frames change its arrays in place."""
+        """The filters: B for each of the N robots.
+
+        Adding frames changes its arrays in place.
+        """
         self._common_times = CommonTimes.of(self.bank, prior)
-        """Dead times that the robots of this bank may have in common."""
+        """Dead times that all robots of this bank may have in common."""
         self._tried = first_tried(prior)
         self._share_scores()
 
@@ -183,7 +195,12 @@ class FilterBank:
             self._reopen(newest, heading_fits=not misfits[:, HEADING_MISFIT].any())
 
     def forecast(self, sent_ns: int) -> Forecast:
-        """Predict each robot to the moment when a command sent at `sent_ns` [ns] acts on it."""
+        """Predict each robot to the moment when a command sent at `sent_ns` [ns] acts on it.
+
+        The forecast follows each robot's likeliest hypothesis, and assumes that the robot receives
+        all commands that have not acted yet. It changes no filter. At least one frame must have
+        been added before.
+        """
         from tetractl.control.estimation.kernels.bank import forecast as fill
 
         assert self.last_frame is not None, "poses are predicted from those of a frame"
@@ -205,10 +222,11 @@ class FilterBank:
         )
 
     def add_command(self, command: Command) -> None:
-        """Add a command with the time at which it was sent.
+        """Record a command with the time at which it was sent.
 
-        A command is a direction, a stop, or a turn on the spot. A direction can contain the lag of
-        the wheels that the host assumes, starting with this command.
+        A command is a direction, a stop, or a turn on the spot; switching the field off is
+        ignored. A direction can contain the lag of the wheels that the host assumes, starting with
+        this command.
         """
         if isinstance(command.action, FieldOff):
             return  # it turns no robot
@@ -223,7 +241,10 @@ class FilterBank:
         )
 
     def restart(self, robots: Sequence[int]) -> None:
-        """Restart the filters of robots that were replaced, at their poses in the last frame."""
+        """Restart the filters of replaced robots, at their poses in the last frame.
+
+        Does nothing if `robots`, the indices of the replaced robots, is empty.
+        """
         if not robots:
             return
         assert self.last_frame is not None, "a robot can be replaced only after a frame"
@@ -236,7 +257,12 @@ class FilterBank:
     # ---- what the filters say ----
 
     def likeliest(self) -> tuple[Integers, Integers, Integers]:
-        """Return where the most probable explanation of each robot's motion is in the arrays."""
+        """Locate the most probable hypothesis of each robot in the arrays of the bank.
+
+        Returns:
+            The index of the filter, of the robot, and of the hypothesis's slot, each of shape
+            (N,).
+        """
         filters = self._likeliest_filters()
         robots = np.arange(len(self.prior.a))
         slots = self.bank.ln_weight[filters, robots].argmax(axis=1)
@@ -361,7 +387,11 @@ class FilterBank:
     # ---- step 3: the filters of all robots are compared ----
 
     def _share_scores(self) -> None:
-        """Compute how likely each filter is, given the frames of all robots so far."""
+        """Compute how likely each filter is, given the frames of all robots so far.
+
+        The robots probably have the same dead time, so the frames of one robot also count for the
+        filters of the others.
+        """
         from tetractl.control.estimation.kernels.bank import share
 
         share(self.bank, self._common_times)
@@ -377,7 +407,7 @@ class FilterBank:
             self._go_on_with(going_on.taken_from(self.bank))
 
     def _go_on_with(self, bank: Bank) -> None:
-        """Replace the filters of this bank by those of another bank, and continue with them."""
+        """Replace all filters by those of another bank, and compare their scores anew."""
         self.bank = bank
         self._common_times = CommonTimes.of(bank, self.prior)
         self._share_scores()
@@ -412,12 +442,20 @@ class FilterBank:
         self._place(frame, self._all_robots())
 
     def _all_robots(self) -> Bools:
-        """Return an array of booleans (N,) that selects every robot."""
+        """Return an array of True, shape (N,), which selects every robot."""
         return np.ones(len(self.prior.a), dtype=np.bool_)
 
 
 def warm_up(prior: Prior, starts: Poses) -> None:
-    """Compile the functions of a filter bank before a trial, or load them from the cache."""
+    """Compile the functions of a filter bank before a trial, or load them from the cache.
+
+    Otherwise, the first control step would wait for the compiler. The filters that are run for
+    this are discarded.
+
+    Args:
+        prior: The prior of the N robots.
+        starts: Any poses of the robots; two frames with these poses are filtered.
+    """
     filters = FilterBank(prior)
     valid = np.ones(len(prior.a), dtype=np.bool_)
     first = Observation(0, 0, 0, starts, valid)

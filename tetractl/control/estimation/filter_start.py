@@ -58,43 +58,55 @@ from tetractl.model.motion.motion import in_rows
 # The usual noise of a camera, and the random walks of a robot's states, per sqrt(s). Chosen once by
 # trials; docs/decisions/filter.md has the errors measured with them.
 POSITION_NOISE_S = 0.005
-"""Deviation of a measured position, over the robot's speed [s]."""
+"""Standard deviation of a measured position, divided by the robot's speed [s].
+
+Used if the spec does not give the camera's noise.
+"""
 HEADING_NOISE = 0.01
-"""Deviation of a measured heading [rad]."""
+"""Standard deviation of a measured heading [rad].
+
+Used if the spec does not give the camera's noise.
+"""
 SLIP = 0.02
-"""Walk of the position, over the robot's speed [s]."""
+"""Random walk of the position, divided by the robot's speed [s per sqrt(s)]."""
 WALK = 0.1
-"""Walk of the heading, at first [rad]."""
+"""Random walk of the heading at the start of a trial [rad/sqrt(s)]."""
 A_WALK = 0.01
-"""Walk of ln of the turning rate a."""
+"""Random walk of the logarithm of the turning rate a [1/sqrt(s)]."""
 SPEED_WALK = 0.005
-"""Walk of ln of the speed."""
+"""Random walk of the logarithm of the speed [1/sqrt(s)]."""
 SIDE_WALK = 0.005
-"""Walk of the side (`tetractl.model.motion.turn_rate`)."""
+"""Random walk of `side`, by which left and right turns differ [1/sqrt(s)].
+
+`tetractl.model.motion.turn_rate` defines this state.
+"""
 SATURATION_WALK = 0.02
-"""Walk of ln of a saturation that has been tried."""
+"""Random walk of the logarithm of the motors' saturation, once it is tried [1/sqrt(s)]."""
 TURN_BIAS_WALK = 0.005
-"""Walk of the turn bias [rad]."""
+"""Random walk of the turn bias [rad/sqrt(s)]."""
 MARKER_BIAS_WALK = 0.002
-"""Walk of the marker bias [rad]."""
+"""Random walk of the marker bias [rad/sqrt(s)]."""
 FLOW_WALK = 0.05
-"""Walk of the flow, over its prior deviation."""
+"""Random walk of the flow, as a multiple of its prior standard deviation [1/sqrt(s)]."""
 HELIX_WALK = 0.1
-"""Walk of the helix's sine and cosine, over its radius."""
+"""Random walk of the helix's sine and cosine, as a multiple of its radius [1/sqrt(s)]."""
 FREQUENCY_WALK = 0.01
-"""Walk of ln of the helix's frequency."""
+"""Random walk of the logarithm of the helix's frequency [1/sqrt(s)]."""
 FREQUENCY_STD = 0.15
-"""Prior deviation of ln of each of FREQUENCIES."""
+"""Prior standard deviation of the logarithm of the helix's frequency in each filter."""
 GRID_REACH = 3.0
 """Half width of the grid of dead times at first, in standard deviations of the prior."""
 LEAST_SPEED = 1e-9
-"""Minimum speed that a noise is divided by [length unit/s]: a robot may have none."""
+"""Minimum speed by which a noise is divided [length unit/s], because a robot's speed may be 0."""
 FREQUENCIES = 0.5, 0.75, 1.0, 1.4
-"""Frequencies of the helix to start from, over the usual one; their ratios are below 1.5."""
+"""Frequencies of the helix with which filters start, as multiples of the usual frequency.
+
+Neighbouring values differ by a factor of at most 1.5.
+"""
 SATURATIONS = 0.8, 0.4
-"""Saturations of motors to try where the heading does not fit."""
+"""Saturations of the motors that are tried if the heading of a robot does not fit the model."""
 SATURATION_STD = 0.3
-"""Prior standard deviation of ln of each of SATURATIONS."""
+"""Prior standard deviation of the logarithm of the saturation, around each of SATURATIONS."""
 LAG_STEP_S = 0.05
 """Distance between the lags of the wheels to start from [s]."""
 LAG_MAX_S = 0.3
@@ -102,42 +114,50 @@ LAG_MAX_S = 0.3
 LAG_PRIOR_STD_S = 0.1
 """Standard deviation of the lag of the wheels around the given one [s]."""
 GROUPS_MAX = max(len(FREQUENCIES), 1 + len(SATURATIONS), 2 + round(LAG_MAX_S / LAG_STEP_S))
-"""Greatest number of groups of filters that a robot has."""
+"""Maximum number of groups of filters that a robot has."""
 LN_SATURATES = -3.0
-"""ln of the probability of motors that saturate, before frames show it: 5 %."""
+"""Logarithm of the prior probability that a robot's motors saturate: about 5 %."""
 CHANGE_STD_S = 0.05
-"""Standard deviation of the change of a dead time during a trial [s]; chosen, not measured."""
+"""Standard deviation of the change of the dead time during a trial [s]. Chosen, not measured."""
 FIRST_SLOT = 0
-"""The slot of the only hypothesis that a filter begins with."""
+"""Index of the only hypothesis with which a filter starts."""
 
 
 # ---- what is assumed ----
 
 
 class Tried(NamedTuple):
-    """A quantity, such as the lag of the wheels, of which filters try several first values."""
+    """A state, such as the lag of the wheels, for which filters try several first values."""
 
     state: int
-    """The index of the state."""
+    """The index of this quantity in the state of a filter."""
     same: float
-    """Difference of the state below which two groups count as one."""
+    """Groups of filters merge into one if their values of this state differ by less than this."""
 
 
 TRIED_FREQUENCIES = Tried(LN_FREQUENCY, same=0.05)
 TRIED_SATURATIONS = Tried(LN_SATURATION, same=0.05)
 TRIED_LAGS = Tried(LAG, same=0.0)
-"""A filter's lag never changes, so two groups never become one."""
+"""The lag of the wheels as a tried state.
+
+It never changes in a filter, so groups never merge.
+"""
 
 
 def first_tried(prior: Prior) -> Tried:
-    """Return the state for which several starting values are tried when a trial begins."""
+    """Return the state for which several starting values are tried when a trial begins.
+
+    It is the logarithm of the helix's frequency for cells, and the lag of the wheels for other
+    robots.
+    """
     return TRIED_FREQUENCIES if prior.swims else TRIED_LAGS
 
 
 def first_lags(prior: Prior) -> list[float]:
     """Return the lags of the wheels with which filters start [s].
 
-    If the lag is certain, this is only the given one.
+    If the lag is certain, this is only the given one. Otherwise the lags lie LAG_STEP_S apart
+    around the given one, up to LAG_MAX_S, and include 0.
     """
     if not prior.lag_is_learnt:
         return [prior.lag]
@@ -299,7 +319,10 @@ def _dead_times(prior: Prior) -> Floats:
 
 
 def _numbers(group: int, dead_times_s: Floats) -> Integers:
-    """Return an array that contains the number of a group once for each of its filters."""
+    """Return an array that contains the index of a group once for each of its filters.
+
+    A group has one filter for each of its dead times.
+    """
     return np.full(len(dead_times_s), group)
 
 
@@ -340,9 +363,10 @@ def _saturating(unchanged: Bank, number: int, ln_saturation: float, std: Floats)
 
 
 def _set_uncertain(bank: Bank, state: int, std: Floats | float) -> None:
-    """Give a state a standard deviation, and remove its correlation with all other states.
+    """Give a state a new standard deviation, and remove its correlation with all other states.
 
-    `std` is one number for each robot (N,), or one number for all of them.
+    `std` is one number for each robot (N,), or one number for all of them. `bank` changes in
+    place.
     """
     bank.cov[..., state, :] = 0.0
     bank.cov[..., state] = 0.0

@@ -20,7 +20,7 @@ from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.model.motion import exact
 
 NEVER_NS = 2**62
-"""A time after every command [ns]."""
+"""A time later than every command [ns]."""
 
 
 class KnownForecast(NamedTuple):
@@ -53,13 +53,14 @@ class KnownMotion:
         self._directions = list[float]()
 
     def add_frames(self, newest: Observation, earlier: Sequence[Observation] = ()) -> None:
-        """Take the poses of the newest frame of a control step."""
+        """Take the poses of the newest frame of a control step. Earlier frames are ignored."""
         self._last_frame = newest
 
     def add_command(self, command: Command) -> None:
-        """Add a command with the time at which it was sent.
+        """Record a command, which takes effect one dead time after it was sent.
 
-        If the command has no direction, robots stand still.
+        If the command has no direction, the robots stand still. Switching the field off is
+        ignored.
         """
         if isinstance(command.action, FieldOff):
             return  # it turns no robot
@@ -71,7 +72,10 @@ class KnownMotion:
         """Do nothing, because the next frame contains the poses of replaced robots."""
 
     def forecast(self, sent_ns: int) -> KnownForecast:
-        """Predict the robots to the moment when a command sent at `sent_ns` [ns] acts on them."""
+        """Predict the robots to the moment when a command sent at `sent_ns` [ns] acts on them.
+
+        If that moment is before the newest frame, the result is the poses of this frame.
+        """
         frame = self._last_frame
         assert frame is not None, "poses are predicted from those of a frame"
         count = len(frame.valid)

@@ -74,12 +74,15 @@ class Prior(NamedTuple):
 
     @property
     def certain(self) -> bool:
-        """Whether the motion is known exactly, so that nothing has to be identified."""
+        """Whether the motion is known exactly, so that nothing has to be identified.
+
+        This is so if the dead time has no uncertainty.
+        """
         return self.dead_time_std == 0
 
     @property
     def swims(self) -> bool:
-        """Whether the robots are cells, which swim on a helix."""
+        """Whether the robots are cells, which swim on a helix of known radius and frequency."""
         return self.helix_radius > 0 and self.helix_frequency > 0
 
     def estimate(self) -> Estimate:
@@ -99,5 +102,9 @@ class Prior(NamedTuple):
 
 
 def certain_prior(problem: Problem, dead_time: float) -> Prior:
-    """Create a prior for robots whose motion is known exactly, with a dead time [s]."""
+    """Create a prior for robots whose motion is known exactly.
+
+    Turning rates and speeds come from the problem, and all standard deviations are 0. `dead_time`
+    is the time from a command to its effect [s].
+    """
     return Prior(problem.a, problem.speed, dead_time, 0.0, 0.0, 0.0, 0.0)

@@ -40,24 +40,27 @@ from tetractl.core.elementary import log, log_of_sum
 from tetractl.core.poses import Floats, Integers
 
 SELDOM = 0.05
-"""Probability that a working radio loses a direction for all robots.
+"""Assumed probability that a working radio loses a direction for all robots.
 
-It is chosen equal to q above, which is `LOSS_PROBABILITY`.
+It is chosen equal to q of the module's docstring, which is `LOSS_PROBABILITY`.
 """
 OFTEN = 0.75
-"""The same of a sparse radio: it lets one in four through."""
+"""Assumed probability that a sparse radio loses a direction: it lets one in four through."""
 LN_SURE = 20.0
-"""r above which the radio is shown to be sparse.
+"""Value of the score r above which the radio is shown to be sparse.
 
-A direction that is missed adds at most 2.7, and one that is heard subtracts at most 1.3. Chosen.
+A direction that is missed adds at most 2.7, and a received one subtracts at most 1.3. Chosen.
 """
 LN_SAYS = log(2)
-"""Minimum absolute value of ln P with which a direction counts.
+"""Minimum absolute value of ln P with which a direction counts in the test.
 
-Below it, the frames hardly say whether the direction was heard. Chosen.
+Below it, the frames hardly show whether the direction was received. Chosen.
 """
 MISSED_IN_A_ROW = 3
-"""Number of directions missed in a row that count: a silence of the radio adds 8.1 at most."""
+"""Maximum number of directions missed in a row that count.
+
+A radio that is silent for a while therefore adds at most 8.1 to the score r.
+"""
 
 
 class Reception:
@@ -65,18 +68,24 @@ class Reception:
 
     def __init__(self) -> None:
         self.ln_ratio = 0.0
-        """r of the module."""
+        """The score r of the module's docstring, at least 0.
+
+        A high score indicates a sparse radio.
+        """
         self.times_shown = 0
-        """How often r has exceeded LN_SURE; r began at 0 again each time."""
+        """How often the score r has exceeded LN_SURE. Each time, it started again from 0."""
         self._missed_in_a_row = 0
         self._ln_robot_ratios: dict[int, Floats] = {}
-        """For each command not yet tested, by its index: ln((1 - q) Lambda + q) of the robots (N,).
+        """ln((1 - q) Lambda + q) of each robot (N,), for each command not yet tested, by index.
 
-        They are those at the last frame before the next command took effect on them; 0 without such
-        a frame.
+        A robot's value is taken at the last frame before the next command took effect on it. It is
+        0 if there was no such frame.
         """
         self._next = 1
-        """Index of the next command to be tested. The first has none before it."""
+        """Index of the next command to be tested.
+
+        Command 0 never is, because none precedes it.
+        """
 
     @property
     def is_sparse(self) -> bool:
@@ -113,7 +122,12 @@ class Reception:
         self._next = first_untested
 
     def add_direction(self, ln_product: float) -> None:
-        """Add a direction with the logarithm of its likelihood ratio P to the test."""
+        """Update the score r with one direction, given the logarithm of its likelihood ratio P.
+
+        The direction is ignored if the frames hardly show whether it was received, or if more than
+        MISSED_IN_A_ROW directions seem to be missed in a row. If r exceeds LN_SURE, it starts
+        again from 0, and `times_shown` grows by one.
+        """
         if abs(ln_product) < LN_SAYS:
             return
         if ln_product > 0:
@@ -131,7 +145,7 @@ class Reception:
 
 
 def is_news(directions: Floats, command: int) -> bool:
-    """Check whether frames can show if robots received a command.
+    """Check whether frames can show if robots received the command with the index `command`.
 
     This is possible if the robots drive under both this command and the previous one, and if the
     new direction differs from all directions that they may still be following.

@@ -61,7 +61,10 @@ class Algorithm2:
         limit_s = section.time_limit if section.time_limit < steps_s else math.inf
         self.time = TrialTime(limit_s, section.period)
         self.warm: Floats | None = None
-        """The paper's u_(warm). None before the first step."""
+        """The remaining signals of the chosen sequence [rad], the paper's u_(warm).
+
+        None before step 0.
+        """
         self.k = 0
 
     def plan(
@@ -94,7 +97,10 @@ class Algorithm2:
         return plan.extend_to_all(self.estimator.present, observation.poses)  # lines 7 and 25
 
     def _starts(self) -> list[tuple[int, Floats | None]]:
-        """Return the length of each search of this step, in signals, with its start."""
+        """Return the length [signals] and the starting sequence of each search of this step.
+
+        Searches of step 0 have no starting sequence (None). The comments give the paper's lines.
+        """
         if self.warm is None:
             lengths = range(1, self.section.horizon_max + 1)  # line 2
             return [(length, None) for length in lengths]

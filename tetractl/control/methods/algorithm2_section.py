@@ -52,7 +52,7 @@ class SearchFields(PlainSection):
         return self.optimizer.iterations_max
 
     def bounds(self) -> dict[str, str]:
-        """Return the limits of horizons and evaluations as texts to display, {name: text}."""
+        """Return the limits of horizons and evaluations as strings to display, {name: text}."""
         texts = {"horizons at step 0": f"1 ... {self.horizon_max} signals"}
         if most := self.optimizer.evaluations_max:
             texts["cost evaluations of a horizon"] = f"at most {most}"
@@ -81,10 +81,7 @@ class SearchFields(PlainSection):
         return problem if poses is None else replace(problem, poses=poses)
 
     def warm_up(self, setup: Setup) -> None:
-        """Call the planner's functions once, so that they are compiled.
-
-        It searches for one signal, and predicts the robots' paths under it.
-        """
+        """Compile the planner's functions, by searching for one signal and predicting its path."""
         from tetractl.control.search.evaluate import compiled_foresee
 
         problem = self.problem(setup)
@@ -105,16 +102,22 @@ class PsoMpc(SearchFields):
 
     type: Literal["pso-mpc"] = "pso-mpc"
     steps_max: int = Field(default=100, ge=1, le=1_000_000)
-    """The last control step k_max; a trial has one more, k = 0 to k_max."""
+    """Index of the last control step, k_max.
+
+    Steps count from 0, so a trial has at most k_max + 1.
+    """
 
     controller: ClassVar[str] = "tetractl.control.methods.algorithm2:Algorithm2"
 
     def fitted(self, stands: bool, speed: float) -> Self:
-        """Return the section with a time limit that no trial of `steps_max` steps exceeds."""
+        """Return the section with a time limit that no trial of `steps_max` steps exceeds.
+
+        A time limit given in the spec is kept.
+        """
         if "time_limit" in self.model_fields_set:
             return self
         return self.model_copy(update={"time_limit": (self.steps_max + 1) * self.period})
 
     def bounds(self) -> dict[str, str]:
-        """Return the limits of steps, horizons and evaluations as texts to display."""
+        """Return the limits of steps, horizons and evaluations as strings, {name: text}."""
         return {"control steps of a trial": f"at most {self.steps_max + 1}"} | super().bounds()

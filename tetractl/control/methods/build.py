@@ -51,7 +51,10 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
 
 
 def compiled_for(experiment: Experiment) -> str:
-    """Return the kinds for which a spec's code is compiled, such as "mpc, pso, exact"."""
+    """Return what a spec's code is compiled for, such as "mpc, pso, exact".
+
+    These are the kinds of controller, optimiser and motion; a controller may have only the first.
+    """
     control = experiment.controller
     kinds = [control.type]
     kinds += [control.optimizer.type] if isinstance(control, Searches) else []

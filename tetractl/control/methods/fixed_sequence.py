@@ -17,12 +17,12 @@ from tetractl.core.poses import Floats
 
 
 def given_search(problem: Problem, signals: Floats, foreseen: Foreseen) -> Search:
-    """Create the record of a search whose result is a given sequence.
+    """Create the record of a search whose result is a given sequence, as if one was evaluated.
 
     Args:
         problem: The problem of the control step.
         signals: The sequence [rad], shape (L,).
-        foreseen: Its prediction.
+        foreseen: The predicted path and costs of the sequence.
     """
     cost = foreseen.target + problem.obstacle_weight * foreseen.obstacle  # (7)
     return Search(len(signals), signals, cost, np.array([cost]), 1, StopReason.FIXED)

@@ -30,7 +30,8 @@ def least_length(problem: Problem) -> int:
     """Compute the minimum length of plans to try [signals].
 
     It has enough signals for each robot to drive straight to its target, and at least
-    SIGNALS_PER_ROBOT signals per robot.
+    SIGNALS_PER_ROBOT signals per robot if there are several. The result is 1 if a robot that is
+    not at its target has speed 0.
     """
     gaps = problem.poses.distances(problem.targets).tolist()
     pairs = zip(gaps, problem.speed.tolist(), strict=True)
@@ -44,7 +45,10 @@ def least_length(problem: Problem) -> int:
 
 
 def longer(count: int, length_max: int) -> Iterator[int]:
-    """Yield increasing lengths of plans above `count`, up to `length_max` [signals]."""
+    """Yield increasing lengths of plans above `count`, up to `length_max` [signals].
+
+    Each length is about GROWTH times the one before.
+    """
     length = count + 1
     while length <= length_max:
         yield length
@@ -89,9 +93,13 @@ class Searcher:
         self.found: list[Search] = []
 
     def search(self, length: int, start: Floats | None = None) -> Search | None:
-        """Search sequences of one length.
+        """Search sequences of one length, record the result in `found`, and return it.
 
-        The result is None if the limits do not allow the search.
+        The result is None if the time limit has passed, unless this is the step's first search.
+
+        Args:
+            length: The number of signals.
+            start: A sequence to start from, shape (length,). None to start without one.
         """
         tries = sum(search.length == length for search in self.found)
         key = mix(self._key, length)
@@ -102,7 +110,10 @@ class Searcher:
     def _search(
         self, problem: Problem, length: int, start: Floats | None, key: int
     ) -> Search | None:
-        """Search sequences of one length for a problem, unless the limits do not allow it."""
+        """Search sequences of one length for a problem, and record the result in `found`.
+
+        The result is None if the time limit has passed, unless this is the step's first search.
+        """
         if self.found and self._limits.expired(0):
             return None
         search = self._optimizer.search(problem, length, start, key, self._limits)
@@ -131,7 +142,10 @@ class Searcher:
         return reached
 
     def _grow(self, length_min: int, length_max: int, good: Callable[[Search], bool]) -> bool:
-        """Search growing lengths until a plan is good, and return whether one is."""
+        """Search growing lengths until a plan is good, and return whether one is.
+
+        It stops without a good plan after `length_max`, or when the time limit has passed.
+        """
         # several robots hardly ever reach their targets along straight lines
         several = self.problem.a.size > 1
         length = min(round(SPREAD * length_min) if several else length_min, length_max)

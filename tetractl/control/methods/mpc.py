@@ -118,9 +118,10 @@ LATE = 2.0
 One stop may be lost. It is then sent again.
 """
 SLACK = 1.15
-"""Ratio of the length of the plan under way to the minimum length, below which it is not shortened.
+"""Minimum ratio of a shortened plan's length to the minimum length of a plan.
 
-A plan without slack cannot be corrected, because robots do not drive faster.
+A plan under way is not shortened below this. Without slack, it could not be corrected later,
+because robots do not drive faster.
 """
 END_OF_LEG = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NO_BETTER_PLAN)
 """Outcomes after which the next leg begins, if there is one."""
@@ -211,17 +212,21 @@ class ControlStep:
 
     @property
     def signals_max(self) -> int:
-        """The maximum number of signals of a plan that ends before the time limit."""
+        """Maximum number of signals of a plan: at most `horizon_max`, and within the time left."""
         return min(self.horizon_max, int(self.signals_left))
 
     def is_new(self, signals: Floats) -> bool:
-        """Check whether signals (L,) are longer than the current plan by more than one signal."""
+        """Check whether signals (L,) are a new plan, not a continuation of the plan under way.
+
+        They are new if no plan is under way, or if they are longer than it by more than one
+        signal.
+        """
         return self.warm is None or len(signals) > len(self.warm) + 1
 
     def allows(self, length: int) -> bool:
-        """Check whether there is time for a plan with `length` signals.
+        """Check whether there is time for a plan with `length` signals before the time limit.
 
-        If the targets are further away than the longest plan leads, check for the longest plan.
+        A length above `horizon_max` counts as `horizon_max`.
         """
         return min(length, self.horizon_max) <= self.signals_left
 
@@ -299,25 +304,27 @@ class Mpc:
     # legs
 
     def _ends_a_leg_only(self, decision: Decision) -> bool:
-        """Check whether a decision ends the way to a way-point (a leg), but not the trial."""
+        """Check whether a decision ends the present leg, but not the trial."""
         if not isinstance(decision, Outcome) or decision not in END_OF_LEG:
             return False
         gave_up = decision is Outcome.NO_BETTER_PLAN and self.progress.state is State.STUCK
         return not gave_up and not self.leg.is_last
 
     def _begin(self, leg: Leg) -> None:
-        """Begin a part of the trial up to the next way-point or the targets, without a plan."""
+        """Begin a leg: the path to the next way-point or the targets, or the hold.
+
+        It has no plan yet.
+        """
         self.leg = leg
         self.progress = replace(self.progress, last=None, driven=0)
 
     def _leg(
         self, index: int, began_s: float, began_ns: int, outcome: Outcome, poses: Poses
     ) -> Leg:
-        """Create the task for the next leg, the way to a way-point or the targets.
+        """Create a leg: its targets, margins and obstacles, for the robots that are not lost.
 
-        Lost robots are left out.
-
-        Lost robots on wheels become obstacles at their `poses`.
+        Lost robots on wheels become obstacles at their `poses`. The times and the `outcome` of the
+        previous leg are only recorded.
         """
         present = self.estimator.present
         collision = self.section.collision
@@ -346,7 +353,10 @@ class Mpc:
     # a step
 
     def _decide(self, motion: Problem, observation: Observation) -> Decision:
-        """Decide what the robots do, or how this leg of the trial ends, from predicted poses."""
+        """Decide what the robots do in this step, or how the leg ends.
+
+        `motion` is the problem with the poses that robots will have when the next command acts.
+        """
         step = self._step(motion)
         outcome = self._outcome(step, observation)
         if outcome is not None:
@@ -395,9 +405,10 @@ class Mpc:
         return last.signals[1:] if is_over else last.signals
 
     def _outcome(self, step: ControlStep, observation: Observation) -> Outcome | None:
-        """Decide whether and how the way to the next targets (the leg) ends now, in any case.
+        """Return the outcome if the leg ends in this step, and None if it continues.
 
-        None if it continues.
+        A leg ends when the robots arrive, the hold is over, the time limit is reached, or the
+        controller has given up.
         """
         if self.leg.holds:
             assert self.setup.hold is not None
@@ -718,13 +729,13 @@ class Mpc:
         return self._searched(step, certain if by_tree else problem, searcher.found, by_tree)
 
     def _is_good(self, search: Search) -> bool:
-        """Check whether a plan is good enough that the search for a better one can end."""
+        """Check whether a plan's cost is low enough that no better plan needs to be searched."""
         return search.cost <= (self.section.optimizer.good_enough or 0.0)
 
     def _searched(
         self, step: ControlStep, problem: Problem, searches: Sequence[Search], by_tree: bool
     ) -> Searched:
-        """Collect all plans that searches found for the problem, in the order of their values."""
+        """Collect the plans of all searches for a problem, the one with the lowest value first."""
         posed = replace(step, problem=problem)
         plans = sorted(self._plans(problem, searches), key=lambda plan: self._value(posed, plan))
         return Searched(problem, plans, by_tree)
@@ -737,32 +748,35 @@ class Mpc:
         return mix(self.key, self.progress.k)
 
     def _searcher(self, step: ControlStep) -> Searcher:
-        """Create the object that makes the searches of a step. Its time counts from now."""
+        """Create the object that makes the searches of a step.
+
+        Its time limit counts from now.
+        """
         return Searcher(self.optimizer, step.problem, self._step_key, self._limits())
 
     def _limits(self) -> Limits:
-        """Return the limits of the step's searches.
+        """Return the time limit of the searches of this step, counted from now.
 
-        Their time begins now and ends at the deadline.
+        It is the spec's `deadline` while robots drive, and SEARCH_S while they stand still.
         """
         seconds = self.section.deadline if self.progress.moving else SEARCH_S
         end_ns = self.host.timer() + round(seconds * SECOND)
         return Limits(expired=lambda _: self.host.timer() >= end_ns)
 
     def _plans(self, problem: Problem, searches: Sequence[Search]) -> list[Plan]:
-        """Return the plans that searches found, in their order."""
+        """Return the plans of all searches, in the order of the searches, with predicted paths."""
         return [self._planned(problem, searches, number) for number in range(len(searches))]
 
     def _planned(self, problem: Problem, searches: Sequence[Search], number: int) -> Plan:
-        """Return the plan that one of the searches found."""
+        """Return the plan of the search with the index `number`, with its predicted path."""
         foreseen = compiled_foresee(problem, searches[number].signals)
         return make_plan(searches, number, self._step_key, foreseen)
 
     def _value(self, step: ControlStep, plan: Plan) -> float:
-        """Return the value of a plan.
+        """Return the value of a plan [length unit], the lower the better.
 
         If the cost is below the weight of an obstacle, nothing is touched, and the cost is the
-        error itself.
+        error itself. Otherwise only its part for the targets counts, plus a penalty.
         """
         error = plan.cost
         touches = False
@@ -787,16 +801,21 @@ class Mpc:
         return replace(plan, state=state, instead=Stop())
 
     def _with_margins(self, problem: Problem, estimate: Estimate | None) -> Problem:
-        """Add margins to the problem, given the estimate. None if the motion is known exactly."""
+        """Return the problem with obstacles grown by their margins.
+
+        The margins grow with the uncertainty of the estimate. An estimate of None means that the
+        motion is known exactly.
+        """
         return self.leg.margins.applied(
             problem, self.section.period, self.estimator.dead_time_s, estimate
         )
 
     def _collides_soon(self, problem: Problem, signals: Floats) -> bool:
-        """Check whether a body enters something before a stop can take effect.
+        """Check whether a robot would touch something before a stop can take effect.
 
-        The next step may send a stop. An error in the first of these signals (L,) is then too late
-        to correct.
+        All robots are predicted along the first of the signals (L,), for a control period and LATE
+        dead times. The next step may send a stop, but an error in this signal can no longer be
+        corrected.
         """
         seconds = self.section.period + LATE * self.estimator.dead_time_s
         directions = np.full(len(problem.a), signals[0])

@@ -98,9 +98,10 @@ class PriorSection(Model):
     """
 
     def rests(self, setup: Setup) -> bool:
-        """Check whether cells are expected to rest sometimes.
+        """Check whether the filters should expect that cells rest sometimes.
 
-        A resting cell that strays can be distinguished from noise only if the noise is known.
+        True for cells if the spec gives both kinds of measurement noise: a resting cell that
+        strays can be distinguished from noise only if the noise is known.
         """
         is_noise_known = self.position_noise > 0 and self.heading_noise > 0
         return not setup.on_wheels and is_noise_known
@@ -201,7 +202,15 @@ class RecommendedMpc(SearchFields):
         return self.collision.radius
 
     def fitted(self, stands: bool, speed: float) -> Self:
-        """Return the section with defaults that suit robots with the given sum of speeds."""
+        """Return the section with defaults that suit the robots of the spec.
+
+        Values that the spec gives are kept.
+
+        Args:
+            stands: Whether the robots can stand still. If not, they never pause before a
+                collision.
+            speed: Sum of the robots' speeds [length unit/s], which sets `accept_error`.
+        """
         fitting: dict[str, Any] = {}
         if "accept_error" not in self.model_fields_set:
             fitting["accept_error"] = float(f"{0.45 * self.period * speed:.2g}")
@@ -217,7 +226,11 @@ class RecommendedMpc(SearchFields):
             yield ("collision", "stop_before_collision"), message
 
     def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:
-        """Return the problem with the robots at `poses`, or at their starts."""
+        """Return the problem with the robots at `poses`, or at their starts if it is None.
+
+        Obstacles and walls are grown by the spec's margin and the robot's radius, and paths are
+        tested along their whole length.
+        """
         collision = self.collision
         walls = setup.arena if self.collision.walls else None
         margin = collision.margin + collision.radius
@@ -237,10 +250,10 @@ class RecommendedMpc(SearchFields):
         return self.prior.of(self.problem(setup), self.dead_time, setup)
 
     def patience_s(self, setup: Setup) -> float:
-        """Return the time in which the price of an attempt doubles [s].
+        """Return the time in which the price of a new attempt doubles [s].
 
-        Cells that rest may make attempts until the time is over. For them, it is at most half the
-        time limit.
+        It is PATIENCE_S. For cells that rest, it is at most half the time limit, because they may
+        make attempts until the time is over.
         """
         from tetractl.control.methods.value import (
             PATIENCE_S,  # late: reading a spec needs no controller

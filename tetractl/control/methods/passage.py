@@ -39,31 +39,40 @@ from tetractl.core.poses import Bools, Floats, Integers, wrap
 from tetractl.core.setup import Bounds
 
 BRANCHES = 16
-"""Directions tried at each node."""
+"""Number of directions tried at each node, spread evenly around the circle."""
 PARTS = 2
-"""Number of moments of a signal at which robots must keep clear."""
+"""Number of moments during each signal at which the distances between bodies are tested."""
 CELLS_ACROSS = 90
-"""Number of cells along the longer side of the arena, for ways round obstacles."""
+"""Number of square cells along the longer side of the arena, for paths around obstacles."""
 HELD_S = 0.4
-"""Time for which a branch is held [s]."""
+"""Time for which the direction of a branch is held [s]."""
 NODES_KEPT = 400
 """Number of nodes kept in each level, multiplied by the number of robots."""
 NODES_COMPUTED = 4
-"""Bodies' distances are computed for this many times that number of branches, the best ones."""
+"""Number of branches whose clearance is tested, as a multiple of the nodes that are kept.
+
+Only the best branches are tested, because this takes time.
+"""
 DISTANCE_LEFT = 2.3
-"""Maximum sum of remaining distances at which an optimiser starts, in units of the sum of v / a."""
+"""Sum of remaining distances below which a node counts as near the targets.
+
+The unit is the sum of the robots' turning radii v / a.
+"""
 STARTS_OF_LEVEL = 6
-"""Number of nodes of a level from which an optimiser begins."""
+"""Maximum number of nodes of one level whose sequences are yielded as starts for the optimiser."""
 STARTS_IN_ALL = 100
-"""Number of nodes from which an optimiser begins, after which the search ends."""
+"""Number of yielded sequences after which the search of the tree ends."""
 AHEAD = 20
-"""Number of signals that are searched again."""
+"""Number of signals of a long plan that are searched again in each step."""
 MISS_MAX = 4.0
-"""Miss after them with which robots rest for a new plan, in units of `accept_error`."""
+"""Maximum distance by which robots may miss a long plan, in units of `accept_error`.
+
+It is measured after the next AHEAD signals. If it is larger, the robots pause for a new plan.
+"""
 MISS_OF_WAY = 0.05
-"""Fraction of what they have to go then that is added to this miss."""
+"""Fraction of the remaining distance that is added to this maximum."""
 TRUSTED_S = 1.0
-"""Minimum time for which a plan is followed before robots rest for a new one [s]."""
+"""Minimum time for which a long plan is followed before robots pause for a new one [s]."""
 
 
 class Nodes(NamedTuple):
@@ -73,14 +82,14 @@ class Nodes(NamedTuple):
     """
 
     parents: Integers
-    """(K,) numbers of the nodes of the level before from which they grew."""
+    """For each node, the index of its parent in the previous level, shape (K,)."""
     directions: Floats
-    """(K,) directions of the branches to them [rad]."""
+    """For each node, the direction that leads to it from its parent [rad], shape (K,)."""
     poses: Floats
-    """(K, N, 3) where robots are."""
+    """The poses of all robots at each node, shape (K, N, 3): x, y [length unit], heading [rad]."""
 
     def part(self, chosen: Integers) -> Self:
-        """Return some of the nodes of the search tree, as a smaller set."""
+        """Return the nodes with the given indices, in that order."""
         return self._make(column[chosen] for column in self)
 
 
@@ -124,11 +133,16 @@ class Tree:
         return path
 
     def keep(self, branches: Integers) -> None:
-        """Make the ends of branches the nodes of the next level."""
+        """Add a level to the tree, whose nodes are the ends of the branches with these indices."""
         self.levels.append(self._grown.part(branches))
 
     def sequence(self, node: int, levels: int | None = None) -> Floats:
-        """Return the signals (L,) that lead to a node, from the root or from an earlier level."""
+        """Return the signals (L,) [rad] that lead from the root to a node.
+
+        Args:
+            node: Index of the node in its level.
+            levels: Number of levels from the root to the node. None for the last level.
+        """
         directions = []
         for level in reversed(self.levels[:levels]):
             directions.append(level.directions[node])
@@ -147,12 +161,13 @@ class Squares:
         self.shape = rows, columns
         columns_and_rows = np.indices(self.shape)[::-1].reshape(2, -1).T  # (C, 2)
         self.centres: Floats = self._low + (columns_and_rows + 0.5) * self.side
-        """(C, 2)"""
+        """The centres of the C cells [length unit], shape (C, 2)."""
 
     def cells(self, xy: Floats) -> Integers:
-        """Return the number of the cell that contains each point, or that is nearest to it.
+        """Return the index of the cell that contains each point.
 
-        The points have shape (..., 2), the numbers (...).
+        For a point outside the arena, it is the nearest cell. The points have the shape (..., 2),
+        the indices (...).
         """
         rows, columns = self.shape
         last = np.array([columns - 1, rows - 1])
@@ -240,9 +255,10 @@ def find_sequences(problem: Problem, arena: Bounds, length_max: int, key: int) -
 
 
 def _grid_distances(problem: Problem, grid: Squares) -> Floats:
-    """Compute the length of each robot's path from each cell to its target, shape (N C,).
+    """Compute the shortest path of each robot from each cell to its target, shape (N C,).
 
-    A cell is passable if its centre is free, or inside an obstacle by less than half a cell.
+    The result is a length, inf if obstacles block all paths. A cell is passable if its centre is
+    free, or inside an obstacle by less than half a cell.
     """
     x = grid.centres[:, 0].copy()
     y = grid.centres[:, 1].copy()

@@ -44,7 +44,7 @@ class PlainSection(ControllerSection):
         )
 
     def known(self, setup: Setup) -> Prior:
-        """Return the prior of the robots' motion, without any uncertainty."""
+        """Return a prior without uncertainty: the motion is assumed to be exactly the spec's."""
         return certain_prior(self.problem(setup), self.dead_time)
 
 
@@ -71,7 +71,7 @@ class PlainController:
 
     @cached_property
     def estimator(self) -> StateEstimator:
-        """Predicts the robots' poses at the moment when the next direction acts."""
+        """The predictor of the robots' poses at the moment when the next direction acts."""
         return StateEstimator(self.problem, self._ends.period, self._known)
 
     def plan(
@@ -103,7 +103,7 @@ class PlainController:
         return problem
 
     def predicted(self, observation: Observation, last_command: Command | None) -> Problem:
-        """Return the problem with the poses at which the next direction acts."""
+        """Return the problem with the poses that robots have when the next direction acts."""
         return self.estimator.add_step(observation, last_command)
 
     @abstractmethod

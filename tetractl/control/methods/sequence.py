@@ -25,7 +25,7 @@ class SequenceSection(PlainSection):
     """Time for which the last direction is held in addition to one control period [s]."""
 
     ahead: ClassVar[int] = 50
-    """Number of signals for which each step predicts the path."""
+    """Maximum number of coming signals for which each step predicts the path."""
 
     def bounds(self) -> dict[str, str]:
         """Describe the number of directions for display, as {name: text}."""
@@ -50,9 +50,10 @@ class SequenceController(PlainController):
         self.section = section
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Decision:
-        """Plan the next direction; see `PlainController.decided`.
+        """Plan the next direction, or end the trial after the last one.
 
-        The predicted path contains up to `ahead` directions.
+        The predicted path contains up to `ahead` directions. After the last direction, the robots
+        stop after the additional time `remainder`. See `PlainController.decided`.
         """
         section = self.section
         if self.k == len(section.directions):

@@ -24,9 +24,9 @@ class TrialTime:
         self._passed_ns = 0
 
     def add_step(self, observation: Observation, last_command: Command | None) -> None:
-        """Update the time with the frame of a control step and the command before it.
+        """Update the time with a step's frame and the command of the previous step.
 
-        The trial begins with the first command.
+        The time starts with the first command. Before it, with `last_command` None, it stays 0.
         """
         now_ns = observation.sampled_ns
         if last_command is not None:

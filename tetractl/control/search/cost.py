@@ -85,7 +85,11 @@ def foreseen_along(problem: Problem, path: Floats) -> Foreseen:
 
 
 def predict(problem: Problem, signals: Floats) -> Floats:
-    """Predict the poses (L + 1, ..., N, 3) of robots that follow sequences of signals (..., L)."""
+    """Predict the poses (L + 1, ..., N, 3) of robots that follow sequences of signals (..., L).
+
+    The first row along the first axis is the present poses, and each further row is the poses at
+    the end of a signal. A pose is x, y [length unit] and heading [rad].
+    """
     motion: Motion = MOTIONS.load(problem.motion)
     shape = (*signals.shape[:-1], problem.targets.shape[0])
     path = np.empty((signals.shape[-1] + 1, *shape, 3))
@@ -112,7 +116,10 @@ def predict(problem: Problem, signals: Floats) -> Floats:
 
 
 def _rates(heading: Floats, u: Floats, parameters: Floats, seconds: float) -> Floats:
-    """Compute each robot's turning rate a (..., N) for one step, by the motion's `turning`."""
+    """Compute each robot's turning rate a during one signal, shape (..., N) [rad/s].
+
+    The motion's function `turning` computes it, from the robot's `side` and saturation.
+    """
 
     def rate(c: float, s: float, cu: float, su: float, *robot: float) -> float:
         return turning(c, s, cu, su, robot, seconds)[0]
@@ -125,7 +132,8 @@ def _rates(heading: Floats, u: Floats, parameters: Floats, seconds: float) -> Fl
 def evaluate(problem: Problem, signals: Floats) -> Costs:
     """Compute the costs of B sequences of signals (B, L), by the paper's equations (7)-(9).
 
-    Raises ControlError if a cost is not finite, because only finite costs can be compared.
+    Raises:
+        ControlError: If a cost is not finite, because only finite costs can be compared.
     """
     return costs_along(problem, predict(problem, signals))
 

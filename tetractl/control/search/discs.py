@@ -26,9 +26,9 @@ from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
 
 HELD_MOMENTS = np.linspace(0, 1, 5)
-"""Moments at which `enters_if_held` tests, as fractions of the time.
+"""Moments at which `enters_if_held` predicts the robots, as fractions of the time.
 
-It also tests the straight lines between them.
+It also tests the straight lines between the positions at these moments.
 """
 
 

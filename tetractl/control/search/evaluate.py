@@ -74,7 +74,11 @@ def compiled_branches(
 
 
 def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
-    """Predict the path and costs of a sequence of signals (L,): `cost.foresee`, compiled."""
+    """Predict the path and the costs of a sequence of signals (L,), with compiled code.
+
+    This is the compiled counterpart of `cost.foresee`. Raises ControlError if the cost is not
+    finite.
+    """
     from tetractl.control.search.kernels.motion import flatten
     from tetractl.control.search.kernels.prediction import costs_along, predict
 

@@ -32,26 +32,29 @@ class CircleSearch(OptimizerSection):
 
     type: Literal["circle"] = "circle"
     ahead_s: ClassVar[float] = 4.0
-    """Duration of the plan: one or two circles."""
+    """Duration of the plan [s]: long enough for one or two circles."""
     samples: ClassVar[int] = 128
-    """Number of random sequences in a round."""
+    """Number of randomly changed sequences in each round."""
     rounds: ClassVar[int] = 6
     """Number of rounds in one search."""
     spread: ClassVar[float] = 0.6
-    """Initial standard deviation of a step [rad]."""
+    """Standard deviation of the random changes of a direction in the first round [rad]."""
     shrink: ClassVar[float] = 0.8
-    """Factor by which this deviation changes from round to round."""
+    """Factor by which this standard deviation changes from round to round."""
     adding: ClassVar[float] = 0.4
-    """Spread of the cumulative steps, relative to the independent ones."""
+    """Size of the accumulating changes of each signal, relative to the independent ones."""
 
     @property
     def iterations_max(self) -> int:
-        """Number of rounds in one search. Each tries random changes of the best sequence."""
+        """Number of rounds in one search.
+
+        Each tries random changes of the best sequence so far.
+        """
         return self.rounds
 
     @property
     def evaluations_min(self) -> int:
-        """Minimum number of sequences whose cost a search computes.
+        """Number of sequences whose costs a search computes if it ends after one round.
 
         They are all rotations, the previous plan and the sequences of one round.
         """
@@ -60,7 +63,11 @@ class CircleSearch(OptimizerSection):
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search from rotations and the previous plan `warm`; see `Optimizer.search`."""
+        """Search from rotations of the field and from the previous plan.
+
+        The previous plan is `warm`, None or empty if there is none. If the limits expire, the
+        search ends with the best sequence so far. See `Optimizer.search` for the arguments.
+        """
         progress = Progress(length, limits)
         times = problem.period * np.arange(length)
         angles = np.outer(RATES * problem.a.min(), times)
@@ -80,9 +87,10 @@ class CircleSearch(OptimizerSection):
         return progress.search()
 
     def _changes(self, key: int, z: int, length: int, spread: float) -> Floats:
-        """Draw a round's random changes of the best sequence [rad], shape (samples, length).
+        """Generate one round's random changes of the best sequence [rad], (samples, length).
 
-        `z` is the number of the round. `spread` is the standard deviation of the changes [rad].
+        `z` is the index of the round. `spread` is the standard deviation of the changes [rad]. In
+        every other sequence, the changes accumulate from signal to signal.
         """
         draws = self.samples * length
         changes = normal(key, z * draws, draws).reshape(-1, length)
@@ -92,7 +100,11 @@ class CircleSearch(OptimizerSection):
 
 
 def _extended(plan: Floats, length: int) -> Floats:
-    """Extend a plan to `length` signals by continuing its last change of direction."""
+    """Return a plan [rad] with exactly `length` signals.
+
+    A shorter plan goes on with its last change of direction, or with a constant direction if it
+    has only one signal. A longer plan is cut.
+    """
     turn = plan[-1] - plan[-2] if len(plan) > 1 else 0.0
     further = plan[-1] + turn * np.arange(1, length + 1)
     return np.append(plan, further)[:length]

@@ -86,7 +86,11 @@ def off_course(
 
 
 def fit(margin: float, gap: Floats) -> Floats:
-    """Return the margin that is kept in each gap (O,): all of it, or a part if it does not fit."""
+    """Return the margin to keep in each gap, shape (O,).
+
+    It is the whole margin if that is smaller than the gap, and otherwise REDUCED times the gap, or
+    0 if the gap is negative.
+    """
     return np.where(gap > margin, margin, REDUCED * np.maximum(gap, 0.0))
 
 
@@ -120,7 +124,10 @@ class Margins:
     def applied(
         self, problem: Problem, heard_s: float, dead_time_s: float, estimate: Estimate | None
     ) -> Problem:
-        """Return a problem with obstacles grown by their margins, and with a separation of robots.
+        """Return a problem with obstacles grown by their margins, and a separation of robots.
+
+        If `collision.adaptive` is false, all obstacles get the margin and the robot radius,
+        without an allowance for uncertainty and without a reduction.
 
         Args:
             problem: The problem of the control step.
@@ -142,10 +149,10 @@ class Margins:
         )
 
     def grown(self, poses: Poses, margin: float) -> Obstacles:
-        """Grow each obstacle by the margin, or by less if the margin does not fit.
+        """Grow each obstacle and wall by a margin, or by less if the margin does not fit.
 
-        A margin fits if no robot and no target is inside the grown obstacle. At least the part of a
-        radius that fits between obstacles and targets is always kept.
+        A margin fits if no robot and no target is inside the grown obstacle. At least the part of
+        a robot's radius that fits between obstacles and targets is always kept.
         """
         x = np.array(poses.x)  # a copy: an observation's are read-only, which is another type
         y = np.array(poses.y)
@@ -156,7 +163,8 @@ class Margins:
     def separation(self, poses: Poses, wanted: float) -> float:
         """Return the distance that two robots keep: the wanted one, or less if they are closer.
 
-        Targets that are closer together count likewise. The result is 0 if no separation is wanted.
+        Targets that are closer together count likewise. The result is 0 if no separation is
+        wanted, or if there is only one robot. Lengths are in the spec's unit.
         """
         present = min(least_apart(poses.x, poses.y), self._targets_apart)
         if wanted <= 0 or present == np.inf:  # a single robot

@@ -13,7 +13,10 @@ from tetractl.core.poses import Floats
 from tetractl.spec.section_abilities import Clearance
 
 LOST_SHARE = 0.75
-"""Deviation by a lost command, as a fraction of the path that it was to act for; chosen."""
+"""How far a robot deviates because of a lost command, as a fraction of the commanded path.
+
+The path is what the robot drives while it should follow the command. The value is chosen.
+"""
 ROUNDS = 100
 """Number of times that all pairs of targets are moved apart.
 
@@ -33,7 +36,7 @@ def lost_way(speed: Floats, heard_s: float) -> Floats:
 
 
 def kept_apart(collision: Clearance, speed: Floats, heard_s: float) -> float:
-    """Compute the minimum distance between two targets for the controller to steer robots to both.
+    """Compute the distance that two targets need for robots to be steered to both.
 
     Args:
         collision: The distances that plans keep.
@@ -41,7 +44,8 @@ def kept_apart(collision: Clearance, speed: Floats, heard_s: float) -> float:
         heard_s: How long robots follow each command [s].
 
     Returns:
-        The distance [length unit]. 0 if robots may meet, or have to be steered there at any risk.
+        The distance [length unit]. It is 0 if robots may meet (`separation` 0), or if margins are
+        not adapted to uncertainty (`adaptive` false).
     """
     if collision.separation == 0 or not collision.adaptive:
         return 0.0
@@ -49,13 +53,14 @@ def kept_apart(collision: Clearance, speed: Floats, heard_s: float) -> float:
 
 
 def spread_apart(targets: Floats, least: float) -> Floats:
-    """Move targets apart that are closer together than a minimum distance.
+    """Return targets of which those that are too close together are moved apart.
 
-    Each of two targets is moved by half of what is missing. Targets at the same point stay, because
-    no direction would be better than another.
+    Each of two targets is moved by half of the missing distance. All pairs are treated ROUNDS
+    times, so in a crowd the distances may stay slightly too small. Targets at the same point stay
+    there, because no direction would be better than another.
 
     Args:
-        targets: The targets, shape (N, 2).
+        targets: The targets, shape (N, 2). The array stays unchanged.
         least: The minimum distance [length unit].
     """
     places = targets.copy()

@@ -18,11 +18,14 @@ GOLDEN = 0x9E3779B97F4A7C15
 FACTORS = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 """Factors of the mixing function of SplitMix64."""
 MASK = 0xFFFF_FFFF_FFFF_FFFF
-"""The 64 bits of a number."""
+"""Mask for 64 bits, with which Python's unlimited integers wrap around like machine words."""
 
 
 def mix(key: int, index: int) -> int:
-    """Return random number `index` of `key`: 64 bits, which may also serve as a new key."""
+    """Return random number `index` of a key.
+
+    The result has 64 random bits, and can also serve as a new key.
+    """
     z = (key + (index + 1) * GOLDEN) & MASK
     z = ((z ^ (z >> 30)) * FACTORS[0]) & MASK
     z = ((z ^ (z >> 27)) * FACTORS[1]) & MASK
@@ -63,6 +66,9 @@ def uniform_pair(key: int, first: int, count: int) -> tuple[Floats, Floats]:
         key: The key.
         first: Index of the first pair.
         count: How many pairs to return.
+
+    Returns:
+        The first and the second numbers of the pairs, shape (count,) each.
     """
     z = bits(key, first, count)
     high = z >> np.uint64(33)

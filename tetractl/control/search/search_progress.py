@@ -23,7 +23,11 @@ class Progress:
         self.ended: StopReason | None = None
 
     def limit_before(self, evaluations: int) -> StopReason | None:
-        """Return which limit forbids a number of further evaluations. None if all are allowed."""
+        """Find the limit that forbids a number of further evaluations.
+
+        Returns:
+            The reason to end the search: EVALUATIONS or DEADLINE. None if the search can go on.
+        """
         if not self.limits.allow(self.evaluations + evaluations):
             return StopReason.EVALUATIONS
         if self.limits.expired(self.evaluations):
@@ -47,9 +51,10 @@ class Progress:
         self.keep(signals, cost)
 
     def keep(self, signals: Floats, cost: float) -> None:
-        """Add the best cost to the history.
+        """Append the lowest cost so far to the history.
 
-        The sequence (length,) becomes the best if it costs less.
+        The sequence `signals`, shape (length,), becomes the best one if it costs less than the
+        best so far, or if it is the first.
         """
         if cost < self.cost or not self.history:
             self.best = signals.copy()
@@ -59,7 +64,7 @@ class Progress:
     def search(self) -> Search:
         """Return the record of the finished search.
 
-        If `ended` is None, all iterations were done.
+        If `ended` is None, the reason for the end is that all iterations were done.
         """
         return Search(
             length=self.length,

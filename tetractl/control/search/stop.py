@@ -11,7 +11,10 @@ from tetractl.core.poses import Floats
 from tetractl.spec.base import Model, Positive
 
 WINDOW = 10
-"""Number z of iterations up to which no search stops early, and over which J has to fall."""
+"""Number of iterations over which the cost must fall. A search never stops earlier than this.
+
+Only the criterion `target` can stop a search during these first iterations.
+"""
 
 
 class PaperStop(Model):
@@ -24,7 +27,7 @@ class PaperStop(Model):
 
 
 class RelativeStop(Model):
-    """A criterion that stops a search if the best cost fell by under 1 % over ten iterations."""
+    """A criterion that stops a search if the best cost fell by at most 1 % over ten iterations."""
 
     type: Literal["relative"]
 

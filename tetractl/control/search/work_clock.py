@@ -26,7 +26,7 @@ class WorkClock:
         return self.ns
 
     def wrap(self, optimizer: Optimizer) -> Optimizer:
-        """Return the same optimiser with its searches counted on this clock while they run."""
+        """Return an optimiser that searches the same and advances this clock while it does."""
         return _Counted(optimizer, self)
 
 

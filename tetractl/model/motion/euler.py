@@ -58,7 +58,7 @@ def differentiate(c: float, s: float, cu: float, su: float, robot: Any, t: float
 
 
 class EulerLanes(PlainLanes):
-    """The constants of the discrete model (4)-(6) for compiled code."""
+    """The constants of the discrete model (4)-(6) for compiled code, and its compiled step."""
 
     differentiate = staticmethod(differentiate)
 

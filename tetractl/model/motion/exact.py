@@ -27,11 +27,11 @@ from tetractl.model.motion.motion import Derivatives, Held, Motion, Time, XYHead
 from tetractl.model.motion.polynomials import alternating, arctan, decay, log_from_ratio, mantissa
 
 LARGEST_TURN = 1.25
-"""Largest a t of one piece of a step, for which r^2 is at most 0.092."""
+"""Maximum a t [rad] of one piece of a step, for which r^2 is at most 0.092."""
 TERMS = 10
-"""Number of terms of the series in r: the rest is at most 2.2e-12 of a piece's path."""
+"""Number of terms of the series in r. The error is at most 2.2e-12 of a piece's path."""
 ODD = 2 * np.arange(TERMS) + 1
-"""The powers of r in the series."""
+"""The odd powers of r that occur in the series: 1, 3, 5, and so on."""
 
 
 def rates(heading: Floats, u: Floats | float, a: Floats, v: Floats) -> XYHeading:
@@ -182,7 +182,10 @@ class ExactLanes(NamedTuple):
 
     @classmethod
     def of(cls, parameters: Floats, t: float) -> Self:
-        """Compute the constants of robots with PARAMETERS (N, K) for steps of t [s]."""
+        """Compute the constants of robots with PARAMETERS (N, K) for steps of t [s].
+
+        A step is divided into equal pieces in which no robot turns by more than LARGEST_TURN.
+        """
         a, v = parameters.T[:2]
         largest_turn = float(a.max()) * t
         pieces = max(1, math.ceil(largest_turn / LARGEST_TURN))

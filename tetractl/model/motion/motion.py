@@ -37,9 +37,9 @@ def in_rows(robots: Any) -> Floats:
 
 
 LOWER = -math.pi
-"""Minimum direction u of a search, lb of (12) [rad]; directions beyond the bounds are wrapped."""
+"""Minimum direction u of a search, lb of the paper's (12) [rad]."""
 UPPER = math.pi
-"""Greatest direction u of a search, ub of (12) [rad]."""
+"""Maximum direction u of a search, ub of the paper's (12) [rad]."""
 
 
 @dataclass(slots=True)
@@ -99,12 +99,12 @@ class Lanes(Protocol):
 
     @property
     def rows(self) -> Floats:
-        """The constants of each robot (N, size); `k` of the functions is one row."""
+        """The constants of each robot, shape (N, size). The functions get one row as `k`."""
         ...
 
     @property
     def pieces(self) -> int:
-        """Number of equal pieces that a step is divided into."""
+        """Number of equal pieces into which a step is divided. `advance` computes one piece."""
         ...
 
     @classmethod

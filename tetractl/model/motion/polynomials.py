@@ -23,7 +23,7 @@ SINE = (
     2.75552675340755e-06,
     -2.475654531922431e-08,
 )
-"""sin(t)/t of q = t^2, for t up to pi/4"""
+"""Coefficients of sin(t)/t as a polynomial of q = t^2, for |t| up to pi/4."""
 COSINE = (
     0.9999999999999435,
     -0.4999999999934735,
@@ -32,7 +32,7 @@ COSINE = (
     2.4798927129567507e-05,
     -2.717334712576943e-07,
 )
-"""cos t"""
+"""Coefficients of cos t as a polynomial of q = t^2, for |t| up to pi/4."""
 ATANH = (
     0.9999999999999711,
     0.333333333401693,
@@ -41,7 +41,7 @@ ATANH = (
     0.11086637356391349,
     0.09811287139631193,
 )
-"""atanh(f)/f of q = f^2, for f up to (sqrt(2) - 1)^2"""
+"""Coefficients of atanh(f)/f as a polynomial of q = f^2, for |f| up to (sqrt(2) - 1)^2."""
 ATAN = (
     1.0000000000000004,
     -0.33333333333301446,
@@ -54,7 +54,7 @@ ATAN = (
     0.05022113107122174,
     -0.025229787642710978,
 )
-"""atan(z)/z of q = z^2, for z up to tan(pi/8)"""
+"""Coefficients of atan(z)/z as a polynomial of q = z^2, for |z| up to tan(pi/8)."""
 COSH = (
     0.9999999999999993,
     0.5000000000001344,
@@ -63,7 +63,7 @@ COSH = (
     2.4801755610263722e-05,
     2.743549831678975e-07,
 )
-"""cosh t of q = t^2, for t up to ln(2)/2"""
+"""Coefficients of cosh t as a polynomial of q = t^2, for |t| up to ln(2)/2."""
 SINH = (
     0.9999999999999991,
     0.16666666666676203,
@@ -72,14 +72,14 @@ SINH = (
     2.756251300663744e-06,
     2.2357657468102138e-08,
 )
-"""sinh(t)/t"""
+"""Coefficients of sinh(t)/t as a polynomial of q = t^2, for |t| up to ln(2)/2."""
 SHIFT = 1.5 * 2.0**52  # floats near it have the bits of integers
 ROOT_HALF_BITS = 0x3FE6A09E667F3BCD  # the bits of the float sqrt(1/2)
 DECAY_MAX = 230.0  # beyond, exp(-x) counts as exp(-230), which is 1e-100
 
 
 def horner(coefficients, q):
-    """Evaluate a polynomial, given its coefficients with the lowest first."""
+    """Evaluate a polynomial of q, given its coefficients with the lowest power first."""
     value = coefficients[-1]
     for i in range(len(coefficients) - 2, -1, -1):
         value = value * q + coefficients[i]
@@ -119,7 +119,7 @@ def sincos(x):
 
 
 def wrap(x):
-    """Wrap an angle x into [-pi, pi], by adding whole turns."""
+    """Wrap an angle x [rad] into [-pi, pi], by adding whole turns."""
     return x - math.tau * np.rint(x / math.tau)
 
 
@@ -154,7 +154,7 @@ def log_from_ratio(f, k):
 
 
 def decay(x):
-    """Compute exp(-x) for x >= 0. The result is at least exp(-230)."""
+    """Compute exp(-x) for x >= 0. From x = 230 on, the result stays exp(-230)."""
     x = min(x, DECAY_MAX)
     k = np.rint(x / LOG_2)
     r = k * LOG_2 - x  # exp(-x) = 2^-k exp(r)
@@ -164,7 +164,7 @@ def decay(x):
 
 
 def arctan(z):
-    """Compute atan z, starting from the nearest of 0, pi/4 and pi/2."""
+    """Compute atan z [rad] by a polynomial, with an error below 1e-13."""
     size = abs(z)
     low = min(size, 1.0)
     high = max(size, 1.0)

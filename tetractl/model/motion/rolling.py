@@ -51,35 +51,35 @@ class KnownRobots(NamedTuple):
     """The properties of N robots on wheels that their host knows, (N,) each."""
 
     a: Floats
-    """Turning rates [rad/s]."""
+    """Turning rates of the robots [rad/s], shape (N,)."""
     speed: Floats
-    """[length unit/s]; 0 for robots that turn on the spot."""
+    """Speeds of the robots [length unit/s], shape (N,). 0 for robots that turn on the spot."""
     radius: Floats
-    """Distances from a wheel to the centre [length unit]."""
+    """Distance from a wheel to the centre of each robot [length unit], shape (N,)."""
     lag_s: float
     """Time constant T with which all wheels follow commands [s]. 0 to neglect it."""
 
     def turning(self) -> Self:
-        """Return the robots with speed 0, for turns on the spot."""
+        """Return the same robots with speed 0, so that they turn on the spot."""
         return self._replace(speed=np.zeros_like(self.speed))
 
 
 ENTRIES_AT_FIRST = 8
-"""Number of entries of `SentRates` at first; it doubles when they are in use."""
+"""Initial number of entries of `SentRates`. It doubles when all are in use."""
 
 
 class SentRates(NamedTuple):
     """The turning rates sent to N robots that still matter. `wish` drops older ones."""
 
     times_ns: Times
-    """When each of them takes effect, oldest first, (Q,).
+    """Times at which the rates take effect [ns], oldest first, shape (Q,).
 
-    NEVER for unused entries; the last entry is always unused.
+    NEVER marks unused entries. The last entry is always unused.
     """
     rates: Floats
-    """The rates that the wheels then follow [rad/s], (Q, N)."""
+    """Turning rates that the wheels follow from each of these times on [rad/s], shape (Q, N)."""
     true_at_first: Floats
-    """The true rates at the first of the times [rad/s], (N,)."""
+    """True turning rates of the lagging wheels at the first of the times [rad/s], shape (N,)."""
 
     @classmethod
     def none(cls, robots: int) -> Self:
@@ -89,7 +89,10 @@ class SentRates(NamedTuple):
         return cls(times_ns, np.zeros((ENTRIES_AT_FIRST, robots)), np.zeros(robots))
 
     def with_room(self) -> "SentRates":
-        """Return the same commanded rates, in arrays with space for one more."""
+        """Return the same rates in arrays with space for one more entry.
+
+        These are the same arrays if they have space already.
+        """
         if self.times_ns[-2] == NEVER:
             return self
         return SentRates(
@@ -227,23 +230,23 @@ X = 0  # [length unit]
 Y = 1  # [length unit]
 HEADING = 2  # [rad]
 LEFT = 3
-"""Present speed of the left wheel [length unit/s]."""
+"""Row of the present speed of the left wheel [length unit/s]."""
 RIGHT = 4
-"""Present speed of the right wheel [length unit/s]."""
+"""Row of the present speed of the right wheel [length unit/s]."""
 LEFT_TARGET = 5
-"""The speed that the left wheel follows [length unit/s]."""
+"""Row of the speed that the left wheel approaches with its lag [length unit/s]."""
 RIGHT_TARGET = 6
-"""The speed that the right wheel follows [length unit/s]."""
+"""Row of the speed that the right wheel approaches with its lag [length unit/s]."""
 TURNS = 7
-"""Row: how far a robot turns for a difference of its wheels' paths [rad/length unit]."""
+"""Row of the turn for each unit by which the wheels' paths differ [rad/length unit]."""
 MOVES = 8
-"""Row: how far a robot moves for a sum of its wheels' paths."""
+"""Row of the distance that a robot moves for each unit of the sum of its wheels' paths."""
 LAG = 9
-"""The wheels' time constant [s]."""
+"""Row of the wheels' time constant [s]."""
 STANDS_BELOW = 10
-"""Speed below which the wheels of a stopped robot stand [length unit/s]."""
+"""Row of the speed below which the wheels of a stopped robot stand still [length unit/s]."""
 MOVING = 11
-"""Row: 1 for robots whose heading swerves, 0 for others."""
+"""Row of factors of the heading's random walk: 1 for a robot that moves, 0 for the others."""
 ROWS = 12  # of the array
 
 

@@ -19,9 +19,9 @@ SINK_S = 5.0  # guess: time constant of the wander in depth
 
 
 class CellArrays(NamedTuple):
-    """The state of N swimming cells, and the forces that act on them. Each array has shape (N,).
+    """The state of N swimming cells, and the forces that act on them.
 
-    `step` also takes lists of these numbers.
+    Each array has shape (N,). `step` also takes lists of numbers instead of arrays.
     """
 
     x: Any
@@ -35,7 +35,7 @@ class CellArrays(NamedTuple):
     depth: Any
     """Height of the axis from focus [um]."""
     a: Any
-    """Turning rate at the reference field [rad/s]."""
+    """Turning rate at the reference field [rad/s]. 0 for a cell without a magnet."""
     bias: Any
     """Angle of the dipole from the axis [rad]."""
     speed: Any
@@ -43,11 +43,11 @@ class CellArrays(NamedTuple):
     walk: Any
     """Random walk of the heading [rad/sqrt(s)]."""
     phase_rate: Any
-    """Turning of the phase [rad/s]."""
+    """Angular frequency of the helix, with which the phase grows [rad/s]."""
     helix_um: Any
     """Radius of the helix [um]."""
     going: Any
-    """1, or 0 for a resting cell, which only drifts."""
+    """1 for a cell that swims, 0 for a resting cell, which only drifts with the flow."""
     field_x: Any
     """x of the field, as a fraction of the reference field."""
     field_y: Any
@@ -72,7 +72,10 @@ def steps_in(seconds: float) -> int:
 
 
 def steps_until(since_ns: int, times_ns: Sequence[int]) -> int:
-    """Return the number of time steps from `since_ns` through all of the given times."""
+    """Return how many time steps `swim` needs from `since_ns` to the last of some times.
+
+    The times [ns] are in ascending order. Each interval between two of them has its own steps.
+    """
     steps = 0
     begin_ns = since_ns
     for end_ns in times_ns:

@@ -112,14 +112,16 @@ def held(a: float, slopes: Any, c: float, s: float, hold: Any) -> Any:
 
 
 def times(by: Any, factor: float) -> Any:
-    """Multiply derivatives of x, y and heading by a factor."""
+    """Multiply the derivatives of x, y and heading by a factor."""
     return by[0] * factor, by[1] * factor, by[2] * factor
 
 
 def by_turning(derivatives: Derivatives, slopes: Any) -> Derivatives:
-    """Extend a step that was made with the a of `turning` to its derivatives by all parameters.
+    """Add the derivatives with respect to side and saturation to a step's `Derivatives`.
 
-    `slopes` are the derivatives of that a.
+    The step was computed with the turning rate a of `turning`, and `slopes` are the derivatives of
+    ln a that `turning` returned. The derivatives with respect to heading and direction are
+    corrected, because a depends on them.
     """
     step, (x_h, y_h, turn_h), (x_u, y_u, turn_u), (by_a, by_speed) = derivatives
     x, y, turn = times(by_a, slopes[0])  # by phi: a changes with it, too

@@ -5,7 +5,10 @@ from typing import Any
 from tetractl.core.elementary import cos, sin
 
 SERIES_HALF_TURN_RAD = 0.3
-"""Half the angle of an arc [rad] below which sin(h)/h is four terms of its series, to 1e-9."""
+"""Half the angle of an arc [rad] up to which sin(h)/h is computed by a series.
+
+The series has four terms, with an error below 1e-9.
+"""
 
 
 def wheel_speeds(sine: Any, a: Any, v: Any, radius: Any) -> Any:

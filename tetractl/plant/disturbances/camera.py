@@ -16,7 +16,7 @@ from tetractl.spec.base import Fraction, NonNegativeAngle, Positive
 from tetractl.spec.disturbance import Disturbance, DisturbanceSection
 
 DEVIATIONS_MAX = 4.0
-"""A frame's latency differs from the mean by at most so many standard deviations."""
+"""Maximum deviation of a frame's latency from the mean, in standard deviations."""
 
 
 class TrackingLossSection(DisturbanceSection):
@@ -34,7 +34,9 @@ class TrackingLossSection(DisturbanceSection):
 
 
 class TrackingLoss(Disturbance):
-    """A disturbance by which each robot is sometimes not tracked. At first, all are tracked.
+    """A disturbance by which the camera sometimes loses track of each robot.
+
+    At first, all robots are tracked.
 
     Args:
         section: The fields of the disturbance in the spec.
@@ -68,7 +70,7 @@ class CameraLatencySection(DisturbanceSection):
     late_share: Fraction = 0.0
     """Fraction of the frames that are late."""
     late_by: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """Largest additional latency of a late frame [s]; the addition is uniformly distributed."""
+    """Maximum additional latency of a late frame [s]. The addition is uniformly distributed."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "CameraLatency":
         """Create the disturbance that this section of the spec describes, for one trial."""
@@ -134,7 +136,10 @@ class FrameLoss(Disturbance):
         self._losing = False  # whether the next frame is lost
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
-        """Return the time of arrival unchanged. None if the frame is lost."""
+        """Decide by chance whether a frame is lost.
+
+        The result is None for a lost frame, and otherwise the unchanged time of arrival [ns].
+        """
         lost = self._losing
         chance = self._rng.random()
         if lost:
@@ -177,7 +182,7 @@ class FrozenCamera(Disturbance):
         return self._last
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
-        """Return the time of arrival unchanged. None if the frame is lost."""
+        """Return the unchanged time of arrival. None for a frame lost in an interval."""
         lost = not self._repeats and self._spells.include(exposed_ns / SECOND)
         return None if lost else received_ns
 
@@ -213,7 +218,10 @@ class StaleCameraSection(SpellsSection):
 
     type: Literal["stale-camera"]
     age: Positive = 0.1
-    """Age of the poses shown [s]. Frames before this time of the trial show the first poses."""
+    """Age of the poses shown [s].
+
+    Before this time of the trial, frames show the first poses.
+    """
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StaleCamera":
         """Create the disturbance that this section of the spec describes, for one trial."""
@@ -222,7 +230,13 @@ class StaleCameraSection(SpellsSection):
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """The poses that a simulated camera frame shows, with its time of exposure `time_s`."""
+    """The poses that a simulated camera measures in a frame, with the time of exposure.
+
+    Attributes:
+        time_s: Time of the exposure since the start of the trial [s].
+        poses: Measured poses.
+        valid: Whether each robot is tracked, shape (N,).
+    """
 
     time_s: float
     poses: Poses
@@ -230,7 +244,7 @@ class Measurement:
 
 
 class StaleCamera(Disturbance):
-    """A disturbance that shows measurements of `age_s` [s] earlier during an interval."""
+    """A disturbance that shows the poses of `age_s` [s] earlier during some intervals."""
 
     def __init__(self, age_s: float, spells: Spells) -> None:
         self._age_s = age_s

@@ -20,7 +20,7 @@ class RadioSection(DisturbanceSection):
     delay: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """Time from sending a transmission until the robots receive it [s]."""
     jitter: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """Largest additional delay of a transmission, uniformly distributed [s]."""
+    """Maximum additional delay of a transmission, uniformly distributed [s]."""
     spread: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """Maximum additional delay of a robot [s].
 
@@ -102,13 +102,13 @@ class SilentRadio(Disturbance):
 
 
 class PlanningTimeSection(DisturbanceSection):
-    """A disturbance: every command is sent a random time after the controller reads its frame."""
+    """A disturbance: planning takes a random time, after which the command is sent."""
 
     type: Literal["planning-time"]
     least: float = Field(ge=0, le=10, allow_inf_nan=False)
-    """Shortest planning time of a control step [s]."""
+    """Minimum planning time of a control step [s]."""
     spread: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """Largest additional planning time of a control step, uniformly distributed [s]."""
+    """Maximum additional planning time of a control step, uniformly distributed [s]."""
 
     @property
     def planning_max_s(self) -> float:

@@ -77,7 +77,7 @@ class StickingSection(DisturbanceSection):
 
     type: Literal["sticking"]
     every: Positive
-    """Mean time for which a robot moves between two stops [s], exponentially distributed."""
+    """Mean time for which a robot moves before it sticks again [s], exponentially distributed."""
     duration: NonNegative = 0.5
     """Time for which a stuck robot neither moves nor turns [s]."""
 
@@ -115,9 +115,9 @@ class WanderSection(DisturbanceSection):
 
     type: Literal["wander"]
     a: NonNegative = 0.0
-    """Standard deviation of ln a, with a the turning rate."""
+    """Standard deviation of the logarithm of each turning rate a."""
     speed: NonNegative = 0.0
-    """Standard deviation of ln speed."""
+    """Standard deviation of the logarithm of each speed."""
     time: Positive = 5.0
     """Correlation time of the errors [s]."""
 
@@ -159,9 +159,9 @@ class StartErrorSection(DisturbanceSection):
 
     type: Literal["start-error"]
     position: NonNegative = 0.0
-    """Largest error of x and of y, uniformly distributed [length unit]."""
+    """Maximum error of x and of y, uniformly distributed [length unit]."""
     heading: NonNegativeAngle = 0.0
-    """Largest error of the heading, uniformly distributed [rad]."""
+    """Maximum error of the heading, uniformly distributed [rad]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StartError":
         """Create the disturbance that this section of the spec describes, for one trial."""

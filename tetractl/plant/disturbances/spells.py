@@ -37,7 +37,7 @@ class Spells:
         self._end_s = self._begin_s + section.duration
 
     def include(self, time_s: float) -> bool:
-        """Check whether a time is within one of the intervals."""
+        """Check whether a time since the start of the trial [s] is within one of the intervals."""
         return bool(((self._begin_s <= time_s) & (time_s < self._end_s)).any())
 
 
@@ -61,9 +61,9 @@ class ByTurns:
         self._until_s = [well_s() for _ in range(robots)]  # when each robot's state changes next
 
     def well(self, time_s: float) -> Bools:
-        """Find the robots that are undisturbed at a time, shape (N,).
+        """Return which robots are undisturbed at a time of the trial [s], shape (N,).
 
-        Later calls must not have earlier times.
+        A call must not have an earlier time than the call before.
         """
         for i, until_s in enumerate(self._until_s):
             while until_s <= time_s:

@@ -29,7 +29,7 @@ class FlowSection(DisturbanceSection):
 
 
 class Flow(Disturbance):
-    """A disturbance that carries each swimming cell with a flow, (2,) [length unit/s]."""
+    """A disturbance that carries each swimming cell with a flow [length unit/s], shape (2,)."""
 
     def __init__(self, velocity: Floats) -> None:
         self.velocity = velocity

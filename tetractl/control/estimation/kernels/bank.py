@@ -50,16 +50,24 @@ from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, inlin
 ALL_GROUPS = -1
 """Stands for every group, where the index of one group is expected."""
 UNLIKELY = 25.0
-"""A filter is dropped if the ln of its probability is less than the likeliest's by this."""
+"""Maximum difference of a filter's ln probability from the likeliest filter's.
+
+A filter that is less likely than this is dropped.
+"""
 LEAST = 1e-300
-"""Added to densities whose logarithm is taken: they may be 0."""
+"""Small number added to densities before their logarithm is taken, because they may be 0."""
 
 _largest_square_sum = inlined(largest_square_sum)
 
 
 @compiled(**ENTRY_FAST)
 def share(bank, common):
-    """Compute the shared score of each filter, its ln probability given all robots' frames."""
+    """Compute the shared score of each filter: its ln probability given all robots' frames.
+
+    Args:
+        bank: The filters. Its `shared_score` is filled, from its `score`.
+        common: The `CommonTimes` that the robots may share.
+    """
     filters, robots = bank.score.shape
     times = common.ln_prior.size
     ln_of_others = np.empty((times, robots))  # ln of what the other robots tell of each time
@@ -84,9 +92,9 @@ def share(bank, common):
 
 @compiled(**INLINE_FAST)
 def _multiply(bank, common, ln_of_others, i, density):
-    """Combine the scores of robot i's filters with what other robots' frames say of the dead time.
+    """Combine robot i's scores with what other robots' frames show of the dead time.
 
-    The result is the shared score of each filter. `density` (B,) is a working array.
+    The result is written to the shared score of each filter. `density` (B,) is a working array.
     """
     filters = density.size
     times = common.ln_prior.size
@@ -184,8 +192,8 @@ def _count(bank, i):
 def _choose(bank, i, count, best, tried, same, chosen):
     """Choose which of robot i's first `count` filters continue, and return their number.
 
-    Their indices are written to `chosen`. The filters of one group follow each other, in the order
-    of their dead times.
+    Their indices are written to the first entries of `chosen`. The filters of one group follow
+    each other, in the order of their dead times.
     """
     score = bank.shared_score
     least = score[best, i] - UNLIKELY
@@ -225,7 +233,10 @@ def _reached(bank, b, i, tried):
 
 @compiled(**INLINE_FAST)
 def _take(bank, i, chosen, going_on):
-    """Copy the filters `chosen` to `going_on`, with their dead times unchanged."""
+    """Copy the filters `chosen` (their indices) to `going_on`, with their dead times unchanged.
+
+    The remaining rows of `going_on` are marked as unused.
+    """
     for row in range(chosen.size):
         b = chosen[row]
         going_on.rows[row, i] = b
@@ -308,7 +319,10 @@ def _lay_around(bank, i, chosen, best, best_group, going_on):
 
 @compiled(**INLINE_FAST)
 def _best_dead_time(bank, i, chosen, group):
-    """Return the likeliest dead time among the filters `chosen` of a group. 0 if there are none."""
+    """Return the likeliest dead time [s] among the filters `chosen` of a group.
+
+    The result is 0 if the group has none.
+    """
     best = -1
     for b in chosen:
         in_group = bank.group[b, i] == group
@@ -319,10 +333,11 @@ def _best_dead_time(bank, i, chosen, group):
 
 @compiled(**INLINE_FAST)
 def _between(bank, i, chosen, group, time_s):
-    """Find which of the `chosen` filters of a group is nearest to a dead time, and compute a score.
+    """Find the filter of a group nearest to a dead time, and compute a score for that time.
 
-    The score belongs to the dead time. It is interpolated between the neighbours, and beyond the
-    ends of the grid it equals the score of the end. The filter is -1 if there is none.
+    Only the `chosen` filters count. The score is interpolated between the neighbours, and beyond
+    the ends of the grid it equals the score of the end. The returned filter is -1 if the group has
+    none.
     """
     nearest = -1
     before = -1
@@ -444,7 +459,10 @@ def _describe(bank, model, b, i, slot, z, growth, room):
 
 @compiled(**INLINE_FAST)
 def _probability_of_stuck(ln_weight, slot):
-    """Return the probability that a robot is stuck; `slot` is its most probable hypothesis."""
+    """Return the probability that a robot is stuck, from its hypotheses' ln probabilities (S,).
+
+    `slot` is the most probable hypothesis. The last slot is the one of a stuck robot.
+    """
     total = 0.0
     for s in range(ln_weight.size):
         total += exp(ln_weight[s] - ln_weight[slot])
@@ -490,7 +508,11 @@ def _predict(bank, model, commands, b, i, slot, z, dead_time_s, begin_s, end_s):
 
 @compiled(**INLINE_FAST)
 def _come_to_rest(model, i, z):
-    """Advance lagging wheels until they stand still: their turning and speed decay to zero."""
+    """Advance the state z of a robot to the pose at which its lagging wheels stand still.
+
+    From now on, their turning rate and speed decay to zero with the time constant of the lag.
+    Without a lag, nothing changes.
+    """
     a, speed, _, _ = parameters_of(model, i, z)
     turn = z[LAG] * a * z[SWING]
     way = z[LAG] * speed * z[PACE]

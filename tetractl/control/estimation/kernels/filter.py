@@ -64,35 +64,38 @@ from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST
 
 ALIKE = 0.1
-"""Squared difference of the headings of two hypotheses that are one, over the variance."""
+"""Maximum of (difference of headings)^2 / variance at which two hypotheses are merged into one."""
 LEAST_LN_WEIGHT = -25.0
-"""Minimum ln of the probability of a hypothesis: its slot is not freed."""
+"""Minimum ln of the probability of a hypothesis.
+
+A hypothesis at the minimum stays in its slot.
+"""
 LOST_TRACK_S = 0.3
-"""Time without a fit after which the camera's pose is used [s]."""
+"""Time for which no pose has fitted, after which a filter restarts from the measured pose [s]."""
 SCALE_MEMORY = 400.0
-"""Number of frames over which the noise is averaged."""
+"""Number of frames over which the ratio of observed to expected variances is averaged."""
 SCALE_LEAST = 1e-3
 """Minimum ratio of observed to expected variances."""
 SCALE_MOST = 10.0
-"""Greatest ratio of observed to expected variances."""
+"""Maximum ratio of observed to expected variances."""
 CAPPED_SQUARE = 4.0
-"""Greatest square of a deviation that the average of the noise takes."""
+"""Maximum of the squared innovation that enters the average of the noise, against outliers."""
 MEAN_CAPPED = 0.8
-"""Mean of such a square of a standard normal number, rounded."""
+"""Mean of the square of a standard normal number, if it is limited to CAPPED_SQUARE; rounded."""
 BLOCK_FRAMES = 8
-"""Number of frames of a block of innovations."""
+"""Number of frames whose innovations are added up to one block, for the test of the model."""
 MOST_SQUARE = 25.0
-"""Largest mean square of a block, five standard deviations."""
+"""Maximum mean square of a block that enters the test of the model: five standard deviations."""
 LN_HEARD = elementary.log(1 - LOSS_PROBABILITY)
-"""ln of the probability that a robot hears a command."""
+"""ln of the assumed probability that a robot receives a command."""
 LN_MISSED = elementary.log(LOSS_PROBABILITY)
-"""ln of the probability that it does not."""
+"""ln of the assumed probability that a robot misses a command."""
 HEARD = 0
-"""Row of the branches in which the robot heard a command."""
+"""Row of the branches in which the robot received a command."""
 MISSED = 1
-"""Row of those in which it did not."""
+"""Row of the branches in which the robot missed a command."""
 NO_SLOT = -1
-"""Stands for a slot where there is none."""
+"""Stands for "no slot", where the index of a slot is expected."""
 
 
 # ---- the start: from the poses of a frame ----
@@ -123,9 +126,10 @@ def place(bank, model, commands, time_s, poses, placed):
 
 @compiled(**INLINE_FAST)
 def _set_pose(bank, model, b, i, pose):
-    """Set the pose to a measured pose (3,) in every hypothesis of a filter about its robot.
+    """Set a robot's pose to a measured pose (3,), in every hypothesis of one of its filters.
 
-    Its standard deviation is twice the camera's noise. It does not correlate with the other states.
+    Its standard deviation becomes twice the camera's noise, and it no longer correlates with the
+    other states.
     """
     bank.unfit_s[b, i] = 0.0
     for s in range(bank.ln_weight.shape[2]):
@@ -143,7 +147,10 @@ def _set_pose(bank, model, b, i, pose):
 
 @compiled(**INLINE_FAST)
 def _follow_last(bank, model, commands, b, i, time_s):
-    """Let every hypothesis except the stuck one follow the last command that acts by a time."""
+    """Let all hypotheses except the stuck one follow the last command acting at a time.
+
+    If no command had acted by then, nothing changes.
+    """
     dead_time_s = bank.dead_time_s[b, i]
     number = _number_sent_by(commands, time_s - dead_time_s)
     if number == 0:
@@ -324,10 +331,10 @@ def _branch_likeliest(hypotheses, model, i, u, now_s, step_s):
         w_heard = w_likeliest + ln(1 - lost).
 
     In all other hypotheses, including the likeliest one, the robot missed it: w <- w + ln(lost).
-
     If some hypothesis already follows u, a robot that receives the command continues as that
     hypothesis. If that hypothesis is less likely than w_heard, it takes the state of the likeliest
-    one and w_heard. Its watchdog starts again, and the other hypotheses stay as they are.
+    one and w_heard. In both cases its watchdog starts again, and the other hypotheses stay as they
+    are.
     """
     driving = hypotheses.ln_weight.size - 1
     best = likeliest(hypotheses.ln_weight, driving)
@@ -451,9 +458,9 @@ def _find_twin(parents, parent, u, hypotheses, parent_of):
 
 @compiled(**INLINE_FAST)
 def _slot_that_follows(hypotheses, u):
-    """Return the first slot, except the stuck one, whose robot follows u.
+    """Return the first slot, except the stuck one, of a hypothesis that follows u.
 
-    NO_SLOT if there is none.
+    The result is NO_SLOT if there is none.
     """
     for s in range(hypotheses.ln_weight.size - 1):
         if hypotheses.direction[s] == u and not is_none(hypotheses.ln_weight[s]):
@@ -463,7 +470,11 @@ def _slot_that_follows(hypotheses, u):
 
 @compiled(**INLINE_FAST)
 def _followed(hypotheses, s, now_s):
-    """Return the direction that a robot follows now. NaN once its watchdog has stopped it."""
+    """Return the direction [rad] that a robot follows now, under the hypothesis in slot s.
+
+    NaN if the robot stands still, because it was commanded to or because its watchdog has stopped
+    it.
+    """
     if now_s < hypotheses.until_s[s]:
         return hypotheses.direction[s]
     return math.nan
@@ -583,7 +594,8 @@ def _scale_after(scale, square):
 
         r <- r (1 + (min(q, q_max) / E - 1) / n),    E = E[min(q, q_max)], if the noise is right.
 
-    The ratio is an average over about n frames, in which an outlier counts no more than q_max.
+    The ratio is an average over about n frames, in which an outlier counts no more than q_max. It
+    stays between SCALE_LEAST and SCALE_MOST.
     """
     change = min(square, CAPPED_SQUARE) / MEAN_CAPPED - 1
     scale = scale * (1 + change / SCALE_MEMORY)
@@ -677,10 +689,7 @@ def _stray(cov, sticks, seconds):
 
 @compiled(**INLINE_FAST)
 def _relate_scores(bank, i):
-    """Subtract the best score from all scores of a robot.
-
-    Their exponentials then do not underflow.
-    """
+    """Subtract the best score from all scores of a robot: their exponentials cannot underflow."""
     filters = bank.score.shape[0]
     largest = -math.inf
     for b in range(filters):
@@ -756,7 +765,7 @@ def _least_likely(ln, count):
 
 @compiled(**INLINE_FAST)
 def _scratch(states):
-    """Create the working arrays for predictions and updates of hypotheses with this many states."""
+    """Create the working arrays of a filter with `states` states that have a variance."""
     return FilterScratch(
         jacobian=np.eye(states),
         product=np.empty((states, states)),

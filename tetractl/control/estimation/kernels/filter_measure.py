@@ -44,7 +44,7 @@ wrapped = inlined(wrap)
 
 @compiled(**INLINE_FAST)
 def measure(model, i, z, cov, noise_scale, pose, scratch):
-    """Update what a hypothesis says about robot i by a measured pose.
+    """Update a hypothesis about robot i by a measured pose, unless the pose is an outlier.
 
     Args:
         model: The assumptions about the robots, a `FilterModel`.
@@ -57,8 +57,8 @@ def measure(model, i, z, cov, noise_scale, pose, scratch):
             the course and of the heading, each divided by its standard deviation.
 
     Returns:
-        The ln of the pose's likelihood. An outlier changes neither z nor P, and has the likelihood
-        of a pose at the gate.
+        The ln of the pose's likelihood. An outlier, or a pose with NaN, changes neither z nor P,
+        and has the likelihood of a pose at the gate.
     """
     _expect(model, i, z, scratch.expected, scratch.slopes)
     distance2, ln_variances = _compare(model, i, z, cov, noise_scale, pose, scratch)
@@ -159,9 +159,10 @@ def _multiply(cov, h, p_h):
 
 @compiled(**INLINE_FAST)
 def _correct(z, cov, j, scratch):
-    """Correct z and P by the measured number j; return its variance H P H' + R from before.
+    """Correct z and P by the measured number j, and return its variance H P H' + R before that.
 
-    The differences `off` of the later numbers from their expectation change accordingly.
+    j is 0 for x, 1 for y and 2 for the heading. The differences `off` of the later numbers from
+    their expectation change accordingly.
     """
     off = scratch.off
     slopes = scratch.slopes

@@ -68,19 +68,19 @@ with_turning = inlined(by_turning)
 scaled = inlined(times)
 
 STILL_PACE = 1e-3
-"""Pace below which a robot that was stopped counts as standing."""
+"""Speed, as a fraction of v, below which a robot that was stopped counts as standing still."""
 LEAST_LAG_S = 1e-3
-"""Minimum lag of wheels whose host assumes another one [s]."""
+"""Minimum lag used for wheels without a lag whose host assumes one [s]."""
 SUBSTEP_S = 0.025
-"""Longest step between two additions of random walks [s]."""
+"""Maximum duration of a step of the prediction, after which random walks are added [s]."""
 SUBSTEPS_MAX = 4000
-"""Greatest number of such steps: beyond 100 s without a command they are longer."""
+"""Maximum number of steps of a prediction. Beyond 100 s, the steps become longer instead."""
 NO_CHANGE = (0.0, 0.0, 0.0)
-"""Of x, y and the heading."""
+"""A change of x, y and the heading by 0."""
 AT_REST = NO_CHANGE, (0.0, 0.0, 1.0), NO_CHANGE, (NO_CHANGE,) * len(RobotParameters._fields)
-"""`Derivatives` of a robot at rest: it does not move, and keeps its heading."""
+"""`Derivatives` of a robot that stands still: it does not move, and keeps its heading."""
 UNKNOWN_HEADING = math.pi * math.pi / 3
-"""Variance of a heading of which nothing is known [rad2].
+"""Maximum variance of a heading: the variance of a uniformly distributed angle [rad2].
 
 Without this limit, the linearised variance of a robot that drives against its direction grows
 without bound, until the covariance is invalid because of rounding.
@@ -95,10 +95,10 @@ def stands(u):
 
 @compiled(**INLINE_FAST)
 def parameters_of(model, i, z):
-    """Return a [rad/s], v [length unit/s], side and saturation of robot i in a state.
+    """Return turning rate a [rad/s], speed v [length unit/s], side and saturation of robot i.
 
     Args:
-        model: The assumptions about the robots.
+        model: The assumptions about the robots. The state holds a and v relative to these.
         i: The index of the robot.
         z: The state (STATES,).
     """
@@ -192,7 +192,7 @@ def _step(model, z, drives, cos_u, sin_u, parameters, t):
 
 @compiled(**INLINE_FAST)
 def _unknown_turn(z, rest_heading, cos_u, sin_u, a, host_lag, t):
-    """Compute the part of the turn of the heading psi in a short step that the host does not know.
+    """Compute the turn of the heading psi in a step of t [s] that the host does not know [rad].
 
     It is a times the integral of r - r_h, for the rate that is sent at the beginning of the step.
     It is exactly 0 if the host assumes the true lag.
@@ -205,7 +205,10 @@ def _unknown_turn(z, rest_heading, cos_u, sin_u, a, host_lag, t):
 
 @compiled(**INLINE_FAST)
 def _remaining_distance(missing, lag, t):
-    """Integrate over a time t [s] a difference that is `missing` at first and decays with a lag."""
+    """Integrate over t [s] a difference that is `missing` at first and decays with a lag.
+
+    Without a lag, the result is 0.
+    """
     if lag == 0:
         return 0.0
     return missing * lag * (1 - exp(-t / lag))
@@ -253,7 +256,7 @@ def _lagging(z, rest, rest_slopes, goal, parameters, host_lag, t):
 
 @compiled(**INLINE_FAST)
 def _move(z, derivatives, t):
-    """Move x, y and the heading by one step, and add the displacement by the flow."""
+    """Move x, y and the heading of the state z by one step of t [s], including the flow."""
     dx, dy, turn = derivatives[0]
     z[X] += dx + t * z[FLOW_X]
     z[Y] += dy + t * z[FLOW_Y]
@@ -333,7 +336,10 @@ def _add_walk(model, i, cov, noise_scale, t):
 
 @compiled(**INLINE_FAST)
 def _bound_heading(cov):
-    """Limit the heading's variance to that of an unknown heading, and scale its covariances."""
+    """Limit the heading's variance to the one of an unknown heading, in place.
+
+    Its covariances with the other states are scaled by the same ratio of standard deviations.
+    """
     share = math.sqrt(UNKNOWN_HEADING / cov[HEADING, HEADING])
     for k in range(cov.shape[0]):
         cov[HEADING, k] *= share

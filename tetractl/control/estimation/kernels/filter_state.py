@@ -44,44 +44,47 @@ from tetractl.core.poses import Bools, Floats, Poses
 
 # Slots of the state.
 X = 0
-"""Position along x [length unit]."""
+"""Index of the position along x [length unit]."""
 Y = 1
-"""Position along y [length unit]."""
+"""Index of the position along y [length unit]."""
 HEADING = 2
-"""Heading theta of the course [rad]; not wrapped."""
+"""Index of the heading theta of the course [rad], which is not wrapped."""
 LN_A = 3
-"""ln of the turning rate a over the prior's.
+"""Index of the logarithm of the turning rate a, relative to the prior's.
 
 This state and the three that follow are in the order of `RobotParameters`.
 """
 LN_SPEED = 4
-"""ln of the speed v over the prior's."""
+"""Index of the logarithm of the speed v, relative to the prior's."""
 SIDE = 5
-"""k of a robot that turns by a exp(k) to the left, and by a exp(-k) to the right."""
+"""Index of k, if a robot turns by a exp(k) to the left and by a exp(-k) to the right."""
 LN_SATURATION = 6
-"""ln of the motors' `saturation` (`tetractl.model.motion.turn_rate`); from 0 on, there is none."""
+"""Index of the logarithm of the motors' saturation (`tetractl.model.motion.turn_rate`).
+
+From 0 on, the motors do not saturate.
+"""
 TURN_BIAS = 7
-"""Bias beta of the direction that a robot turns to [rad]."""
+"""Index of the turn bias beta: the direction to which a robot turns minus the one sent [rad]."""
 MARKER_BIAS = 8
-"""Bias m of a measured heading [rad]."""
+"""Index of the marker bias m, which is added to the measured heading [rad]."""
 FLOW_X = 9
-"""Flow along x [length unit/s]."""
+"""Index of the flow along x [length unit/s]."""
 FLOW_Y = 10
-"""Flow along y [length unit/s]."""
+"""Index of the flow along y [length unit/s]."""
 HELIX_SINE = 11
-"""Swing p of a cell to the left of its course [length unit]."""
+"""Index of p, the position of a cell on its helix to the left of its course [length unit]."""
 HELIX_COSINE = 12
-"""The same a quarter of a period later, q [length unit]."""
+"""Index of q, which is p a quarter of a period later [length unit]."""
 LN_FREQUENCY = 13
-"""ln of the helix's angular frequency w over the usual one."""
+"""Index of the logarithm of the helix's angular frequency w, relative to the usual one."""
 SWING = 14
-"""Turning rate of lagging wheels over a."""
+"""Index of the turning rate of lagging wheels, as a multiple of a."""
 PACE = 15
-"""Speed of lagging wheels over v, from 0 to 1."""
+"""Index of the speed of lagging wheels, as a fraction of v, from 0 to 1."""
 HOST_SWING = 16
-"""Turning rate over a that the host of lagging wheels assumes."""
+"""Index of the turning rate that the host of lagging wheels assumes, as a multiple of a."""
 LAG = 17
-"""Lag T of the wheels: the time constant with which turning rate and speed follow a direction [s].
+"""Index of the lag T of the wheels: how slowly turning rate and speed follow a direction [s].
 
 It never changes: each lag that is tried has filters of its own.
 """
@@ -91,69 +94,72 @@ STATES_OF_WHEELS = FLOW_Y + 1
 STATES_OF_CELLS = LN_FREQUENCY + 1
 """Number of states of a cell that have a variance."""
 STATES = LAG + 1
-"""Number of slots of a state."""
+"""Length of the state of a robot, including the entries without a variance."""
 
 ALONG = 0
-"""Place of an innovation along the course; the third one is that of the HEADING."""
+"""Index of the innovation of the position along the course. HEADING is the third index."""
 ACROSS = 1
-"""Place of an innovation across the course."""
+"""Index of the innovation of the position across the course."""
 POSITIONS = 0
-"""Place of the positions' `Bank.noise_scale`."""
+"""Index of the ratio for positions in `Bank.noise_scale`."""
 HEADINGS = 1
-"""Place of the headings' one."""
+"""Index of the ratio for headings in `Bank.noise_scale`."""
 
 FOLLOWS = 3
-"""Number of latest commands that a robot may follow."""
+"""Number of hypotheses of a filter in which the robot follows one of the latest commands."""
 LOG_FOLLOWS = 6
-"""The same number for filters of logs.
+"""Number of such hypotheses for filters that evaluate a log.
 
-In logs, commands may follow each other sooner than the frames show whether a robot heard the one
-before. It may have heard any of them, and the likeliest are kept.
+In logs, commands may follow each other sooner than the frames show whether a robot received the
+one before. It may have received any of them, and the likeliest are kept.
 """
 
 # Without another source, a value was chosen once, and docs/decisions/filter.md has the errors
 # measured with it. Those of one module alone are there.
 LOSS_PROBABILITY = 0.05
-"""Probability that a command does not arrive."""
+"""Assumed probability that a robot misses a command."""
 GATE = 30.0
-"""Squared deviation above which a pose is an outlier.
+"""Sum of squared innovations above which a measured pose is an outlier.
 
 Chi-square of 3 numbers exceeds it once in 700,000 poses.
 """
 LEAST_BLOCKS = 10
-"""Number of blocks for which those that are missing count as empty."""
+"""Minimum number of blocks in the test of the model. Missing blocks count as perfect ones."""
 QUANTILE = 3.09
 """Standard normal quantile of 0.999, the level of the test of innovations."""
 GRID_STEP_S = 0.02
-"""Spacing of the dead times at first [s]."""
+"""Distance between the dead times of neighbouring filters at the start [s]."""
 FINEST_STEP_S = 0.005
-"""Spacing of dead times that is not refined further [s]: a sixth of the time between frames."""
+"""Distance between dead times below which a grid is not refined [s].
+
+It is a sixth of the time between frames.
+"""
 REFINED = 3
-"""Number of dead times of a grid that is refined."""
+"""Number of dead times that a grid must be reduced to before it is refined."""
 OWN_PROBABILITY = 0.1
-"""Probability that a robot's dead time differs from that of the others."""
+"""Assumed probability that a robot's dead time differs from the others'."""
 OWN_STD_S = 0.06
-"""Standard deviation of such a difference [s]."""
+"""Standard deviation of the difference of such a robot's dead time [s]."""
 
 
 class SentCommands(NamedTuple):
     """The C commands that were sent to all robots, in the order of their times."""
 
     sent_s: Floats
-    """(C,) times of sending [s]."""
+    """Times at which the commands were sent [s], shape (C,)."""
     directions: Floats
-    """(C,) directions [rad], NaN for a stop."""
+    """Directions of the commands [rad], shape (C,). NaN for a stop."""
 
 
 class PoseFrames(NamedTuple):
     """Camera frames with the poses of N robots. The first frame is where the filters start."""
 
     time_s: Floats
-    """(F, N) times of the poses [s]."""
+    """Times of the poses [s], shape (F, N)."""
     poses: Floats
-    """(F, N, 3) x, y [length unit] and heading [rad]."""
+    """Measured x, y [length unit] and heading [rad], shape (F, N, 3)."""
     valid: Bools
-    """(F, N) which poses may be used."""
+    """Whether each pose was measured and may be used, shape (F, N)."""
 
     def part(self, begin: int, end: int) -> Self:
         """Return the frames from index `begin` up to, but not including, `end`."""
@@ -168,28 +174,28 @@ class FilterModel(NamedTuple):
     """
 
     parameters: Floats
-    """(N, 2) PARAMETERS of the motion: a [rad/s] and v [length unit/s]."""
+    """Prior turning rate a [rad/s] and speed v [length unit/s] of each robot, shape (N, 2)."""
     noise: Floats
-    """(3, N) of measured x, y [length unit] and heading [rad]."""
+    """Standard deviations of measured x, y [length unit] and heading [rad], shape (3, N)."""
     walk: Floats
-    """(n, N) of the random walk of each state with a variance, n = STATES_OF_... [1/sqrt(s)]."""
+    """Random walk of each of the n states with a variance [unit of the state/sqrt(s)], (n, N)."""
     helix_rad_s: float
-    """Usual angular frequency of a cell's helix [rad/s]; 0 for robots on wheels."""
+    """Usual angular frequency of a cell's helix [rad/s]. 0 for robots on wheels."""
     host_lag_s: float
-    """The lag of the wheels that their host assumes [s], 0 if it neglects it."""
+    """The lag of the wheels that their host assumes [s]. 0 if it neglects the lag."""
     watchdog_s: float
-    """Time without a command after which a robot stops [s]; infinity if none does."""
+    """Time without a command after which a robot stops [s]. Infinity if robots do not stop."""
     sticks: Sticks = Sticks()
-    """How robots do not do what they are sent."""
+    """How often, and for how long, robots ignore commands."""
     hold: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Means over time of the first three powers of how long wheels keep a turning rate [s, s2, s3].
 
     They are 0 if the rate is always that of the present heading.
     """
     coarse: bool = False
-    """Whether poses of robots that drive may be equal."""
+    """Whether the camera is so coarse that the poses of driving robots may repeat exactly."""
     branch_all: bool = False
-    """Whether every hypothesis branches when a command takes effect, as logs need it.
+    """Whether every hypothesis branches when a command takes effect, as for logs.
 
     Otherwise only the likeliest one does, which is all the controller has time for.
     """
@@ -203,42 +209,52 @@ class Bank(NamedTuple):
     """
 
     state: Floats
-    """(B, N, S, STATES)"""
+    """State of each hypothesis, shape (B, N, S, STATES)."""
     cov: Floats
-    """(B, N, S, n, n) covariance P, n = STATES_OF_WHEELS or STATES_OF_CELLS."""
-    direction: Floats
-    """(B, N, S) direction u followed [rad], NaN for a robot that stands."""
-    until_s: Floats
-    """(B, N, S) time at which its watchdog stops a robot that follows a direction [s]."""
-    ln_weight: Floats
-    """(B, N, S) ln of the hypothesis's probability, -inf for a slot without a hypothesis."""
-    noise_scale: Floats
-    """(B, N, 2) ratio of observed to expected variances of positions, and of headings."""
-    unfit_s: Floats
-    """(B, N) time since a hypothesis fitted [s]."""
-    block_sum: Floats
-    """(B, N, 3) sum of the present block's innovations over their deviations.
+    """Covariance P of each hypothesis, shape (B, N, S, n, n).
 
-    The three are those along and across the course and of the heading.
+    n is STATES_OF_WHEELS or STATES_OF_CELLS: only these states have a variance.
+    """
+    direction: Floats
+    """Direction u that the robot follows [rad], shape (B, N, S). NaN if it stands still."""
+    until_s: Floats
+    """Time at which its watchdog stops a robot that follows a direction [s], shape (B, N, S)."""
+    ln_weight: Floats
+    """ln of each hypothesis's probability, shape (B, N, S). -inf for an empty slot."""
+    noise_scale: Floats
+    """Ratios of observed to expected variances, shape (B, N, 2): of positions and of headings."""
+    unfit_s: Floats
+    """Time since a measured pose last fitted the likeliest hypothesis [s], shape (B, N)."""
+    block_sum: Floats
+    """Sums of the innovations in the present block of frames, shape (B, N, 3).
+
+    The three are the innovations along and across the course and of the heading, each divided by
+    its standard deviation.
     """
     block_frames: Floats
-    """(B, N) number of frames in the present block."""
+    """Number of frames in the present block, shape (B, N)."""
     square_sum: Floats
-    """(B, N, 3) sum of the mean squares of the blocks before."""
+    """Sums of the mean squares of all complete blocks, for each innovation, shape (B, N, 3)."""
     blocks: Floats
-    """(B, N) number of the blocks before."""
+    """Number of complete blocks, shape (B, N)."""
     dead_time_s: Floats
-    """(B, N) dead time tau [s]."""
+    """Assumed dead time tau of each filter [s], shape (B, N)."""
     step_s: Floats
-    """(B, N) how far the dead times of its group are apart [s]; the same for all of a robot."""
+    """Distance between the dead times of a robot's filters [s], shape (B, N).
+
+    It is the same for all filters of a robot.
+    """
     score: Floats
-    """(B, N) ln of the likelihood of the filter's frames, up to a constant; -inf for no filter."""
+    """ln of the likelihood of the robot's own frames, up to a constant, shape (B, N).
+
+    It is -inf if there is no filter.
+    """
     shared_score: Floats
-    """(B, N) ln of the filter's probability by the frames of all robots, up to a constant."""
+    """ln of the filter's probability given the frames of all robots, up to a constant, (B, N)."""
     next_command: NDArray[np.int64]
-    """(B, N) index of the command that acts next."""
+    """Index of the next command that takes effect in each filter, shape (B, N)."""
     group: NDArray[np.int64]
-    """(B, N) from which value of the state that is tried the filter started (`filter_start`)."""
+    """Group of each filter, shape (B, N): from which tried value it started (`filter_start`)."""
 
     @classmethod
     def start(
@@ -288,7 +304,7 @@ class Bank(NamedTuple):
 
     @classmethod
     def joined(cls, banks: Sequence[Self]) -> Self:
-        """Join several banks of the same robots into one bank."""
+        """Join several banks of the same robots into one bank, with all their filters."""
         return cls._make(np.concatenate(columns) for columns in zip(*banks, strict=True))
 
     def copied(self) -> Self:
@@ -296,7 +312,7 @@ class Bank(NamedTuple):
         return self._make(column.copy() for column in self)
 
     def part(self, rows: NDArray[np.int64]) -> Self:
-        """Select the filters `rows` (R, N) of each robot."""
+        """Select the filters with the indices `rows`, shape (R, N), separately for each robot."""
         robots = np.arange(rows.shape[1])
         return self._make(column[rows, robots] for column in self)
 
@@ -319,38 +335,38 @@ class Hypotheses(NamedTuple):
     """
 
     state: Floats
-    """(S, STATES)"""
+    """State of each hypothesis, shape (S, STATES)."""
     cov: Floats
-    """(S, n, n)"""
+    """Covariance P of each hypothesis, shape (S, n, n)."""
     direction: Floats
-    """(S,)"""
+    """Direction that the robot follows [rad], shape (S,). NaN if it stands still."""
     until_s: Floats
-    """(S,)"""
+    """Time at which the robot's watchdog stops it [s], shape (S,)."""
     ln_weight: Floats
-    """(S,)"""
+    """ln of each hypothesis's probability, shape (S,). -inf for an empty slot."""
 
 
 class FilterScratch(NamedTuple):
     """Working arrays in which a filter predicts and updates one hypothesis."""
 
     jacobian: Floats
-    """(n, n) F, the slopes of a step"""
+    """F, the derivatives of a step with respect to the state before it, shape (n, n)."""
     product: Floats
-    """(n, n) F P"""
+    """The product F P, shape (n, n)."""
     p_h: Floats
-    """(n,) P H' of one measured number"""
+    """The product P H' for one measured number, shape (n,)."""
     expected: Floats
-    """(3,) expected pose"""
+    """The pose that the camera is expected to measure, shape (3,)."""
     off: Floats
-    """(3,) measured less expected pose"""
+    """The measured minus the expected pose, shape (3,)."""
     variance: Floats
-    """(3,) variances of the measured numbers"""
+    """The variances of the measured x, y and heading, shape (3,)."""
     slopes: Floats
-    """(3, n) H, the slopes of the measured numbers"""
+    """H, the derivatives of the measured numbers with respect to the state, shape (3, n)."""
     innovation: Floats
-    """(3,) of one hypothesis"""
+    """The innovation of the hypothesis that was updated last, shape (3,)."""
     likeliest_innovation: Floats
-    """(3,) of the likeliest hypothesis"""
+    """The innovation of the likeliest hypothesis, shape (3,)."""
 
 
 class CommonTimes(NamedTuple):
@@ -360,9 +376,9 @@ class CommonTimes(NamedTuple):
     """
 
     near: Floats
-    """(T, B, N) density of each time for the other robots, given a filter's dead time [1/s]."""
+    """Density of each time for the other robots, given a filter's dead time [1/s], (T, B, N)."""
     ln_prior: Floats
-    """(T,) ln of the prior density of each time, up to a constant."""
+    """ln of the prior density of each time, up to a constant, shape (T,)."""
 
     @classmethod
     def of(cls, bank: Bank, prior: Prior) -> Self:
@@ -390,13 +406,13 @@ class NextFilters(NamedTuple):
     """The C filters of each of N robots that are kept for the next frames; `select` fills it."""
 
     rows: NDArray[np.int64]
-    """(C, N) filters of the bank, -1 after the last one."""
+    """Indices of the kept filters in the bank, shape (C, N). -1 after a robot's last one."""
     dead_time_s: Floats
-    """(C, N) the dead time that each takes [s]."""
+    """The dead time that each kept filter gets [s], shape (C, N)."""
     score: Floats
-    """(C, N) the score that each takes."""
+    """The score that each kept filter gets, shape (C, N)."""
     step_s: Floats
-    """(N,) how far each robot's dead times are apart then [s]."""
+    """New distance between each robot's dead times [s], shape (N,)."""
 
     @classmethod
     def room_for(cls, size: int, bank: Bank) -> Self:
@@ -441,11 +457,11 @@ class Forecast(NamedTuple):
     y: Floats
     heading: Floats
     directions: Floats
-    """(N,) directions that the robots follow [rad], NaN for a robot that stands."""
+    """Directions that the robots follow [rad], shape (N,). NaN if a robot stands still."""
     turn_bias: Floats
-    """(N,) difference of the directions that robots turn to from those sent [rad]."""
+    """Directions to which robots turn, minus the directions sent [rad], shape (N,)."""
     flow: Floats
-    """(N, 2) [length unit/s]."""
+    """Flow that carries each robot, along x and y [length unit/s], shape (N, 2)."""
     a: Floats
     a_std: Floats
     speed: Floats
@@ -458,18 +474,18 @@ class Forecast(NamedTuple):
     saturation: Floats
     stands: Floats
     lag: Floats | None
-    """(N,) the lag of the wheels [s]; None if it is not learnt."""
+    """The lag of each robot's wheels [s], shape (N,). None if the lag is not learnt."""
     lag_std: Floats | None
     own_dead_time: Floats
     own_dead_time_std: Floats
     dead_time_s: float
     """The mean of the robots' dead times [s]."""
     dead_time_std_s: float
-    """The standard deviation of the dead time of any robot [s]."""
+    """Standard deviation of the dead time, including the differences between robots [s]."""
 
     @classmethod
     def room_for(cls, robots: int) -> Self:
-        """Create an empty forecast for this many robots, filled with NaN."""
+        """Create a forecast for this many robots whose arrays are filled with NaN."""
         arrays: dict[str, Any] = {name: np.full(robots, np.nan) for name in cls._fields}
         arrays["flow"] = np.full((robots, 2), np.nan)
         arrays["misfit"] = np.full((robots, len(INNOVATIONS)), np.nan)
@@ -477,12 +493,12 @@ class Forecast(NamedTuple):
 
     @property
     def poses(self) -> Poses:
-        """The predicted poses of the robots at the time for which the next plan begins."""
+        """The predicted poses at the moment when the next command acts on each robot."""
         return Poses(self.x, self.y, self.heading)
 
     @property
     def estimate(self) -> Estimate:
-        """The estimate of the robots' motion at the forecast's time, with standard deviations."""
+        """The estimate of the robots' motion after the last frame, with standard deviations."""
         return Estimate(
             a=self.a,
             a_std=self.a_std,

@@ -17,7 +17,7 @@ from tetractl.tools.kernels.kernel_options import ENTRY, INLINE_EXACT
 
 @compiled(**INLINE_EXACT)
 def _distance(obstacles, o, x, y):
-    """Compute the distance of the point (x, y) to obstacle o. It is negative inside."""
+    """Compute the distance of point (x, y) to obstacle o, a shape or a wall; negative inside."""
     shapes = obstacles.radii.size
     if o >= shapes:
         return wall_distance(obstacles.walls, o - shapes, x, y)
@@ -27,7 +27,10 @@ def _distance(obstacles, o, x, y):
 
 @compiled(**INLINE_EXACT)
 def _least_distance(obstacles, x, y):
-    """Compute the distance of (x, y) to the nearest obstacle. It is inf if there is none."""
+    """Compute the distance of (x, y) to the nearest obstacle or wall, negative inside.
+
+    It is inf if there is none.
+    """
     least = math.inf
     for o in range(obstacles.radii.size + obstacles.walls.size):
         least = min(least, _distance(obstacles, o, x, y))
@@ -78,7 +81,10 @@ def gaps(obstacles, x, y, distances):
 
 @compiled(**ENTRY)
 def least_apart(x, y):
-    """Compute the minimum distance between two of N points (N,). It is inf for a single point."""
+    """Compute the minimum distance between any two points with coordinates x, y of shape (N,).
+
+    It is inf for a single point.
+    """
     least = math.inf
     for i in range(x.size):
         for k in range(i):
@@ -139,7 +145,11 @@ def _enters_obstacle(i, grown, path):
 
 @compiled(**INLINE_EXACT)
 def _touches_obstacle(i, grown, path):
-    """Check whether the centre of body i is anywhere inside an obstacle grown by its radius."""
+    """Check whether the centre of body i touches an obstacle along a path.
+
+    The obstacles are grown by the body's radius. Both the given positions and the straight lines
+    between them count.
+    """
     for m in range(1, path.shape[0]):
         if crosses(grown, path[m - 1, i, 0], path[m - 1, i, 1], path[m, i, 0], path[m, i, 1]):
             return True

@@ -26,7 +26,7 @@ from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import INLINE_FAST, PART_FAST, VECTOR, inlined
 
 NEVER_SATURATES = 1.0
-"""The `saturation` of motors that turn a robot by (3) always."""
+"""The `saturation` of motors that always reach the turning rate of equation (3)."""
 
 _sincos = inlined(sincos)
 _wrap = inlined(wrap)
@@ -39,31 +39,31 @@ class Trace(NamedTuple):
     """
 
     cos_u: Floats
-    """(M,) of the signals."""
+    """Cosines of the signals, shape (M,)."""
     sin_u: Floats
-    """(M,) of the signals."""
+    """Sines of the signals, shape (M,)."""
     cos: Floats
-    """(N, M) of the headings before each signal."""
+    """Cosines of the headings before each signal, shape (N, M)."""
     sin: Floats
-    """(N, M) of the headings before each signal."""
+    """Sines of the headings before each signal, shape (N, M)."""
     x: Floats
-    """(N, M) after each signal [length unit]."""
+    """x of the robots after each signal [length unit], shape (N, M)."""
     y: Floats
-    """(N, M) after each signal [length unit]."""
+    """y of the robots after each signal [length unit], shape (N, M)."""
     x_by_heading: Floats
-    """(N, M) derivative of dx of each step with respect to the heading before it."""
+    """Derivative of dx of each step with respect to the heading before it, shape (N, M)."""
     y_by_heading: Floats
-    """(N, M) derivative of dy of each step with respect to the heading before it."""
+    """Derivative of dy of each step with respect to the heading before it, shape (N, M)."""
     x_by_u: Floats
-    """(N, M) derivative of dx of each step with respect to its direction [length unit/rad]."""
+    """Derivative of dx of each step with respect to its signal [length unit/rad], shape (N, M)."""
     y_by_u: Floats
-    """(N, M) derivative of dy of each step with respect to its direction."""
+    """Derivative of dy of each step with respect to its signal [length unit/rad], shape (N, M)."""
     keep: Floats
-    """(N, M) derivative of the heading after each step with respect to the heading before it."""
+    """Derivative of the heading after each step with respect to the one before, shape (N, M)."""
 
     @classmethod
     def room_for(cls, robots: int, length: int) -> "Trace":
-        """Allocate the arrays of a `Trace` for a number of robots and of signals."""
+        """Allocate the arrays of a `Trace`, without a path, for numbers of robots and signals."""
         across = width(length)
         shape = (robots, across)
         return cls(
@@ -82,7 +82,7 @@ class Trace(NamedTuple):
 
 
 def width(length: int) -> int:
-    """Return the length of arrays for `length` signals, padded for vector instructions."""
+    """Return the length of arrays for `length` signals: the next multiple of VECTOR."""
     return -(-length // VECTOR) * VECTOR
 
 
@@ -110,7 +110,7 @@ def trace(u, problem, path):
 
 @compiled(**INLINE_FAST)
 def _turn(length, problem, path):
-    """Compute the heading of each robot before each of the signals."""
+    """Compute cosine and sine of each robot's heading before each of `length` signals."""
     first = problem.first
     rest = problem.rest
     robots = problem.robots
@@ -172,7 +172,7 @@ def _move(i, robot, problem, path):
 
 @compiled(**INLINE_FAST)
 def _add_up(i, length, problem, path):
-    """Add up the displacements of robot i, and the flow of the liquid, to its positions."""
+    """Turn the displacements of robot i into positions after each signal, including the flow."""
     x = path.x
     y = path.y
     flow_x = problem.flow[i, 0]

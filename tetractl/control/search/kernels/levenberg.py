@@ -59,16 +59,16 @@ FLOOR_LEAST = 1e-9  # the factors c are limited as if misses and depths were no 
 
 
 class PolishSettings(NamedTuple):
-    """When the improvement of one sequence ends, and how far it keeps the path from obstacles."""
+    """When the polish of one sequence ends, and how far it keeps the path from obstacles."""
 
     tolerance: float
-    """Merit that is good enough [length unit]."""
+    """Merit at which the polish ends, because the sequence is good enough [length unit]."""
     slack: float
     """Minimum clearance of a path that is pushed out of an obstacle [length unit]."""
     patience: int
-    """Number of iterations in which the merit must fall to the fraction PROGRESS."""
+    """Number of iterations in which the merit must fall to PROGRESS times its value."""
     iterations_max: int
-    """Maximum number of iterations. `merits` has room for at least this many."""
+    """Maximum number of iterations. The array `merits` must be longer than this."""
 
 
 POLISH_STATE = np.dtype(
@@ -78,7 +78,7 @@ POLISH_STATE = np.dtype(
         ("damping", np.float64),  # lambda of the next step
     ]
 )
-"""How far a polish has come, which may be interrupted between two steps."""
+"""The progress of a polish, from which it continues after an interruption."""
 
 
 class Room(NamedTuple):
@@ -323,7 +323,7 @@ def _pull_to_targets(problem, room, floor):
 def _push_out_of_obstacles(problem, room, floor, slack, residuals):
     """Write a residual r = c d for each depth d_io of a robot in an obstacle.
 
-    The number of residuals so far is returned.
+    The rows follow the `residuals` that are already written. Returns the new number of residuals.
     """
     path = room.path
     r = residuals
@@ -346,7 +346,7 @@ def _push_out_of_obstacles(problem, room, floor, slack, residuals):
 def _push_apart(problem, room, floor, slack, residuals):
     """Write a residual r = c d for each pair of robots that come too close to each other.
 
-    Such a residual depends on the positions of two robots.
+    Such a residual depends on the positions of two robots. Returns the new number of residuals.
     """
     path = room.path
     r = residuals
@@ -371,7 +371,10 @@ def _push_apart(problem, room, floor, slack, residuals):
 
 @compiled(**INLINE_FAST)
 def _begin_row(room, r, residual):
-    """Write residual r, and set its row of the Jacobian to zero, to which `backward` adds."""
+    """Write residual r, and set its row of the Jacobian to zero.
+
+    `backward` then adds the derivatives to this row.
+    """
     room.residual[r] = residual
     for j in range(room.rows.shape[1]):
         room.rows[r, j] = 0.0
@@ -395,7 +398,10 @@ def _square_jacobian(room, residuals):
 
 @compiled(**INLINE_FAST)
 def _solve(room, residuals, damping):
-    """Solve (J J' + damping I) step = residual. Return whether the matrix is positive definite."""
+    """Solve (J J' + damping I) step = residual.
+
+    Returns whether the matrix is positive definite. If it is not, `step` stays unchanged.
+    """
     if not _factorise(room, residuals, damping):
         return False
     _substitute(room, residuals)
@@ -404,9 +410,9 @@ def _solve(room, residuals, damping):
 
 @compiled(**INLINE_FAST)
 def _factorise(room, residuals, damping):
-    """Compute the Cholesky factor F, F F' = J J' + damping I, into `factor`.
+    """Compute the Cholesky factor F of J J' + damping I into `factor`, F F' being that matrix.
 
-    Return whether it exists.
+    Returns whether it exists, which means that the matrix is positive definite.
     """
     gram = room.gram
     factor = room.factor

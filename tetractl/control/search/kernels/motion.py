@@ -41,41 +41,41 @@ class FlatProblem(NamedTuple):
     """The problem of one control step as plain arrays and numbers, lengths in the spec's unit."""
 
     poses: Floats
-    """(N, 3) x, y and heading at the start."""
+    """x, y [length unit] and heading [rad] of the robots at the start, shape (N, 3)."""
     cos: Floats
-    """(N,) of that heading."""
+    """Cosines of the headings at the start, shape (N,)."""
     sin: Floats
-    """(N,) of that heading."""
+    """Sines of the headings at the start, shape (N,)."""
     targets: Floats
-    """(N, 2)"""
+    """x and y of each robot's target [length unit], shape (N, 2)."""
     robots: Floats
-    """(N, 4) rows of `RobotParameters`."""
+    """`RobotParameters` of each robot, one row each, shape (N, 4)."""
     drifts: bool
-    """Whether there is any bias or flow."""
+    """Whether the problem has a bias or a flow."""
     bias_cos: Floats
-    """(N,) cos of the bias that is added to each direction."""
+    """Cosine of the bias that is added to each direction for each robot, shape (N,)."""
     bias_sin: Floats
-    """(N,) sin of it."""
+    """Sine of that bias, shape (N,)."""
     flow: Floats
-    """(N, 2) along x and y [length unit/s]."""
+    """Flow that carries each robot, along x and y [length unit/s], shape (N, 2)."""
     first_period: float
     """How long the first signal is held [s]."""
     period: float
-    """How long each other one is held [s]."""
+    """How long each later signal is held [s]."""
     first: Any
-    """`Lanes` for the first signal.
+    """Constants of the motion during the first signal, as the motion's `Lanes`.
 
-    They hold the constants of robots that turn left, then of the same robots turning right.
+    They have 2N rows: the robots when they turn left, then the same robots turning right.
     """
     rest: Any
-    """`Lanes`, the same for the other signals; both have the same class."""
+    """Constants of the motion during the later signals, as an object of the same class."""
     obstacles: ObstacleArrays
     obstacle_weight: float
-    """omega_p of (7)."""
+    """Weight omega_p of contacts in the paper's equation (7) [length unit]."""
     swept: bool
-    """Whether the segments between predicted positions must also be clear."""
+    """Whether paths between predicted positions must also be clear of obstacles."""
     separation: float
-    """Minimum distance of two robots, 0 for robots that may meet."""
+    """Minimum distance of two robots [length unit]. 0 if robots may meet."""
 
 
 @lru_cache(maxsize=2)  # the searches of one control step need the same arrays

@@ -44,11 +44,11 @@ from tetractl.tools.kernels.kernel_cache import compiled
 from tetractl.tools.kernels.kernel_options import ENTRY_FAST, INLINE_FAST, PART_FAST, inlined
 
 BETWEEN_LOOKS = 130_000
-"""Robot steps between two checks of the deadline: they take less than 1 ms."""
+"""Number of robot steps between two checks of the deadline. They take less than 1 ms."""
 NEAR_WARM = 0.5
-"""Largest distance of a scattered sequence from the warm start [rad]."""
+"""Maximum difference of a random sequence around the warm start from the warm start [rad]."""
 S11 = np.uint64(11)
-"""Shift that leaves the 53 bits of a random number that a float64 holds."""
+"""Shift of a random number [bits] that leaves the 53 bits of a float64's fraction."""
 UNLIMITED = 2**62
 """A number of evaluations, or of iterations, that no search reaches."""
 
@@ -75,7 +75,7 @@ SEARCH_STATE = np.dtype(
         ("best_cost", np.float64),  # J of the best sequence
     ]
 )
-"""How far a search has come."""
+"""The progress of a search, from which it continues after a check of the deadline."""
 
 
 class SearchTask(NamedTuple):
@@ -86,40 +86,46 @@ class SearchTask(NamedTuple):
     room: Room
     settings: PolishSettings
     key: np.uint64
-    """Key of the random numbers."""
+    """Key that determines all random numbers of the search."""
     warm: Floats
-    """(L,) the warm start, or empty."""
+    """The warm start [rad], shape (L,). Empty if there is none."""
     rounds: int
-    """Number of rounds."""
+    """Maximum number of rounds of random sequences."""
     budget: int
-    """Maximum number of evaluations."""
+    """Maximum number of cost evaluations."""
 
 
 class Rounds(NamedTuple):
     """The arrays and the state of a search that polishes K of P random sequences in a round."""
 
     scattered: Floats
-    """(L, P)"""
+    """The random sequences of the present round [rad], one per column, shape (L, P)."""
     scattered_costs: Floats
-    """(P,) their J."""
+    """The cost J of each random sequence, shape (P,)."""
     draws: Floats
-    """(knots, P) of the scattered curves, from -1 to 1."""
+    """Random numbers from -1 to 1 for the knots of the random sequences, shape (knots, P)."""
     order: Integers
-    """(K,) numbers of the best of them."""
+    """Indices of the best random sequences, lowest cost first, shape (K,)."""
     starts: Floats
-    """(K, L) sequences to polish, best first."""
+    """The sequences to polish [rad], best first, shape (K, L)."""
     signals: Floats
-    """(L,) the sequence that is polished, or was last; then it is within [-pi, pi]."""
+    """The sequence under polish, or the last one [rad], shape (L,).
+
+    When its polish has ended, all its signals are within [-pi, pi].
+    """
     merits: Floats
-    """(steps_max + 1,) its merit at first and after each iteration."""
+    """The merit of this sequence at first and after each iteration, shape (steps_max + 1,)."""
     best: Floats
-    """(L,) the best sequence."""
+    """The best sequence found so far [rad], shape (L,)."""
     history: Floats
-    """J before and after each polish, and merits on the way to a new best."""
+    """Lowest cost J before and after each polish, and the merits on the way to a new best one.
+
+    Only the first `history_entries` are in use.
+    """
     polish: Any
-    """The `POLISH_STATE` of the polish under way, or of the last one."""
+    """The progress of the polish under way, or of the last one (`POLISH_STATE`)."""
     state: Any
-    """The `SEARCH_STATE`."""
+    """The progress of the search (`SEARCH_STATE`)."""
 
     def begin(self, stage: int, starts: Floats) -> None:
         """Set the search to its beginning: a stage, and up to K starts of shape (S, L)."""
@@ -134,7 +140,10 @@ class Rounds(NamedTuple):
         self.state.best_cost = math.inf
 
     def evaluations_if_finished(self) -> int:
-        """Return the number of evaluations that the search will have used if it ends now."""
+        """Return the number of evaluations that the search will have used if it is ended now.
+
+        This includes the evaluations that are needed to end it properly.
+        """
         if self.state.stage == WARM:
             return 1
         if self.polish.evaluations > 0:
@@ -224,10 +233,12 @@ def search(task, rounds, iterations):
 
 
 def finish(task: SearchTask, rounds: Rounds) -> int:
-    """End the improvement of the present sequence, or of the first one, as it is.
+    """End a search at its deadline: evaluate the sequence under polish as it is now.
+
+    If no sequence is under polish, the next one is evaluated instead.
 
     Returns:
-        Whether the search has ended.
+        Whether the search has ended by itself, and why: UNDER_WAY, GOOD, SPENT, OVER, NOT_FINITE.
     """
     settings = task.settings._replace(iterations_max=0)
     return search(task._replace(settings=settings), rounds, 1)
@@ -297,7 +308,7 @@ def _draw_sequences(task, key, rounds):
 
 @compiled(**PART_FAST)
 def _take_start(rounds):
-    """Take the next random sequence as the one to improve."""
+    """Make the next start the sequence to polish."""
     rounds.polish.iterations = 0
     u = rounds.signals
     for j in range(u.size):
@@ -306,10 +317,10 @@ def _take_start(rounds):
 
 @compiled(**PART_FAST)
 def _end_start(task, rounds):
-    """Compute the cost of an improved sequence, and keep the sequence if it is the best.
+    """Compute the cost of a polished sequence, and keep the sequence if it is the best so far.
 
     Returns:
-        Whether the search has ended with it.
+        Whether the search has ended with it: GOOD, NOT_FINITE or UNDER_WAY.
     """
     state = rounds.state
     cost = judge(task.problem, task.room, rounds.signals)
@@ -352,7 +363,7 @@ def _keep(rounds, u, cost):
 
 @compiled(**PART_FAST)
 def _note(rounds, cost):
-    """Add a cost to the history of the search."""
+    """Append a cost to the history of the search."""
     rounds.history[rounds.state.history_entries] = cost
     rounds.state.history_entries += 1
 

@@ -20,9 +20,9 @@ segments_gap2 = exact(shape.segments_gap2)
 ray_crosses = exact(shape.ray_crosses)
 
 HALF_MORE = 0.5000001
-"""Half, and a little more than rounding takes: a box must not be too small."""
+"""Half of a box's size, enlarged by more than rounding errors: a box must not be too small."""
 ON_EDGE = 1e-9
-"""Distance from an edge, over the coordinates, below which a point is on it."""
+"""Distance from an edge below which a point is on it, as a fraction of its coordinates."""
 
 
 class ObstacleArrays(NamedTuple):
@@ -54,7 +54,7 @@ def arrays_of(obstacles: Obstacles) -> ObstacleArrays:
 
 @compiled(**INLINE_FAST)
 def box(obstacles, o):
-    """Return the left, bottom, right and top of the smallest box around shape o."""
+    """Return left, bottom, right and top of the smallest box around shape o, with its radius."""
     radius = obstacles.radii[o]
     left = obstacles.low[o, 0] - radius
     bottom = obstacles.low[o, 1] - radius
@@ -279,13 +279,16 @@ def wall_distance(walls, w, x, y):
 
 @compiled(**INLINE_FAST)
 def outward(obstacles, o, x, y):
-    """Compute the unit vector along which a point leaves an obstacle by the shortest way.
+    """Compute the unit vector in which a point gets out of an obstacle on the shortest path.
 
     Args:
         obstacles: The obstacles and walls.
         o: Index of the obstacle.
         x: x of the point.
         y: y of the point.
+
+    Returns:
+        x and y of the vector.
     """
     shapes = obstacles.radii.size
     if o < shapes:

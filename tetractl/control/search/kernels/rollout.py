@@ -31,31 +31,31 @@ class Rollouts(NamedTuple):
     """Working arrays to simulate P sequences of signals, each with N robots of its own."""
 
     x: Floats
-    """(N, P) [length unit]."""
+    """x of each robot of each particle [length unit], shape (N, P)."""
     y: Floats
-    """(N, P) [length unit]."""
+    """y of each robot of each particle [length unit], shape (N, P)."""
     cos: Floats
-    """(N, P) of the heading."""
+    """Cosines of the robots' headings, shape (N, P)."""
     sin: Floats
-    """(N, P) of the heading."""
+    """Sines of the robots' headings, shape (N, P)."""
     hits: Floats
-    """(N, P) how often each robot touched an obstacle or was too near to another robot."""
+    """How often each robot touched an obstacle or came too near to another robot, (N, P)."""
     cos_u: Floats
-    """(P,) of the present signal."""
+    """Cosine of each particle's present signal, shape (P,)."""
     sin_u: Floats
-    """(P,) of the present signal."""
+    """Sine of each particle's present signal, shape (P,)."""
     own_cos: Floats
-    """(P,) of the direction to which one robot turns, the signal plus its bias."""
+    """Cosine of the direction to which one robot turns, the signal plus its bias, shape (P,)."""
     own_sin: Floats
-    """(P,) of that direction."""
+    """Sine of that direction, shape (P,)."""
     x_before: Floats
-    """(P,) of one robot before the present step."""
+    """x of one robot before the present signal, shape (P,)."""
     y_before: Floats
-    """(P,) of one robot before the present step."""
+    """y of one robot before the present signal, shape (P,)."""
     gap: Floats
-    """(P,) for `count_hits`."""
+    """Working array of `count_hits`, shape (P,)."""
     near: Floats
-    """(P,) for `count_hits`."""
+    """Working array of `count_hits`, shape (P,)."""
 
 
 @lru_cache(maxsize=64)
@@ -152,14 +152,14 @@ def costs(problem, rollouts, signals, total):
 
 @compiled(**PART_FAST)
 def count_meetings(x, y, separation, hits):
-    """Count how often robot i is too close to a robot before it, separately for each particle.
+    """Count how often each robot is too close to a robot before it, for each particle.
 
     Args:
         x: x of the robots, shape (N, P).
         y: y of the robots, shape (N, P).
         separation: Minimum distance between two robots [length unit].
-        hits: For each robot before i that is closer to i than the separation, 1 is added to hits[i,
-            n].
+        hits: Changed in place, shape (N, P): for each robot k < i whose distance from robot i is
+            at most the separation, 1 is added to hits[i, n].
     """
     least = separation * separation
     for i in range(x.shape[0]):

@@ -20,7 +20,7 @@ LOW_31 = np.uint64(0x7FFF_FFFF)  # mask of the lower 31 bits
 
 @compiled(**INLINE_FAST)
 def drawn(key, index):
-    """Return the 64 random bits of a key and an index; see `tetractl.control.search.rng`."""
+    """Return the 64 random bits that belong to a key and an index, as `rng.mix` does."""
     z = key + np.uint64(index + 1) * STEP
     z = (z ^ (z >> S30)) * MIX_1
     z = (z ^ (z >> S27)) * MIX_2

@@ -38,13 +38,13 @@ class Multistart(OptimizerSection):
 
     type: Literal["multistart"] = "multistart"
     particles: int = Field(default=128, ge=1, le=1_000_000)
-    """Number of sequences scattered in each round."""
+    """Number of random sequences generated in each round."""
     knots: int = Field(default=12, ge=2, le=1000)
     """Number of random directions that each scattered sequence passes through, evenly spread over
     its length.
     """
     polished: int = Field(default=4, ge=1, le=10_000)
-    """Number of sequences polished in each round, the best of the scattered ones."""
+    """Number of sequences polished in each round: those with the lowest costs."""
     rounds: int = Field(default=10, ge=1, le=10_000)
     """Number of rounds of a search without a warm start.
 
@@ -58,11 +58,14 @@ class Multistart(OptimizerSection):
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
 
     slack: ClassVar[float] = 0.01
-    """Clearance of a path pushed out of an obstacle, per step of the fastest robot."""
+    """Clearance to which a path is pushed out of an obstacle.
+
+    The unit is the distance that the fastest robot drives during one signal.
+    """
     steps: ClassVar[int] = 40
-    """Maximum number of Levenberg-Marquardt iterations of a start."""
+    """Maximum number of Levenberg-Marquardt iterations for one start."""
     patience: ClassVar[int] = 6
-    """A polish ends if so many iterations bring no fall by a fifth."""
+    """A polish ends if the merit has not fallen by a fifth within this many iterations."""
 
     @property
     def iterations_max(self) -> int:
@@ -80,9 +83,9 @@ class Multistart(OptimizerSection):
         return self.tolerance
 
     def growth(self, problem: Problem) -> float:
-        """Return the factor by which settings grow with the number of robots.
+        """Return the factor, at least 1, by which settings grow with the number of robots.
 
-        The settings are `knots`, `steps` and `patience`.
+        The settings are `knots`, `steps` and `patience`. The factor is 1 if `grows` is False.
         """
         return max(1.0, np.square(len(problem.a) / 3)) if self.grows else 1.0
 
@@ -146,7 +149,10 @@ class Multistart(OptimizerSection):
         )
 
     def _rounds(self, problem: Problem, length: int) -> int:
-        """Return the number of rounds: 1 if the targets are out of reach even on straight lines."""
+        """Return the number of rounds: `rounds`, or 1 if the targets are out of reach.
+
+        They are out of reach if even straight lines of `length` signals end too far from them.
+        """
         gaps = problem.poses.distances(problem.targets)
         reach = problem.speed * problem.seconds(length)
         beyond = float(np.maximum(gaps - reach, 0.0).sum())

@@ -33,11 +33,11 @@ from tetractl.model.motion.motion import LOWER, UPPER
 from tetractl.spec.controller import OptimizerSection
 
 SPAN = UPPER - LOWER
-"""Greatest change |ub - lb| of a signal in an iteration, (15) [rad]."""
+"""Maximum change |ub - lb| of a signal in one iteration, equation (15) [rad]."""
 KEY_OF_START = 0
-"""Selects the random numbers for the start of a search."""
+"""Index that derives, from a search's key, the key of the random numbers for its start."""
 KEY_OF_MOVES = 1
-"""Selects the random numbers for the moves, (14)."""
+"""Index that derives, from a search's key, the key of the random numbers for its moves (14)."""
 
 
 class Pso(OptimizerSection):
@@ -47,7 +47,7 @@ class Pso(OptimizerSection):
     particles: int = Field(default=100, ge=1, le=1_000_000)
     """Number of particles np."""
     iterations: int = Field(default=100, ge=1, le=1_000_000)
-    """Largest number of iterations z_max of one search (one horizon)."""
+    """Maximum number of iterations z_max of one search (one horizon)."""
     inertia: float = Field(default=0.7, gt=0, le=2, allow_inf_nan=False)
     """Momentum omega_v of the paper's equation (14)."""
     cognitive: float = Field(default=1.5, gt=0, le=10, allow_inf_nan=False)
@@ -69,7 +69,7 @@ class Pso(OptimizerSection):
 
     @property
     def evaluations_max(self) -> int:
-        """Maximum number of cost evaluations of a search: all iterations, and a warm start."""
+        """Maximum number of cost evaluations of a search: all iterations, and the warm start."""
         return (self.iterations + 1) * self.particles + 1
 
     def search(
@@ -137,15 +137,15 @@ class Swarm:
     key: int
     costs_of: Callable[[Floats], Floats]
     u: Floats
-    """Sequences u_n (L, P) [rad]."""
+    """Present sequences u_n of the particles [rad], shape (L, P)."""
     v: Floats
-    """Velocities v_n (L, P) [rad per iteration]."""
+    """Velocities v_n of the particles [rad per iteration], shape (L, P)."""
     u_lb: Floats
-    """Local bests u_lb,n (L, P) [rad]."""
+    """Best sequence u_lb,n that each particle has met [rad], shape (L, P)."""
     local_costs: Floats
-    """J(u_lb,n), (P,)."""
+    """Cost J(u_lb,n) of each particle's best sequence, shape (P,)."""
     best: Best
-    """The global best u_gb with J(u_gb)."""
+    """Best sequence u_gb that the swarm has met, with its cost J(u_gb)."""
     z: int = 0
     """Number of iterations done."""
 

@@ -82,6 +82,25 @@ def test_a_value_beyond_either_end_of_its_usual_range_is_named(name, reach):
         assert unusual_values([("one", {name: interval(value, reach)})]) == ""
 
 
+@pytest.mark.parametrize(
+    ("name", "inside", "outside"),
+    [
+        ("dead_time", 0.59, 0.61),
+        ("dead_time", 0.0, -0.01),
+        ("a", 0.051, 0.049),
+        ("a", 49, 51),
+        ("turning_gain", 0.51, 0.49),
+        ("speed_gain", 1.99, 2.01),
+        ("heading_bias", 0.78, 0.79),  # an eighth of a turn
+        ("heading_bias", -0.78, -0.79),
+        ("heading_offset", -0.19, -0.21),
+    ],
+)
+def test_what_is_usual(name, inside, outside):
+    assert unusual_values([("one", {name: interval(inside, 1e-6)})]) == ""
+    assert unusual_values([("one", {name: interval(outside, 1e-6)})]) != ""
+
+
 @pytest.mark.parametrize("name", ["dead_time", "a", "heading_bias", "heading_offset"])
 def test_a_value_whose_interval_reaches_into_the_usual_range_is_not_named(name):
     low, high = USUAL[name]

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from testkit.marked_robots import MarkedRobots
+from testkit.paths import ROOT
 
 from tetractl.spec.consistency import (
     SpecFinding,
@@ -17,7 +19,7 @@ from tetractl.spec.consistency import (
     section_errors,
     unreachable,
 )
-from tetractl.spec.load import parse_contents, parse_written
+from tetractl.spec.load import load_spec, parse_contents, parse_written
 from tetractl.spec.yaml.problems import InvalidSpecError
 
 CONTENTS = {
@@ -337,3 +339,40 @@ def test_each_rule_alone_finds_nothing_in_a_valid_spec():
 def test_a_finding_is_printed_with_its_hint_if_it_has_one():
     assert str(SpecFinding(("robots",), "is wrong")) == "is wrong"
     assert str(SpecFinding(("robots",), "is wrong", "do this")) == "is wrong; do this"
+
+
+# labs whose trials find their robots
+
+
+LAB = ROOT / "experiments/three_m3pi_lab.yaml"
+
+
+def test_a_lab_must_be_able_to_choose_robots_only_if_trials_find_theirs(monkeypatch):
+    experiment = load_spec(LAB).experiment
+    assert list(section_errors(experiment)) == []
+    chosen = MarkedRobots(marks=((900, 800),))
+    findings = list(section_errors(experiment.model_copy(update={"chosen": chosen})))
+    assert [finding.where for finding in findings] == [("lab", "camera"), ("lab", "actuator")]
+    assert "optitrack cannot choose the robots of a trial" in findings[0].text
+    for device in (type(experiment.lab.camera), type(experiment.lab.actuator)):
+        monkeypatch.setattr(device, "settles", True)
+    assert list(section_errors(experiment.model_copy(update={"chosen": chosen}))) == []
+
+
+def test_the_places_of_stand_ins_are_not_checked():
+    """They all wait in the middle of the arena, where an obstacle may be."""
+    box = BOX | {"left": 0, "bottom": 12, "width": 70, "height": 56}
+    experiment = parse_contents(CONTENTS, "s.yaml").experiment
+    shape = parse_contents(contents(obstacles=[BOX]), "s").experiment.obstacles[0]
+    around = shape.model_copy(update={key: box[key] for key in ("left", "bottom", "width")})
+    robots = tuple(
+        robot.model_copy(update={"start": (30, 40), "target": (30, 40)})
+        for robot in experiment.robots
+    )
+    controller = parse_contents(contents(controller=BODIES), "s").experiment.controller
+    placed = experiment.model_copy(
+        update={"robots": robots, "obstacles": (around,), "controller": controller}
+    )
+    assert list(errors_of(placed, written=False)) != []
+    chosen = MarkedRobots(marks=((0, 0),))
+    assert list(errors_of(placed.model_copy(update={"chosen": chosen}), written=False)) == []

@@ -2,6 +2,7 @@
 
 import re
 import signal
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -9,7 +10,17 @@ import numpy as np
 import pytest
 from tetractl_papers import command
 from tetractl_papers import trials as reproduce_trials
-from tetractl_papers.claim import Claim, Fate, assess, at_most, deviation_of, not_judged
+from tetractl_papers.claim import (
+    Claim,
+    Fate,
+    NumberKind,
+    OurNumber,
+    Row,
+    assess,
+    at_most,
+    deviation_of,
+    not_judged,
+)
 from tetractl_papers.ou_measures import spinning_time, total_error
 from tetractl_papers.paper import Paper, Runs, table
 from tetractl_papers.registries import PAPERS
@@ -198,3 +209,25 @@ def test_the_deviation_of_one_trial_is_unknown():
     row = assess(Claim("deviation", "225.1 mm", "one", float, asked), {"one": [132.0]})
     (cells,) = table("mine", "x", [row]).rows
     assert cells[3:6] == ("unknown", "1", "none")
+
+
+def cells_of(ours, unit="mm"):
+    """The cells of a claim's row: ours, n and the interval."""
+    row = Row(Claim("f", "1 mm", "one", float, at_most(1), unit), ours, Fate.REACHED)
+    (cells,) = table("mine", "x", [row]).rows
+    return cells[3:6]
+
+
+def test_numbers_are_printed_with_unit_interval_and_the_means_of_a_difference():
+    mean = OurNumber(NumberKind.MEAN, 12.3, 20, 10.0, 14.0)
+    assert cells_of(mean) == ("12.3 mm", "20", "10.0 to 14.0")
+    assert cells_of(mean, unit="")[0] == "12.3"
+    assert cells_of(replace(mean, means=(30.5, 18.2)))[0] == "12.3 mm (30.5 and 18.2)"
+    assert cells_of(replace(mean, low=12.3, high=12.3))[2] == "none"
+
+
+def test_a_share_is_printed_as_a_count_and_its_interval_in_percent():
+    share = OurNumber(NumberKind.SHARE, 0.35, 20, 0.181, 0.567)
+    assert cells_of(share, unit="") == ("7 of 20", "20", "18 to 57 %")
+    never = OurNumber(NumberKind.SHARE, 0.0, 20, 0.0, 0.0)
+    assert cells_of(never, unit="") == ("0 of 20", "20", "0 to 0 %")

@@ -37,19 +37,19 @@ from tetractl.lab.guard_rules import GuardRules
 from tetractl.lab.motion_check import AS_NO_COMMAND, DOES_NOT_MOVE
 
 RECENT_NS = SECOND // 2
-"""Time over which motion is compared."""
+"""Time before the abort over which motion is compared with commands [ns]."""
 STEP_NS = SECOND // 40
-"""Step of the integration, and between two delays."""
+"""Time step of the integration of commands, and step between two assumed delays [ns]."""
 LATEST_NS = SECOND
-"""The longest delay of a slow radio."""
+"""Maximum delay that is assumed for a slow radio [ns]."""
 LIKELY_RATES = np.array([100.0, 100.0, 0.1, 0.1])
-"""Standard deviations of a picture's shift, turn and growth [mm/s, mm/s, rad/s, 1/s]."""
+"""Standard deviations of the image's shift, turn and growth [mm/s, mm/s, rad/s, 1/s]."""
 MISFIT_NOISE = np.array([2.0, 2.0, 0.02])
-"""Error of a difference of poses: along and across the heading, and around [mm, mm, rad]."""
+"""Standard deviation of a difference of poses: along, across, around the heading [mm, mm, rad]."""
 SHARE = np.array([0.08, 0.04, 0.1])
-"""Additional error of a distance or angle, as a fraction of it."""
+"""Additional error of a commanded motion, as a fraction of it: along, across, around."""
 CLEAR = 9.0
-"""Difference of two sums of squares that makes one explanation better."""
+"""Difference between two sums of squares from which the smaller explanation counts as better."""
 CAMERA = (
     "all robots are seen to move in a way that no command explains: has the camera or its "
     "origin moved, or does another program drive the robots?"
@@ -78,14 +78,18 @@ class AbortCause:
     def why(self, suspect: int, reason: str) -> str:
         """Name the cause if it is the camera, the radio, or two swapped robot numbers.
 
-        The text is empty if the suspected robot itself is the cause. A robot that does not move
-        always is the cause, because its link, power or wheels have failed. Swapped numbers are
-        considered only if the robot moved in a way that no command explains. Swapped wheels look
-        different, and have a message of their own.
+        A robot that does not move is itself the cause, because its link, power or wheels have
+        failed. Swapped numbers are considered only if the robot moved in a way that no command
+        explains. Swapped wheels look different, and have a message of their own.
 
         Args:
             suspect: Index of the suspected robot.
             reason: The reason of the abort.
+
+        Returns:
+            A message for the operator. Empty if the suspected robot itself is the cause, or if
+            fewer
+            than two robots were tracked throughout.
         """
         ends = zip(self._frames[0].poses, self._frames[-1].poses, strict=True)
         robots = [i for i, pair in enumerate(ends) if None not in pair]  # shown throughout
@@ -98,9 +102,9 @@ class AbortCause:
         return self._common_cause(suspect, robots)
 
     def _common_cause(self, suspect: int, robots: Sequence[int]) -> str:
-        """Name the camera or the radio if it explains the motion better than one robot does.
+        """Return a message that names the camera or the radio, if it explains the motion best.
 
-        The text is empty otherwise.
+        The message is empty if one robot explains the motion as well.
         """
         others = np.array(robots) != suspect
         camera, one_robot = self._camera(robots, others)
@@ -111,9 +115,9 @@ class AbortCause:
         return CAMERA if camera + CLEAR < one_robot else ""
 
     def _swapped(self, suspect: int, robots: Sequence[int]) -> str:
-        """Name the robot with which the suspected robot has swapped its number.
+        """Return a message that names the robot whose number is swapped with the suspect's.
 
-        The text is empty if there is none.
+        The message is empty if there is none.
         """
         as_own = dict(zip(robots, self._misfits(robots, robots), strict=True))
         for robot in robots:
@@ -134,10 +138,10 @@ class AbortCause:
         return self._squares_by_delay(robots, commanded, self._usual_delays).min(axis=0)
 
     def _camera(self, robots: Sequence[int], others: Bools) -> tuple[float, float]:
-        """Compare two explanations of false poses: the whole camera image moves, or one robot does.
+        """Compare two explanations of the motion: the camera image moves, or one robot does.
 
-        The result is the sum of squared residuals under each explanation; the smaller one fits
-        better.
+        Returns:
+            The sum of squared residuals under each explanation. The smaller one fits better.
         """
         left_over = [self._drift.left_over(i, ends_of_blocks(self._frames, i)) for i in robots]
         z = np.array([residual for residual, _ in left_over])
@@ -148,9 +152,11 @@ class AbortCause:
         return camera, (z[others] ** 2).sum()
 
     def _radio(self, robots: Sequence[int], others: Bools) -> tuple[float, float, int]:
-        """Return the sums of squares if the radio or one robot is the cause, and a delay.
+        """Compare two explanations of the motion: a slow radio, or one robot.
 
-        The delay is the one of the radio [ns].
+        Returns:
+            The sum of squares under each explanation, and the delay of the radio that fits best
+            [ns].
         """
         nominal = self._usual_delays
         delays = max(LATEST_NS // STEP_NS, nominal + 1)
@@ -206,7 +212,7 @@ class AbortCause:
 
 
 def ends_of_blocks(frames: Sequence[AcceptedFrame], i: int) -> list[TimedPose]:
-    """Select poses of robot i that are at least BLOCK_NS apart."""
+    """Select poses of robot i that are at least BLOCK_NS apart, the first pose included."""
     ends: list[TimedPose] = []
     for timed in timed_poses(frames, i):
         if not ends or timed.exposed_ns - ends[-1].exposed_ns >= BLOCK_NS:

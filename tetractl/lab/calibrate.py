@@ -39,46 +39,52 @@ from tetractl.model.wheels import CountArray
 from tetractl.spec.lab_section import LabLimits, LabSection, Measured
 
 GAP_S = 0.06
-"""Maximum time without a frame for cameras that are fast enough [s].
+"""Maximum time without a frame during a motion, if the camera is fast enough [s].
 
-The guard's limit is longer.
+If it is exceeded, frames were missing. The guard's limit is longer.
 """
 GAP_PERIODS = 2.5
-"""The same for slower cameras, in periods of their frames: one frame may be missing."""
+"""Maximum time without a frame for slower cameras, in periods of their frames.
+
+One frame may be missing.
+"""
 SETTLED_S = 0.2
-"""Time from an output's change until wheels turn steadily [s]: five time constants of 40 ms."""
+"""Time after a change of the outputs until the wheels turn steadily [s]: five time constants."""
 CHANNEL_S = 0.4
 """Time for which one motor channel is driven with one output [s]."""
 STRAIGHT_S = 0.7
 """Time for which the robot is driven straight [s]."""
 STAND_S = 0.25
-"""Time until a stopped robot stands [s]."""
+"""Waiting time after which a stopped robot counts as standing still [s]."""
 ATTEMPTS = 4
 """Number of attempts at a motion if frames are missing."""
 FIRST_OUTPUT = 6
-"""Minimum output of a channel, in 127ths of full speed."""
+"""Smallest output with which a channel is driven, in 127ths of full speed."""
 OUTPUT_STEP = 4
 """Step between two outputs of a channel, in 127ths of full speed."""
 SLOWEST_RAD_S = 0.25
-"""Turning rate below which it is noise, or a wheel that sticks [rad/s]."""
+"""Turning rate below which a measurement is ignored, as noise or a wheel that sticks [rad/s]."""
 POINTS_MIN = 3
-"""Minimum number of turning rates for the fit of a line."""
+"""Minimum number of measured turning rates for the fit of a channel."""
 STRAIGHT_SHARE = 0.6
-"""Turning rate of each wheel while the robot drives straight, relative to the maximum of both."""
+"""Turning rate of each wheel while the robot drives straight, as a fraction of the maximum.
+
+The maximum is the one of the slower wheel.
+"""
 RADII_MM = 5.0, 500.0
 """Range of possible distances from a wheel to the robot's centre [mm]."""
 OFFSET_MAX_RAD = math.pi / 3
-"""Greatest heading offset of a rigid body [rad]."""
+"""Maximum heading offset of a rigid body that a calibration accepts [rad]."""
 AWAY_MAX_MM = 300.0
-"""Greatest distance from the robot's first place [mm]."""
+"""Maximum distance from the robot's first position, beyond which the calibration aborts [mm]."""
 FASTEST_MM_S = 500.0
 """A speed that no robot has during calibration, for the guard [mm/s]."""
 FASTEST_RAD_S = 12.0
 """A turning rate that no robot has during calibration, for the guard [rad/s]."""
 SILENCE_S = 3
-"""Longest time between two changes of the outputs, for the guard [s]."""
+"""Maximum time between two changes of the outputs that the guard allows [s]."""
 UNKNOWN_WHEEL_ERROR = 10.0
-"""Limit `wheel_error` of a robot that is not calibrated yet: a wheel may do anything."""
+"""Limit `wheel_error` for a robot that is not calibrated yet: it allows any error of a wheel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +109,10 @@ class Channel:
     dead_zone: int
 
     def output(self, turning: float) -> int:
-        """Return the absolute output at which the robot turns at a given absolute rate [rad/s]."""
+        """Return the absolute output with which the channel turns the robot at a rate [rad/s].
+
+        `turning` is the absolute turning rate.
+        """
         return round(turning / self.k) + self.dead_zone
 
 
@@ -164,9 +173,9 @@ class _Bench:
         self._dead_zone_max = section.dead_zone_max
         self._scale, self.limit = section.outputs(self.name, limit)
         self._home: Pose | None = None
-        """The robot's first place."""
+        """The robot's first position in this calibration. None before its first frame."""
         self._frames_late_s = 0.0
-        """By how much frames may be later than GAP_S [s]."""
+        """How much later than GAP_S a frame may come with this camera [s]."""
         rules_of_fast_robots = replace(
             rig.loop.guard.rules,
             speeds=(FASTEST_MM_S / rig.mm,),
@@ -207,7 +216,12 @@ class _Bench:
             self.rig.close()
 
     def measure(self) -> Found:
-        """Move the robot in small motions, and return its measured values."""
+        """Move the robot in small motions, and return its measured values.
+
+        Raises:
+            AbortError: If the guard stops the robot, frames are missing, or the values are
+                impossible.
+        """
         channels = [self._channel(0), self._channel(1)]
         greatest = [channel.k * (self.limit - channel.dead_zone) for channel in channels]
         outputs = [channel.output(STRAIGHT_SHARE * min(greatest)) for channel in channels]
@@ -241,7 +255,10 @@ class _Bench:
     def _radius(
         self, straight: DrivenPath, channels: Sequence[Channel], outputs: Sequence[int]
     ) -> float:
-        """Compute the distance r from a wheel to the centre [mm], from v = r (|w1| + |w2|)."""
+        """Compute the distance r from a wheel to the centre [mm], from v = r (|w1| + |w2|).
+
+        Raises AbortError if the distance is outside RADII_MM.
+        """
         speed_mm_s = math.hypot(straight.along, straight.across)
         rates = [
             channel.k * (output - channel.dead_zone)
@@ -259,7 +276,7 @@ class _Bench:
     def _offset(self, forwards: DrivenPath, backwards: DrivenPath) -> float:
         """Compute the direction of travel in the body's frame [rad].
 
-        A drift that is the same in the motion forwards and in the motion backwards cancels.
+        A drift that is the same in both motions cancels. Raises AbortError beyond OFFSET_MAX_RAD.
         """
         offset = math.atan2(forwards.across - backwards.across, forwards.along - backwards.along)
         if abs(offset) > OFFSET_MAX_RAD:
@@ -343,7 +360,7 @@ class _Bench:
         )
 
     def _hold(self, counts: CountArray) -> int:
-        """Set the outputs (2,) to send, and return the time at which they are first sent [ns]."""
+        """Send outputs (2,) repeatedly, and return the time at which they are first sent [ns]."""
         self.actuator.held = counts[:, None]
         return self.rig.loop.hold(Steer(0.0)).sent_ns
 
@@ -375,9 +392,10 @@ class _Bench:
 
 
 def _excess_delay_s(frames: Sequence[AcceptedFrame]) -> float:
-    """Compute by how much the wait for a camera frame can exceed GAP_S [s].
+    """Compute by how much the wait for a frame of this camera can exceed GAP_S [s].
 
-    The frame is one that follows another one after GAP_PERIODS.
+    One frame may be missing, so the next one comes GAP_PERIODS after the last. The result is 0 for
+    fast cameras, and for fewer than three frames.
     """
     if len(frames) < 3:
         return 0.0

@@ -17,7 +17,7 @@ from tetractl.core.poses import CameraFrame
 SLOW_HZ = 20.0
 """Rate of frames below which one lost frame looks like a lost stream [Hz]."""
 NOISE_FRAMES = 25
-"""Number of frames in a row that must differ in each body for the poses to count as noisy.
+"""Number of frames in a row in which each body's pose must change for poses to count as noisy.
 
 They come before the first run. At 120 Hz they take 0.2 s, in which robots stand still, or somebody
 carries one of them.
@@ -25,14 +25,14 @@ carries one of them.
 
 
 def rate_hz(numbers: Sequence[int], received_ns: Sequence[int]) -> float | None:
-    """Compute the rate of frames or images [Hz]; those that were lost in between count too.
+    """Compute the rate of frames or images [Hz]. Lost frames in between count too.
 
     Args:
         numbers: The numbers that the camera gave to the frames.
         received_ns: When each frame was received [ns].
 
     Returns:
-        The rate. None if there are fewer than two frames.
+        The rate. None if there are fewer than two frames, or if no time has passed.
     """
     if len(numbers) < 2 or received_ns[-1] <= received_ns[0]:
         return None
@@ -49,7 +49,7 @@ class RepeatDetector:
 
     def __init__(self) -> None:
         self.repeats = False
-        """Whether the last frame repeats the one before, although poses are noisy."""
+        """Whether the last frame equals the one before, although measurements are noisy."""
         self._is_noisy = False
         self._differing_in_a_row = 0  # frames before robots were first driven
 
@@ -85,17 +85,14 @@ class RateWindow:
         self._exposed_ns: deque[int] = deque()
 
     def add(self, exposed_ns: int) -> None:
-        """Add the time of a frame that is newer than all previous ones."""
+        """Add the exposure time of a frame that is newer than all previous ones [ns]."""
         self._exposed_ns.append(exposed_ns)
         while self._exposed_ns[0] < exposed_ns - SECOND:
             self._exposed_ns.popleft()
 
     @property
     def hz(self) -> float | None:
-        """The rate of the frames [Hz].
-
-        None if the frames span less than half a second.
-        """
+        """The rate of the frames [Hz]. None if they span less than half a second."""
         times_ns = self._exposed_ns
         if not times_ns or times_ns[-1] - times_ns[0] < SECOND // 2:
             return None
@@ -109,7 +106,7 @@ class DamagedCount:
         self._totals: deque[tuple[int, int]] = deque()  # each with its time, oldest first
 
     def add(self, now_ns: int, total: int) -> None:
-        """Add the total number of unreadable images so far, which never falls."""
+        """Record the total number of unreadable images or datagrams so far, at a time [ns]."""
         self._totals.append((now_ns, total))
         while self._totals[0][0] < now_ns - SECOND:
             self._totals.popleft()
@@ -142,7 +139,7 @@ class CameraStream:
 
     @property
     def newest_ns(self) -> int:
-        """The exposure time of the newest frame [ns], 0 before the first frame."""
+        """The exposure time of the newest frame [ns]. 0 before the first frame."""
         return 0 if self.newest is None else self.newest.sampled_ns
 
     @property
@@ -176,9 +173,9 @@ class CameraStream:
 
     @property
     def slow_text(self) -> str:
-        """A hint about slow frames, for errors that blame a robot.
+        """A hint about slow frames, to append to errors that blame a robot.
 
-        It is empty if frames are not slow.
+        It is empty if frames come fast enough, or if their rate is not known yet.
         """
         rate = self._rate.hz
         if rate is None or rate >= SLOW_HZ:
@@ -188,7 +185,7 @@ class CameraStream:
 
     @property
     def outdated_text(self) -> str:
-        """A text that says how old the last outdated frame was."""
+        """The end of a message: how much older the last outdated frame was than the newest."""
         return f"exposed {self.behind_ns / SECOND:.2f} s before the newest frame"
 
     def frameless_text(self, silent_ns: int) -> str:

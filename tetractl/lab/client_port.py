@@ -42,11 +42,19 @@ class ClientPort(SerialPort, ABC):
         return self._name
 
     def take(self, message: bytes, waited_ns: int = 0) -> None:
-        """Pass on a received message. It arrived `waited_ns` before now [ns]."""
+        """Pass a received message on to the owner of the port.
+
+        Args:
+            message: The message.
+            waited_ns: How long ago it arrived [ns].
+        """
         self._on_received(message, self._clock.now() - waited_ns)
 
     def lost(self, why: object) -> None:
-        """Report that the connection has failed, and that no more messages will come."""
+        """Report that the connection has failed for the reason `why`.
+
+        No more messages will come.
+        """
         self._end(f"{self._device}: {why}")
 
     def open(self, alone: bool = True) -> None:
@@ -54,7 +62,7 @@ class ClientPort(SerialPort, ABC):
         self._thread.start()
 
     def write(self, data: bytes) -> int:
-        """Do nothing, because messages arrive without a request.
+        """Send nothing, because messages arrive without a request. Returns the time [ns].
 
         Raises:
             AbortError: If the port has failed.

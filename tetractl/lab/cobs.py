@@ -51,7 +51,11 @@ def encode(payload: bytes) -> bytes:
 
 
 def decode(frame: bytes) -> bytes:
-    """Decode a COBS frame, which is given without the closing byte 00."""
+    """Decode a COBS frame, which is given without the closing byte 00.
+
+    Raises:
+        WireError: If it is not a complete COBS frame.
+    """
     if not frame or 0 in frame:
         raise WireError("not a COBS frame")
     parts: list[bytes] = []
@@ -66,7 +70,11 @@ def decode(frame: bytes) -> bytes:
 
 
 def frame_with_crc(payload: bytes) -> bytes:
-    """Append the checksum (little-endian) to a payload, and encode both as a COBS frame."""
+    """Append the checksum (little-endian) to a payload, and encode both as a COBS frame.
+
+    Raises:
+        WireError: If the payload is too long for a frame.
+    """
     if len(payload) + 2 > FRAME_MAX:
         raise WireError(f"{len(payload)} bytes do not fit into a frame")
     return encode(payload + crc16(payload).to_bytes(2, "little"))

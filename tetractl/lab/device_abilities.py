@@ -18,9 +18,13 @@ class HearsDirections(Protocol):
     """A camera that is notified of each transmission, to identify robots by their response."""
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
-        """Take note that a common direction u [rad] was sent. None if the field was switched off.
+        """Record that a common direction u [rad] was sent. None if the field was switched off.
 
-        The thread of the inner loop calls this, with the time of sending.
+        Args:
+            direction: The direction.
+            sent_ns: The time of sending, on the run's clock [ns]. The thread of the inner loop
+                calls
+                this method.
         """
         ...
 
@@ -30,7 +34,7 @@ class AddsToFrames(Protocol):
     """A camera that measures more than poses, and adds its findings to the log."""
 
     def additions(self) -> list[FrameAddition]:
-        """Return the findings in each image since the last call, oldest first."""
+        """Return what the camera adds to its frames since the last call, oldest first."""
         ...
 
 
@@ -41,11 +45,15 @@ class RobotWatch(Protocol):
     """
 
     def see(self, sampled_ns: int) -> Iterable[Note]:
-        """Process the time of an accepted frame, and return notes about it for the log."""
+        """Process an accepted frame that was exposed at `sampled_ns` [ns].
+
+        Returns:
+            Notes for the operator and the log. Empty if there is nothing to report.
+        """
         ...
 
     def lost(self) -> Iterable[Lose]:
-        """Return each robot that counts as lost, with the reason.
+        """Return each robot that counts as lost now, with the reason.
 
         The robot may still be in view.
         """

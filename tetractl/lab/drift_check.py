@@ -49,23 +49,23 @@ from tetractl.lab.motion_check import (
 from tetractl.model.motion.wheel_equations import rolled
 
 BLOCK_NS = SECOND // 20
-"""Length of a block."""
+"""Duration of a block, over which motion is compared with commands [ns]."""
 TAPS_NS = (SECOND // 20, 0, 3 * SECOND // 25, SECOND // 4)
-"""Delays between which a command acts, the nominal one first."""
+"""Delays between which a command acts [ns], the nominal one first."""
 BEFORE_NS = (*TAPS_NS, 37 * SECOND // 200)
-"""These, and one between the last two, which has no weight."""
+"""The delays TAPS_NS, and one between the last two, which has no weight in the fit [ns]."""
 NOISE = np.array([0.4, 0.4, 0.005])
-"""Standard deviation of a pose [mm, mm, rad]."""
+"""Standard deviation of a measured pose: x, y, heading [mm, mm, rad]."""
 LATEST = 3
-"""Number of taps within which commands differ if a packet is lost."""
+"""Number of delays among which commands are compared, to estimate the effect of a lost packet."""
 SLIP = np.array([1.5, 1.5, 0.02])
-"""Random walk of a robot [mm, mm, rad, each per sqrt(s)]."""
+"""Random walk of a robot along, across and around its heading [mm, mm, rad, each per sqrt(s)]."""
 LOST = np.array([0.15, 0.0, 0.15])
-"""Error of a motion, over how much the commands differ."""
+"""Error of a block's motion, as a fraction of the difference between successive commands."""
 LAGS = LOST / 5
-"""What wheels of a lag of 80 ms leave of it 0.13 s later: from 0.18 s before on."""
+"""The part of this error that remains 0.13 s later, for wheels with a lag of 80 ms."""
 CLIP = 1.7
-"""Standard deviations beyond which a residual counts no more."""
+"""Number of standard deviations to which a residual is limited."""
 
 
 class At:
@@ -77,7 +77,7 @@ class At:
     """
 
     residual = 0
-    """Motion that nominal wheels do not explain."""
+    """The motion that wheels without errors do not explain."""
     speed = 1  # s
     radius = 2  # k
     difference = 3  # d
@@ -85,48 +85,48 @@ class At:
     forward = 5  # f
     aside = 6  # l
     taps_along = slice(7, 10)
-    """Weights of the delays of driving, without the nominal one."""
+    """Weights of the delays with which commanded speeds act, without the nominal delay."""
     taps_around = slice(10, 13)
-    """Weights of the delays of turning."""
+    """Weights of the delays with which commanded turning rates act, without the nominal delay."""
     constants = slice(1, 13)
-    """All that are constant over a trial."""
+    """All unknowns that are constant over a trial."""
     velocity = slice(13, 16)
-    """A constant velocity of one robot."""
+    """A constant velocity of one robot along, across and around its heading."""
     picture = slice(16, 20)
-    """Shift, turn and growth of the picture."""
+    """Shift, turn and growth of the whole camera image."""
     motion = slice(13, 20)
-    """Both of these."""
+    """The columns `velocity` and `picture` together."""
     width = 20
 
 
 PRIOR = np.array([0.04, 0.05, 0.04, 0.06, 5.0, 1.0, *[0.2] * 6])
-"""Standard deviations of s, k, d, b, f, l (see the module) and of the weights of delays."""
+"""Prior standard deviations of s, k, d, b, f, l (see the module) and of the weights of delays."""
 ERRORS = np.zeros((3, len(PRIOR)))
-"""Errors of the left wheel, the right wheel and the heading, by the columns `constants`."""
+"""Converts the constants to errors of the left wheel, the right wheel and the heading, (3, 12)."""
 ERRORS[:, At.speed - 1] = (1, 1, 0)
 ERRORS[:, At.difference - 1] = (-1, 1, 0)
 ERRORS[:, At.heading - 1] = (0, 0, 1)
 LARGEST = 1 / np.square([500.0, 500.0, 5.0, 500.0, 500.0, 5.0, 5.0])
-"""Inverse variances of the columns `motion` [mm/s, rad/s, 1/s]."""
+"""Inverse prior variances of the columns `motion`, from the largest motions [mm/s, rad/s, 1/s]."""
 LEAST_BLOCKS = 12
-"""Number of blocks before a change is judged here.
+"""Minimum number of blocks since the beginning of a change before it is judged here.
 
 Younger changes are left to `motion_check`, because a lost packet makes 7 blocks wrong in the same
 way.
 """
 SPACING = 5
-"""Blocks between two moments of the grid."""
+"""Number of blocks between two moments of the grid."""
 MOMENTS_MAX = 32
-"""Maximum number of moments of the grid."""
+"""Maximum number of moments of the grid. Beyond it, old moments are thinned out."""
 STEADY = 0.25
-"""Maximum error of wheels with a constant error, as a fraction of their speed.
+"""Maximum relative error of wheels for which this check works.
 
-A dead zone causes a larger one.
+The check assumes a constant error. A dead zone causes a larger one.
 """
 SURE_ERRORS = 3.0
-"""Number of standard deviations by which a wheel must exceed its maximum error."""
+"""Number of standard errors by which an estimate must exceed its limit."""
 LEAST_KNOWN = 0.01
-"""Fraction of the prior's variance that a trial must have explained."""
+"""Fraction of the prior's variance that a trial must explain for a turning rate to be known."""
 TOGETHER = "all robots drift together: has the camera, its origin or its scale moved?"
 TURNS_TEXT = (
     "robots turn by themselves while they drive. Either their wheels differ, or their poses "
@@ -254,7 +254,7 @@ class DriftCheck(GuardCheck):
     # ---- what is known ----
 
     def carried(self, i: int, pose: Pose, then_ns: int, late_ns: int) -> Pose:
-        """Predict the later pose of robot i from the commands that were sent.
+        """Predict where robot i is somewhat later, from the commands that were sent.
 
         Args:
             i: Index of the robot.
@@ -269,11 +269,11 @@ class DriftCheck(GuardCheck):
         return replace(pose, x=pose.x + dx, y=pose.y + dy, heading=pose.heading + turned)
 
     def turns(self) -> str:
-        """Describe the robots that turn off course while they drive.
+        """Return a message about robots that turn off course while they drive.
 
-        A robot counts if it turns by more than SURE_ERRORS standard deviations. Either its wheels
-        differ, or its poses have been wrong from the start. One trial cannot show which. The text
-        is empty if no robot counts.
+        A robot counts if it turns by more than SURE_ERRORS standard errors. Either its wheels
+        differ, or its poses have been wrong from the start. One trial cannot show which. The
+        message is empty if no robot counts.
         """
         texts = [
             f"{name} {rate:+.2f} ± {error:.2f} rad/s"
@@ -306,11 +306,11 @@ class DriftCheck(GuardCheck):
         return tuple(rates.tolist()), tuple(errors.tolist())
 
     def left_over(self, i: int, poses: Sequence[TimedPose]) -> tuple[Floats, Floats]:
-        """Return the part of a robot's motion that commands and wheels do not explain.
+        """Compute the part of a robot's motion that commands and wheels do not explain.
 
         Args:
             i: Index of the robot.
-            poses: Its poses.
+            poses: Its poses, oldest first.
 
         Returns:
             z (3,), in standard deviations, and its regressors on a shift, turn and growth of the
@@ -419,9 +419,9 @@ class DriftCheck(GuardCheck):
         self._sums[robots] += product(x.swapaxes(1, 2), x)
 
     def _fit_and_judge(self) -> Abort | None:
-        """Repeat the fit, and return a fault if there is one.
+        """Repeat the fit, and return the abort of the run if it shows a fault, else None.
 
-        If it is time, a moment is added to the grid first.
+        From time to time, a moment is added to the grid.
         """
         sums = self._sums
         self._spread = inverse(sums[:, At.constants, At.constants] + np.diag(1 / np.square(PRIOR)))
@@ -517,7 +517,7 @@ class DriftCheck(GuardCheck):
     # ---- wheels ----
 
     def _wrong_wheels(self) -> Abort | None:
-        """Return an abort if a robot's wheels or heading are wrong by more than is allowed."""
+        """Return an abort if a robot's wheels or heading are surely too wrong, else None."""
         errors = product(self._fit, ERRORS.T)  # (N, 3)
         variances = np.einsum("ep,npq,eq->ne", ERRORS, self._spread, ERRORS)
         sure = np.abs(errors) - SURE_ERRORS * np.sqrt(variances)

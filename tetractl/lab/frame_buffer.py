@@ -9,7 +9,7 @@ from tetractl.tools.worker import WAITING_MAX
 
 
 class FrameBuffer:
-    """The most recent camera frames that the guard has accepted, oldest first.
+    """The most recent camera frames that the guard has accepted.
 
     The inner loop appends frames, and any thread can read them. A lock protects the buffer.
     """
@@ -39,7 +39,7 @@ class FrameBuffer:
             return new_frames, self.count
 
     def last(self, span_ns: int) -> list[AcceptedFrame]:
-        """Return the frames exposed at most `span_ns` before the newest, oldest first."""
+        """Return the frames exposed at most `span_ns` before the newest one, oldest first."""
         with self._lock:
             frames: list[AcceptedFrame] = []
             for frame in reversed(self._frames):

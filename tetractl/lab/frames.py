@@ -42,7 +42,12 @@ class AcceptedFrame:
 
 @dataclass(frozen=True, slots=True)
 class TimedPose:
-    """A measured pose with the time at which it was exposed."""
+    """A measured pose of a robot with the time of its exposure.
+
+    Attributes:
+        exposed_ns: The time of exposure [ns].
+        pose: The pose.
+    """
 
     exposed_ns: int
     pose: Pose

@@ -114,12 +114,12 @@ from tetractl.lab.motion_check import COMPARED_NS, DOES_NOT_MOVE, PUSHED, REPEAT
 from tetractl.lab.robot_track import MISSING, PoseDecision, RobotTrack
 
 DAMAGED_MAX = 20
-"""Maximum number of images or datagrams per second that may be damaged."""
+"""Maximum number of unreadable images or datagrams within a second that a run tolerates."""
 BUSY = "control steps were late (is this computer busy?); afterwards, "
-"""Put before a reason that blames a robot or the camera."""
+"""Beginning of a message that blames a robot or the camera, if control steps were late before."""
 FROZEN = "the frame repeats the previous frame to the last bit: is the camera frozen?"
 RARELY = 3.0
-"""A robot may be unseen for so many times `untracked_abort`, though not all at once."""
+"""Multiple of `untracked_abort` for which a robot may be unseen in total, with interruptions."""
 
 
 class GuardState(StrEnum):
@@ -136,8 +136,11 @@ class GuardState(StrEnum):
 class Ruling:
     """The guard's decision in one step of the inner loop.
 
-    It contains which robots may move, `moving` (N,), and the accepted `poses` (N,). A pose is None
-    if the robot is not tracked.
+    Attributes:
+        state: The guard's state.
+        moving: Whether each robot may move, N entries.
+        poses: Accepted pose of each robot, N entries. None if a robot is not tracked.
+        warnings: New warnings for the operator.
     """
 
     state: GuardState
@@ -157,9 +160,9 @@ class Guard:
     """
 
     drift: DriftCheck
-    """The check of motion over the whole trial."""
+    """The check of the robots' motion over the whole trial."""
     together: bool
-    """Whether no robot can be held still while the others move."""
+    """Whether all robots share one signal, so that none can be held still while others move."""
 
     def __init__(self, rules: GuardRules, checks_of: ChecksOf = robot_checks) -> None:
         self.rules = rules
@@ -190,11 +193,11 @@ class Guard:
 
     @property
     def tracks_all(self) -> bool:
-        """Whether every robot has a recent pose that was accepted."""
+        """Whether every robot has a recent accepted pose, and none is lost."""
         return all(robot.tracked for robot in self._robots)
 
     def hides(self, i: int) -> bool:
-        """Check whether a robot has to stop because none of its poses was accepted for too long."""
+        """Check whether robot i has to stop because no pose of it was accepted for too long."""
         return self._robots[i].hidden
 
     def refusal_excess(self, i: int) -> Excess | None:
@@ -206,9 +209,9 @@ class Guard:
 
     @property
     def lost(self) -> dict[int, int]:
-        """The lost robots, and when each was last seen [ns].
+        """The lost robots, as {index: time when it was last seen [ns]}.
 
-        The robot lost longest ago comes first.
+        The robot that was last seen the longest time ago comes first.
         """
         lost = {i: robot.lost_ns for i, robot in enumerate(self._robots)}
         by_time = [(ns, i) for i, ns in lost.items() if ns is not None]
@@ -216,12 +219,12 @@ class Guard:
 
     @property
     def moved(self) -> dict[int, str]:
-        """The robots that the camera has seen moving in a pause, and how they moved."""
+        """The robots that moved in a pause, as {index: how it moved}."""
         return {i: robot.strayed for i, robot in enumerate(self._robots) if robot.strayed}
 
     @property
     def dropped(self) -> int:
-        """The number of frames dropped since the last start, because newer ones came before."""
+        """Number of frames dropped since the run started, because newer ones came first."""
         return self._stream.dropped
 
     @property
@@ -230,9 +233,9 @@ class Guard:
         return state is GuardState.RUN or state is GuardState.HOLD
 
     def why_no_frame(self, silent_ns: int) -> str:
-        """Explain why no new frame has come for `silent_ns`.
+        """Return a message that explains why no new frame has come for `silent_ns` [ns].
 
-        After an abort, return the reason of the abort.
+        After an abort, this is the reason of the abort.
         """
         return self.reason or self._stream.frameless_text(silent_ns)
 
@@ -244,7 +247,10 @@ class Guard:
             self._enter(GuardState.READY)
 
     def start_run(self, now_ns: int) -> None:
-        """Enter the state `run`, in which robots may move. This is only possible from `ready`."""
+        """Enter the state `run`, in which robots may move.
+
+        This is possible only from `ready`; in any other state, nothing happens.
+        """
         if self.state is not GuardState.READY:
             return
         self._enter(GuardState.RUN)
@@ -299,9 +305,9 @@ class Guard:
                 robot.ghost = robot.decision.refused
 
     def name_cause(self, frames: FrameBuffer) -> None:
-        """Correct the reason of an abort, once, if the suspected robot is not the cause.
+        """Find the cause of an abort, and correct its reason if the suspect is not the cause.
 
-        The search for the cause uses the last frames. It is slow, so it is done after the robots
+        This is done once. It uses the last frames, and it is slow, so it is done after the robots
         were stopped.
         """
         suspect = self._suspect
@@ -314,9 +320,10 @@ class Guard:
         self.reason = self._with_cause(reason, recent[-1].received_ns)
 
     def lose_robot(self, i: int, reason: str, excess: Excess | None = None) -> None:
-        """Continue the run without a robot.
+        """Continue the run without a robot, or abort it if that is not allowed.
 
-        Abort it if that is forbidden or no other robot is left.
+        The run is also aborted if no other robot is left. Nothing happens if the robot is lost
+        already.
 
         Args:
             i: Index of the robot.
@@ -334,7 +341,7 @@ class Guard:
         self._warnings.append(f"{reason}: the run goes on without this robot")
 
     def replace_robot(self, i: int) -> None:
-        """Continue with another body in place of a lost robot."""
+        """Continue the run with another body in place of the lost robot i."""
         lost = self._robots[i]
         seen_ns = lost.newest_ns  # it counts as seen now
         self._robots[i] = RobotTrack(lost.name, self.rules, i, last_ns=seen_ns, newest_ns=seen_ns)
@@ -344,12 +351,18 @@ class Guard:
     # ---- what controller and actuator did ----
 
     def note_direction(self, now_ns: int, ahead: bool = True) -> None:
-        """Record that the controller gave a direction. If not `ahead`, robots turn on the spot."""
+        """Record that the controller gave a direction at `now_ns` [ns].
+
+        If `ahead` is False, the robots turn on the spot instead of driving.
+        """
         self._pace.directed_ns = now_ns
         self._pace.ahead = ahead
 
     def note_step(self, missed: bool) -> None:
-        """Record whether a control step missed its deadline. Abort after `late_steps` in a row."""
+        """Record whether a control step missed its deadline.
+
+        The run is aborted after `late_steps` late steps in a row while robots drive.
+        """
         pace = self._pace
         pace.late_steps = pace.late_steps + 1 if missed and pace.ahead else 0
         pace.late_ns = pace.ticked_ns if missed else pace.late_ns
@@ -623,7 +636,10 @@ class Guard:
         return places
 
     def _moving(self, now_ns: int) -> tuple[bool, ...]:
-        """Decide which robots may move during a run (N,)."""
+        """Decide which robots may move during a run, N entries.
+
+        If robots can only be stopped together, all may move or none.
+        """
         may = may_move(self.rules, self._pace, self._stream.newest_ns, now_ns)
         if self.together:
             return (may,) * len(self._robots)

@@ -38,7 +38,7 @@ class GuardChecks:
 
 
 ChecksOf = Callable[[GuardRules], GuardChecks]
-"""Makes the checks of a trial, which a device's section names."""
+"""A function that creates the checks of a trial. The section of a device names it."""
 
 
 def robot_checks(rules: GuardRules) -> GuardChecks:

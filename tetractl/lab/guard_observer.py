@@ -25,13 +25,16 @@ from tetractl.lab.guard_checks import ChecksOf, GuardChecks, robot_checks
 from tetractl.lab.guard_rules import GuardRules
 
 STATISTICAL = ("motion", "drift", "wheels")
-"""Names of the checks whose limits rest on how well robots follow their commands."""
+"""Names of the checks whose limits depend on how well robots follow their commands."""
 REMEMBERED_NS = 2 * SECOND
-"""Time for which transmissions are kept for a new guard: as long as checks look back."""
+"""Time for which transmissions are kept to pass them to a new guard [ns].
+
+Checks look back for this time.
+"""
 
 
 class Act(StrEnum):
-    """What a guard may do about a fault, from the mildest action to the strongest."""
+    """What a guard does about a fault, from the mildest action to the strongest."""
 
     REFUSES = "refuses a pose"
     STOPS = "stops the robot"
@@ -121,7 +124,7 @@ class GuardObserver:
         self._guard.note_direction(now_ns, ahead)
 
     def note_step(self, now_ns: int, missed: bool) -> None:
-        """Record whether a control step missed its deadline."""
+        """Record whether a control step that ended at `now_ns` [ns] missed its deadline."""
         self._guard.note_step(missed)
         self._record_end(now_ns)
 
@@ -145,7 +148,10 @@ class GuardObserver:
         self._guard.replace_robot(i)
 
     def check_frame(self, now_ns: int, frame: CameraFrame) -> None:
-        """Pass a camera frame to the guard, and record the poses that it refuses."""
+        """Pass a camera frame to the guard, and record the poses that the guard refuses.
+
+        After an end of the run, the new guard begins to watch once it has seen all robots.
+        """
         self._guard.check_frame(frame)
         is_new = self._guard.state is GuardState.READY
         if self._in_run and is_new and self._guard.tracks_all:
@@ -157,7 +163,7 @@ class GuardObserver:
             self._record_end(now_ns)
 
     def decide(self, now_ns: int) -> None:
-        """Let the guard decide, and record which robots it would stop."""
+        """Let the guard decide at `now_ns` [ns], and record which robots it would stop."""
         if not self._in_run or self._guard.state is GuardState.READY:
             return
         self.watched_ns += now_ns - self._watched_until_ns
@@ -237,31 +243,31 @@ class Unheeded(GuardCheck):
         self._check = check
 
     def start(self) -> None:
-        """Make the check forget all earlier observations, because a new run starts."""
+        """Start the wrapped check for a new run, so that it forgets all earlier observations."""
         self._check.start()
 
     def replace(self, robot: int) -> None:
-        """Forget a robot that was lost, because another body replaces it."""
+        """Let the wrapped check forget a lost robot, because another body replaces it."""
         self._check.replace(robot)
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Pass a transmission on to the check; see `GuardCheck.sent`."""
+        """Pass a transmission on to the wrapped check; see `GuardCheck.sent`."""
         self._check.sent(now_ns, speed, turning)
 
     def exposed(self, times: tuple[int, ...]) -> None:
-        """Record the times at which a frame's poses were measured."""
+        """Pass the times at which a frame's poses were measured on to the wrapped check [ns]."""
         self._check.exposed(times)
 
     def repeat(self, robot: int) -> Iterable[Finding]:
-        """Check a robot whose pose repeats to the last bit."""
+        """Return the wrapped check's findings about a pose that repeats to the last bit."""
         return self._check.repeat(robot)
 
     def pause(self, robot: int, before: Pose, pose: Pose, now_ns: int) -> Iterable[Finding]:
-        """Let the check test a pose in a pause; see `GuardCheck.pause`."""
+        """Return the wrapped check's findings about a pose in a pause; see `GuardCheck.pause`."""
         return self._check.pause(robot, before, pose, now_ns)
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
-        """Pass on warnings about a pose; see `GuardCheck.pose`.
+        """Return only the wrapped check's warnings about a pose; see `GuardCheck.pose`.
 
         Any other finding restarts the check at this pose.
         """
@@ -274,13 +280,13 @@ class Unheeded(GuardCheck):
     def frame(
         self, now_ns: int, times: Sequence[int], poses: Sequence[Pose | None]
     ) -> Iterator[Finding]:
-        """Pass on the check's warnings about a camera frame; see `GuardCheck.frame`."""
+        """Return only the wrapped check's warnings about a frame; see `GuardCheck.frame`."""
         for finding in self._check.frame(now_ns, times, poses):
             if isinstance(finding, Warn):
                 yield finding
 
     def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
-        """Pass on the check's warnings about where robots are; see `GuardCheck.tick`."""
+        """Return only the wrapped check's warnings about places; see `GuardCheck.tick`."""
         for finding in self._check.tick(robots):
             if isinstance(finding, Warn):
                 yield finding
@@ -293,7 +299,10 @@ def unheeded(checks: GuardChecks) -> GuardChecks:
 
 
 class ObservingGuard(Guard):
-    """A guard whose statistical checks only warn of what they would have done."""
+    """A guard whose statistical checks only warn that they would have ended the run.
+
+    The kernel's rules act as in any other guard.
+    """
 
     def __init__(self, rules: GuardRules, checks_of: ChecksOf = robot_checks) -> None:
         super().__init__(rules, lambda rules: unheeded(checks_of(rules)))
@@ -329,13 +338,13 @@ class ObservingGuard(Guard):
         self._observer.replace_robot(i)
 
     def check_frame(self, frame: CameraFrame) -> AcceptedFrame | None:
-        """Check one camera frame; see `Guard.check_frame`."""
+        """Check one camera frame, also with the observing guard; see `Guard.check_frame`."""
         accepted = super().check_frame(frame)
         self._observer.check_frame(frame.received_ns, frame)
         return accepted
 
     def decide(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
-        """Decide which robots may move now; see `Guard.decide`."""
+        """Decide which robots may move, with warnings of the observer; see `Guard.decide`."""
         ruling = super().decide(now_ns, damaged, failure)
         self._observer.decide(now_ns)
         new = self._observer.interventions[self._reported :]

@@ -10,7 +10,7 @@ from tetractl.core.shape import Shape
 from tetractl.spec.lab_section import LabLimits
 
 NOISE_MM = 2.0
-"""Largest error of a pose [mm], in addition to that which the camera's section states."""
+"""Maximum error of a pose [mm], in addition to the error that the camera's section states."""
 SILENCE_MIN_S = 0.5
 """Minimum time without a direction after which a run ends [s], however short the period."""
 
@@ -19,10 +19,18 @@ SILENCE_MIN_S = 0.5
 class GuardRules:
     """The spec's `limits`, and the properties of robots, arena and camera that the guard needs.
 
-    `speeds` (N,) are the robots' speeds [length unit/s], `turning` (N,) their maximum turning rates
-    [rad/s], and `mm` is the number of millimetres per length unit. If `goes_on`, a run continues
-    without a lost robot, and ends when the last robot is lost. `sight` describes what the camera
-    can measure.
+    Attributes:
+        names: Names of the N robots.
+        speeds: Their speeds [length unit/s].
+        turning: Their maximum turning rates [rad/s].
+        arena: The arena.
+        limits: The limits in the spec.
+        obstacles: The obstacles, each grown by the radius of a robot's body.
+        mm: Number of millimetres per length unit.
+        silence_ns: Maximum time between two directions from the controller [ns].
+        wheel_radius: Distance from a wheel to the centre [length unit]. 0 without wheels.
+        goes_on: Whether a run continues without a lost robot, until the last robot is lost.
+        sight: How precisely the camera measures.
     """
 
     names: tuple[str, ...]
@@ -58,5 +66,5 @@ class GuardRules:
 
     @property
     def largest_error(self) -> float:
-        """The largest error of a position that the camera measures [length unit]."""
+        """The maximum error of a position that the camera measures [length unit]."""
         return (NOISE_MM + self.sight.largest_error_mm) / self.mm

@@ -50,16 +50,17 @@ from tetractl.spec.lab_section import STOP_GAP_NS, STOPS
 from tetractl.tools.worker import WAITING_MAX, drained
 
 IDLE_S = 0.01
-"""Longest time between two steps without a frame [s]."""
+"""Maximum time between two steps if no frame arrives [s]."""
 HOLD_S = 0.25
-"""How long `hold` and `between_steps` wait for the thread to end its step [s]; chosen, not
-measured.
+"""Time for which `hold` and `between_steps` wait for the loop's step to end [s].
+
+Chosen, not measured.
 """
 STOP_S = 1.0
-"""How long `stop` waits for the thread [s].
+"""Time for which `stop` waits for the loop's step to end [s].
 
-It is longer than HOLD_S, because a stop that is sent past a step which only takes long may come
-between its bytes.
+It is longer than HOLD_S, because stops that are sent without waiting may come between the bytes of
+a step that only takes long.
 """
 
 
@@ -119,13 +120,13 @@ class InnerLoop:
         self._lock = threading.Lock()
         self._held: HeldAction | None = None
         self._stops_left = 0
-        """How many stops are still to be sent, one after the other."""
+        """Number of stops that still have to be sent."""
         self._first_stop: Transmission | None = None
-        """The first that was sent since `stop` was called."""
+        """The first stop that was sent since `stop` was called. None before that."""
         self._abort_stops_begun = False
-        """Whether the guard has aborted, and its stops were begun: they are so once."""
+        """Whether the stops of the guard's abort have begun. They are sent only once."""
         self._operator_obeyed = False
-        """Whether the stops of the operator's key were begun."""
+        """Whether the stops of the operator's emergency stop have begun."""
         self._sent: deque[Transmission] = deque(maxlen=WAITING_MAX)
         self._warnings: deque[tuple[int, str]] = deque(maxlen=WAITING_MAX)
         self._transmit_ns = 0  # when the next transmission is due
@@ -138,16 +139,21 @@ class InnerLoop:
     # ---- calls of the controller's thread ----
 
     def start(self) -> None:
-        """Start the loop's thread; nothing is sent before `hold` or `idle` gives a direction."""
+        """Start the loop's thread.
+
+        Nothing is sent before `hold` or `idle` gives a direction.
+        """
         self._thread.start()
 
     def hold(self, action: Steer | Turn) -> Transmission:
-        """Send an action repeatedly, starting now; return the first transmission that carries it.
+        """Send an action repeatedly, starting now, and return the first transmission.
 
         The transmission is a stop if the guard presently lets no robot move.
 
         Raises:
-            AbortError: If no robot may move any more, with the guard's reason.
+            AbortError: If no robot may move any more, with the guard's reason, or if the loop
+                stays
+                within a step for too long.
         """
         with self.between_steps() as guard:
             guard.start_run(self._clock.now())
@@ -237,9 +243,9 @@ class InnerLoop:
         return drained(self._warnings)
 
     def close(self) -> None:
-        """End the loop's thread.
+        """End the loop's thread, without sending stops.
 
-        This method can be called twice, and never raises.
+        It may be called twice and never raises.
         """
         self._closing.set()
         self._wake.set()
@@ -327,7 +333,10 @@ class InnerLoop:
         return None
 
     def _take_frames(self) -> None:
-        """Let the guard check the frames that have arrived, and keep the frames that it accepts."""
+        """Let the guard check the frames that have arrived, and keep those that it accepts.
+
+        Raises WrongValueError for a frame that no log can hold.
+        """
         for frame in self._camera.frames():
             fault = frame_fault(frame, len(self.guard.rules.names))
             if fault:
@@ -430,9 +439,9 @@ class InnerLoop:
 
 
 def frame_fault(frame: CameraFrame, robots: int) -> str:
-    """Describe what is wrong with a camera's frame of N robots.
+    """Return a message about what makes a camera's frame of N robots unusable.
 
-    The text is empty if nothing is wrong.
+    The message is empty if nothing is wrong.
     """
     numbers = [frame.number, frame.sampled_ns, frame.received_ns, *frame.exposed_ns]
     poses = [pose for pose in frame.poses if pose is not None]
@@ -452,12 +461,14 @@ def frame_fault(frame: CameraFrame, robots: int) -> str:
 
 
 def transmission_fault(sent: object, robots: int, now_ns: int) -> str:
-    """Describe what is wrong with a transmission that an actuator reports.
+    """Return a message about what is wrong with a transmission that an actuator reports.
+
+    The message is empty if nothing is wrong.
 
     Args:
         sent: The value that the actuator returned. It should be a `Transmission`.
         robots: Number of robots.
-        now_ns: The present time.
+        now_ns: The present time [ns].
     """
     unloggable = "a transmission that no log can hold"
     if not isinstance(sent, Transmission):

@@ -37,9 +37,9 @@ from tetractl.lab.guard_rules import GuardRules
 from tetractl.model.motion.wheel_equations import rolled
 
 FASTER = 2.0
-"""Multiple of a robot's speed and turning limits above which its pose jumped."""
+"""Multiple of a robot's speed and turning limits above which its pose counts as a jump."""
 JUMP_HEADING = 0.7
-"""A heading may differ by this much in no time [rad], as a position may by `jump_mm`."""
+"""Difference of headings that is always allowed [rad], as `jump_mm` is for positions."""
 
 
 # ---- fresh: program, direction, frame, tracking ----
@@ -47,7 +47,16 @@ JUMP_HEADING = 0.7
 
 @dataclass(slots=True)
 class Pace:
-    """When this program last made a step, and when the controller last gave a direction."""
+    """When this program last made a step, and when the controller last gave a direction.
+
+    Attributes:
+        ticked_ns: Time of the last step [ns]. None before the first.
+        directed_ns: Time of the last direction [ns].
+        ahead: Whether robots drive. Otherwise they turn on the spot.
+        late_steps: Number of late control steps in a row.
+        late_ns: Time of the last late control step [ns]. None before that.
+        driven: Whether a run has begun, after which nobody carries robots.
+    """
 
     ticked_ns: int | None = None
     directed_ns: int = 0
@@ -191,7 +200,7 @@ class Places(GuardCheck):
         self._least: dict[int, float] = {}  # each robot's least depth in obstacles so far
 
     def start(self) -> None:
-        """Forget where the robots were before, because a new run starts."""
+        """Forget how deep robots were in obstacles, because a new run starts."""
         self._least.clear()
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
@@ -200,7 +209,11 @@ class Places(GuardCheck):
         self._turning = turning
 
     def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
-        """Check that robots are in the arena, outside obstacles, and away from each other."""
+        """Yield an abort for each robot that will leave the arena or touch something.
+
+        Robots are tested where they are and where they would be after their reaction time. A robot
+        that is outside the arena may come back. Robots without a pose are left out.
+        """
         arena = self._rules.arena
         now: dict[str, Pose] = {}
         then: dict[str, Pose] = {}
@@ -242,14 +255,17 @@ class Places(GuardCheck):
         return Excess("obstacle", depth * self._rules.mm, limit * self._rules.mm, "mm", i)
 
     def _depth_then(self, i: int, pose: Pose) -> float:
-        """Predict how deep robot i will be in an obstacle after its reaction time."""
+        """Predict how deep robot i will be in an obstacle after its reaction time.
+
+        The depth is in the spec's length unit, and negative outside.
+        """
         reaction_s = self._rules.limits.reaction
         turned = self._turning[i] * reaction_s
         dx, dy = rolled(pose.heading, turned, self._speeds[i] * reaction_s)
         return self._depth(pose.x + dx, pose.y + dy)
 
     def _depth(self, x: float, y: float) -> float:
-        """Compute how deep the centre of a robot is in an obstacle.
+        """Compute how deep the centre of a robot is in an obstacle [length unit].
 
         The depth is negative outside, and -inf if no obstacle is near.
         """
@@ -264,7 +280,7 @@ class Places(GuardCheck):
 
 
 def outside(arena: Bounds, pose: Pose) -> float:
-    """Compute the distance of a pose from the arena. It is 0 inside."""
+    """Compute the distance of a position from the arena [length unit]. It is 0 inside."""
     return math.hypot(
         max(arena.left - pose.x, 0.0, pose.x - arena.right),
         max(arena.bottom - pose.y, 0.0, pose.y - arena.top),

@@ -66,19 +66,19 @@ from tetractl.lab.guard_rules import GuardRules
 from tetractl.spec.lab_section import UNTRACKED_STOP_S
 
 ROOM = 256
-"""Transmissions for which a history has room at first."""
+"""Initial number of transmissions that a history has space for. It grows as needed."""
 WATCHDOG_NS = SECOND // 4
-"""Robots that received nothing for this time have stopped themselves."""
+"""Time without a transmission after which robots have stopped themselves [ns]."""
 SLACK_S = 0.03
-"""Time of driving at full speed that is allowed as slack, along and across."""
+"""Slack of positions along and across the heading, as a time of driving at full speed [s]."""
 SLACK_RAD = 0.08
-"""Angle that is allowed as slack."""
+"""Slack of the angle turned [rad]."""
 COMPARED_NS = SECOND
-"""Age up to which a moment is kept."""
+"""Maximum age of the moments since which motion is compared with commands [ns]."""
 SPACING_NS = SECOND // 20
-"""Minimum time between two moments."""
+"""Minimum time between two of these moments [ns]."""
 STANDS_SHARE = 0.3
-"""A robot that makes less than this fraction of the commanded motion stands still."""
+"""Fraction of the commanded motion below which a robot counts as standing still."""
 MEANT_SHARE = 0.3
 """Minimum fraction of a motion that must be commanded for its direction to be wrong.
 
@@ -97,11 +97,11 @@ OF_CELLS = {
     BACKWARD: "moves backward: is its heading reversed, or another cell tracked in its place?",
     WRONG_WAY: "turns away from the field: is the camera's rotation or the field's sign wrong?",
 }
-"""The texts for robots without wheels."""
+"""Messages for robots without wheels, instead of those for robots on wheels."""
 AS_NO_COMMAND = "as no command does"
 PUSHED = ": was it pushed, or does the camera track another body as this robot?"
 ANOTHER = f"moves {{}} {AS_NO_COMMAND}{PUSHED}"
-"""The text for a motion without a command; the placeholder is for one of PARTS."""
+"""Message about a motion that no command explains. The placeholder is for one of PARTS."""
 
 
 class CommandHistory:
@@ -118,7 +118,10 @@ class CommandHistory:
         self._sent = np.zeros((ROOM, *shape))  # of which the first rows are used
 
     def sent(self, now_ns: int, rates: Sequence[float] | Floats) -> None:
-        """Add the turning rates and speeds that a transmission commands."""
+        """Add the rates of a transmission at `now_ns` [ns].
+
+        Entries older than about 2 s may be dropped.
+        """
         count = len(self._times)
         if count == len(self._sent):
             self._sent = np.concatenate([self._sent, np.zeros_like(self._sent)])
@@ -130,17 +133,20 @@ class CommandHistory:
             del self._times[: old - 1]
 
     def acting(self, since_ns: int, until_ns: int) -> tuple[list[int], Floats]:
-        """Return the transmissions that may have been in effect between two times.
+        """Return the transmissions that were in effect at some time between two times [ns].
 
         Returns:
-            Times (K,), and rates (K, ...) as a view.
+            Their times (K,), oldest first, and their rates (K, ...) as a view.
         """
         first = max(0, bisect_right(self._times, since_ns) - 1)
         last = bisect_right(self._times, until_ns)
         return self._times[first:last], self._sent[first:last]
 
     def mean(self, until_ns: int, dt_ns: int) -> Floats:
-        """Compute the mean of the rates that were commanded during the `dt_ns` before a time."""
+        """Compute the mean of the rates commanded during the `dt_ns` before `until_ns` [ns].
+
+        Before the first transmission, rates are 0.
+        """
         first = until_ns - dt_ns
         k = bisect_left(self._times, until_ns) - 1
         if k >= 0 and self._times[k] <= first:  # the most frequent case
@@ -222,7 +228,10 @@ class MotionCheck(GuardCheck):
 
     @property
     def travelled(self) -> Floats:
-        """The motion (N, 3) since the robots started from standstill, from consistent poses."""
+        """The motion of each robot since its last standstill, from consistent poses, (N, 3).
+
+        The parts are along and across the heading [length unit], and the angle turned [rad].
+        """
         return self._since_rest.travelled
 
     def start(self) -> None:
@@ -347,7 +356,7 @@ class MotionCheck(GuardCheck):
             yield Moved(robot, fault.text)
 
     def take_pose(self, i: int, before: Pose, pose: Pose) -> Refuse | None:
-        """Compare a new pose of a robot with the commands.
+        """Compare a new pose of a robot with the commands, and record it if it is consistent.
 
         The first pose after `start` or `replace` counts as consistent, and the motion up to it is
         not counted. Every pose counts as changed: repeated poses may be passed only during pauses.
@@ -481,5 +490,5 @@ def excess_of(motion: Floats, slack: Floats, mm: float, robot: int) -> Excess:
 
 
 def of_kind(fault: str, has_wheels: bool) -> str:
-    """Adapt the message about a fault to robots with or without wheels."""
+    """Return the message about a fault in the words for robots with or without wheels."""
     return fault if has_wheels else OF_CELLS[fault]

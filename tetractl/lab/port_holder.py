@@ -25,7 +25,7 @@ it [s].
 def holder(port: str) -> int | None:
     """Return the id of the process that has locked a port.
 
-    None if there is none, and on systems other than Linux.
+    None if no process has locked it, and on systems other than Linux.
     """
     with suppress(OSError):
         status = Path(port).stat()
@@ -38,7 +38,7 @@ def holder(port: str) -> int | None:
 
 
 def command_line(pid: int) -> list[str]:
-    """Return the command line of a process as a list, empty if the process has ended."""
+    """Return the command line of a process as a list. Empty if it cannot be read."""
     with suppress(OSError):
         line = Path(f"/proc/{pid}/cmdline").read_bytes()
         return line.decode(errors="replace").split("\0")[:-1]
@@ -121,7 +121,11 @@ class _StopsBeside:
 
 
 def _end(pid: int | None, number: signal.Signals) -> str:
-    """Send a signal to a process, and return why that is not allowed, or ""."""
+    """Send a signal to a process.
+
+    Returns:
+        Why that is not allowed, as the end of a sentence. Empty if it was sent or not needed.
+    """
     assert pid is not None  # else it is unknown, and not ended
     with suppress(ProcessLookupError):
         try:

@@ -30,9 +30,9 @@ from tetractl.lab.rest_check import drifting_robots, moving_robots
 from tetractl.lab.rig import Rig
 
 FRAMES_CHECKED = 60
-"""Number of camera frames that are checked, but at most those of one second."""
+"""Number of camera frames that are checked, within at most one second."""
 RATE_SHARE = 0.8
-"""Minimum fraction of the camera's rate at which frames arrive without a warning."""
+"""Fraction of the camera's own rate below which the rate of frames causes a warning."""
 NOT_POLLED = RobotStatus(None)
 QUARTER = math.pi / 2
 """A quarter turn [rad]."""
@@ -60,12 +60,12 @@ class RobotFinding:
 
     @property
     def tracked(self) -> bool:
-        """Whether the camera tracked the robot when its start was checked."""
+        """Whether the camera tracked the robot at the time of the check."""
         return self.off_mm is not None
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """The problems that keep the robot from starting, except a wrong position."""
+        """What prevents the robot from starting, one line each, apart from a wrong position."""
         return (*((self.untracked,) if self.untracked else ()), *self.status.problems)
 
 
@@ -94,7 +94,7 @@ class Preflight:
 
     @property
     def all_problems(self) -> tuple[str, ...]:
-        """All problems that keep a run from starting, except wrong positions of robots."""
+        """What prevents a run from starting, one line each, apart from misplaced robots."""
         return (*self.problems, *(p for robot in self.robots for p in robot.problems))
 
     @property
@@ -104,12 +104,12 @@ class Preflight:
 
     @property
     def can_start(self) -> bool:
-        """Whether a run could start now, because no check has found a problem."""
+        """Whether no check has found a problem, and every tracked robot is on its start."""
         return not (self.all_problems or self.misplaced)
 
     @property
     def all_warnings(self) -> tuple[str, ...]:
-        """All warnings about the run, the devices and the robots."""
+        """All warnings about the run, the devices and the robots, and the operator's questions."""
         robots = (w for robot in self.robots for w in robot.status.warnings)
         return (*self.warnings, *self.questions, *robots)
 
@@ -168,7 +168,10 @@ def _inspect_opened(rig: Rig, failures: Mapping[str, AbortError]) -> Preflight:
 
 
 def inspect(rig: Rig) -> Preflight:
-    """Check some camera frames, both devices and the robots' answers, without moving a robot."""
+    """Check the next camera frames, both devices and the robots' answers.
+
+    No robot is moved. The lab must be open. This takes up to about two seconds.
+    """
     statuses = rig.actuator.poll(1.0)
     dropped_before = rig.loop.guard.dropped
     watched = _next_frames(rig)
@@ -211,7 +214,10 @@ def inspect(rig: Rig) -> Preflight:
 
 
 def unplaced(rig: Rig) -> list[str]:
-    """Return one line per robot that the camera does not see on its start."""
+    """Return one line for each robot that is untracked or not on its start.
+
+    A line is added if all robots seem to be turned by the same number of quarter turns.
+    """
     newest = rig.loop.frames.newest
     robots = (_robot(rig, i, newest) for i in range(len(rig.setup.names)))
     lines = [line for robot in robots if (line := robot.untracked or robot.misplaced)]
@@ -221,9 +227,10 @@ def unplaced(rig: Rig) -> list[str]:
 def turned_by_quarters(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
     """Report tags or bodies that are mounted with a wrong orientation.
 
-    If all robots are on their starts, and all headings are off by the same number of quarter turns,
-    it is the tags or bodies that are mounted the wrong way, not the robots. Robots that may start
-    at any heading, such as cells that a trial finds, are not checked.
+    If all robots are on their starts, and all headings are off by the same number of quarter
+    turns, it is the tags or bodies that are mounted the wrong way, not the robots. Robots that may
+    start at any heading, such as cells that a trial finds, are not checked. The result is one
+    line, or empty.
     """
     if rig.limits.start_heading >= QUARTER:
         return []
@@ -248,7 +255,7 @@ def turned_by_quarters(rig: Rig, frame: AcceptedFrame | None) -> list[str]:
 
 
 def dropped(outdated: int) -> str:
-    """Return a warning about frames that were dropped because they arrived out of order."""
+    """Return a warning that a number of frames were dropped, because they arrived out of order."""
     return f"camera frames dropped, because later frames had already come: {outdated}"
 
 
@@ -301,7 +308,10 @@ def _next_frames(rig: Rig) -> list[CameraFrame]:
 
 
 def _latency_ms(frames: Sequence[CameraFrame]) -> tuple[float, float] | None:
-    """Return the median and maximum age of frames on arrival [ms]. None if ages are not known."""
+    """Return the median and maximum age of frames on arrival [ms].
+
+    None if there are no frames, or if the camera does not report when they were exposed.
+    """
     ages = sorted(frame.received_ns - frame.sampled_ns for frame in frames)
     if not ages or not ages[-1]:
         return None

@@ -70,7 +70,7 @@ class Rig:
 
     @property
     def mm(self) -> float:
-        """How many millimetres are one length unit of the spec."""
+        """Number of millimetres in one length unit of the spec."""
         return self.setup.metres / MM
 
     def __enter__(self) -> Self:
@@ -122,7 +122,7 @@ class Rig:
         return failures
 
     def after_close(self, act: Callable[[], object]) -> None:
-        """Register `act`, to be called once the devices are released."""
+        """Register a function to be called once the devices are released."""
         self._releases.callback(act)
 
     def emulated(self, camera: Health, actuator: Health) -> tuple[str, ...]:
@@ -135,9 +135,10 @@ class Rig:
         return tuple(name for name in said if said[name] or name in self._emulated)
 
     def settle(self, setup: Setup) -> None:
-        """Continue with the robots of a new setup, for which the devices are already prepared.
+        """Continue with a new setup, such as robots that were just found in the image.
 
-        Their present poses become their starts.
+        The devices must be prepared for these robots. Their present poses become their starts, and
+        the guard begins anew.
         """
         self.setup = setup
         self.start_anywhere()
@@ -151,7 +152,7 @@ class Rig:
 
     @property
     def left(self) -> list[int]:
-        """The indices of the robots that are still in the trial, because they are not lost."""
+        """The indices of the robots that are not lost."""
         return [i for i in range(len(self.setup.names)) if i not in self.loop.guard.lost]
 
     def not_tracked(self, i: int) -> str:
@@ -168,7 +169,10 @@ class Rig:
         self._releases.close()
 
     def silent_ns(self) -> int:
-        """Return the time since the last accepted camera frame [ns]."""
+        """Return the time since the last accepted camera frame was received [ns].
+
+        Before the first frame, it is the time since the run's clock began.
+        """
         newest = self.loop.frames.newest
         return self.clock.now() - (0 if newest is None else newest.frame.received_ns)
 

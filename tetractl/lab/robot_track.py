@@ -21,9 +21,9 @@ from tetractl.lab.kernel import too_fast
 from tetractl.spec.lab_section import UNTRACKED_STOP_S
 
 FORGIVEN = 0.25
-"""Fraction of the time a robot is seen that is subtracted from the time it was not seen."""
+"""Fraction of the time in which a robot is seen that cancels earlier time unseen."""
 REMEMBERED_NS = SECOND
-"""Largest age of the accepted poses with which a new one is compared."""
+"""Maximum age of the accepted poses with which a new pose is compared [ns]."""
 JUMP_SPACING_NS = SECOND // 50
 """Minimum time between two remembered poses.
 
@@ -38,7 +38,7 @@ A floor that is 1 degree off the camera's zero changes the height by 35 mm over 
 a webcam's tags are off by up to 16 mm.
 """
 HEIGHT_NS = SECOND // 4
-"""Time before a run begins over which a body's height is measured: robots stand then."""
+"""Time before a run over which a body's height is averaged, while robots stand still [ns]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class PoseDecision:
 
 
 MISSING = PoseDecision()
-"""There is no pose."""
+"""The decision if a frame contains no pose of the robot."""
 
 
 @dataclass(slots=True)
@@ -74,34 +74,37 @@ class RobotTrack:
     name: str
     rules: GuardRules
     i: int
-    """Its index."""
+    """Index of the robot."""
     last: Pose | None = None
-    """The last accepted pose. None before the first."""
+    """The last accepted pose of the robot. None before the first."""
     last_ns: int = 0
-    """When that pose was exposed. 0 before the first."""
+    """When that pose was exposed [ns]. 0 before the first."""
     newest_ns: int = 0
-    """When the newest frame was exposed, 0 before the first.
+    """When the newest frame was exposed [ns]. 0 before the first.
 
     Everything below refers to this time.
     """
     read_ns: int = 0
-    """The time of its pose in that frame. If there is none, the time of the last accepted pose."""
+    """Time of the robot's pose in the newest frame [ns].
+
+    If the frame does not show the robot, it is the time of the last accepted pose.
+    """
     is_new: bool = True
-    """Whether that frame shows a new measurement, if it shows the robot."""
+    """Whether the robot's pose in the newest frame, if there is one, is a new measurement."""
     unseen_ns: float = 0.0
-    """How long it was not seen in runs, minus `FORGIVEN` of the time it was seen."""
+    """How long the robot was unseen in runs, minus FORGIVEN of the time it was seen [ns]."""
     _counted_ns: int = 0
-    """Time up to which that is counted."""
+    """Time up to which `unseen_ns` is counted [ns]."""
     decision: PoseDecision = MISSING
-    """The decision on its newest pose."""
+    """The guard's decision on the robot's newest pose."""
     ghost: str = ""
-    """Why all its poses are refused from now on. Empty if they are not."""
+    """Why all poses of the robot are refused from now on. Empty if they are not."""
     lost_ns: int | None = None
-    """When a lost robot was last seen [ns]. None if it is not lost."""
+    """When the robot was last seen before it was lost [ns]. None if it is not lost."""
     strayed: str = ""
-    """How it was first seen moving in a pause. Empty if it was not."""
+    """How the robot was first seen moving in a pause. Empty if it was not."""
     _height: float | None = None
-    """Height of its body at the start of the run. None if the camera does not measure heights."""
+    """Height of the robot's body at the start of the run [length unit]. None if unknown."""
     _remembered: deque[TimedPose] = field(default_factory=deque)
     """Accepted poses that a new pose is compared with, oldest first."""
 
@@ -128,7 +131,7 @@ class RobotTrack:
 
     @property
     def tracked(self) -> bool:
-        """Whether the robot may move, as far as its pose is concerned."""
+        """Whether the robot has a recent accepted pose and is not lost, so that it may move."""
         return self.last is not None and not self.lost and not self.hidden
 
     def start_run(self) -> None:
@@ -178,7 +181,7 @@ class RobotTrack:
         self._counted_ns = self.newest_ns
 
     def accept(self, pose: Pose, exposed_ns: int) -> None:
-        """Accept a pose that was exposed after the last accepted one."""
+        """Store an accepted pose, exposed at `exposed_ns`, after the last accepted one."""
         self.last = pose
         self.last_ns = exposed_ns
         remembered = self._remembered
@@ -232,7 +235,10 @@ class RobotTrack:
         return ""
 
     def _jump(self, pose: Pose, exposed_ns: int) -> Excess | None:
-        """Check that the robot can have come to `pose` from each remembered pose."""
+        """Return by how much the robot is too far from a remembered pose.
+
+        None if it can have come from each of them.
+        """
         if self.last is None:
             return None
         for earlier in (*self._remembered, TimedPose(self.last_ns, self.last)):

@@ -24,7 +24,7 @@ UNREADABLE = (
     *(ValueError, LookupError, TypeError, AttributeError, ArithmeticError),
     struct.error,
 )
-"""What code raises that reads a message of another form than it expects."""
+"""Exceptions that code may raise when it reads a message of another format than it expects."""
 SWITCH_OFF = "switch the robots off by hand if they move"
 
 
@@ -53,7 +53,7 @@ class PortHeldError(AbortError):
 
 OnReceived = Callable[[bytes, int], None]
 Ports = Callable[[str, int, str, Clock, OnReceived, str], "SerialPort"]
-"""Makes a port from the arguments of SerialPort: on this computer, or in memory."""
+"""A function that creates a port from the arguments of `SerialPort`, for example one in memory."""
 
 
 class SerialPort:
@@ -74,7 +74,10 @@ class SerialPort:
     ) -> None:
         self.failure: str | None = None
         self.refusal: str | None = None
-        """Why nobody receives what the system accepts to send. None if this is not known."""
+        """Why nobody receives the data sent, although sending works.
+
+        None if nothing is known.
+        """
         self._name = name
         self._baud = baud
         self._device = device
@@ -113,7 +116,10 @@ class SerialPort:
         return True
 
     def settle(self) -> None:
-        """Wait until the open port is ready. If several ports are open, their waits overlap."""
+        """Wait until the open port is ready. If several ports are open, their waits overlap.
+
+        A serial port is ready at once.
+        """
         while not self.is_ready():
             self._clock.sleep_until(self._clock.now() + 2 * MILLISECOND)
 
@@ -226,25 +232,33 @@ def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
 
 
 def require_port(name: str, device: str) -> None:
-    """Raise AbortError if no port has this name; the error's hint asks about `device`."""
+    """Raise AbortError if no port has this name.
+
+    Args:
+        name: Name of the port.
+        device: What should be connected to it, for the hint.
+    """
     if not Path(name).exists():
         raise missing_port(name, device)
 
 
 def missing_port(name: str, device: str) -> AbortError:
-    """Return the error for a name that no port has; its hint asks about `device`."""
+    """Create the error for a port that does not exist.
+
+    Its hint asks whether `device` is plugged in.
+    """
     return AbortError(f"{name}: there is no such port", f"is {device} plugged in?")
 
 
 class PortGroup:
-    """Several ports used as one: after one of them has failed, all of them stop sending."""
+    """Several ports used as one, for example one for each robot."""
 
     def __init__(self, ports: Iterable[SerialPort]) -> None:
         self.ports = tuple(ports)
 
     @property
     def failure(self) -> str | None:
-        """Why nothing can be sent any more. None if there is no fault."""
+        """Why commands can no longer be sent to all ports. None if no port has failed."""
         return next((port.failure for port in self.ports if port.failure), None)
 
     def open(self) -> None:
@@ -330,7 +344,10 @@ def stop_all_at(
 
 
 def _open_reachable(ports: Iterable[SerialPort], alone: bool) -> dict[SerialPort, str]:
-    """Open ports; return those that cannot be opened, and why."""
+    """Open ports, and return those that cannot be opened, as {port: reason}.
+
+    Raises PortHeldError if another process has locked one of them.
+    """
     unreached = dict[SerialPort, str]()
     for port in ports:
         try:

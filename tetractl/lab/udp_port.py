@@ -25,15 +25,18 @@ SCHEME = "udp://"  # beginning of an address of such a port
 PACKET_MAX = 1500  # most bytes of a datagram that are read: an Ethernet frame
 PORT_DIGITS = 5  # most digits of a port's number
 LOCKS = Path("/tmp")
-"""The folder of locks, the same for all users and terminals, whatever their TMPDIR is."""
+"""Folder of lock files. It is the same for all users and terminals, whatever TMPDIR is."""
 REFUSALS_MAX = 3
-"""Tries to send a datagram: each may report the refusal of one sent before."""
+"""Maximum number of attempts to send a datagram.
+
+Each attempt may report the refusal of an earlier datagram.
+"""
 
 
 def address_of(name: str) -> tuple[str, int] | None:
-    """Return host and port number of `udp://host:port`.
+    """Return the host and the port number of `udp://host:port`.
 
-    None if the name has another form.
+    None if the name has another form, or the host or port number is invalid.
     """
     host, _, digits = name.removeprefix(SCHEME).rpartition(":")
     port = _port_number(digits)
@@ -148,7 +151,7 @@ class UdpPort(SerialPort):
         self._to: Any = None  # host and port
         self._no_listener = f"no device listens at the address {name}"
         self._locked: list[int] = []
-        """Descriptors of the files that are locked."""
+        """Descriptors of the lock files that this port has locked."""
 
     def open(self, alone: bool = True) -> None:
         """Open a socket and start to read.
@@ -206,7 +209,13 @@ class UdpPort(SerialPort):
         self._thread.start()
 
     def write(self, data: bytes) -> int:
-        """Send a datagram; return the time when the system accepted it [ns]."""
+        """Send a datagram, and return the time when the system accepted it [ns].
+
+        A port that only listens sends nothing.
+
+        Raises:
+            AbortError: If the port is not open, has failed, or every attempt is refused.
+        """
         with self._sending:
             if self.failure or self._socket is None:
                 raise AbortError(self.failure or f"{self._name} is not open", self._hint)
@@ -237,7 +246,10 @@ class UdpPort(SerialPort):
         raise AbortError(self._no_listener, self._hint)
 
     def close(self) -> None:
-        """End the reader's thread and close the socket; may be called twice, never raises."""
+        """End the reader's thread, close the socket and release the locks.
+
+        It may be called twice and never raises.
+        """
         super().close()
         if self._socket is not None:
             self._socket.close()
@@ -252,9 +264,9 @@ class UdpPort(SerialPort):
                 self._on_received(data, self._clock.now())
 
     def _received(self) -> bytes:
-        """Wait for a datagram.
+        """Wait at most 0.05 s for a datagram, and return it.
 
-        Empty if none arrives, or if one that was sent is reported as refused.
+        Empty if none arrives, or if the system reports that an earlier datagram was refused.
         """
         assert self._socket is not None
         try:

@@ -50,10 +50,10 @@ class SequenceController(PlainController):
         self.section = section
 
     def decided(self, problem: Problem, observation: Observation, step_key: int) -> Decision:
-        """Plan the next direction, or end the trial after the last one.
+        """Plan the next direction, or end the trial; see `PlainController.decided`.
 
         The predicted path contains up to `ahead` directions. After the last direction, the robots
-        stop after the additional time `remainder`. See `PlainController.decided`.
+        stop after the additional time `remainder`.
         """
         section = self.section
         if self.k == len(section.directions):

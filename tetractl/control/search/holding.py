@@ -63,10 +63,10 @@ class CircleSearch(OptimizerSection):
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search from rotations of the field and from the previous plan.
+        """Search from rotations and the previous plan `warm`; see `Optimizer.search`.
 
-        The previous plan is `warm`, None or empty if there is none. If the limits expire, the
-        search ends with the best sequence so far. See `Optimizer.search` for the arguments.
+        If there is no previous plan, `warm` is None or empty. If the limits expire, the search
+        ends with the best sequence so far.
         """
         progress = Progress(length, limits)
         times = problem.period * np.arange(length)

@@ -44,7 +44,7 @@ class SpeedRobots(WheeledActuator):
         self.links = ports
         gains = np.array([(robot.left_gain, robot.right_gain) for robot in robots]).T
         self.gain = gains * section.unit_mm
-        """True speed per unit sent [mm/s], shape (2, N): left and right wheels."""
+        """True speed for each unit sent [mm/s], shape (2, N): left and right wheels."""
         super().__init__(
             setup,
             clock,

@@ -61,7 +61,7 @@ class OwnSection(SpeedSection):
             )
 
     def bounds(self) -> dict[str, str]:
-        """Return addresses, rate and the largest wheel speed as {name: text}, for display."""
+        """Return addresses, rate and maximum wheel speed as {name: text}, for display."""
         ports = ", ".join(robot.address for robot in self.robots)
         return {
             "robots": f"{ports}, {self.rate:g} commands per second each",

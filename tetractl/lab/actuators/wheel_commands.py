@@ -25,7 +25,7 @@ EMPTY_V = 4.0  # voltage of four cells below which motors would soon fail
 
 
 class Status(IntFlag):
-    """The status flags in a robot's reply: running, stopped in an emergency, silent."""
+    """Status flags in a robot's reply: driving, emergency-stopped, or stopped by its watchdog."""
 
     RUNNING = 1  # the last frame set the run flag
     EMERGENCY_STOPPED = 2
@@ -62,14 +62,18 @@ class PolledLink(Protocol):
         ...
 
     def ask(self) -> tuple[int, int]:
-        """Send a poll, and return its sequence number and when it was sent [ns].
+        """Send a poll to all robots, and drop whatever has arrived before.
 
-        Whatever arrived before is dropped.
+        Returns:
+            The sequence number of the poll, and the time of sending [ns].
         """
         ...
 
     def hear(self, timeout_s: float) -> Iterable[Reply]:
-        """Wait for replies for at most `timeout_s` seconds, and return those that arrived."""
+        """Return the replies received so far, or wait for one for at most `timeout_s` seconds.
+
+        The result is empty if none arrives.
+        """
         ...
 
 
@@ -117,16 +121,22 @@ def polled(
 
 
 def radii_mm(setup: Setup, stated_mm: Sequence[float | None]) -> Floats:
-    """Return the distances (N,) from robots' wheels to their centres [mm].
+    """Return the distance from each robot's wheels to its centre [mm], shape (N,).
 
-    The default is the spec's distance. NaN if neither is stated.
+    An entry of `stated_mm` that is None stands for the spec's distance. The result is NaN for a
+    robot if neither is given.
     """
     radius = math.nan if setup.wheel_radius is None else setup.wheel_radius * setup.metres / MM
     return np.array([radius if stated is None else stated for stated in stated_mm])
 
 
 def wheels_by_speed(gain: Floats, speed_max: float) -> Drivetrains:
-    """Return wheels that are commanded by their speed, given their gains (2, N)."""
+    """Create the wheels of robots that are commanded by speeds, not by motor counts.
+
+    Args:
+        gain: True speed for each unit that is sent, shape (2, N).
+        speed_max: Maximum speed that is sent, in the same unit.
+    """
     count = gain.shape[1]
     return Drivetrains(
         gain=gain,
@@ -171,7 +181,10 @@ class WheeledActuator(ABC):
 
     halts = True
     held: CountArray | None = None
-    """Outputs (2, N) that are sent whatever the action is, for calibration."""
+    """Outputs (2, N) that are sent instead of those for the action, during a calibration.
+
+    None to send the outputs for the action.
+    """
 
     def __init__(
         self,
@@ -221,7 +234,10 @@ class WheeledActuator(ABC):
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Send each robot the wheel speeds for an action; see `Actuator.send`."""
+        """Send each robot the wheel speeds for an action; see `Actuator.send`.
+
+        If `held` is set, these outputs are sent instead. Robots that may not move get 0.
+        """
         may = np.array(moving, dtype=np.bool_)
         if self.held is None:
             outputs = self.outputs(self.wished(action, poses, exposed_ns), may)
@@ -231,9 +247,9 @@ class WheeledActuator(ABC):
         return self._transmission(sent_ns, action, speeds, tuple(moving))
 
     def stop(self, emergency: bool = False) -> Transmission:
-        """Stop every robot.
+        """Stop every robot once, and return the transmission.
 
-        In an `emergency`, robots that can do so stay stopped until switched off.
+        If `emergency` is true, robots that can do so stay stopped until they are switched off.
         """
         sent_ns = self._halt(emergency)
         count = len(self.names)
@@ -244,7 +260,7 @@ class WheeledActuator(ABC):
     def outputs(self, wished: Floats, may: Bools) -> CountArray:
         """Convert wheel speeds (2, N) [mm/s] to outputs (2, N), in the actuator's own unit.
 
-        They are 0 for robots that may not move.
+        They are 0 for robots that may not move: `may` is False for them, shape (N,).
         """
         return self._host.counts(wished) * may
 
@@ -280,14 +296,20 @@ class WheeledActuator(ABC):
 
     @abstractmethod
     def _halt(self, emergency: bool) -> int:
-        """Send a stop to every robot, and return when it was sent [ns]. Latched if `emergency`."""
+        """Send a stop to every robot, and return when it was sent [ns].
+
+        If `emergency` is true, the robots latch the stop, if they can.
+        """
 
     def check(self) -> Health:
         """Return an empty report: by default, an actuator has nothing to report."""
         return Health()
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Ask every robot for its battery voltage and state."""
+        """Ask every robot for its battery voltage and state, for at most `timeout_s` seconds.
+
+        `answers` is None in the result if the robots cannot answer.
+        """
         if self._ask is None:
             return [RobotStatus(answers=None) for _ in self.names]
         replies = zip(self.names, self._ask(timeout_s), strict=True)

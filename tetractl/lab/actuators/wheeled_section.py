@@ -29,7 +29,7 @@ class FoundWheel(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The calibrated values of one robot. Fields of the same name in the spec explain them."""
+    """The values of one robot that a calibration has found, named like the fields of the spec."""
 
     heading_offset: float
     radius_mm: float
@@ -47,7 +47,14 @@ class Found:
 
 
 def wheel_gains(calibrated: Found, unit_mm: float) -> dict[str, float]:
-    """Return r and the gains of wheels that drive at a nominal `unit_mm` [mm/s] per output.
+    """Convert a calibration to the fields of robots that receive wheel speeds.
+
+    Args:
+        calibrated: The values that the calibration found.
+        unit_mm: Nominal speed of a wheel that receives 1 [mm/s].
+
+    Returns:
+        The wheel distance r, and the gains of both wheels relative to the nominal speed.
 
     Raises:
         AbortError: If the wheels are swapped or inverted, which gains cannot express.
@@ -68,14 +75,14 @@ class CalibratedSection(Protocol):
     """Base class of the spec's fields for an actuator whose robots' wheels can be calibrated."""
 
     dead_zone_max: ClassVar[int]
-    """The largest dead zone that the section can state [outputs]."""
+    """Maximum dead zone that the section can state [outputs]. 0 if it has no such field."""
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
         """Return the output for a 127th of full speed, and the maximum output for a robot.
 
         Args:
-            name: The robot.
-            limit: Maximum speed, in 127ths of full speed.
+            name: Name of the robot.
+            limit: Maximum speed to allow, in 127ths of full speed.
         """
         ...
 
@@ -94,9 +101,9 @@ class SpeedRobot(RobotPart):
     radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
     """Distance r from a wheel to its centre [mm], as in its program. Default: the spec's."""
     left_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
-    """True speed of the left wheel over the speed that it was sent."""
+    """True speed of the left wheel, divided by the speed that was sent to it."""
     right_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
-    """True speed of the right wheel over the speed that it was sent."""
+    """True speed of the right wheel, divided by the speed that was sent to it."""
 
 
 class SpeedSection(ActuatorSection):
@@ -105,9 +112,9 @@ class SpeedSection(ActuatorSection):
     calibration: ClassVar[str] = "tetractl.lab.calibrate:calibrate_robots"
     dead_zone_max: ClassVar[int] = 0
     unit_mm: ClassVar[float] = 1.0
-    """The speed of a wheel that receives 1 [mm/s]."""
+    """Nominal speed of a wheel that receives the number 1 [mm/s]."""
     rate: float = Field(default=20.0, ge=10, le=200, allow_inf_nan=False)
-    """Commands to each robot per second [Hz]."""
+    """Number of commands sent to each robot per second [Hz]."""
     delay: float = Field(default=0.01, ge=0, le=0.2, allow_inf_nan=False)
     """Time from sending a command until the wheels follow it [s]."""
     speed_max_mm_s: Positive = Field(default=400.0, le=5000)

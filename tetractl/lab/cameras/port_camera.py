@@ -70,9 +70,10 @@ class PortCamera(ABC):
 
     @abstractmethod
     def poses(self, message: bytes) -> tuple[Pose | None, ...]:
-        """Return the pose of each robot of the setup. None if a robot is untracked.
+        """Decode a message to the pose of each robot of the setup. None if one is untracked.
 
-        Raises any of UNREADABLE, such as ValueError or KeyError, if the message cannot be read.
+        Raise any of UNREADABLE, such as ValueError or KeyError, if the message cannot be read. The
+        message is then counted as damaged.
         """
 
     def stamp_s(self, message: bytes) -> float | None:
@@ -110,15 +111,18 @@ class PortCamera(ABC):
         self._port.close()
 
     def check(self) -> Health:
-        """Report the camera's state before a run, and whether it is emulated by software."""
+        """Report whether the camera is emulated by software. Nothing else is checked."""
         return Health(emulated=self.emulated)
 
     def frames(self) -> list[CameraFrame]:
-        """Return every frame since the last call, oldest first."""
+        """Return every frame received since the last call, oldest first."""
         return drained(self._waiting)
 
     def _receive(self, data: bytes, at_ns: int) -> None:
-        """Process a message. Empty data mean that the port has failed."""
+        """Convert a message to a frame with the time of its exposure.
+
+        Empty data mean that the port has failed: the frame then has a fault and no poses.
+        """
         fault = "" if data else self._port.failure or "the camera's port has failed"
         robots = len(self.setup.names)
         try:

@@ -7,11 +7,11 @@ difference between its own time from stamp to arrival and that of the fastest me
 from collections import deque
 
 STAMPS = 600
-"""Number of messages whose stamps are compared with their arrivals: 6 s at 100 Hz."""
+"""Number of recent messages among which the fastest is searched: 6 s at 100 Hz."""
 
 
 class StampClock:
-    """Compares the stamps of messages, on the sender's clock, with their arrivals."""
+    """Compares the time stamps of messages, on the sender's clock, with their arrivals."""
 
     def __init__(self) -> None:
         self._gaps_ns = deque[int](maxlen=STAMPS)
@@ -24,5 +24,8 @@ class StampClock:
 
     @property
     def quickest_ns(self) -> int | None:
-        """The shortest time from a stamp to an arrival [ns], None before the first message."""
+        """The shortest difference between arrival and time stamp of recent messages [ns].
+
+        The sender's clock may have any zero. None before the first message.
+        """
         return min(self._gaps_ns, default=None)

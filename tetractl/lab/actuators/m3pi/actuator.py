@@ -53,7 +53,7 @@ class M3piActuator(WheeledActuator):
         )
 
     def check(self) -> Health:
-        """Return the questions that the radio module raises for the operator."""
+        """Return the operator's questions about the radio module, such as about its firmware."""
         return Health(questions=self.link.questions)
 
     def _halt(self, emergency: bool) -> int:

@@ -44,7 +44,11 @@ class BroadcastCommand:
 
 
 def encode_command(command: BroadcastCommand) -> bytes:
-    """Encode a command as a frame, including the closing byte 00."""
+    """Encode a command as a frame, including the closing byte 00.
+
+    Raises:
+        WireError: If the sequence, the number of robots or a count does not fit into the frame.
+    """
     if not 0 <= command.sequence <= 255:
         raise WireError(f"sequence {command.sequence} does not fit into one byte")
     if len(command.wheels) > ROBOTS_MAX:
@@ -65,7 +69,11 @@ def encode_command(command: BroadcastCommand) -> bytes:
 
 
 def decode_command(frame: bytes) -> BroadcastCommand:
-    """Decode a command from a frame, which is given without the closing byte 00."""
+    """Decode a command from a frame, which is given without the closing byte 00.
+
+    Raises:
+        WireError: If the frame is damaged or is not a valid command.
+    """
     payload = cobs.checked_payload(frame)
     if len(payload) < 4 or payload[0] != COMMAND:
         raise WireError("not a command")
@@ -81,7 +89,11 @@ def decode_command(frame: bytes) -> BroadcastCommand:
 
 
 def decode_reply(frame: bytes) -> Reply:
-    """Decode a robot's reply from a frame, which is given without the closing byte 00."""
+    """Decode a robot's reply from a frame, which is given without the closing byte 00.
+
+    Raises:
+        WireError: If the frame is damaged or is not a reply.
+    """
     robot, sequence, status, *counters = cobs.unpack_fields(_REPLY, REPLY, frame)
     return Reply(robot, sequence, Status(status & 7), *counters)
 
@@ -103,7 +115,10 @@ class Broadcaster:
         self._splitter = cobs.Splitter()  # of what has come since the last poll
 
     def drive(self, counts: Sequence[Counts]) -> int:
-        """Send every robot its wheel counts in one frame; return the time of sending [ns]."""
+        """Send every robot its wheel counts in one frame, and return the time of sending [ns].
+
+        `counts` has one pair, left and right, for each robot in the order of the setup.
+        """
         wheels = [STOP] * (max(self._indices) + 1)
         for index, pair in zip(self._indices, counts, strict=True):
             wheels[index] = pair
@@ -118,11 +133,11 @@ class Broadcaster:
         return self._link.send(encode_command(BroadcastCommand(self._sequence, flags, wheels)))
 
     def poll(self, timeout_s: float) -> list[Reply | None]:
-        """Ask all robots for a reply, and return the replies.
+        """Ask all robots for a reply, and return the reply of each. None for a silent robot.
 
-        None for a robot that does not answer.
-
-        The function returns at once if the link fails.
+        Args:
+            timeout_s: How long to wait in total [s]. The function returns earlier if all have
+                replied, or if the link fails.
         """
         return polled(self, self._indices, self._clock, timeout_s, REPLY_SLOT_MS)
 
@@ -142,7 +157,10 @@ class Broadcaster:
         return self._sequence, sent_ns
 
     def hear(self, timeout_s: float) -> Iterator[Reply]:
-        """Wait for replies for at most `timeout_s` seconds, and yield those that arrived."""
+        """Wait at most `timeout_s` seconds for data, and yield the replies that arrived.
+
+        Frames that are not replies are dropped.
+        """
         self._link.wait(timeout_s)
         for frame in self._splitter.feed(b"".join(self._link.fetch())):
             with suppress(WireError):

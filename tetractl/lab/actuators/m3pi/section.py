@@ -20,12 +20,12 @@ from tetractl.spec.yaml.problems import Loc
 
 
 class WheelSection(Model):
-    """One wheel: its speed is the gain times (|count| - dead zone)."""
+    """The fields of one wheel: its speed is the gain times (|count| - dead zone)."""
 
     gain_mm: float = Field(default=1000 / 127, gt=0, le=100, allow_inf_nan=False)
     """Speed per count [mm/s]."""
     dead_zone: int = Field(default=0, ge=0, le=60)
-    """Largest count that does not move the wheel."""
+    """Largest wheel count at which the wheel does not move."""
     invert: bool = False
     """Whether the motor turns backward at positive counts."""
 
@@ -46,7 +46,7 @@ class M3piRobot(RobotPart):
     swap: bool = False
     """Whether the left wheel is connected to the right motor's output."""
     limit: int = Field(default=127, ge=1, le=127)
-    """Largest wheel count that is sent to the robot; full speed is 127."""
+    """Maximum wheel count that is sent to the robot. Full speed is 127."""
 
 
 class M3piSection(XbeeSection, ActuatorSection):
@@ -65,7 +65,7 @@ class M3piSection(XbeeSection, ActuatorSection):
     robots: tuple[M3piRobot, ...] = Field(min_length=1, max_length=32)
     """One entry for each robot of the spec, with its number and wheels."""
     battery_warn: NonNegative = 4.4
-    """A warning is printed if a robot's battery voltage is below this [V]."""
+    """Battery voltage below which a warning is printed for a robot [V]."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the field and message of each problem with robots, numbers or wheels."""
@@ -81,16 +81,13 @@ class M3piSection(XbeeSection, ActuatorSection):
                     yield ("robots", i, side, "dead_zone"), message
 
     def require_port(self) -> None:
-        """Check that the serial port of the radio exists. AbortError is raised if not."""
+        """Raise AbortError if the serial port of the radio does not exist on this computer."""
         from tetractl.lab.serial_port import require_port
 
         require_port(self.port, "the radio")
 
     def bounds(self) -> dict[str, str]:
-        """Describe the radio's port and rate, and the maximum wheel counts, for display.
-
-        The result maps a name to a text.
-        """
+        """Return the radio's port and rate, and the maximum wheel count, as {name: text}."""
         return {
             "radio": f"{self.port}, {self.rate:g} commands per second",
             "wheel counts": f"at most {max(robot.limit for robot in self.robots)} of 127",
@@ -102,7 +99,10 @@ class M3piSection(XbeeSection, ActuatorSection):
         return self.robots.index(robot) if robot.index is None else robot.index
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
-        """Return the wheel count for a 127th of full speed, and the largest count of a robot."""
+        """Return the wheel count for a 127th of full speed, and the robot's maximum count.
+
+        The maximum is `limit`, or the robot's own limit if that is lower.
+        """
         return 1.0, min(limit, entry(self.robots, name).limit)
 
     def measured(self, calibrated: Found) -> dict[str, Any]:

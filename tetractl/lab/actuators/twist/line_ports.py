@@ -50,7 +50,7 @@ class TwistLink(PortGroup):
         self._kind: Kind = "T" if section.sends == "twist" else "W"
         self._indices = tuple(section.index(name) for name in names)
         self._indices_at: dict[str, set[int]] = {}
-        """The robots at each port, in the order of the ports."""
+        """For each port, the indices of the robots that receive its lines."""
         for index, name in zip(self._indices, names, strict=True):
             self._indices_at.setdefault(section.port_of(name), set()).add(index)
         self._replies: deque[Reply] = deque(maxlen=WAITING_MAX)
@@ -63,7 +63,11 @@ class TwistLink(PortGroup):
         )
 
     def drive(self, pairs: Sequence[tuple[int, int]]) -> int:
-        """Send each robot its pair of numbers; return the time of the last sending [ns]."""
+        """Send each robot its pair of numbers, and return the time of the last sending [ns].
+
+        The numbers are speed [mm/s] and turning rate [mrad/s], or the speeds of left and right
+        wheel [mm/s], as the section's field `sends` says.
+        """
         entries = [(i, *pair) for i, pair in zip(self._indices, pairs, strict=True)]
         return self._send(Flag.RUN, entries)
 
@@ -79,11 +83,11 @@ class TwistLink(PortGroup):
         return self._send(Flag.EMERGENCY_STOP if emergency else Flag(0), [])
 
     def poll(self, timeout_s: float) -> list[Reply | None]:
-        """Ask all robots for a reply, and return the replies.
+        """Ask all robots for a reply, and return the reply of each. None for a silent robot.
 
-        None for a robot that does not answer.
-
-        The function returns at once if a port fails.
+        Args:
+            timeout_s: How long to wait in total [s]. The function returns earlier if all have
+                replied, or if a port fails.
         """
         return polled(self, self._indices, self._clock, timeout_s, REPLY_SLOT_MS)
 
@@ -107,7 +111,10 @@ class TwistLink(PortGroup):
         return drained(self._replies)
 
     def _send(self, flags: Flag, entries: Sequence[Entry]) -> int:
-        """Send each port a line with the entries of its robots. Robots without an entry stop."""
+        """Send each port a line for its robots, and return the time of sending [ns].
+
+        Robots without an entry stop.
+        """
         self._sequence = (self._sequence + 1) % 256
         lines: list[bytes] = []
         for indices_here in self._indices_at.values():

@@ -24,7 +24,7 @@ DIGITS_MAX = 6  # most digits of a number
 REPLY_SLOT_MS = 20  # robot i replies i slots after a poll, so that replies do not collide
 Kind = Literal["T", "W"]
 Entry = tuple[int, int, int]
-"""A robot's index, and v and w or the speeds of its left and right wheel."""
+"""A robot's index with its two numbers: v [mm/s] and w [mrad/s], or both wheels' speeds [mm/s]."""
 
 
 @dataclass(frozen=True, slots=True)

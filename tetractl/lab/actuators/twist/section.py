@@ -35,9 +35,9 @@ class TwistRobot(RobotPart):
     Default: `wheels.radius`.
     """
     left_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
-    """True speed of the left wheel over the speed that it was sent."""
+    """True speed of the left wheel, divided by the speed that was sent to it."""
     right_gain: float = Field(default=1.0, ge=0.2, le=5, allow_inf_nan=False)
-    """True speed of the right wheel over the speed that it was sent."""
+    """True speed of the right wheel, divided by the speed that was sent to it."""
 
 
 class TwistSection(ActuatorSection):
@@ -67,11 +67,11 @@ class TwistSection(ActuatorSection):
     delay: float = Field(default=0.01, ge=0, le=0.2, allow_inf_nan=False)
     """Time from the sending of a line until the wheels follow it [s]."""
     speed_max_mm_s: Positive = Field(default=500.0, le=5000)
-    """Largest wheel speed that is sent [mm/s]."""
+    """Maximum wheel speed that is sent [mm/s]."""
     robots: tuple[TwistRobot, ...] = Field(min_length=1, max_length=16)
     """One entry for each robot of the spec."""
     battery_warn: NonNegative = 4.4
-    """A warning is printed for a robot below this battery voltage [V]."""
+    """Battery voltage below which a warning is printed for a robot [V]."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the field and message of each problem with robots, numbers, ports or wheels."""
@@ -92,7 +92,10 @@ class TwistSection(ActuatorSection):
                 yield loc, f"must be {SCHEME}HOST:PORT"
 
     def require_port(self) -> None:
-        """Check that the serial ports exist. AbortError is raised if one does not."""
+        """Raise AbortError if a serial port of the robots does not exist.
+
+        UDP is not checked.
+        """
         from tetractl.lab.serial_port import require_port
         from tetractl.lab.udp_port import SCHEME
 
@@ -101,14 +104,17 @@ class TwistSection(ActuatorSection):
                 require_port(port, "the radio")
 
     def bounds(self) -> dict[str, str]:
-        """Return the ports, the rate and the largest wheel speed as {name: text}, for display."""
+        """Return the ports, the rate and the maximum wheel speed as {name: text}, for display."""
         return {
             "robots": f"{', '.join(self.ports())}, {self.rate:g} lines per second",
             "wheel speeds": f"at most {self.speed_max_mm_s:g} mm/s",
         }
 
     def outputs(self, name: str, limit: int) -> tuple[float, int]:
-        """Return the wheel speed for a 127th of full speed, and for `limit` of these [mm/s]."""
+        """Return the wheel speed for a 127th of the maximum speed, and for `limit` of these.
+
+        Both are in mm/s.
+        """
         return self.speed_max_mm_s / 127, int(self.speed_max_mm_s * limit / 127)
 
     def measured(self, calibrated: Found) -> dict[str, Any]:

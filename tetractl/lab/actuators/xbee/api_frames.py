@@ -29,7 +29,7 @@ RESPONSE = struct.Struct(">BB2sB")
 def received(content: bytes) -> bytes:
     """Extract the data that another module has sent from a frame's content.
 
-    Empty if there is none.
+    The result is empty if the frame contains no such data.
     """
     return content[_BEFORE_DATA[content[0]] :] if content[0] in _BEFORE_DATA else b""
 
@@ -37,7 +37,7 @@ def received(content: bytes) -> bytes:
 def answered(content: bytes) -> tuple[int, bytes, bytes | None] | None:
     """Extract (frame id, command, value) from a module's answer to a request.
 
-    None for other frames.
+    The value is None if the module reports an error. The result is None for any other frame.
     """
     if content[0] != AT_RESPONSE or len(content) < RESPONSE.size:
         return None
@@ -75,7 +75,7 @@ class Decoder:
         self._escaping = False
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Add received bytes, and return the contents of the frames that they complete."""
+        """Add received bytes, and return the contents of the valid frames that they complete."""
         return [content for byte in data if (content := self._take(byte)) is not None]
 
     def _take(self, byte: int) -> bytes | None:

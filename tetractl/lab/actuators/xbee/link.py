@@ -41,7 +41,7 @@ class Link:
         self._decoder = frames.Decoder()
         self._fresh: deque[bytes] = deque(maxlen=WAITING_MAX)
         self._answers: dict[tuple[int, bytes], bytes | None] = {}
-        """Values received since the last request, by the request's number and its two letters."""
+        """Answers since the last request, by its number and two letters. None for an error."""
         self._frame_id = 0
         self._clock = clock
         make = ports or SerialPort
@@ -53,13 +53,24 @@ class Link:
         return self._port.failure
 
     def open(self, checked: bool = True, alone: bool = True) -> None:
-        """Open the port, exclusively if `alone`; check the module if `checked`."""
+        """Open the port, and check the radio module.
+
+        Args:
+            checked: Whether to check the module. This sets `questions` for the operator.
+            alone: Whether to open the port exclusively.
+
+        Raises:
+            AbortError: If the port cannot be opened, or the module is unsuitable.
+        """
         self._port.open(alone)
         if checked:
             self.questions = self._check()
 
     def send(self, data: bytes) -> int:
-        """Broadcast data to all modules; return the time of writing [ns]."""
+        """Broadcast data to all modules, and return the time of writing [ns].
+
+        Raises AbortError if the port has failed.
+        """
         return self._port.write(frames.encode(frames.BROADCAST + data))
 
     def ask(self, command: bytes) -> bytes | None:
@@ -77,7 +88,10 @@ class Link:
         return self._answers.get(awaited)
 
     def ask_twice(self, command: bytes) -> bytes | None:
-        """Request a parameter of the module, and repeat the request once if no answer comes."""
+        """Request a parameter of the module, and repeat the request once without an answer.
+
+        The result is None if no value is returned either time.
+        """
         return self.ask(command) or self.ask(command)
 
     def fetch(self) -> list[bytes]:
@@ -89,7 +103,10 @@ class Link:
         self._wait(lambda: bool(self._fresh), timeout_s)
 
     def close(self) -> None:
-        """End the reading thread and release the port; may be called twice, never raises."""
+        """End the reading thread and release the port.
+
+        It may be called twice and never raises.
+        """
         self._port.close()
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> None:
@@ -178,7 +195,8 @@ class Link:
     def _check_firmware(self, hardware: bytes) -> tuple[str, ...]:
         """Raise AbortError if the module has unsuitable firmware.
 
-        Return a question if it is unknown.
+        Returns:
+            A question for the operator if the firmware is unknown. Empty otherwise.
         """
         port = self.radio.port
         version = self.ask(b"VR") or b""

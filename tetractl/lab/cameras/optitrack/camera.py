@@ -120,7 +120,8 @@ class OptitrackCamera:
     def turn(self) -> None:
         """Send the requests that are due and read what has arrived, without waiting.
 
-        If the camera is not open, this does nothing.
+        For cameras without a thread, which use sockets in memory. If the camera is not open,
+        nothing happens.
         """
         if self._sockets:
             self._chores()
@@ -157,7 +158,7 @@ class OptitrackCamera:
             raise AbortError(f"the camera server has sent no new frames for {timeout_s:g} s")
 
     def frames(self) -> list[CameraFrame]:
-        """Return the frames since the last call, oldest first."""
+        """Return the frames received since the last call, oldest first."""
         return drained(self._fresh)
 
     def __exit__(self, *_: object) -> None:

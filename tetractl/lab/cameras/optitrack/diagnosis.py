@@ -13,7 +13,7 @@ SHOWN = 12  # largest number of rigid bodies listed in a message
 
 
 def no_server(section: OptitrackSection, senders: SenderFilter, timeout_s: float) -> AbortError:
-    """Return the error for a server that did not answer CONNECT.
+    """Create the error for a server that did not answer CONNECT.
 
     Args:
         section: The section of the camera.
@@ -39,7 +39,7 @@ def no_server(section: OptitrackSection, senders: SenderFilter, timeout_s: float
 def no_frames(
     section: OptitrackSection, senders: SenderFilter, stream: Stream, timeout_s: float
 ) -> AbortError:
-    """Return the error for a server that answers but sends no usable frame.
+    """Create the error for a server that answers but sends no usable frame.
 
     Args:
         section: The section of the camera.
@@ -114,7 +114,7 @@ def _reads_as(frame: bytes, stream: Stream) -> str:
 
 
 def no_up_axis(stream: Stream) -> AbortError:
-    """Return the error for a server whose up axis is unknown or cannot be used."""
+    """Create the error for a server whose vertical axis is unknown or cannot be used."""
     if stream.up_answer is None:
         return AbortError(
             "the camera server does not report which of its axes points up",
@@ -128,7 +128,7 @@ def no_up_axis(stream: Stream) -> AbortError:
 
 
 def no_names(stream: Stream, timeout_s: float) -> AbortError:
-    """Return the error for a server that does not report names although the spec names bodies."""
+    """Create the error for a server that reports no names although the spec names bodies."""
     if stream.counts.unread_models:
         said = f"its list of rigid bodies cannot be read as protocol {stream.version}"
     else:
@@ -143,7 +143,10 @@ def no_names(stream: Stream, timeout_s: float) -> AbortError:
 
 
 def bodies(stream: Stream) -> str:
-    """Return a line that lists the rigid bodies that the server has named or streamed."""
+    """Return a line that lists the rigid bodies that the server has named or streamed.
+
+    It is "none" if there are none. At most SHOWN bodies are listed.
+    """
     named = {} if stream.model is None else {number: name for name, number in stream.model.bodies}
     numbers = tuple(dict.fromkeys((*named, *stream.seen)))
     listed = [_body(number, named.get(number), number in stream.seen) for number in numbers[:SHOWN]]
@@ -192,7 +195,7 @@ def _lacking(stream: Stream, model: natnet.ModelDef, name: str, robot: TrackedRo
 
 
 def not_taken(senders: SenderFilter, stream: Stream) -> list[str]:
-    """Return warnings about dropped datagrams.
+    """Return warnings about dropped datagrams, one line each. Empty if none was dropped.
 
     They came from unknown senders, or were answers without a request.
     """

@@ -22,7 +22,10 @@ class Version(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether the layouts of this version are known; newer versions are read as 4.3."""
+        """Whether the layout of this version's messages is known.
+
+        Newer ones are read as 4.3.
+        """
         return OLDEST <= self <= NEWEST
 
     @classmethod
@@ -96,7 +99,7 @@ class NatNetFrame:
 
     @property
     def edit_mode(self) -> bool:
-        """Whether Motive is in edit mode. Then it streams a recording instead of the robots."""
+        """Whether Motive is in edit mode, in which it streams a recording, not the robots."""
         return bool(self.params & 4)
 
 
@@ -112,7 +115,7 @@ class ModelDef:
     complete: bool = True
 
     def ids(self) -> dict[str, int]:
-        """Return the ids of the tracked bodies by their names."""
+        """Return the ids of the rigid bodies, as {name: id}."""
         return dict(self.bodies)
 
 
@@ -171,7 +174,12 @@ class EchoRequest:
 
 @dataclass(frozen=True, slots=True)
 class EchoResponse:
-    """The server's time when it answered [ticks], and the `client` of the request."""
+    """The answer to an `EchoRequest`, with the times of both clocks.
+
+    Attributes:
+        client: The host's time in the request [ns].
+        server: The server's time when it answered [ticks].
+    """
 
     client: int
     server: int
@@ -189,7 +197,7 @@ ServerMessage = ServerInfo | ModelDef | NatNetFrame | Response | EchoResponse | 
 
 
 class UpAxis(IntEnum):
-    """The server's vertical axis; the value is the server's answer to the request `UpAxis`."""
+    """The server's vertical axis. The value is the server's answer to the request `UpAxis`."""
 
     Y = 1
     Z = 2

@@ -100,17 +100,25 @@ class Cursor:
 
     @property
     def left(self) -> int:
-        """Number of bytes from the present position to the end of the message."""
+        """Number of bytes from the present position to the end of reading."""
         return self.end - self.at
 
     def skip(self, size: int) -> None:
-        """Skip `size` bytes of the message."""
+        """Move forward by `size` bytes.
+
+        Raises:
+            WireError: If fewer bytes remain.
+        """
         if not 0 <= size <= self.left:
             raise WireError(f"{size} bytes expected, but only {self.left} remain")
         self.at += size
 
     def take(self, layout: Struct) -> tuple[Any, ...]:
-        """Read one structure at the present position, and return its fields."""
+        """Read one structure at the present position, and return its fields.
+
+        Raises:
+            WireError: If fewer bytes remain.
+        """
         start = self.at
         self.skip(layout.size)
         return layout.unpack_from(self.data, start)
@@ -132,7 +140,11 @@ class Cursor:
         return count
 
     def size(self, count: int, smallest: int) -> int:
-        """Read the size [bytes] of a part with `count` elements of at least `smallest` bytes."""
+        """Read the size [bytes] of a part with `count` elements of at least `smallest` bytes.
+
+        Raises:
+            WireError: If the elements do not fit into this size, or this size into the payload.
+        """
         size = self.i32()
         self._require(count, smallest, size)
         return size
@@ -145,7 +157,7 @@ class Cursor:
             )
 
     def skip_elements(self, size: int) -> None:
-        """Skip a count and that number of elements of `size` bytes."""
+        """Read a number of elements, and skip that many elements of `size` bytes each."""
         self.skip(self.count(size) * size)
 
     def skip_sized(self, smallest: int) -> None:
@@ -164,12 +176,16 @@ class Cursor:
         return part
 
     def skip_names(self) -> None:
-        """Skip a number and that many names, as lists of markers have."""
+        """Read a number of names, and skip that many names, as in lists of markers."""
         for _ in range(self.count(1)):
             self.name()
 
     def name(self) -> str:
-        """Read a name that ends with a zero byte, of at most 255 bytes."""
+        """Read a name that ends with a zero byte.
+
+        Raises:
+            WireError: If it has more than NAME_MAX bytes, or no zero byte follows.
+        """
         start = self.at
         stop = self.data.find(b"\0", start, min(self.end, start + NAME_MAX + 1))
         if stop < 0:
@@ -179,12 +195,10 @@ class Cursor:
 
 
 def parse_frame(payload: bytes, version: natnet.Version) -> natnet.NatNetFrame:
-    """Decode a frame.
-
-    Versions above 4.3 are read as 4.3.
+    """Decode the payload of a frame message. Versions above 4.3 are read as 4.3.
 
     Raises:
-        WireError: If the layout does not fit.
+        WireError: If the payload does not fit the layout of the version.
     """
     layout = layout_of(version)
     cursor = Cursor(payload, len(payload) - layout.suffix.size)
@@ -273,7 +287,13 @@ SKIPPED = {
 
 
 def parse_modeldef(payload: bytes, version: natnet.Version) -> natnet.ModelDef:
-    """Decode the names and ids of rigid bodies. Bodies inside skeletons are left out."""
+    """Decode the names and ids of rigid bodies from a MODELDEF message.
+
+    Bodies inside skeletons are left out.
+
+    Raises:
+        WireError: If the payload does not fit the layout of the version.
+    """
     layout = layout_of(version)
     known_kinds = {*SKIPPED} if layout.timed else {MARKER_SET, CAMERA}
     cursor = Cursor(payload)

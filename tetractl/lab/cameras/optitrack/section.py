@@ -29,11 +29,14 @@ VersionText = Annotated[
     Field(pattern=r"^(2\.([5-9]|1\d)|[34]\.\d{1,2})$"),
     BeforeValidator(_version_as_text, json_schema_input_type=str | float),
 ]
-"""A protocol version as text, or as a number if its minor version has one digit."""
+"""A protocol version, such as "4.1".
+
+A number is also accepted if its minor version has one digit.
+"""
 
 
 class TrackedRobot(RobotPart):
-    """One robot in the spec of the camera: the rigid body by which OptiTrack tracks it."""
+    """The entry of one robot in the spec of the camera: the rigid body by which it is tracked."""
 
     body: str | int
     """Name or id of the robot's rigid body in the camera system."""
@@ -51,7 +54,7 @@ class OptitrackSection(CameraSection):
     interface: Ipv4 = "0.0.0.0"
     """IPv4 address of this computer's network card that reaches the cameras.
 
-    With 0.0.0.0, the system chooses.
+    With 0.0.0.0, the operating system chooses.
     """
     transport: Literal["multicast", "unicast"] = "multicast"
     """Transmission mode of the stream, as set in Motive."""
@@ -60,13 +63,13 @@ class OptitrackSection(CameraSection):
     data_port: Port = 1511
     """UDP port of the multicast stream; unused in unicast."""
     group: Ipv4 = "239.255.42.99"
-    """Address of the multicast stream: IPv4."""
+    """Multicast address of the stream: IPv4."""
     version: VersionText | None = None
     """Protocol version to request: major.minor, such as 4.1, or in quotes if it ends in 0, such as
     '2.10'. By default, and always in multicast, the server's own version.
     """
     up_axis: Literal["auto", "y", "z"] = "auto"
-    """The axis that points up; `auto` asks the server."""
+    """The camera server's axis that points up; `auto` asks the server."""
     origin: Point = (0.0, 0.0)
     """Position of the cameras' origin in the spec's coordinates [length unit]."""
     rotation: Angle = 0.0

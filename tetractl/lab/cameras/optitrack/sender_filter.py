@@ -1,4 +1,4 @@
-"""Decides by address and port which datagrams come from the camera server.
+"""Decide by address and port which datagrams come from the camera server.
 
 The server answers from the port that commands are sent to. Its frames come from one other port: in
 unicast, the port that SERVERINFO reports (since protocol 3.0), otherwise the port of the first
@@ -50,7 +50,7 @@ class SenderFilter:
         self.refused_frame = b""
 
     def accept(self, datagram: bytes, host: str, port: int) -> bool:
-        """Accept or refuse a datagram, and count it if it is refused.
+        """Return whether a datagram comes from the server. If it does not, count it.
 
         While the frames' port is unknown, frames are accepted from every port of the server. A
         datagram of unknown kind is treated as a frame, because it may be a damaged frame.
@@ -72,7 +72,10 @@ class SenderFilter:
         return False
 
     def fix_frames_port(self, port: int) -> None:
-        """Accept frames from this port only. The first port that is not 0 counts."""
+        """Accept frames from this port only. Once a port is fixed, later calls change nothing.
+
+        A port of 0 means that the port is unknown, and is ignored.
+        """
         self.frames_port = self.frames_port or port
 
     def main_refused_sender(self, *, sends_frames: bool) -> tuple[Sender, int] | None:

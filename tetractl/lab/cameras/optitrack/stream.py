@@ -64,12 +64,14 @@ class ClockSync:
         return self._at.round_trip_ns
 
     def add(self, sent_ns: int, returned_ns: int, ticks: int) -> None:
-        """Add an echo.
+        """Add an exchange of times with the server, and update the conversion.
+
+        It is ignored if the answer took more than a second.
 
         Args:
             sent_ns: When the host sent the request [ns].
             returned_ns: When the answer returned [ns].
-            ticks: The server's time [ticks].
+            ticks: The server's time in the answer [ticks].
         """
         if not 0 <= returned_ns - sent_ns <= SECOND:
             return
@@ -91,15 +93,15 @@ class ClockSync:
         return self._at.host_ns + round(since / (1.0 + self.drift))
 
     def error_ns(self, host_ns: int) -> int:
-        """Return the largest error of `to_host` near a host time [ns]."""
+        """Return the maximum error of `to_host` for times near a host time [ns]."""
         # the error of `drift` is at most twice DRIFT_MAX
         drifted = 2 * DRIFT_MAX * abs(host_ns - self._at.host_ns)
         return self._at.round_trip_ns // 2 + round(drifted) + self._resolution_ns
 
     def _contradiction(self, new: Echo) -> str:
-        """Describe how much the server's clock gained or lost since an earlier echo.
+        """Return a message if the server's clock jumped or runs at a wrong rate, else "".
 
-        The text is empty if the clock is within the tolerance.
+        It compares a new echo with all earlier ones.
         """
         for old in reversed(self._echoes):
             span = new.host_ns - old.host_ns
@@ -115,9 +117,9 @@ class ClockSync:
 
 
 def _slope(echoes: list[Echo]) -> float:
-    """Fit the slope [s/s] of (server time - host time) over host time to echoes.
+    """Fit the drift of the server's clock against the host's to echoes [s/s].
 
-    It is 0 if they span too short a time.
+    It is 0 if they span less than 5 s, and at most DRIFT_MAX in magnitude.
     """
     first = echoes[0]
     t = [echo.host_ns - first.host_ns for echo in echoes]
@@ -189,7 +191,7 @@ class OpenRequests:
         return is_asked
 
     def take_text(self) -> str | None:
-        """Close the last text request, and return it. None if it has been answered."""
+        """Return the last text request and close it. None if no text request is open."""
         text = self._text
         self._text = None
         return text
@@ -226,7 +228,7 @@ class Stream:
         self.counts = StreamCounts()
         self.info: natnet.ServerInfo | None = None
         self.version: natnet.Version | None = None
-        """The protocol version of frames. None before SERVERINFO."""
+        """The protocol version of the server's frames. None before SERVERINFO has arrived."""
         self.up = up
         self.up_answer: int | None = None
         self.unit_mm: float | None = None
@@ -246,7 +248,10 @@ class Stream:
         self._twins = ""  # fault text if two bodies have one name, otherwise ""
 
     def number(self, body: str | int) -> int | None:
-        """Return a body's id in frames. None if its name is unknown."""
+        """Return the id in frames of a body, given by name or id.
+
+        None if the name is unknown.
+        """
         if isinstance(body, int):
             return body
         return self._ids.get(body)
@@ -256,13 +261,18 @@ class Stream:
         return [robot.body for robot in self.robots if self.number(robot.body) not in self.seen]
 
     def asked(self, message: natnet.ClientMessage) -> None:
-        """Record a request that was sent: only answers to recorded requests are accepted."""
+        """Record a request that was sent. Only answers to recorded requests are accepted."""
         self._requests.add(message)
 
     def feed(self, datagram: bytes, received_ns: int) -> natnet.ServerMessage | None:
         """Process one datagram, and return its message.
 
-        None if the datagram was dropped and counted.
+        The result is None if the datagram could not be read or was not requested. It is then
+        counted in `counts`.
+
+        Args:
+            datagram: The whole datagram.
+            received_ns: When it was received, on the host's clock [ns].
         """
         try:
             message = parse(datagram, self.version)

@@ -62,7 +62,11 @@ def _parse_server_info(payload: bytes) -> natnet.ServerInfo:
 
 
 def pack_message(message: natnet.ClientMessage) -> bytes:
-    """Encode a message from a client to the NatNet server as one datagram."""
+    """Encode a client's message to the camera server as one datagram.
+
+    Raises:
+        WireError: If a value does not fit its field.
+    """
     match message:
         case natnet.Connect(version, pinned):
             bitstream = pack_fields("?4B", False, *version, 0, 0) if pinned else b""
@@ -79,7 +83,7 @@ def pack_message(message: natnet.ClientMessage) -> bytes:
 
 
 def split(datagram: bytes) -> tuple[natnet.MessageKind, bytes]:
-    """Split a datagram of the camera server into the kind of its message and its contents.
+    """Split a datagram into the kind of its message and its payload.
 
     Raises:
         WireError: If the header is wrong.
@@ -162,7 +166,11 @@ def pack_sender(name: str, version: natnet.Version) -> bytes:
 
 
 def read_sender(payload: bytes) -> tuple[str, natnet.Version]:
-    """Read the name and the protocol version of the program that sent a message."""
+    """Read the name and the protocol version of the program that sent a message.
+
+    Raises:
+        WireError: If the payload is too short.
+    """
     name, *versions = unpack_fields(SENDER, payload[: SENDER.size])
     return read_text(name), natnet.Version(*versions[4:6])
 

@@ -30,13 +30,16 @@ from tetractl.tools.children import run_tool
 
 COMPUTING = ("numpy", "numba", "llvmlite", "scipy")
 PACKAGES = (*COMPUTING, "pydantic", "pyyaml", "mcap", "zstandard", "protobuf")
-"""Packages whose version may change a result or its log."""
+"""Packages whose version may change a result or its log. Logs contain these versions."""
 
 CODE = "trial_code"
-"""Key of the hash `trial_code`, of all code that a simulated trial and its log follow from."""
+"""Key of the hash `trial_code` in the facts of a log.
+
+It covers all code that determines a simulated trial and its log.
+"""
 
 DECISION_CODE = "code"
-"""Key of a hash of DECIDING, the code that a decision follows from."""
+"""Key of the hash of the code that determines a decision (DECIDING)."""
 
 FILES_MAX = 200
 """Maximum number of changed files, and of untracked files, that a log names.
@@ -46,10 +49,12 @@ A checkout with many local changes therefore makes no large logs.
 VERSION_KEYS = frozenset(
     {"python", "tetractl", DECISION_CODE, CODE, "git_commit", "git_dirty", *PACKAGES}
 )
-"""Keys of versions in a log."""
+"""Keys of the facts of a log that name versions of code."""
 
 PLUGIN = "package."
-"""Prefix of the key for a package that provides a kind used by the spec; the value is its version.
+"""Prefix of the keys for packages that provide a kind used by the spec.
+
+The value is the version.
 """
 
 DECIDING = ("control", "model")
@@ -72,13 +77,13 @@ HERE = Path(__file__).parents[1]
 
 
 def now() -> str:
-    """Return the present date and time (UTC) in ISO 8601."""
+    """Return the present date and time (UTC) in ISO 8601, to the millisecond."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
 @cache
 def host() -> Mapping[str, str]:
-    """Return name, system and processor of this machine, and the settings of the compiler."""
+    """Return facts about this machine: name, system, processor, and settings of the compiler."""
     facts = {
         "host": socket.gethostname(),
         "os": platform.platform(),

@@ -32,33 +32,33 @@ class TrialRecorder(Observer):
         self._result: Result | None = None
 
     def on_start(self, start: Start) -> None:
-        """Keep the start."""
+        """Store the start of the trial, and a message about it."""
         self._start = start
         self._tracking = TrackingNotes(start.setup.names)
         self._notes.append(start_note(start))
 
     def on_samples(self, samples: list[Sample]) -> None:
-        """Keep camera frames."""
+        """Store camera frames, and messages about robots that they lose or find again."""
         self._samples += samples
         for sample in samples:
             self._notes += self._tracking.add(sample.observation)
 
     def on_command(self, command: Command) -> None:
-        """Keep a command sent outside the control steps."""
+        """Store a command that was sent outside the control steps."""
         self._commands.append(command)
 
     def on_note(self, note: Note) -> None:
-        """Keep a message to the operator for the log."""
+        """Store a message to the operator."""
         self._notes.append(note)
 
     def on_step(self, step: Step) -> None:
-        """Keep a control step and its command."""
+        """Store a control step and its command, with warnings about undelivered commands."""
         self._steps.append(step)
         self._commands.append(step.command)
         self._notes += undelivered_notes(self._start.setup.names, step)
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Keep the stop command and the result, and add a message about the end of the trial."""
+        """Store the stop and the result, and a message about the end of the trial."""
         self._commands.append(stop)
         self._notes.append(end_note(stop, result))
         self._result = result

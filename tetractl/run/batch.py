@@ -44,10 +44,10 @@ class RunObserver(Protocol):
     """
 
     def trial_started(self, task: Task) -> None:
-        """Take note that a trial starts. The runner calls this method."""
+        """Called when a trial starts."""
 
     def trial_ended(self, ending: Ending) -> None:
-        """Take note that a trial has ended. The runner calls this method."""
+        """Called when a trial has ended, also if it has failed."""
 
 
 @dataclass(slots=True)
@@ -68,7 +68,7 @@ class Report:
 
     @property
     def interrupted(self) -> bool:
-        """Whether any trial was interrupted by the user or a signal."""
+        """Whether any trial was interrupted, by Ctrl-C or another signal."""
         return any(r.outcome is Outcome.INTERRUPTED for r in self.results.values())
 
     @property
@@ -78,7 +78,7 @@ class Report:
 
 
 class OnFailure(Enum):
-    """What a batch does after a trial has failed: it was aborted, or has no outcome."""
+    """What a batch does after a trial has failed: the trial was aborted, or has no outcome."""
 
     GO_ON = "run all other trials"
     GO_ON_IF_CLEAR = "run them after an abort, unless somebody has to touch a robot or a device"
@@ -120,7 +120,10 @@ class TrialTimes:
         self._spent_s = dict.fromkeys(self._left, 0.0)
 
     def note_end(self, arm: str, wall_s: float | None) -> None:
-        """Count a trial of an arm, with its wall time [s]. None if it has no result."""
+        """Count the end of a trial of an arm.
+
+        `wall_s` is its wall time [s], None without a result.
+        """
         self._left[arm] -= 1
         if wall_s is not None:
             self._timed[arm] += 1

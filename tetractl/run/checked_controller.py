@@ -21,8 +21,11 @@ from tetractl.spec.controller import ALONE, ControllerSection, Host
 from tetractl.spec.experiment import Experiment
 
 PLAN_SIZE_MAX = 1 << 19
-"""Maximum count of numbers in a plan: a quarter of the largest chunk of a log that is read
-(`CHUNK_MAX` of `tetractl.log.read.limits`)."""
+"""Maximum number of floats in a plan.
+
+It is a quarter of the size of the largest chunk of a log that is read (`CHUNK_MAX` of
+`tetractl.log.read.limits`).
+"""
 
 
 def build_controller(experiment: Experiment, key: int) -> "CheckedController":
@@ -113,7 +116,10 @@ class _FieldError(ValueError):
 
 
 def _made(kind: type[Any], source: object) -> Any:
-    """Convert an object to a record of class `kind`, field by field."""
+    """Convert an object to a record of class `kind`, field by field.
+
+    Raises ValueError if a field is missing or has a wrong type.
+    """
     values: dict[str, Any] = {}
     for name, hint in _hints(kind).items():
         try:

@@ -32,8 +32,12 @@ class Cluster:
     the scheduler gives its task to another worker, at most three times. Then the trials are
     submitted one by one. Logs are returned with the results, so workers need no shared folder.
 
+    Args:
+        address: Address of the scheduler, such as tcp://host:8786.
+        interrupt: Requests to end.
+
     Raises:
-        UsageError: If no scheduler answers at `address`.
+        UsageError: If no scheduler answers at `address` when the context is entered.
     """
 
     def __init__(self, address: str, interrupt: Interrupt) -> None:

@@ -92,15 +92,15 @@ TURNING_TEXT = "all robots turn on the spot: they have no safe way ahead"
 PAUSING_TEXT = "all robots pause: the next plan starts from rest, or the trial ends"
 
 TimedDecision = tuple[Decision, int]
-"""A decision, and the wall time that it needed [ns]."""
+"""A decision of the controller, and the wall time that it needed [ns]."""
 
 
 class StepPacing:
     """The times at which control steps are due: k periods after the first step, plus delays.
 
     A pause delays all later steps by PAUSE_S. A plan that is sent late on purpose delays them by
-    the same time. A step that is late by a period or more delays them by its lateness, so that they
-    have the full period again.
+    the same time. A step that is late by a period or more delays them by its lateness, so that
+    they have the full period again.
     """
 
     def __init__(self, clock: Clock, period_s: float) -> None:
@@ -158,9 +158,9 @@ class FrameIntake:
         return samples
 
     def take_between(self, before: Observation, now: Observation) -> list[Observation]:
-        """Return the frames exposed between those of two steps, oldest first.
+        """Return the frames exposed between the frames of two steps, oldest first.
 
-        They are forgotten afterwards. Newer frames are kept.
+        All frames up to `now` are forgotten afterwards. Newer frames are kept.
         """
         self.take()
         frames = self._unplanned
@@ -170,7 +170,15 @@ class FrameIntake:
 
 @dataclass(slots=True)
 class StepCounts:
-    """What a trial counts and measures over its control steps, such as solve times."""
+    """What a trial counts and measures over its control steps.
+
+    Attributes:
+        solve_ns: Wall time of each plan [ns].
+        drove: Whether robots drove while each plan was made.
+        misses: Number of plans that took longer than a period while robots drove.
+        first_sent_ns: When the first direction was sent [ns]. None before that.
+        last_estimate: The controller's last estimate of the motion. None without one.
+    """
 
     solve_ns: list[int] = field(default_factory=list)  # wall time of each plan
     drove: list[bool] = field(default_factory=list)  # whether robots drove meanwhile
@@ -209,7 +217,13 @@ def motion_text(before: RobotMotion, now: RobotMotion) -> str:
 
 @dataclass(frozen=True, slots=True)
 class LoopEnd:
-    """How the control loop ended: with an outcome and its reason, or with an `error`."""
+    """How the control loop ended.
+
+    Attributes:
+        outcome: The outcome of the trial.
+        reason: Why, as a sentence. Empty if the outcome says it all.
+        error: The exception that ended the loop. None if there was none.
+    """
 
     outcome: Outcome
     reason: str = ""
@@ -257,7 +271,10 @@ def how_it_ended(
 
 
 def message_of(error: BaseException) -> str:
-    """Return the message of an error, with its type unless it is a TetractlError."""
+    """Return the message of an error in one line.
+
+    The name of its class comes first unless it is a TetractlError.
+    """
     return error.message if isinstance(error, TetractlError) else text_of(error)
 
 
@@ -453,7 +470,7 @@ class Trial:
     # ---- what the observers are notified of ----
 
     def _report(self, t_ns: int, text: str, level: str = "info") -> None:
-        """Report a text as an event of the trial, unless it is empty."""
+        """Report a text to the observers as a note of the trial at `t_ns`, unless it is empty."""
         if text:
             for observer in self._observers:
                 observer.on_note(Note(t_ns, level, text))
@@ -481,7 +498,11 @@ class Trial:
     # ---- the end ----
 
     def _end(self, loop: LoopEnd, opened_ns: int) -> Result:
-        """Stop the robots, determine how the trial has ended, and notify the observers."""
+        """Stop the robots, determine how the trial has ended, and notify the observers.
+
+        An error that is a bug is raised again afterwards. If an observer fails, the result is
+        `aborted`.
+        """
         halt = self._halt()
         error = loop.error or halt.error
         fault = naming_plugins(error, self._start.packages) if error is not None else None
@@ -573,7 +594,7 @@ def abandon(plant: Plant) -> None:
 
 
 def pass_on(observer: Observer, events: Sequence[Command | Note]) -> None:
-    """Pass the plant's own commands and notes to an observer."""
+    """Pass the plant's own commands and notes to an observer, in their order."""
     for event in events:
         if isinstance(event, Command):
             observer.on_command(event)

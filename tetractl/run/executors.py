@@ -41,7 +41,10 @@ PRINTED = "printed in a trial's process"
 CHECK_S = 0.1
 """Time between two checks for a request to stop while trials run [s]."""
 SIGTERM_S = 1.0
-"""Time between two SIGTERMs to a worker [s]: an exception raised in a finaliser is lost."""
+"""Time between two SIGTERMs to a worker [s].
+
+They are repeated, because an exception that is raised in a finaliser is lost.
+"""
 CLOSE_LOG_S = 5.0
 """Time for a worker to close its log after its parent process has ended [s]."""
 T = TypeVar("T")
@@ -51,7 +54,10 @@ TaskEnd = tuple[Task, Finished | Exception]
 """A task, and its result or error."""
 
 StartTask = Callable[[Task], Path]
-"""Called in this process before a task starts; returns the folder for its log."""
+"""A function that is called in this process before a task starts.
+
+It returns the folder for the log.
+"""
 
 
 class Executor(Protocol):
@@ -63,7 +69,16 @@ class Executor(Protocol):
         ...
 
     def run(self, tasks: Sequence[Task], start_task: StartTask) -> Generator[TaskEnd]:
-        """Yield each task that was started, with its result or error, as the tasks end."""
+        """Run tasks, and yield each task that was started with its result or error.
+
+        Tasks are yielded as they end. No further task is started after `end`, or once the
+        interrupt is requested.
+
+        Args:
+            tasks: The tasks, in the order in which they are started.
+            start_task: Called in this process before a task starts; returns the folder for its
+                log.
+        """
         ...
 
     def end(self) -> None:
@@ -106,7 +121,7 @@ class Here:
         self._ended = False
 
     def run(self, tasks: Sequence[Task], start_task: StartTask) -> Generator[TaskEnd]:
-        """Yield each task with its result or error, in the given order."""
+        """Run the tasks one after another, and yield each with its result or error."""
         for task in tasks:
             if self._ended or self._interrupt.requested:
                 return
@@ -142,10 +157,10 @@ class Processes:
         with _signals_held_back(), isolated():
             self._ending = self._context.Event()
         self._next_sigterm_s = 0.0
-        """Earliest time of the next SIGTERM on the monotonic clock [s]."""
+        """Earliest time of the next SIGTERM to the workers, on the monotonic clock [s]."""
 
     def run(self, tasks: Sequence[Task], start_task: StartTask) -> Generator[TaskEnd]:
-        """Yield each task with its result or error, in the order in which the tasks end."""
+        """Run the tasks in worker processes. Yield each with its result or error as it ends."""
         waiting = deque(tasks)
         while waiting and not self._ending.is_set():
             suspects = list[Task]()
@@ -220,7 +235,7 @@ class Processes:
 
 
 def _print_line(line: str) -> None:
-    """Print a line of text that a worker process has printed."""
+    """Print a line that a worker process has printed, to stderr."""
     with suppress(OSError, ValueError):  # stderr may be closed
         print(line, file=sys.stderr, flush=True)
 

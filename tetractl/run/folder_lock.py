@@ -12,11 +12,11 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.tools.files import lock_file, make_folder
 
 LOCK_FILE = ".tetractl-lock"
-"""Name of the file in a folder that one run at a time may write to."""
+"""Name of the lock file in a folder to which only one run at a time may write."""
 OWNER_BYTES = 300
 """Maximum size of a lock file that is read [bytes]: host, process and time need about 100."""
 OPENED = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_NOFOLLOW", 0)
-"""How the file is opened: no link is followed, where the system can tell."""
+"""Flags with which the lock file is opened. No link is followed, if the system allows that."""
 
 
 @contextmanager
@@ -47,10 +47,10 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def _acquire(path: Path) -> int:
-    """Open and lock a file, so that no other run uses its folder. Return its descriptor.
+    """Open and lock a file, write the owner into it, and return its descriptor.
 
     Raises:
-        UsageError: If another run has locked it.
+        UsageError: If another run has locked it, or it names an owner on another host.
     """
     while True:
         file = os.open(path, OPENED, 0o644)
@@ -82,7 +82,7 @@ def _is(path: Path, file: int) -> bool:
 
 
 def _owner() -> str:
-    """Return the text of the lock's file, four words: host, process id, user, and time."""
+    """Return the contents of a lock file: host, process id, user and time, in one line."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError, ImportError):  # the user id has no name, or users have no ids

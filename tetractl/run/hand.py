@@ -39,19 +39,22 @@ from tetractl.tools.files import make_folder
 from tetractl.tools.worker import Relay
 
 SAVING = ".saving"
-"""Suffix of a finished log while it is written: until then, the log so far is the only one."""
+"""Suffix of the final log while it is written. Until then, only the log with `.part` exists."""
 
 Ask = Callable[[float], float | None]
-"""A function that returns the direction of a step [rad], or None to stop.
+"""A function that returns the direction of a step [rad], or None to end the trial.
 
 Its argument is the time since the first step [s].
 """
 Pause = Callable[[Callable[[float], Plan]], None]
-"""Called before each step with what plans a direction [rad]; returns once the person goes on."""
+"""A function that is called before each step, and returns once the person continues.
+
+Its argument is a function that plans a direction [rad].
+"""
 
 
 def go_on(plan_of: Callable[[float], Plan]) -> None:
-    """Do nothing. This is the default for a trial that nobody can pause."""
+    """Return at once: by default, nobody can pause the trial."""
 
 
 class HandController(PlainController):
@@ -96,14 +99,14 @@ class HandController(PlainController):
 
     @property
     def given(self) -> SequenceSection:
-        """The controller `sequence` with the directions that were sent so far, for a spec.
+        """The section of the controller `sequence` with the directions sent so far, for a spec.
 
-        It contains at least one direction.
+        There must be at least one direction.
         """
         return self._section.model_copy(update={"directions": tuple(self.directions)})
 
     def plan_of_sequence(self, k: int) -> Plan:
-        """Return the plan of step `k` by `sequence`, which knows the directions that follow."""
+        """Return the plan of step `k` by `sequence`, which also knows the later directions."""
         signals = np.array(self.directions[k : k + self._section.ahead])
         return given_plan(self._problems[k], signals, mix(self.key, k))
 
@@ -124,7 +127,7 @@ class HandLog(Relay):
         self._start = start
 
     def put(self, call: Callable[[Observer], object]) -> None:
-        """Store a call of an observer, which is made when the log is written."""
+        """Store a call of an observer, which is made when the final log is written."""
         self._calls.append(call)
 
     def on_step(self, step: Step) -> None:
@@ -137,7 +140,12 @@ class HandLog(Relay):
         self.put(write)
 
     def save(self, spec: LoadedSpec, path: Path) -> None:
-        """Write the log of a trial that a person has steered, with this spec."""
+        """Write the final log of a trial that a person has steered.
+
+        Args:
+            spec: The spec of the trial, without the directions.
+            path: The log. It must not exist.
+        """
         with_directions = with_controller(spec, self._controller.given)
         start = start_of(
             with_directions, self._start.trial, self._start.plant, self._start.start_unix_ns
@@ -194,7 +202,7 @@ def run_by_hand(
 
 
 class WallPace(Observer):
-    """Slows trials in virtual time down, so that people can follow them.
+    """An observer that slows trials in virtual time down, so that people can follow them.
 
     A delay shifts all later steps; the trial does not hurry to make up for it.
 
@@ -214,7 +222,7 @@ class WallPace(Observer):
         self._sent_ns = None
 
     def on_step(self, step: Step) -> None:
-        """Wait until the command of a step is due at the chosen speed of the game."""
+        """Wait until the command of a step is due at the chosen speed."""
         now_ns = self._wall.now()
         sent_ns = step.command.sent_ns
         if self._sent_ns is None:

@@ -23,7 +23,7 @@ _SUSPENDING = {"SIGTSTP", "SIGTTIN", "SIGTTOU"}
 _UNCAUGHT = _FAULTS | _HARMLESS | _SUSPENDING | {"SIGKILL", "SIGSTOP"}
 _UNCAUGHT_HERE = {getattr(signal, name, None) for name in _UNCAUGHT}
 STOP_SIGNALS = tuple(sorted(signal.valid_signals() - _UNCAUGHT_HERE))
-"""The signals handled: those that can be caught and end a process by default, except faults."""
+"""The signals that are handled: those that can be caught and end a process, except faults."""
 
 Handler = Callable[[int, FrameType | None], Any] | int | None
 
@@ -53,18 +53,21 @@ class Interrupt:
         return self.count > 0
 
     def request(self) -> None:
-        """Count a request, and raise KeyboardInterrupt in breakable code if it is to be broken."""
+        """Count a request to stop, and call `notice`.
+
+        Raises KeyboardInterrupt in breakable code from request number `breaks_at` on.
+        """
         self.count += 1
         self.notice(self.count)
         self._break()
 
     def let_break(self) -> None:
-        """Let requests to stop raise KeyboardInterrupt from now on."""
+        """Make all code breakable from now on, until a KeyboardInterrupt is raised."""
         self._breakable = True
 
     @contextmanager
     def watch(self, robots: bool = False) -> Iterator[None]:
-        """Count signals inside the block as requests to stop the run; main thread only.
+        """Count signals inside the `with` block as requests to stop. Only for the main thread.
 
         If `robots` move, the process must not be suspended, because it could not stop them then.
         Therefore Ctrl-Z is also a request, and using the terminal from the background suspends
@@ -86,7 +89,7 @@ class Interrupt:
 
     @contextmanager
     def breakable(self) -> Iterator[None]:
-        """Let the second request raise KeyboardInterrupt inside the block.
+        """Let request number `breaks_at` raise KeyboardInterrupt inside the `with` block.
 
         If the block then raises another exception, this counts as the KeyboardInterrupt, because
         numba may convert a KeyboardInterrupt during an import or a compilation to another
@@ -123,10 +126,10 @@ class Interrupt:
 
 @contextmanager
 def interrupted_once(robots: bool = False) -> Iterator[None]:
-    """Raise KeyboardInterrupt in the block at the first signal; ignore later signals.
+    """Raise KeyboardInterrupt in the block at the first signal, and ignore later signals.
 
-    No signal then interrupts the `finally` clauses that stop robots or restore a terminal. `robots`
-    is passed to `Interrupt.watch`; main thread only.
+    No signal then interrupts the `finally` clauses that stop robots or restore a terminal.
+    `robots` is passed to `Interrupt.watch`. Only for the main thread.
     """
     once = Interrupt(breaks_at=1)
     once.let_break()
@@ -146,7 +149,7 @@ def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> Non
 
 
 class _Leave:
-    """A handler of signals that ends the process at the first signal."""
+    """A handler of signals that calls a function and ends the process at the first signal."""
 
     def __init__(self, code: int, say: Callable[[], object]) -> None:
         self._code = code

@@ -21,7 +21,7 @@ from tetractl.spec.lab_section import LabSection
 from tetractl.spec.section_abilities import Accepting
 
 CHANGE_STDS = 3.0
-"""Minimum change of an estimate that is reported [standard deviations]."""
+"""Minimum change of an estimate that is reported, in standard deviations."""
 FITS_AGAIN_AFTER_S = 5.0
 """Time without a mismatch after which the model counts as fitting again [s]."""
 DEAD_TIME_ERROR_S = 0.025
@@ -47,7 +47,12 @@ robots. With the noise stated, it was right for all of them (docs/decisions/filt
 
 
 class Notice(NamedTuple):
-    """A message about how the robots differ from their model, with its level in the log."""
+    """A message about how the robots differ from their model.
+
+    Attributes:
+        level: Its level in the log.
+        text: The message.
+    """
 
     level: Literal["info", "warning"]
     text: str
@@ -126,7 +131,10 @@ def describe_lag_error(estimate: Estimate, setup: Setup) -> str:
 
 
 def describe_turning(estimate: Estimate, robot: int) -> str:
-    """Describe how a robot's turning differs from one rate a. Empty if it does not."""
+    """Describe how a robot's turning differs from a single rate a for both directions.
+
+    The result is empty if it does not differ significantly. `robot` is the robot's index.
+    """
     parts = list[str]()
     side = estimate.side
     std = estimate.side_std
@@ -166,7 +174,7 @@ def _of_robot(values: Floats | None, robot: int) -> float | None:
 
 
 def describe_changes(estimate: Estimate, before: Estimate, setup: Setup) -> Iterator[str]:
-    """Describe each quantity of an estimate that has changed significantly.
+    """Yield a description of each quantity of an estimate that has changed significantly.
 
     Args:
         estimate: The newer estimate.
@@ -261,7 +269,10 @@ class ModelMonitor:
         return notices
 
     def _add_once(self, notices: list[Notice], notice: Notice, key: str = "") -> None:
-        """Add a notice, unless one with the same key (by default its text) was given before."""
+        """Add a notice, unless one with the same key was added before in this trial.
+
+        The key is the notice's text by default.
+        """
         key = key or notice.text
         if key not in self._reported:
             self._reported.add(key)

@@ -21,7 +21,7 @@ WINDOW_S = 0.15
 """Time at the end of a stop that is examined [s]. Before it, a robot that missed the stop may
 still drive until its watchdog stops it. That takes 0.25 s and a dead time, out of 0.55 s."""
 FRAMES_MIN = 6
-"""Minimum number of frames in that time."""
+"""Minimum number of frames in that time, below which nothing is concluded."""
 SPEED_FRACTION_MIN = 0.05
 """Minimum speed that is reported, as a fraction of the robot's own speed."""
 DISTANCE_STDS = 5.0

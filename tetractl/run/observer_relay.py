@@ -10,9 +10,9 @@ from tetractl.core.trial import Result, Start
 from tetractl.tools.worker import Relay, Worker
 
 QUEUED_CALLS_MAX = 2000
-"""Largest number of queued calls of an observer: over two minutes of a trial."""
+"""Maximum number of queued calls of an observer: more than two minutes of a trial."""
 LAST_CALLS_S = 30.0
-"""Time for the last calls of an observer after the robots were stopped [s]."""
+"""Maximum time for an observer's last calls after the robots were stopped [s]."""
 
 
 class ObserverRelay(Relay):
@@ -41,7 +41,7 @@ class ObserverRelay(Relay):
         self._observer.on_start(start)
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Queue the stop and the result; wait until the observer has received everything."""
+        """Queue the stop and the result, and wait until the observer has received everything."""
         super().on_stop(stop, result)
         self._worker.drain()
 
@@ -52,12 +52,12 @@ class ObserverRelay(Relay):
 
 @contextmanager
 def relayed(observers: Sequence[Observer], real_time: bool) -> Iterator[Sequence[Observer]]:
-    """Give observers that never delay a trial in real time.
+    """Yield observers that can be called without delaying a trial in real time.
 
     Args:
         observers: The observers.
-        real_time: Whether the trial runs in real time. Otherwise the observers themselves are
-            given, and a simulation waits for them.
+        real_time: Whether the trial runs in real time. If not, the observers themselves are
+            yielded, and a simulation waits for them.
     """
     if not real_time:
         yield observers

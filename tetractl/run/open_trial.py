@@ -39,9 +39,9 @@ from tetractl.spec.loaded_spec import LoadedSpec, start_of, with_controller, wit
 from tetractl.tools.files import make_folder
 
 SIMULATED = PlantInfo("", True, 0.0, {})
-"""What is known of the plant before it is open."""
+"""The description of the plant before it is open."""
 FIRST_SENT = 0.0
-"""A direction of the section of `sequence`, which needs one; the script's take its place [rad]."""
+"""Placeholder for the directions of the section of `sequence`, which needs at least one [rad]."""
 
 
 def directed_spec(spec: LoadedSpec) -> LoadedSpec:
@@ -81,7 +81,7 @@ class TruthWatch(Observer):
         self._obstacles = Obstacles.from_shapes(setup.obstacles)
         self._last: Poses | None = None
         self.failed = False
-        """Whether any robot has done so."""
+        """Whether any robot has truly entered an obstacle or left the arena so far."""
 
     def on_samples(self, samples: list[Sample]) -> None:
         """Check the true poses of new frames, and the straight lines that lead to them."""
@@ -113,9 +113,9 @@ class AskingController:
     def __init__(self, sequence: SequenceController) -> None:
         self._sequence = sequence
         self.asked = SimpleQueue[Observation | Result | BaseException]()
-        """Frames for which a decision is wanted, and finally how the trial ended."""
+        """Frames for which the script has to decide, and finally the trial's result or error."""
         self.answers = SimpleQueue[Plan | Outcome | None]()
-        """The decisions. None if the trial is dropped."""
+        """The script's decisions. None if the script drops the trial."""
 
     def plan(
         self,
@@ -194,7 +194,10 @@ class OpenTrial:
 
     @property
     def observation(self) -> Observation:
-        """The newest camera frame. Its poses are measured, and read-only."""
+        """The newest camera frame that the trial has read.
+
+        Its poses are measured, and read-only.
+        """
         return self._observation
 
     @property
@@ -209,7 +212,7 @@ class OpenTrial:
 
     @property
     def result(self) -> Result | None:
-        """How the trial ended. None as long as it waits for a direction."""
+        """The result of the trial. None as long as it waits for a direction."""
         return self._result
 
     @property
@@ -259,7 +262,11 @@ class OpenTrial:
 
     @property
     def spec(self) -> LoadedSpec:
-        """The spec of this trial with the directions sent so far, for `tetractl run`."""
+        """The spec of this trial with the directions sent so far, for `tetractl run`.
+
+        Raises:
+            UsageError: If no direction was sent.
+        """
         if not self._directions:
             raise UsageError(
                 "no direction was sent in this trial", "call step() before you read this value"
@@ -269,10 +276,11 @@ class OpenTrial:
         return with_seed(with_controller(self._spec, with_directions), self._seed)
 
     def save(self, folder: str | Path) -> Path:
-        """Write the log of the trial to a folder, and return its path.
+        """Run the same trial again, write its log to a folder, and return the path of the log.
 
         Raises:
             UsageError: If the trial has not ended, or if the log already exists.
+            TetractlError: If the repeated trial ended differently.
         """
         if self._result is None:
             raise UsageError(
@@ -290,7 +298,7 @@ class OpenTrial:
         return path
 
     def _demand_open(self) -> None:
-        """Check that the trial has not ended. UsageError is raised if it has."""
+        """Raise UsageError if the trial has ended."""
         if not self._drop.alive:
             raise UsageError("the trial was cut short by an error", "open another trial")
         if self._result is not None:
@@ -334,5 +342,5 @@ class OpenTrial:
 
 
 def _outcome_of(result: Result) -> tuple[object, ...]:
-    """Return the part of a result that is the same whenever a trial is repeated."""
+    """Return the part of a result that is the same whenever a simulated trial is repeated."""
     return result.outcome, result.steps, result.duration_s, result.robot_errors

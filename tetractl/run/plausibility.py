@@ -39,36 +39,38 @@ from tetractl.spec.yaml.document import Document
 from tetractl.spec.yaml.problems import Loc, SpecProblem, dotted
 
 COARSE = 2.0
-"""Maximum product of turning rate a and time per signal T.
+"""Maximum product of turning rate a and duration T of a signal, above which a warning is given.
 
 Above it, headings computed with the paper's equation (6) oscillate with a growing amplitude.
 """
 A_MAX = 60.0
-"""Maximum plausible turning rate of a robot [rad/s].
+"""Maximum plausible turning rate of a robot [rad/s]. Above it, a warning is given.
 
 The fastest published here, a microjet, has 25 rad/s.
 """
 WHEELS_M = (0.005, 0.3)
-"""Plausible distances of a wheel from the centre [m]. toio cubes have 0.013, m3pi robots 0.04, the
-iRobot Create 0.13, and the largest laboratory robots 0.27.
+"""Minimum and maximum plausible distance of a wheel from the centre [m].
+
+toio cubes have 0.013, m3pi robots 0.04, the iRobot Create 0.13, and the largest laboratory robots
+0.27.
 """
 OVERSHOOTING = "euler"
-"""The motion that computes the heading with the paper's equation (6)."""
+"""The kind of motion that computes the heading with the paper's equation (6)."""
 SAME_WITHIN = 0.05
 """Robots are similar if their turning rates a differ by at most this fraction, and their start
 headings by at most this number of radians.
 """
 SAME_HEADING_RAD = 1e-9
-"""Start headings that differ by less are equal but for rounding [rad]."""
+"""Difference below which two start headings count as equal [rad]; it only allows for rounding."""
 LEAST_ERROR = 0.7
 """Minimum total error worth asking for, in standard deviations of a measured position for each
 robot. With 0.4 instead of 0.7, trials last longer, and their error hardly decreases
 (docs/decisions/controller.md).
 """
 ROUNDING = 1e-9
-"""Times that differ by less than this fraction are equal but for rounding."""
+"""Relative difference below which two times count as equal; it only allows for rounding."""
 NO_ERROR = 1e-6
-"""A lower bound of the total error counts as 0 below this fraction of the arena's longer side."""
+"""Fraction of the arena's longer side below which a lower bound of the total error counts as 0."""
 NAMED_MAX = 2
 """If more than four robots are similar, the message names the first and this many more."""
 
@@ -82,7 +84,7 @@ class CheckContext:
         self.setup = experiment.setup
         self.unit = self.setup.unit
         self.ends = {"start": self.setup.starts.xy, "target": self.setup.targets}
-        """The points (N, 2) at which robots start and end, by the name of the field."""
+        """The points (N, 2) at which robots start and end, under the keys "start" and "target"."""
         self.tolerance = control.arrival_tolerance
         """Distance from its target at which a robot has arrived [length unit]."""
         periods = control.signal_periods if isinstance(control, HoldsSignals) else 1
@@ -90,29 +92,33 @@ class CheckContext:
         """Time for which a signal of a plan is held [s]."""
         signals_max = control.horizon_max if isinstance(control, PlansSignals) else math.inf
         self.plan_s = signals_max * self.signal_s
-        """Longest time of a plan [s], inf if it is not limited."""
+        """Maximum duration of a plan [s]. inf if it is not limited."""
         self.longest_s = self.setup.time_limit_s
-        """Maximum time for which robots move [s], the smaller of two limits."""
+        """Maximum time for which robots move in a trial [s]."""
         self.collision = control.collision if isinstance(control, KeepsClear) else None
         """The distances that plans keep. None if they keep none."""
         self.margin = 0.0
         """Distance that plans keep to obstacles, including a robot's radius [length unit]."""
         self.walls = False
-        """Whether plans keep that distance to the arena's edge too."""
+        """Whether plans keep this distance to the arena's edge, too."""
         if self.collision is not None:
             self.margin = self.collision.margin + self.collision.radius
             self.walls = self.collision.walls
 
     @property
     def limit(self) -> str:
-        """The controller's field that sets that time: its number of steps, or its time limit."""
+        """The controller's field that limits the trial's time: "steps_max" or "time_limit"."""
         control = self.experiment.controller
         steps_max = control.steps_max if isinstance(control, CountsSteps) else math.inf
         steps_s = (steps_max + 1) * control.period
         return "steps_max" if steps_s <= self.longest_s * (1 + ROUNDING) else "time_limit"
 
     def is_worth_warning(self, error_min: float, robots: int) -> bool:
-        """Decide whether a lower bound of the total error is above tolerance and rounding."""
+        """Decide whether a lower bound of the total error of some robots deserves a warning.
+
+        It does if it is above the arrival tolerance of all `robots` robots together, and above
+        rounding errors.
+        """
         arena = self.setup.arena
         return error_min > max(robots * self.tolerance, NO_ERROR * max(arena.width, arena.height))
 
@@ -121,15 +127,15 @@ class CheckContext:
         return clearance(self.setup, points[:, 0], points[:, 1], self.walls)
 
     def length_text(self, length: float) -> str:
-        """Return a length as text, with the unit of the spec."""
+        """Return a length as text, with the unit of the spec, such as "12.5 mm"."""
         return f"{length:.4g} {self.unit}"
 
     def to_target(self, i: int) -> str:
-        """Return the distance from a robot's start to its target as text."""
+        """Return the distance from robot i's start to its target as text with its unit."""
         return self.length_text(float(self.setup.starts.distances(self.setup.targets)[i]))
 
     def driven(self, i: int, seconds: float) -> str:
-        """Return the distance that robot i drives in a time [s], as text."""
+        """Return the distance that robot i drives in a time [s], as text with its unit."""
         return self.length_text(self.setup.speed[i] * seconds)
 
 
@@ -266,7 +272,10 @@ def robots_alike(context: CheckContext) -> Findings:
 
 
 def _groups_alike(setup: Setup) -> Iterator[list[int]]:
-    """Yield groups of robots that are like the group's first in turning rate and start heading."""
+    """Yield groups of robots with similar turning rates and start headings, as indices.
+
+    Each group has at least two robots, which are similar to its first robot.
+    """
     heading = setup.starts.heading
     ungrouped = np.ones(len(setup.a), dtype=np.bool_)
     for i in range(len(setup.a)):
@@ -527,12 +536,12 @@ RULES: tuple[Callable[[CheckContext], Findings], ...] = (
     targets_near_each_other,
     hold_too_tight,
 )
-"""Warnings of one line are printed in this order."""
+"""All rules, in the order in which warnings about the same line are printed."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlacedWarning(SpecProblem):
-    """A warning with the file and the line of the value that it concerns."""
+    """A warning about a spec, with the file and line of the value that it concerns, and a hint."""
 
     hint: str = ""
 
@@ -543,7 +552,10 @@ class PlacedWarning(SpecProblem):
 @np.errstate(all="ignore")  # very large values may overflow
 @np.errstate(all="ignore")  # numbers at the end of floating point are compared as inf
 def find_warnings(loaded: LoadedSpec) -> tuple[PlacedWarning, ...]:
-    """Return the warnings of a spec, in the order of its lines."""
+    """Return the warnings of a spec, in the order of its lines.
+
+    There are none if its robots are placeholders, because each trial finds its own.
+    """
     if loaded.experiment.open:  # its robots are placeholders
         return ()
     context = CheckContext(loaded.experiment)

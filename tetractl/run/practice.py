@@ -28,9 +28,9 @@ from tetractl.spec.loaded_spec import LoadedSpec
 from tetractl.spec.plants import on_plant
 
 PRACTICE_S = 3.0
-"""Time for which control steps are practised [s]."""
+"""Duration of the practice [s]."""
 LATE_SHARE_MAX = 0.2
-"""Maximum fraction of late steps.
+"""Maximum fraction of late steps with which the practice is passed.
 
 Five late steps in a row end a run. At this fraction, that happens in about one of eight trials of
 400 steps, if steps are late independently of each other.
@@ -43,9 +43,9 @@ class Practice:
     """How well this computer kept up with the control steps of a short practice.
 
     Attributes:
-        period_ns: The control period.
-        delays_ns: The delay of each step during which robots drove.
-        silence_ns: The longest time for which no camera frame was read.
+        period_ns: The control period [ns].
+        delays_ns: The delay of each step during which robots drove [ns].
+        silence_ns: The longest time for which no camera frame was read [ns].
     """
 
     period_ns: int
@@ -95,9 +95,9 @@ class PacedSteps(Observer):
     It measures how late each step is.
 
     Args:
-        period_ns: The control period.
+        period_ns: The control period [ns].
         clock: The clock by which steps are due.
-        silent_ns: Returns the time since the last camera frame was read.
+        silent_ns: Returns the time since the last camera frame was read [ns].
         interrupt: Ends the trial that is still running after PRACTICE_S.
     """
 

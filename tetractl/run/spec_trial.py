@@ -30,10 +30,13 @@ if TYPE_CHECKING:
 
 
 def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:
-    """Derive the seeds of a trial, for the controller and for the plant's disturbances.
+    """Derive the seeds of a trial from the root seed of a batch.
 
     They come from children of SeedSequence(root) with the spawn keys (trial, 0) and (trial, 1), so
     they do not depend on the number or order of the trials.
+
+    Returns:
+        The seed of the controller, and the seed sequence of the plant's disturbances.
     """
     controller = np.random.SeedSequence(root, spawn_key=(trial, 0))
     plant = np.random.SeedSequence(root, spawn_key=(trial, 1))
@@ -85,7 +88,7 @@ def ready_trial(
 
 
 def own_supervision(interrupt: Interrupt) -> LabSupervision:
-    """Return the supervision of a lab by the process that runs the trial."""
+    """Return a supervision of a lab without people: the interrupt also cancels its waits."""
     return LabSupervision(cancelled=lambda: interrupt.requested, signalled=interrupt.request)
 
 

@@ -30,9 +30,9 @@ class BatchFolder:
     """The folder of the trials of one experiment.
 
     `results` are the results of its finished trials, by index. A trial is finished if its log is
-    complete, and if it was neither interrupted nor aborted. An aborted trial also counts as
-    finished if the same code has run it, because it would be aborted again. `run --resume` and
-    studies run all other trials.
+    complete, and if it was neither interrupted nor aborted. An aborted trial in virtual time also
+    counts as finished if the same code has run it, because it would be aborted again. `run
+    --resume` and studies run all other trials.
     """
 
     def __init__(self, folder: Path, experiment: Experiment) -> None:
@@ -44,13 +44,13 @@ class BatchFolder:
 
     @property
     def lacking(self) -> list[int]:
-        """The numbers of the trials that have no complete log yet."""
+        """The indices of the trials that are not finished."""
         trials = range(self.experiment.trials.count)
         return [trial for trial in trials if trial not in self.results]
 
     @property
     def outdated(self) -> list[int]:
-        """The numbers of the finished trials that another version of the code has run."""
+        """The indices of the finished trials that another version of the code has run."""
         return [trial for trial, result in self.results.items() if result.code != self.code]
 
     def read(self) -> None:
@@ -64,7 +64,10 @@ class BatchFolder:
             self.read_trial(trial)
 
     def read_trial(self, trial: int) -> None:
-        """Find out whether a trial is finished. It raises the same errors as `read`."""
+        """Find out whether a trial is finished, and keep its result if it is.
+
+        A missing or damaged log does not count. The errors are the same as for `read`.
+        """
         path = log_path(self.folder, trial)
         if not path.exists():
             return
@@ -82,7 +85,7 @@ class BatchFolder:
             self.results[trial] = result
 
     def _check(self, result: ResultSummary) -> None:
-        """Raise UsageError for a trial of another spec or seed."""
+        """Raise UsageError if a result is from another spec or seed than this folder's."""
         experiment = result.experiment
         if self.experiment.open:  # each trial chose its own robots
             spec_robots = {"robots": self.experiment.robots, "chosen": self.experiment.chosen}
@@ -112,18 +115,18 @@ class Store:
 
     @property
     def lacking(self) -> list[int]:
-        """The numbers of a batch's trials that have no complete log yet."""
+        """The indices of a batch's trials that are not finished."""
         return self.batches[""].lacking
 
     @property
     def aborted(self) -> list[int]:
-        """The finished trials of a batch that were aborted, and would be aborted again."""
+        """The indices of a batch's finished trials that were aborted (see `BatchFolder`)."""
         results = self.batches[""].results
         return [trial for trial, r in results.items() if r.outcome is Outcome.ABORTED]
 
     @contextmanager
     def opened(self, resume: bool = True) -> Iterator[None]:
-        """Create and lock the folder, and find out which trials are finished.
+        """Create and lock the folder during the block, and find out which trials are finished.
 
         Raises the errors of `read` and `locked`.
         """
@@ -133,9 +136,10 @@ class Store:
             yield
 
     def read(self, resume: bool = True) -> None:
-        """Find out which trials are finished. It raises the same errors as `BatchFolder.read`.
+        """Find out which trials are finished. The errors are also those of `BatchFolder.read`.
 
-        Raises UsageError for a folder with trials unless they are to `resume`.
+        Raises:
+            UsageError: If the folder has trials and `resume` is False, or is not a folder.
         """
         self._check(resume)
         for batch in self.batches.values():
@@ -192,10 +196,11 @@ class RecordStore:
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """Create and lock the folder, and read its records.
+        """Create and lock the folder, and read its records, for a `with` block.
 
-        Raises UsageError if the folder is a file or has records of another identity, and the errors
-        of `locked`.
+        Raises:
+            UsageError: If the folder is a file or has records of another identity. `locked` raises
+                further errors.
         """
         for folder in (self.folder, *self.folder.parents):
             if folder.exists() and not folder.is_dir():
@@ -254,7 +259,7 @@ def set_aside(folder: Path, trial: int) -> None:
 
 
 def _next_attempt(folder: Path, log: Path) -> int:
-    """Return the first attempt number for which a trial has no files yet."""
+    """Return the first attempt number, from 1, for which a trial has no files yet."""
     stem = log.name.partition(SUFFIX)[0]
     names = [path.name for path in folder.iterdir()]
     for number in itertools.count(1):

@@ -24,7 +24,7 @@ from tetractl.spec.experiment import Experiment, packages
 from tetractl.spec.loaded_spec import LoadedSpec
 
 SPECS_KEPT = 64
-"""Number of specs that a process keeps loaded and compiled, the latest ones."""
+"""Maximum number of specs that a process keeps loaded; the latest ones are kept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,25 +47,32 @@ class Task:
 
     @property
     def key(self) -> tuple[str, int]:
-        """Arm and trial number, which identify the task in a run."""
+        """Name of the arm and index of the trial, which identify the task in a run."""
         return self.arm, self.trial
 
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """The result of a finished trial, and its wall time."""
+    """The result of a finished trial, and its wall time.
+
+    Attributes:
+        result: The result.
+    """
 
     result: Result
     wall_s: float
-    """Time from creating the plant to the end of the log, including that of a first run [s]."""
+    """Wall time from creating the plant to the end of the log [s]."""
 
 
 class OtherCodeError(UsageError):
-    """An error: a worker has other code than the study's machine, so its trials could differ."""
+    """An error: a worker has other code than the computer that runs the study.
+
+    Its trials could therefore differ.
+    """
 
 
 def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
-    """Return the tasks of a batch: trials of one spec."""
+    """Create the tasks of a batch: one for each of the given trial indices of a spec."""
     pickled = pickle.dumps(spec)
     return [Task(trial, spec.experiment.trials.count, pickled) for trial in trials]
 

@@ -6,7 +6,7 @@ from tetractl.spec.loaded_spec import LoadedSpec
 from tetractl.spec.yaml.core_yaml import dump
 
 MODEL_MOTION = "exact"
-"""The motion of robots if their plant is not a simulation with one motion."""
+"""The kind of motion of the simulation if the spec's plant does not state one."""
 
 
 def undisturbed_spec(spec: LoadedSpec) -> LoadedSpec:

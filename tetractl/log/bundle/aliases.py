@@ -15,9 +15,9 @@ from collections import Counter
 from collections.abc import Iterable
 
 IPV4_MAX = 254
-"""Number of IPv4 aliases; further addresses share the last one."""
+"""Maximum number of different IPv4 aliases. All further addresses share the last one."""
 VERSION_BELOW = 10
-"""An IPv4 address whose first number is below this is taken for a version number, and stays."""
+"""First number below which four numbers count as a version, and not as an IPv4 address."""
 IP_HEX = re.compile(r"(?<![\w:.])[0-9A-Fa-f]{0,4}(?::[0-9A-Fa-f]{0,4}){2,7}(?![\w:])")
 IP_DOTTED = re.compile(r"(?<![\w.])\d{1,3}(?:\.\d{1,3}){3}(?![\w]|\.\d)")
 MAC = re.compile(
@@ -42,7 +42,7 @@ class Aliases:
         self._names = sorted((name for name in names if name), key=len, reverse=True)
         self._aliases: dict[tuple[str, str], str] = {}
         self.counts = Counter[str]()
-        """How many different addresses and names of each kind were replaced."""
+        """Number of different addresses and names that were replaced, by kind."""
 
     def text(self, text: str) -> str:
         """Replace the addresses and names in a text by aliases."""
@@ -63,21 +63,28 @@ class Aliases:
         return text
 
     def payload(self, data: bytes) -> bytes:
-        """Replace each character of a name in some bytes by an x."""
+        """Replace each byte of a name in some bytes by an x, so that the length stays the same.
+
+        Addresses are not replaced.
+        """
         for name in self._names:
             given = re.compile(re.escape(name.encode()), re.IGNORECASE)
             data = given.sub(lambda m: b"x" * len(m[0]), data)
         return data
 
     def host_name(self, name: str) -> None:
-        """Replace a computer's name in later texts, unless it is an ordinary word such as `lab`."""
+        """Replace a computer's name in later texts, too.
+
+        An ordinary word of small letters, such as `lab`, is not replaced.
+        """
         if name and ORDINARY_WORD.fullmatch(name) is None and name not in self._names:
             self._names.append(name)
 
     def ip(self, address: str) -> str:
         """Return the alias of an IPv4 or IPv6 address.
 
-        A text that is no address is returned unchanged.
+        A string that is no address is returned unchanged, and so are loopback, multicast,
+        broadcast and unspecified addresses.
         """
         try:
             parsed = ipaddress.ip_address(address)
@@ -92,7 +99,10 @@ class Aliases:
         return self._alias("addresses", address, "192.0.2.{}", IPV4_MAX)
 
     def mac(self, address: bytes) -> bytes:
-        """Return the alias of a MAC address, given as 6 bytes."""
+        """Return the alias of a MAC address, given as 6 bytes.
+
+        Multicast and broadcast addresses, and the address of zeros, are returned unchanged.
+        """
         if address[0] & 1 or not any(address):  # multicast, broadcast or none
             return address
         alias = self._alias("network cards", address.hex(), "00005e0053{:02x}", 255)

@@ -39,12 +39,15 @@ from tetractl.log.read.salvage import scan
 from tetractl.log.write.sink import Sink
 
 WITH_TEXT = (RUN, HOST, LOG, RESULT, RECOVERED)
-"""Channels whose messages contain texts of the lab."""
+"""Channels whose messages contain text in which names and addresses are replaced."""
 COMPUTER = "host"
-"""Key of a computer's name in the facts of a log's host."""
+"""Key of the computer's name in a log's facts about its host."""
 REMOVED = "removed"
 FILE_NAMES = ("git_changed", "git_untracked")
-"""Keys of lists of file names in a log's environment. They may be names of people or projects."""
+"""Keys of lists of file names in a log's environment, which are replaced by their lengths.
+
+The names may be names of people or projects.
+"""
 CONTENTS = "contents.txt"
 BYTES_MAX = 500_000_000
 """Maximum size of a file that is not a log [bytes]."""
@@ -114,7 +117,7 @@ def write_bundle(paths: Sequence[Path], out: Path, names: Iterable[str]) -> Bund
 
 
 def contents_text(bundle: Bundle) -> str:
-    """Describe the contents of a bundle as text, one line for each fact."""
+    """Describe the contents of a bundle as text: its files, the aliases and the images."""
     kinds = [f"{kind}: {count}" for kind, count in sorted(bundle.replaced.items())]
     replaced = f"replaced by aliases: {', '.join(kinds) or 'nothing'}"
     images = [f"{bundle.images} images of the arena are unchanged"] * (bundle.images > 0)

@@ -18,21 +18,21 @@ MAGICS = {
     bytes.fromhex("4d3cb2a1"): "<",  # times in nanoseconds
     bytes.fromhex("a1b23c4d"): ">",
 }
-"""First bytes of a capture, and the order of bytes in its headers."""
+"""The first bytes of each kind of capture, with the order of bytes in its headers."""
 HEADER = 24
 RECORD = 16
 ETHERNET = 1
 RAW_IP = 101
 COOKED = 113
 COOKED_2 = 276
-"""Kinds of links, as https://www.tcpdump.org/linktypes.html numbers them."""
+"""Type of link, as are the constants above; see https://www.tcpdump.org/linktypes.html."""
 IPV4 = 0x0800
 IPV6 = 0x86DD
 VLAN = 0x8100
 TCP = 6
 UDP = 17
 NAME_PORTS = frozenset({53, 67, 68, 137, 138, 546, 547, 1900, 5353, 5355})
-"""Ports of services that look up names or give out addresses."""
+"""Ports of services that look up names or assign addresses. Their packets are left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class AliasedCapture:
 
 
 def is_capture(data: bytes) -> bool:
-    """Check whether a file that begins with these bytes is a capture that can be copied."""
+    """Check whether a file is a pcap capture, from its first bytes."""
     return data[:4] in MAGICS
 
 
@@ -121,7 +121,10 @@ def _alias_link(packet: bytearray, link: int, aliases: Aliases) -> int | None:
 
 
 def _alias_ip(packet: bytearray, at: int, aliases: Aliases) -> bool:
-    """Replace the IP addresses of a packet, and return whether the packet may remain."""
+    """Replace the IP addresses of a packet, and return whether the packet may remain.
+
+    Only TCP and UDP packets remain, without those of services that look up names.
+    """
     if packet[at] >> 4 == 4:
         length, protocol, size, first = (packet[at] & 15) * 4, packet[at + 9], 4, at + 12
         is_later_fragment = bool(_number(packet, at + 6) & 0x1FFF)

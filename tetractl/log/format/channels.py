@@ -18,14 +18,16 @@ from tetractl.log.format import tetractl_pb2 as pb
 
 FORMAT_VERSION = 4
 MAGIC = b"\x89MCAP0\r\n"
-"""The first and the last bytes of an MCAP file."""
+"""The first and also the last bytes of an MCAP file."""
 WRITER = "tetractl"
-"""The first word of the library that a log's header names."""
+"""Beginning of the name of the library in the header of a log that tetractl wrote."""
 METADATA = ("tetractl", {"format": str(FORMAT_VERSION)})
-"""Name and contents of a log's only record of metadata."""
+"""Name and contents of a log's only metadata record, which states the format."""
 
 TEXT = 2000
-"""Maximum number of characters of an operator message, after which a reader cuts it.
+"""Maximum number of characters of an operator message.
+
+A longer one is cut when it is logged or read.
 
 Control characters are escaped.
 """
@@ -45,7 +47,10 @@ RESULT = "/result"
 DIGESTS = "/digests"
 RECOVERED = "/recovered"
 SUMMARY = frozenset({RUN, HOST, HOST_END, RESULT, DIGESTS, RECOVERED})
-"""The channels of the run and its result; of two messages of one of them, the first counts."""
+"""The channels of the run and its result.
+
+If one of them has several messages, the first counts.
+"""
 
 TABLE: tuple[tuple[int, str, type[Message]], ...] = (
     (1, RUN, pb.Run),
@@ -65,7 +70,7 @@ TABLE: tuple[tuple[int, str, type[Message]], ...] = (
     (17, DIGESTS, pb.Digests),
     (18, RECOVERED, pb.Recovered),
 )
-"""Number, topic and message of each channel.
+"""Number, topic and message type of each channel.
 
 The number identifies its messages if the record of the channel is lost. It is part of the format
 version: earlier logs have other channels under 11 and 12.
@@ -79,7 +84,7 @@ ENVIRONMENT = "environment.json"
 LAYOUT = "layout.json"
 
 HOST_RECORDS = frozenset({HOST_TIMING, HOST, HOST_END, ENVIRONMENT})
-"""Topics and attachments that differ between two runs of the same trial."""
+"""Topics and names of attachments that differ between two runs of the same trial."""
 
 
 class Entry(NamedTuple):
@@ -99,4 +104,4 @@ class Entry(NamedTuple):
 
 
 Record = Entry | Attachment
-"""A record of a log that says something of the trial."""
+"""A message or an attachment of a log."""

@@ -25,7 +25,7 @@ from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.packed_columns import pack_columns, unpack_columns
 
 FORMER_STATES = ("nearing", "leaving a corner")
-"""States of earlier versions, in which robots followed signals; they are read as `driving`."""
+"""States of earlier versions of tetractl, which are read as `driving`."""
 
 
 # ---- Camera frames ----
@@ -96,7 +96,7 @@ def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
 
 
 def encode_observation(observation: Observation) -> pb.MocapSample:
-    """Encode the camera frame on which a control step is decided."""
+    """Encode the camera frame on which the controller decided in a control step."""
     return pb.MocapSample(
         frame=observation.frame,
         sampled_ns=observation.sampled_ns,
@@ -144,7 +144,10 @@ def encode_command(command: Command) -> pb.WheelCommand:
 
 
 def decode_command(message: pb.WheelCommand) -> Command:
-    """Decode a command to the robots from a message of the log."""
+    """Decode a command to the robots from a message of the log.
+
+    Wheel speeds are None if the message has none.
+    """
     return Command(
         _decode_action(message),
         sent_ns=message.sent_ns,
@@ -163,7 +166,11 @@ def _decode_action(message: pb.WheelCommand) -> Action:
 
 
 def encode_step(step: Step, command: pb.WheelCommand) -> pb.ControllerStep:
-    """Encode one control step with its encoded command. Its solve time goes to another message."""
+    """Encode one control step with its encoded command.
+
+    The solve time is not included, because it differs from run to run. Predicted paths are
+    rounded, and lose their headings.
+    """
     plan = step.plan
     path = drawn(plan.path[..., :2]).reshape(-1, 2)
     return pb.ControllerStep(

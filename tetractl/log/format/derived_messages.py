@@ -15,14 +15,14 @@ _NO_BETTER_PLAN = "nothing better"
 
 
 def outcome_to_log(text: str) -> str:
-    """Convert a text that begins with an outcome to the form used in logs."""
+    """Replace an outcome at the beginning of a text by its name in logs."""
     if text.startswith(Outcome.NO_BETTER_PLAN):
         return _NO_BETTER_PLAN + text.removeprefix(Outcome.NO_BETTER_PLAN)
     return text
 
 
 def outcome_from_log(text: str) -> str:
-    """Convert a text from a log to present names, if it begins with an outcome."""
+    """Replace an outcome's name in logs at the beginning of a text by its present name."""
     if text.startswith(_NO_BETTER_PLAN):
         return Outcome.NO_BETTER_PLAN + text.removeprefix(_NO_BETTER_PLAN)
     return text
@@ -60,7 +60,7 @@ class TrackingNotes:
 
 
 def undelivered_notes(names: Sequence[str], step: Step) -> list[Note]:
-    """Return a warning for each robot that did not receive the command of a step."""
+    """Create a warning for each robot that did not receive the command of a step."""
     command = step.command
     return [
         Note(command.sent_ns, "warning", f"{name} did not get the command of step {step.k}")
@@ -70,6 +70,9 @@ def undelivered_notes(names: Sequence[str], step: Step) -> list[Note]:
 
 
 def end_note(stop: Command, result: Result) -> Note:
-    """Create the message in the log that states how a trial ended: an error if it was aborted."""
+    """Create the message in the log that states how a trial ended.
+
+    Its level is "error" if the trial was aborted, and "info" otherwise.
+    """
     level = "error" if result.outcome is Outcome.ABORTED else "info"
     return Note(stop.sent_ns, level, outcome_to_log(result.summary))

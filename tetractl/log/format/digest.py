@@ -31,7 +31,11 @@ class LogDigests:
         self._heads: dict[str, bytes] = {}  # first bytes of a message, by topic
 
     def add(self, record: Record) -> None:
-        """Add a record. The time of an attachment does not count."""
+        """Add a record to the digests, in the order of the file.
+
+        The digests themselves and the report of a recovery are ignored, and so is the time of an
+        attachment.
+        """
         if isinstance(record, Attachment):
             fields = (b"attachment", record.name.encode(), record.media_type.encode(), record.data)
             digest = self._host if record.name in HOST_RECORDS else self._content

@@ -18,7 +18,7 @@ from tetractl.log.format.scene import WORLD, frame_of
 
 MEDIA_TYPE = "application/json"
 ASPECT = 1.1
-"""Minimum ratio of the 3D panel's width to its height."""
+"""Minimum ratio of the 3D panel's width to its height, for which the view is scaled."""
 MARGIN = 1.08
 ERROR = "/studio_script/error"
 WHOLE, LIGHT = SLATES[1:]
@@ -26,7 +26,7 @@ WHOLE, LIGHT = SLATES[1:]
 background of viewers."""
 
 CURVES_MAX = 20
-"""Largest number of robots with curves."""
+"""Maximum number of robots for which a plot has curves."""
 
 _FILES = files("tetractl.log.format")
 
@@ -40,7 +40,7 @@ class PlotCurve(TypedDict):
 
 
 def layout(setup: Setup) -> str:
-    """Create the viewer's layout for an experiment: the arena from above, and four plots."""
+    """Create the viewer's layout for an experiment as JSON: arena from above, and four plots."""
     parts = json.loads((_FILES / "layout.json").read_text())
     period_ns = str(round(setup.period_s * 1e9))
     error = [

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 DIFFERENCES = 4
-"""How often a packed column is replaced by its differences."""
+"""Order of the differences by which the numbers of a packed column are replaced."""
 
 
 def pack_columns(columns: NDArray[Any]) -> bytes:
@@ -41,10 +41,12 @@ def pack_columns(columns: NDArray[Any]) -> bytes:
 def unpack_columns(data: bytes, width: int, kind: str) -> NDArray[Any]:
     """Restore columns of numbers, shape (M, `width`), from a message of the log.
 
+    Empty bytes give no rows.
+
     Args:
         data: The packed bytes.
         width: Number of columns.
-        kind: Type of the numbers.
+        kind: Type of the numbers, such as "<f8".
 
     Raises:
         ValueError: If the number of bytes is wrong.

@@ -50,7 +50,10 @@ def encode_run(start: Start) -> pb.Run:
 
 
 def run_items(run: pb.Run) -> dict[str, str]:
-    """Return the fields of a run as texts by name. Facts about its plant are called `plant.KEY`."""
+    """Return the fields of a run as strings, {name: value}.
+
+    Facts about its plant are called `plant.KEY`.
+    """
     items = {field.name: str(getattr(run, field.name)) for field in run.DESCRIPTOR.fields}
     del items["facts"]
     items["robots"] = json.dumps(list(run.robots))

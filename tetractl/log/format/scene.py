@@ -54,21 +54,28 @@ def stamp(unix_ns: int) -> Timestamp:
 
 
 def encode_note(note: Note, start_ns: int) -> Log:
-    """Encode an operator message for the topic /log. The trial starts at `start_ns` [Unix ns]."""
+    """Encode an operator message for the topic /log, cut to TEXT characters.
+
+    `start_ns` is the time at which the trial started [Unix ns].
+    """
     unix = stamp(start_ns + note.t_ns)
     text = printable(note.text, TEXT)
     return Log(timestamp=unix, level=_LEVELS[note.level], message=text, name="tetractl")
 
 
 def decode_note(message: Log, start_ns: int) -> Note:
-    """Decode a message of the topic /log. A level that tetractl does not know becomes "info"."""
+    """Decode a message of the topic /log, with its time since the trial's start.
+
+    `start_ns` is the time at which the trial started [Unix ns]. A level that tetractl does not
+    know becomes "info".
+    """
     unix_ns = message.timestamp.seconds * SECOND + message.timestamp.nanos
     level = next((name for name, value in _LEVELS.items() if value == message.level), "info")
     return Note(unix_ns - start_ns, level, message.message)
 
 
 BODY_OF_ARENA = 0.03
-"""Size of a robot without wheels, over the arena's shorter side."""
+"""Size of a robot without wheels in viewers, as a fraction of the arena's shorter side."""
 
 
 class Scene:
@@ -120,9 +127,9 @@ class Scene:
         return transforms
 
     def plan(self, path: Floats, unix_ns: int) -> SceneUpdate:
-        """Draw a line along each robot's predicted path (length + 1, N, 3).
+        """Draw a line along each robot's predicted path, shape (length + 1, N, 3).
 
-        It is shown until the next plan.
+        It is shown until the next plan. `unix_ns` is the time of the message [Unix ns].
         """
         entities: list[SceneEntity] = []
         places_m = self._rounded(path[..., :2] * self._metres).swapaxes(0, 1)

@@ -9,7 +9,7 @@ from tetractl.core.errors import UsageError
 
 SUFFIX = ".mcap"
 LOG_PART = ".mcap.part"
-"""End of the name of a log whose trial has not ended."""
+"""End of the name of a log whose trial is still running, or has not ended properly."""
 RECOVERED_SUFFIX = ".recovered.mcap"
 _NO_LOGS = re.compile(r"\.(csv|gif|html|jsonl?|mp4|parquet|pdf|png|svg|webp|ya?ml)$", re.IGNORECASE)
 _LOG = re.compile(r"\.mcap(\.part)?$")
@@ -28,14 +28,19 @@ def is_set_aside(name: str) -> bool:
 
 
 def find_logs(paths: Iterable[Path | str], attempts: bool = False) -> list[Path]:
-    """Return the logs of some paths, each once, in the order given.
+    """Return the logs in some paths, each once, in the order given.
 
     A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder gives the logs
     in it and in its sub-folders, sorted by name with numbers in numerical order. A .part file
-    counts as a log, since a crashed trial belongs to its batch, unless the finished log exists too.
-    A recovered log is left out if its source is among the paths. With `attempts`, folders and
-    patterns also give the logs that `--resume` set aside. Raises UsageError for a path that does
-    not exist, and for a folder or a pattern without logs.
+    counts as a log, since a crashed trial belongs to its batch, unless the finished log exists
+    too. A recovered log is left out if its source is among the paths.
+
+    Args:
+        paths: The paths. Files whose endings show that they are not logs are left out.
+        attempts: Whether folders and patterns also give the logs that `--resume` set aside.
+
+    Raises:
+        UsageError: If a path does not exist, or a folder or a pattern contains no logs.
     """
     logs: dict[Path, Path] = {}  # by the real path
     for path in without_others(paths):
@@ -45,10 +50,13 @@ def find_logs(paths: Iterable[Path | str], attempts: bool = False) -> list[Path]
 
 
 def without_others(paths: Iterable[Path | str]) -> list[Path]:
-    """Leave out the files whose endings show that they are not logs.
+    """Leave out the files whose endings show that they are not logs, such as .csv and .png.
 
     A pattern such as `logs/slip/*` also matches such files: besides the folders of its arms, a
-    study contains tables and figures. Raises UsageError if no path is left.
+    study contains tables and figures.
+
+    Raises:
+        UsageError: If no path is left.
     """
     listed = [Path(path) for path in paths]
     remaining = [path for path in listed if not (_NO_LOGS.search(path.name) and path.is_file())]
@@ -59,7 +67,10 @@ def without_others(paths: Iterable[Path | str]) -> list[Path]:
 
 
 def _hint_without_logs(path: Path) -> str | None:
-    """Suggest what was meant by a path that leads to a file which is not a log."""
+    """Suggest what the user may have meant by a path to a file that is not a log.
+
+    None if there is no suggestion.
+    """
     if path.suffix.lower() in (".yaml", ".yml"):
         return f"run it with: tetractl run {path}"
     logs = sorted(path.parent.glob(f"*{SUFFIX}"), key=_natural)
@@ -69,10 +80,10 @@ def _hint_without_logs(path: Path) -> str | None:
 
 
 def find_log(path: Path | str) -> Path:
-    """Return the only log in a path. It is an error if there is none, or more than one.
+    """Return the only log in a path.
 
     Raises:
-        UsageError: If there are several.
+        UsageError: If there is no log, or more than one.
     """
     logs = find_logs([path])
     if len(logs) > 1:

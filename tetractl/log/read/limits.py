@@ -13,12 +13,12 @@ from pathlib import Path
 from tetractl.core.errors import LogError
 
 FACTOR = "TETRACTL_LOG_FACTOR"
-"""Environment variable whose value multiplies the limits for a whole file."""
+"""Environment variable whose value, 1 by default, multiplies the limits for a whole file."""
 
 CHUNK_MAX = 1 << 24
-"""Maximum unpacked size of a chunk, and maximum length of a row [bytes].
+"""Maximum size of an unpacked chunk, and maximum length of a row [bytes].
 
-tetractl's chunks have about a million.
+The chunks that tetractl writes have about a million bytes.
 """
 
 
@@ -36,7 +36,12 @@ def seconds_limit() -> float:
 
 
 def too_much(path: Path, what: str) -> LogError:
-    """Create the error for a file that exceeds a limit. `what` describes the excess."""
+    """Create the error for a file that exceeds a limit.
+
+    Args:
+        path: The file.
+        what: What there is too much of, as part of the message.
+    """
     return LogError(
         f"{path}: the log contains {what}, more than tetractl reads; with {FACTOR}=2, it "
         "reads twice as much"

@@ -17,7 +17,15 @@ from tetractl.log.read.trial_log import Damage, Event
 
 @dataclass(frozen=True, slots=True)
 class ChannelCount:
-    """One channel: the number, rate and size of its messages."""
+    """The number, rate and size of the messages of one channel.
+
+    Attributes:
+        topic: Its topic.
+        schema: Name of its schema.
+        messages: Number of messages.
+        hz: Messages per second of trial time [Hz]. None if all have the same time.
+        bytes: Size of the messages before compression [bytes].
+    """
 
     topic: str
     schema: str
@@ -30,10 +38,22 @@ class ChannelCount:
 class Overview:
     """A summary of the contents of a log.
 
-    `digest` is the content digest computed from the file, and `stated_digest` the digest stored in
-    the log. `run`, `host` and `provenance` are the records of the run, `attachments` the sizes of
-    attachments [bytes]. `estimate` is the controller's last estimate of the robots, at control step
-    `estimate_step`; None without an estimate.
+    Attributes:
+        log: Path of the file.
+        size: Size of the file [bytes].
+        chunks: Number of chunks.
+        run: The record of the run, as strings.
+        result: The result. None if it is lost.
+        events: The operator messages.
+        estimate: The controller's last estimate of the motion. None without an estimate.
+        estimate_step: The control step of that estimate. None without an estimate.
+        channels: The channels, with the number and size of their messages.
+        attachments: Size of each attachment [bytes].
+        host: Facts about the computer that wrote the log.
+        provenance: Versions of the code that wrote the log.
+        digest: The content digest computed from the file.
+        stated_digest: The content digest stored in the log. None if there is none.
+        damage: What is missing or altered. None for an intact log.
     """
 
     log: str
@@ -89,7 +109,10 @@ def overview(path: Path) -> Overview:
 
 
 def channel_counts(contents: RawLog) -> tuple[ChannelCount, ...]:
-    """Return how many messages each channel of a log has, sorted by topic."""
+    """Count the messages of each channel of a log, sorted by topic.
+
+    Empty channels are left out.
+    """
     schemas = {topic: message.DESCRIPTOR.full_name for topic, message in CHANNELS.items()}
     schemas |= {topic: schema.name for topic, (_, schema) in contents.channels.items() if schema}
     counts: list[ChannelCount] = []

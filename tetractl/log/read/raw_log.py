@@ -29,7 +29,7 @@ from tetractl.log.read.validate import stated_result
 ALTERED = "the content of the log does not match the digest stated in it"
 UNKNOWN = "an unknown program"
 BEFORE_ATTACHMENTS = (channels.RUN, channels.HOST)
-"""Topics of the messages that tetractl writes before any attachment."""
+"""Topics of the messages that tetractl writes before the first attachment."""
 
 
 @dataclass(frozen=True)
@@ -73,17 +73,14 @@ class RawLog:
         return by_name
 
     def text(self, name: str) -> str | None:
-        """Return the attachment `name` as text.
-
-        None if it is lost.
-        """
+        """Return the attachment with this name as text. None if it is lost."""
         attachment = self.attachments.get(name)
         return None if attachment is None else attachment.data.decode(errors="replace")
 
     def messages(self, topic: str) -> Iterator[Any]:
-        """Decode the messages of a topic.
+        """Decode the messages of a topic one by one, in the order of the file.
 
-        It raises DecodeError for a message that cannot be decoded.
+        Raises DecodeError at a message that cannot be decoded.
         """
         decode = channels.CHANNELS[topic].FromString
         return (decode(entry.data) for entry in self.by_topic[topic])
@@ -134,12 +131,12 @@ class RawLog:
 
     @property
     def result(self) -> Result | None:
-        """The result that the log contains, None if it cannot be read."""
+        """The result stored in the log. None if it is missing or cannot be read."""
         return self.result_or_why_not if isinstance(self.result_or_why_not, Result) else None
 
     @property
     def damaged(self) -> bool:
-        """Whether the log is torn, recovered or unfinished.
+        """Whether records were lost, or there is no readable result, or a recovery lost some.
 
         `TrialLog.damage` describes the damage.
         """
@@ -147,7 +144,7 @@ class RawLog:
 
     @cached_property
     def result_or_why_not(self) -> Result | str:
-        """The result of the trial, or the reason why it cannot be read."""
+        """The result of the trial, or a message about why it cannot be read."""
         if not self.by_topic[channels.RESULT]:
             return (
                 "the log has no result, because the run was cut short or the end of the log is lost"
@@ -161,9 +158,9 @@ class RawLog:
 
     @property
     def warnings(self) -> int:
-        """The number of operator warnings and errors according to the log.
+        """Number of warnings and errors among the operator messages, as stored in the log.
 
-        0 if the log lacks it.
+        It is 0 if the log does not contain the number.
         """
         return max(0, self._stated(channels.RESULT).warnings)
 
@@ -194,18 +191,27 @@ class RawLog:
 
     @property
     def content_digest(self) -> str:
-        """The content digest, computed from the records in the file."""
+        """The content digest, computed from the records in the file.
+
+        It ignores host records.
+        """
         return self.computed_digests.content
 
     @property
     def altered(self) -> bool:
-        """Whether the content in this file differs from the digest stored in the log."""
+        """Whether the content differs from the digest stored in the log.
+
+        False if the log contains no digest, or if another program has only reordered it.
+        """
         stated = self.stated_digests.content
         return stated not in ("", self.computed_digests.content) and not self.reordered
 
     @property
     def host_altered(self) -> bool:
-        """Whether the host records differ from the digest stored in the log."""
+        """Whether the host records differ from the digest stored in the log.
+
+        False if the log contains no digest.
+        """
         return self.stated_digests.host not in ("", self.computed_digests.host)
 
     @property
@@ -248,7 +254,10 @@ class RawLog:
 
     @cached_property
     def facts(self) -> dict[str, str]:
-        """Facts about the computer and the time of the run: machine, time and versions."""
+        """Facts about the computer, the time and the code of the run.
+
+        Empty if they are lost.
+        """
         return decode_facts(self._stated(channels.HOST).facts)
 
 
@@ -258,7 +267,7 @@ def _reason(error: Exception) -> str:
 
 
 def read_file(path: Path) -> bytes:
-    """Read a file.
+    """Read a whole file that should be a log.
 
     The file is not memory-mapped: if another program shortened a mapped file, reading a missing
     page would kill the process.

@@ -54,7 +54,12 @@ def read_trial(path: Path) -> TrialLog:
 def trial_of(contents: RawLog, steps: int | None = None) -> TrialLog:
     """Decode the trial in a scanned file.
 
-    If `steps` is given, only this many control steps are decoded.
+    Args:
+        contents: The records of the file.
+        steps: Maximum number of control steps to decode, from the first. None for all.
+
+    Raises:
+        LogError: If the log has lost its spec, or contains values that tetractl does not write.
     """
     experiment, start = _start(contents)
     start_ns = start.start_unix_ns
@@ -131,10 +136,10 @@ def _all_after(trial: TrialLog, what: str, last_ns: int | None) -> str:
 
 
 def read_result(path: Path) -> ResultSummary:
-    """Read only the result of a trial.
+    """Read only the result of a trial, without frames and steps.
 
-    If file and result are intact, the file's index leads to the result. The errors are the same as
-    for `result_of`.
+    If file and result are intact, the file's index leads to the result. If not, the whole file is
+    read. The errors are the same as for `result_of`.
     """
     contents = peek(Path(path))
     if contents is None or contents.damaged:
@@ -201,7 +206,7 @@ def trial_path(trial: TrialLog) -> tuple[Floats, Bools]:
 
 
 def content_digest(path: Path) -> str:
-    """Compute the SHA-256 over all records of a log except its host records.
+    """Compute the SHA-256 over all records of a log except its host records, as 64 hex digits.
 
     A simulated trial that is run again has the same digest. The last message of a complete log
     contains this digest.

@@ -18,8 +18,7 @@ from tetractl.log.read.trial_log import Damage, TrialLog, frame_gaps, step_gaps
 from tetractl.log.write.sink import Sink
 
 PART_SUFFIX = ".recovering"
-"""Suffix of an unfinished copy, which is not a log; the next recovery replaces the copy.
-"""
+"""Suffix of an unfinished copy, which is not a log. The next recovery replaces it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,12 +43,15 @@ class Recovery:
 
     @property
     def whole(self) -> bool:
-        """Whether the log is complete: no record of it was lost."""
+        """Whether nothing of the log was lost."""
         return not self.damage.lost
 
 
 def recovered_path(log: Path) -> Path:
-    """Return the default path of the recovered log, next to the damaged log."""
+    """Return the default path of a recovered log, next to the damaged one.
+
+    For example, it is trial-003.recovered.mcap for trial-003.mcap.part.
+    """
     for suffix in (LOG_PART, SUFFIX):
         if log.name.endswith(suffix):
             return log.with_name(log.name.removesuffix(suffix) + RECOVERED_SUFFIX)
@@ -94,7 +96,7 @@ def _examine(contents: RawLog) -> Damage:
 
 
 def losses(raw: RawLog, trial: TrialLog) -> tuple[str, ...]:
-    """Describe what a log has lost.
+    """Describe what a log has lost, one sentence each. Empty if nothing is lost.
 
     Nothing is lost if its records match both digests that it states, unless its source had lost
     something.

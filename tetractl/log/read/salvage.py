@@ -32,34 +32,37 @@ from tetractl.log.read.limits import CHUNK_MAX, file_limit, seconds_limit, too_m
 from tetractl.log.read.raw_log import RawLog, read_file
 
 PROBLEMS_MAX = 50
-"""Largest number of damaged records of a log that are listed."""
+"""Maximum number of damaged records of a log that are listed."""
 UNSTATED = 0
-"""What MCAP writes in place of a checksum that is left out."""
+"""Value that MCAP files have in place of a checksum that was left out."""
 
 _RECORD = struct.Struct("<BQ")
-"""Before the contents of every record: opcode, length of the contents."""
+"""Layout of the beginning of every record: opcode, length of the contents."""
 _MESSAGE = struct.Struct("<HIQQ")
-"""Before the data of a message: channel, sequence, log time, publish time."""
+"""Layout of the beginning of a message: channel, sequence, log time, publish time."""
 _CHUNK_TIMES_AND_SIZE = struct.Struct("<QQQI")
-"""A chunk's first fields: first and last time, size and checksum of its records unpacked."""
+"""Layout of a chunk's first fields: first and last time, size and checksum when unpacked."""
 _CHUNK = struct.Struct(_CHUNK_TIMES_AND_SIZE.format + "I4sQ")
-"""All fields before the packed records of a zstd chunk.
+"""Layout of all fields before the packed records of a zstd chunk.
 
-They are the compression and its length, and the length of what follows.
+After the fields above come the length and name of the compression, and the packed size.
 """
 _TIMES = struct.Struct("<QQ")
-"""An attachment's first fields: log time and time of creation."""
+"""Layout of an attachment's first fields: log time and time of creation."""
 _LENGTH = struct.Struct("<I")
 _LONG_LENGTH = struct.Struct("<Q")
 _CHECKSUM = struct.Struct("<I")
 _FOOTER = struct.Struct("<QQI")
-"""The last record: where the index begins, where its own index begins, checksum of the index."""
+"""Layout of the last record: offset of the index, offset of the index's index, and checksum."""
 _FOOTER_HEAD = _RECORD.pack(Opcode.FOOTER, _FOOTER.size)
 
 _ZSTD = re.compile(_LENGTH.pack(4) + b"zstd")
-"""What every chunk of tetractl contains, after its times and size: its head may be damaged."""
+"""Bytes that every chunk of tetractl contains after its times and size.
+
+They are searched for, because the head of a chunk may be damaged.
+"""
 _SMALL_ATTACHMENT = re.compile(rb"\x09(?=.{3}\0{5})", re.DOTALL)
-"""How an attachment of less than 16 MiB begins."""
+"""Bytes with which an attachment of less than 16 MiB begins."""
 _TOPICS = {number: topic for topic, number in NUMBERS.items()}
 _SUMMARY_NUMBERS = {NUMBERS[topic] for topic in SUMMARY}
 
@@ -95,16 +98,16 @@ def peek(path: Path) -> RawLog | None:
 def scan(path: Path) -> RawLog:
     """Find and return every intact record of a log file.
 
-    Raises LogError if it is not an MCAP file, or exceeds the `limits`.
+    Damage is listed in `problems` and `lost`.
+
+    Raises:
+        LogError: If it is not an MCAP file, or exceeds the `limits`.
     """
     return _Scan(path).whole()
 
 
 class _Scan:
-    """One pass over a log file, which verifies records and keeps the intact ones.
-
-    It also lists problems.
-    """
+    """One pass over a log file, which verifies records, keeps intact ones and lists problems."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -347,7 +350,10 @@ class _Scan:
         )
 
     def _matches(self, begin: int, end: int) -> bool:
-        """Compare the checksum at `end` with the checksum of the bytes before it."""
+        """Check whether the checksum at `end` is that of the bytes from `begin` to `end`.
+
+        A file of another program may leave it out.
+        """
         (stated,) = _CHECKSUM.unpack_from(self._data, end)
         is_left_out = self._is_foreign and stated == UNSTATED
         return is_left_out or stated == zlib.crc32(self._view[begin:end])

@@ -48,7 +48,10 @@ class Origin(StrEnum):
 
     @property
     def comparable(self) -> bool:
-        """Whether results may be compared with a published result from real robots."""
+        """Whether results may be compared with published results from real robots.
+
+        This is so only for trials in a real lab.
+        """
         return self is Origin.LAB
 
 
@@ -86,9 +89,15 @@ class Event:
 class TrialLog(TrialRecords, Shown):
     """A whole trial, read from its log.
 
-    `facts` are machine, time and versions of the run, `digest` is the content digest that the log
-    states. `pictures` are a camera's pictures, each with its time of exposure on the trial's
-    clock [ns] and a JPEG file.
+    Attributes:
+        log: Path of its file.
+        experiment: The experiment, from the spec in the log.
+        stop: The last stop. None if there is none.
+        damage: What is missing in the log. None for an intact log.
+        facts: Machine, time and versions of the run.
+        digest: The content digest stored in the log. None if there is none.
+        pictures: The camera's images, each with its time of exposure on the trial's clock [ns]
+            and a JPEG file.
     """
 
     log: str  # its file
@@ -101,10 +110,11 @@ class TrialLog(TrialRecords, Shown):
 
     @property
     def began_ns(self) -> int:
-        """The time of the first direction, which is 0 on every time axis that users see.
+        """The time of the first direction on the trial's clock [ns].
 
-        In the lab the trial's clock starts earlier, while the robots are placed. If the first steps
-        are lost, the time is computed from the control period; without directions it is 0.
+        It is time 0 on every time axis that users see. In the lab the trial's clock starts
+        earlier, while the robots are placed. If the first steps are lost, the time is computed
+        from the control period; without directions it is 0.
         """
         directed = (command.sent_ns for command in self.commands if not command.stops)
         sent = [*islice(directed, 1)]  # commands are in the order of sending
@@ -120,28 +130,31 @@ class TrialLog(TrialRecords, Shown):
 
     @property
     def frames_s(self) -> Floats:
-        """The times (M,) of the camera frames since the first direction [s]."""
+        """The times of the camera frames' exposures since the first direction [s], shape (M,)."""
         return (self.mocap_ns - self.began_ns) / SECOND
 
     @property
     def steps_s(self) -> Floats:
-        """The times (K,) of the control steps' commands since the first direction [s]."""
+        """The times of the control steps' commands since the first direction [s], shape (K,)."""
         sent = np.array([step.command.sent_ns for step in self.steps], dtype=np.int64)
         return (sent - self.began_ns) / SECOND
 
     @property
     def last_estimate(self) -> Estimate | None:
-        """The controller's estimate of the motion in the last step. None if it made none."""
+        """The controller's estimate of the motion in the last step. None if there is none."""
         return self.steps[-1].plan.estimate if self.steps else None
 
     @property
     def positions(self) -> Floats:
-        """The measured positions (M, N, 2), NaN where a robot was not tracked."""
+        """The measured positions [length unit], shape (M, N, 2).
+
+        NaN where a robot was untracked.
+        """
         return np.where(self.valid[..., None], self.mocap[..., :2], np.nan)
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """The operator messages, with the times shown to users, in order of time."""
+        """The operator messages in order of time, with hints on what to do next."""
         events = [
             Event(
                 self.elapsed_s(note.t_ns),
@@ -188,8 +201,18 @@ def _next_step(text: str) -> str:
 class ResultSummary(Shown):
     """The result of a trial, read from its log without the frames and steps.
 
-    `recovered` is True for a log that is damaged or ends early. If its result is lost, `result` is
-    computed from the last poses of the log, with the outcome `aborted`.
+    Attributes:
+        log: Path of its file.
+        experiment: The experiment, from the spec in the log.
+        seed: Root seed of the batch.
+        trial: Index of the trial in the batch, from 0.
+        origin: Where the trial took place.
+        result: The result. If it is lost, it is computed from the last poses of the log, with the
+            outcome `aborted`.
+        recovered: Whether the log is damaged or ends early.
+        digest: The content digest stored in the log. None if there is none.
+        warnings: Number of warnings and errors among the operator messages.
+        code: Hash of the code that ran the trial (`provenance.trial_code`). Empty if unknown.
     """
 
     log: str  # its file
@@ -250,10 +273,7 @@ def frame_gaps(log: TrialLog) -> list[Gap]:
 
 
 def step_gaps(log: TrialLog) -> list[Gap]:
-    """Return the gaps in the numbers of a log's control steps.
-
-    This includes gaps at its start and end.
-    """
+    """Return the gaps in the numbers of a log's control steps, also at its start and end."""
     ks = [-1, *(step.k for step in log.steps)]
     sent = [0.0, *log.steps_s.tolist()]
     if log.result and log.result.steps > ks[-1] + 1:

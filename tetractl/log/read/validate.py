@@ -21,7 +21,11 @@ from tetractl.log.format.run_records import decode_result
 
 
 def check_frames(frames: Frames) -> None:
-    """Check camera frames: poses that are `valid`, and true poses that are not NaN."""
+    """Raise ValueError for a camera frame that no trial can have.
+
+    Poses of tracked robots must be finite, and other poses not infinite. True poses must be
+    finite.
+    """
     require_finite("a pose", frames.poses[frames.valid])
     if np.isinf(frames.poses).any():
         raise ValueError("a pose is infinite")
@@ -30,7 +34,10 @@ def check_frames(frames: Frames) -> None:
 
 
 def check_commands(commands: Sequence[Command], robots: int) -> None:
-    """Check all commands to N robots together, which is faster than one by one."""
+    """Raise ValueError for a command that cannot be for N robots, or has non-finite numbers.
+
+    All commands are checked together, which is faster than one by one.
+    """
     check_actions([command.action for command in commands])
     for count in {len(command.delivered) for command in commands} - {robots}:
         raise ValueError(f"a command is for {count} robots instead of {robots}")
@@ -42,7 +49,10 @@ def check_commands(commands: Sequence[Command], robots: int) -> None:
 
 
 def check_steps(steps: Sequence[Step], robots: int) -> None:
-    """Check all control steps of N robots together, which is faster than one by one."""
+    """Raise ValueError for a control step that no trial with N robots can have.
+
+    All steps are checked together, which is faster than one by one.
+    """
     check_frames(Frames.from_samples([Sample(step.observation, None) for step in steps], robots))
     check_commands([step.command for step in steps], robots)
     for step in steps:
@@ -72,7 +82,10 @@ def stated_result(message: pb.Result, end: pb.HostEnd | None, robots: int, unit:
 
 
 def check_result(result: Result) -> None:
-    """Check a result. Final poses and errors may be NaN if the trial is not complete."""
+    """Raise ValueError for a result that no trial can have.
+
+    Final poses and errors may be NaN only if the trial is not complete.
+    """
     verdict = result.verdict
     lengths = np.array([result.total_error, *result.robot_errors, *verdict.final.xy.ravel()])
     headings = verdict.final.heading

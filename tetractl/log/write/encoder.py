@@ -41,19 +41,22 @@ from tetractl.log.format.scene import Scene, encode_note
 from tetractl.log.format.tetractl_pb2 import Host, HostEnd, StepTiming
 
 CHUNK_NS = 2 * SECOND
-"""Length of a simulation's chunks [ns of trial time].
+"""Duration of a chunk of a simulation's log [ns of trial time].
 
 A repeated simulation therefore has the same chunks. If a simulation is slower than real time,
 `sink.CHUNK_S` also ends chunks.
 """
 LAB_CHUNK_NS = SECOND // 4
-"""Length of a lab's chunks [ns of trial time], which a crash may lose."""
+"""Duration of a chunk of a lab's log [ns of trial time]. A crash may lose one chunk."""
 MESSAGE_POSES_MAX = 20_000
-"""Largest number of poses in a message, which bounds its size."""
+"""Maximum number of poses in a message, which limits its size."""
 SHOWN_HZ = 15
-"""Rate of a simulation's transforms for viewers [Hz]; viewers interpolate between transforms."""
+"""Rate at which a simulation's poses are written as transforms for viewers [Hz].
+
+Viewers interpolate between transforms.
+"""
 PLAN_SHOWN_NS = SECOND * 3 // 20
-"""Minimum time between two plans for viewers [ns]."""
+"""Minimum time between two plans that are written for viewers [ns of trial time]."""
 
 
 class RecordSink(Protocol):
@@ -67,7 +70,10 @@ class RecordSink(Protocol):
         """Add one record of the log, such as a message or an attachment."""
 
     def flush(self) -> None:
-        """End the present chunk, a block of messages that is written as a whole."""
+        """End the present chunk, a block of messages that is written as a whole.
+
+        By default, this does nothing.
+        """
 
 
 class Encoder:
@@ -95,7 +101,7 @@ class Encoder:
         self.warnings = 0
 
     def on_start(self, start: Start) -> None:
-        """Add the start of a trial: its identity, specs, static scene, and a message."""
+        """Add the start of a trial: its identity, specs, static scene, and a message about it."""
         setup = start.setup
         self._start = start
         self._scene = Scene(setup, exact=not start.plant.simulated)
@@ -175,7 +181,7 @@ class Encoder:
         self._add(channels.COMMANDS, codec.encode_command(command), command.sent_ns)
 
     def on_note(self, note: Note) -> None:
-        """Add an operator message."""
+        """Add an operator message, and count it in `warnings` if it is a warning or an error."""
         if note.level in ("warning", "error"):
             self.warnings += 1
         self._add(channels.LOG, encode_note(note, self._start.start_unix_ns), note.t_ns)

@@ -55,14 +55,14 @@ from tetractl.log.format.channels import (
 from tetractl.log.format.digest import LogDigests
 
 UNNUMBERED = 0
-"""MCAP's number of no schema."""
+"""Number that MCAP uses for "no schema"."""
 CHUNK_BYTES = 1 << 20
-"""Size of the messages of a chunk above which it ends."""
+"""Size of a chunk's messages above which the chunk ends [bytes]."""
 FOOTER_FIELDS = struct.Struct("<BQQQ")
-"""What the checksum of the summary covers of the footer: opcode, length, two offsets."""
+"""Layout of the part of the footer that its checksum covers: opcode, length, two offsets."""
 FOOTER_BYTES = 20
 OtherChannels = Mapping[str, tuple[Channel, Schema | None]]
-"""Channels and their schemas by topic."""
+"""Channels of another log, each with its schema, by topic. The schema may be None."""
 NO_OTHERS: OtherChannels = {}
 
 
@@ -205,7 +205,7 @@ class FileWriter:
         return channel
 
     def _record_schema(self, schema: Schema) -> int:
-        """Record a schema, unless the same one is recorded, and return its number."""
+        """Record a schema in the open chunk, if it is new, and return its number."""
         key = schema.name, schema.data
         if key not in self._schemas:
             self._schemas[key] = replace(schema, id=len(self._schemas) + 1)

@@ -25,7 +25,7 @@ With camera frames collected over a control period of 0.2 s, a killed process lo
 of its trial.
 """
 SYNC_S = 1.0
-"""Longest time for which a power cut can lose written bytes [s of wall time]."""
+"""Maximum time for which a power cut can lose written bytes [s of wall time]."""
 
 TRIAL_PART = ".part"
 
@@ -90,7 +90,11 @@ class Sink:
 
     @_while_open
     def add(self, record: Record) -> None:
-        """Add a record. An attachment ends the chunk of the messages so far."""
+        """Add a record. An attachment ends the chunk of the messages so far.
+
+        A message may stay in memory until `flush_if_due` or the end of its chunk. Raises LogError
+        if the disk fails. After that, and after `close`, nothing happens.
+        """
         if isinstance(record, Attachment):
             self.flush()
         else:
@@ -111,7 +115,11 @@ class Sink:
 
     @_while_open
     def sync(self) -> None:
-        """Wait until the disk has stored all records so far; check that the file still exists."""
+        """Wait until the disk has stored all records so far.
+
+        Raises:
+            LogError: If the disk fails, or the file was moved or removed.
+        """
         self.flush()
         self._sync_written()
 
@@ -142,7 +150,7 @@ class Sink:
     def close(self, complete: bool) -> None:
         """Write the index and close the file.
 
-        Only a complete log is renamed from NAME.part to NAME.
+        If `complete` is True, the file is renamed from NAME.part to NAME.
         """
         self._mcap.finish()
         self.sync()
@@ -152,7 +160,10 @@ class Sink:
             _sync_folder(self._path.parent)
 
     def discard(self) -> None:
-        """Close the file of an unwanted log, and remove it."""
+        """Close the file of an unwanted log, and remove it.
+
+        This method never raises an OSError.
+        """
         with suppress(OSError):
             self._release()
         with suppress(OSError):
@@ -166,7 +177,10 @@ class Sink:
         self._check_exists()
 
     def _check_exists(self) -> None:
-        """Raise OSError if the file was moved or removed; restore a removed file first."""
+        """Raise OSError if the file was moved or removed.
+
+        A removed file is written again first.
+        """
         assert self._file is not None
         mine = os.fstat(self._file.fileno())
         with suppress(FileNotFoundError, NotADirectoryError):
@@ -198,7 +212,7 @@ class Sink:
 
 
 def _owned(path: Path) -> BinaryIO:
-    """Create or empty a file, open and lock it.
+    """Create a file or empty it, and open it with a lock.
 
     The lock ends when the process ends, even if it is killed.
 

@@ -14,16 +14,16 @@ from tetractl.log.write.sink import TRIAL_PART, Sink
 from tetractl.tools.worker import Relay, Worker
 
 QUEUE_MAX = 1000
-"""Calls in the queue for the disk: over a minute of a trial in the lab."""
+"""Maximum number of calls in the queue: more than a minute of a trial in the lab."""
 DISK_PATIENCE_S = 30.0
-"""Time after which a disk that accepts no data is given up [s]."""
+"""Time after which a log is given up if the disk accepts no data [s]."""
 BATCH_S = 0.5
-"""Time for which the calls of a simulation are collected [s]."""
+"""Time for which the calls of a simulation are collected, before all are processed [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class _OpenLog:
-    """A log that is being written; the thread of `worker` encodes and stores its records."""
+    """A log that is being written. The thread of `worker` encodes and stores its records."""
 
     sink: Sink
     encoder: Encoder
@@ -92,7 +92,10 @@ class LogWriter(Relay):
         worker.drain()  # no robot moves before the start of the log is on the disk
 
     def put(self, call: Callable[[Observer], object]) -> None:
-        """Queue a call of the encoder, which the writing thread makes."""
+        """Queue a call of the encoder, which the writing thread makes later.
+
+        Nothing happens before the start of the trial. Raises LogError if the log was given up.
+        """
         if self._log is not None:
             self._log.worker.put(call, self._log.encoder)
 
@@ -110,7 +113,7 @@ class LogWriter(Relay):
         log.worker.check()
 
     def drain(self) -> None:
-        """Wait until the writing thread has made all calls so far."""
+        """Wait until the writing thread has processed all calls so far."""
         if self._log is not None:
             self._log.worker.drain()
 

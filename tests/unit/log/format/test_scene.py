@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
@@ -17,13 +18,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from testkit import trials
 from testkit.random_trials import experiment, trial, write
 
 from tetractl.core import elementwise
 from tetractl.core.loggable import DRAWN_PRECISION
 from tetractl.core.poses import Frames
-from tetractl.core.trial import EPOCH_NS
-from tetractl.log.format.scene import Scene, frame_of, stamp
+from tetractl.core.trial import EPOCH_NS, Note
+from tetractl.log.format.scene import Scene, decode_note, encode_note, frame_of, stamp
 
 
 @pytest.fixture(scope="module")
@@ -174,3 +176,103 @@ def test_every_unit_comes_to_metres(unit, metres):
     scene = Scene(experiment(1, units={"length": unit}).setup).static(EPOCH_NS)
     box = corners_of(next(item for item in scene.entities if item.id == "obstacle/0"))
     assert np.ptp(box[:, 0]) == pytest.approx(200 * metres)
+
+
+# ---- Sizes ----
+
+
+def scene_of(**fields):
+    """What stands in the scene of one robot, by name, with its points in mm."""
+    scene = Scene(trials.experiment(**fields).setup).static(EPOCH_NS)
+    return {entity.id: entity for entity in scene.entities}
+
+
+def outlines_of(entity):
+    return [1000 * np.array([(p.x, p.y) for p in line.points]) for line in entity.lines]
+
+
+ROBOT = {"name": "green", "start": [900, 800], "target": [1700, 500], "a": 6, "speed": 180}
+
+
+@pytest.mark.parametrize(
+    ("fields", "width_mm"),
+    [
+        ({"wheels": {"radius": 40}}, 80.0),
+        ({}, 0.03 * 1600),  # of the arena's shorter side
+        ({"arena": {"left": 0, "bottom": 0, "width": 3000, "height": 2500}}, 0.03 * 2500),
+    ],
+)
+def test_a_robot_and_the_square_at_its_target_are_as_wide_as_its_wheels_are_apart(fields, width_mm):
+    entities = scene_of(robots=[ROBOT], **fields)
+    (square,) = outlines_of(entities["target/green"])
+    assert square.min(axis=0) == pytest.approx([1700 - width_mm / 2, 500 - width_mm / 2])
+    assert square.max(axis=0) == pytest.approx([1700 + width_mm / 2, 500 + width_mm / 2])
+    nose, left, right = 1000 * corners_of(entities["robot/green"])
+    assert nose == pytest.approx([width_mm / 2, 0, 0])
+    assert left == pytest.approx([-width_mm / 2, width_mm / 2, 0])
+    assert right == pytest.approx([-width_mm / 2, -width_mm / 2, 0])
+    label = entities["robot/green"].texts[0]
+    assert 1000 * label.pose.position.z == pytest.approx(width_mm)
+    assert 1000 * corners_of(entities["obstacle/0"])[:, 2].max() == pytest.approx(width_mm)
+
+
+def test_way_points_are_squares_half_as_wide_in_their_order():
+    entities = scene_of(robots=[ROBOT | {"via": [[1000, 700], [1300, 600]]}], wheels={"radius": 40})
+    target, first, second = outlines_of(entities["target/green"])
+    assert np.ptp(target, axis=0) == pytest.approx([80, 80])
+    for outline, middle in ((first, (1000, 700)), (second, (1300, 600))):
+        assert np.ptp(outline, axis=0) == pytest.approx([40, 40])
+        assert outline.mean(axis=0) == pytest.approx(middle)
+
+
+def test_a_robot_that_has_to_stay_has_a_ring_of_the_holds_radius_around_its_target():
+    entities = scene_of(robots=[ROBOT], hold={"time": 8, "radius": 33})
+    _, ring = outlines_of(entities["target/green"])
+    assert np.hypot(*(ring - (1700, 500)).T) == pytest.approx(33)
+    assert np.ptp(np.degrees(np.arctan2(*(ring - (1700, 500)).T[::-1]))) > 340
+
+
+# ---- Times, notes and what is not tracked ----
+
+TIMES_NS = st.integers(0, 2**62)
+
+
+@given(st.integers(0, 2**60), TIMES_NS, st.sampled_from(["debug", "info", "warning", "error"]))
+def test_a_note_is_read_as_it_was_written(t_ns, start_ns, level):
+    note = Note(t_ns, level, "green is lost")
+    message = encode_note(note, start_ns)
+    assert _stamp(message) == start_ns + t_ns
+    assert decode_note(message, start_ns) == note
+
+
+def test_a_level_that_tetractl_does_not_write_is_read_as_info():
+    message = encode_note(Note(1, "error", "x"), 0)
+    message.level = Log.FATAL
+    assert decode_note(message, 0).level == "info"
+
+
+@given(TIMES_NS)
+def test_a_stamp_is_whole_seconds_and_the_nanoseconds_left(unix_ns):
+    assert (stamp(unix_ns).seconds, stamp(unix_ns).nanos) == divmod(unix_ns, 10**9)
+
+
+def test_each_part_of_frames_has_the_transforms_of_its_own_rows_at_their_times():
+    setup = experiment(2).setup
+    poses = np.arange(18.0).reshape(3, 2, 3)
+    valid = np.array([[True, True], [False, True], [True, True]])
+    times = np.array([10, 20, 30])
+    exposed = times[:, None].repeat(2, axis=1)
+    parts = [
+        Frames(times[s], times[s], times[s], poses[s], valid[s], None, exposed[s])
+        for s in (slice(0, 1), slice(1, 3))
+    ]
+    drawn = Scene(setup, exact=True).transforms(parts, 1000)
+    names = [frame_of(name) for name in setup.names]
+    seen = [
+        [(item.child_frame_id, _stamp(item), item.translation.x) for item in part.transforms]
+        for part in drawn
+    ]
+    x = poses[..., 0] * setup.metres
+    first = [(names[0], 1010, x[0, 0]), (names[1], 1010, x[0, 1])]
+    second = [(names[0], 1030, x[2, 0]), (names[1], 1020, x[1, 1]), (names[1], 1030, x[2, 1])]
+    assert seen == [first, second]

@@ -155,6 +155,12 @@ def test_a_number_for_drawing_is_rounded_to_fourteen_bits(x):
     assert drawn(np.array([rounded])).tolist() == [rounded]
 
 
+def test_the_stated_precision_is_that_of_the_worst_number():
+    values = np.random.default_rng(3).uniform(1, 2, 10_000)
+    worst = np.abs(drawn(values) / values - 1).max()
+    assert DRAWN_PRECISION / 2 < worst <= DRAWN_PRECISION
+
+
 def test_what_is_exact_in_fourteen_bits_stays():
     values = np.array([0.0, 1.0, -1.5, 1024.0, 0.25])
     assert drawn(values).tolist() == values.tolist()

@@ -11,7 +11,7 @@ from testkit.cli import tetractl
 
 from tetractl.core.errors import AbortError
 
-pytestmark = pytest.mark.long
+pytestmark = pytest.mark.slow
 
 RATE_HZ = 30.0
 UM_PX = 2.0
@@ -132,6 +132,7 @@ def test_rare_pictures_show_no_turning_but_ways(dish):
     assert [cell["speed_um_s"] for cell in json.loads(done.stdout)["cells"]] == [None, None]
 
 
+@pytest.mark.long
 def test_a_reader_that_ends_early_is_no_fault_of_a_plugin(dish):
     """Regression: "plug-in command 'track' raised SystemExit: 1"."""
     folder, rows = dish

@@ -3,7 +3,10 @@
 from pathlib import Path
 from types import SimpleNamespace
 
-from tetractl_microscope.survey import _choice_line, _keep_files
+import pytest
+from tetractl_microscope.survey import _choice_line, _keep_files, _places
+
+from tetractl.core.errors import UsageError
 
 
 def test_a_choice_with_a_cell_near_the_edge_says_so():
@@ -30,3 +33,54 @@ def test_a_spec_in_another_folder_names_the_same_files(tmp_path):
     assert data["identified"] == str(Path("..") / "cells.yaml")
     assert data["plant"] == {"type": "sim"}
     assert data["controller"] is None
+
+
+def test_a_choice_without_a_plan_says_so_instead_of_an_error():
+    proposal = SimpleNamespace(
+        numbers=[3], cells=[SimpleNamespace(number=3, free=True)], error=1e999
+    )
+    assert _choice_line(proposal, "um").endswith("error none, as no plan was found")
+
+
+def test_files_that_are_not_relative_names_are_kept(tmp_path):
+    absolute = str(tmp_path / "scale.yaml")
+    data = {
+        "lab": {"calibration": absolute},
+        "plant": {"faults": {"lost": 1}, "calibration": "a.yaml"},
+        "controller": {"weights": "w.npz", "period": 0.2},
+    }
+    _keep_files(data, tmp_path / "here", tmp_path / "there")
+    assert (tmp_path / "there" / data["lab"]["calibration"]).resolve() == Path(absolute).resolve()
+    assert data["plant"] == {"faults": {"lost": 1}, "calibration": str(Path("../here/a.yaml"))}
+    assert data["controller"] == {"weights": str(Path("../here/w.npz")), "period": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("text", "places"),
+    [
+        ("112,540,901,548,2000", ((112, 540), (901, 548), 2000)),
+        ("0,0,-1.5,2e1,0.5", ((0, 0), (-1.5, 20), 0.5)),
+    ],
+)
+def test_two_places_and_their_distance_are_read_in_this_order(text, places):
+    assert _places(text) == places
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "1,2,3,4",
+        "1,2,3,4,5,6",
+        "1,2,3,4,um",
+        "",
+        "1,2,3,4,0",
+        "1,2,3,4,-5",
+        "1,2,3,4,inf",
+        "nan,2,3,4,5",
+        "1,2,inf,4,5",
+        "1,2,3,4,nan",
+    ],
+)
+def test_places_that_are_not_five_numbers_with_a_distance_are_refused(text):
+    with pytest.raises(UsageError, match="give five numbers"):
+        _places(text)

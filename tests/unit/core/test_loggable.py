@@ -24,6 +24,8 @@ from tetractl.core.motion_estimate import Estimate
 from tetractl.core.plan import Plan, Search, StopReason
 
 NAN, INF = math.nan, math.inf
+SINGLE = 2.0**-24
+"""Relative rounding error of single precision, to which a number is converted first."""
 SEARCH = Search(2, np.array([0.1, 0.2]), 5.0, np.array([9.0, 5.0]), 40, StopReason.CRITERION)
 PLAN = Plan(
     signals=np.array([0.1, 0.2]),
@@ -149,7 +151,7 @@ def test_only_values_that_are_not_finite_are_refused():
 @given(st.floats(-1e30, 1e30).filter(lambda x: x == 0 or abs(x) > 1e-30))
 def test_a_number_for_drawing_is_rounded_to_fourteen_bits(x):
     (rounded,) = drawn(np.array([x])).tolist()
-    assert abs(rounded - x) <= DRAWN_PRECISION * abs(x)
+    assert abs(rounded - x) <= (DRAWN_PRECISION + SINGLE) * abs(x)
     fraction, _ = math.frexp(rounded)
     assert (fraction * 2**15).is_integer()
     assert drawn(np.array([rounded])).tolist() == [rounded]
@@ -158,7 +160,7 @@ def test_a_number_for_drawing_is_rounded_to_fourteen_bits(x):
 def test_the_stated_precision_is_that_of_the_worst_number():
     values = np.random.default_rng(3).uniform(1, 2, 10_000)
     worst = np.abs(drawn(values) / values - 1).max()
-    assert DRAWN_PRECISION / 2 < worst <= DRAWN_PRECISION
+    assert DRAWN_PRECISION / 2 < worst <= DRAWN_PRECISION + SINGLE
 
 
 def test_what_is_exact_in_fourteen_bits_stays():

@@ -25,7 +25,7 @@ FRAMES_MIN = 6
 SPEED_FRACTION_MIN = 0.05
 """Minimum speed that is reported, as a fraction of the robot's own speed."""
 DISTANCE_STDS = 5.0
-"""Minimum distance that counts as motion [standard deviations of the difference of two means]."""
+"""Minimum distance that counts as motion, in standard deviations of the means' difference."""
 
 
 def speeds_at_rest(frames: Sequence[Observation]) -> Floats:

@@ -28,9 +28,15 @@ from tetractl.lab.motion_check import MotionCheck
 from tetractl.model.swimmers import DIPOLE_SD_RAD
 
 WANDERS = 0.7
-"""Relative error of a cell's speed and turning rate: cells wander, by far more than wheels slip."""
+"""Relative error that is allowed for a cell's speed and turning rate.
+
+Cells wander far more than wheels slip.
+"""
 NOISE = 0.0
-"""Error of a cell's position [length unit], of which the slack of WANDERS is a multiple."""
+"""Assumed error of a cell's position [length unit].
+
+It is neglected: the slack of `WANDERS` is much larger.
+"""
 MAGNET_RAD = 3 * DIPOLE_SD_RAD
 """Largest angle between a cell's magnet and its axis [rad]: three standard deviations."""
 HEADING_RAD = 0.06
@@ -57,7 +63,7 @@ class Swims(MotionCheck):
         self._slack[:, 2] += 2 * HEADING_RAD
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take note of a transmission; see `GuardCheck.sent`."""
+        """Record the rates that a transmission allows; see `GuardCheck.sent`."""
         v = np.array(speed)
         slowest, fastest = turning_rates(np.array(turning), self._a)
         error = WANDERS * np.abs(v)
@@ -66,7 +72,10 @@ class Swims(MotionCheck):
         self._commanded.sent(now_ns, np.array([least, greatest]))
 
     def pose(self, robot: int, before: Pose, pose: Pose) -> Iterator[Finding]:
-        """Check a new pose during a run; see `GuardCheck.pose`."""
+        """Warn of a pose that no command explains; see `GuardCheck.pose`.
+
+        The comparison then restarts at this pose.
+        """
         fault = self.take_pose(robot, before, pose)
         if fault is not None:
             self.replace(robot)
@@ -93,13 +102,16 @@ def turning_rates(commanded: Floats, a: Floats) -> tuple[Floats, Floats]:
 
 
 class Stays(GuardCheck):
-    """A cell that leaves the arena is lost; the run is aborted if two come too close."""
+    """A check that loses a cell that leaves the arena, and aborts if two come too close."""
 
     def __init__(self, rules: GuardRules) -> None:
         self._rules = rules
 
     def tick(self, robots: Sequence[RobotPlace]) -> Iterator[Finding]:
-        """Check whether a cell leaves the arena, or two cells come too close."""
+        """Yield a loss for each cell about to leave the arena, and aborts for close pairs.
+
+        Cells that are lost or not tracked are skipped.
+        """
         now: dict[str, Pose] = {}
         then: dict[str, Pose] = {}
         for i, robot in enumerate(robots):

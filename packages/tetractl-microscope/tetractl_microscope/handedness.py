@@ -27,9 +27,9 @@ LEAST_CELLS = 3  # fewest cells that show a rotation
 SURE = 3.0  # standard deviations by which a rotation must differ from 0
 ALLOWED = 0.15  # rotation below which nothing is said [rad]
 ALIKE = 1e-6
-"""Difference between the fractions that two sides explain that counts as rounding.
+"""Maximum difference of two explained fractions that counts as rounding.
 
-A field that never changes explains the same on both sides.
+A field that never changes explains the same fraction with and without mirroring.
 """
 
 
@@ -67,8 +67,8 @@ def watch_turning(
     Args:
         rig: The connected lab.
         choice: The spec's rule for choosing cells.
-        seed: Seed of the choice.
-        supervision: How people supervise the run.
+        seed: Seed of the field's rotation.
+        supervision: The operator's emergency stop and cancel signal.
 
     Returns:
         The cells in view, and how they turned. The latter is None if too few of them were seen for
@@ -128,8 +128,12 @@ def handedness(paths: Sequence[Floats], field: FieldAt) -> Handedness | None:
 def handedness_lines(turning: Handedness | None) -> tuple[list[str], str]:
     """Describe how the cells turned.
 
+    Args:
+        turning: How they turned. None if too few of them were seen.
+
     Returns:
-        A list of problems, and a sentence on the turning.
+        A list of problems, empty if the image agrees with the field, and a sentence on the
+        turning.
     """
     if turning is None:
         return [
@@ -159,6 +163,9 @@ def wrong_sides(turning: Handedness, mirrored: str, rotated: str) -> list[str]:
         turning: How cells turned.
         mirrored: The text if they turned to the opposite side.
         rotated: The text if they turned towards a rotated direction.
+
+    Returns:
+        One sentence. Empty if directions are right, or if cells do not turn with the field.
     """
     if turning.explained < EXPLAINED or not (turning.mirrored or turning.rotated):
         return []

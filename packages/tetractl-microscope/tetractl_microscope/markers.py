@@ -22,7 +22,7 @@ INCH_MM = 25.4
 ARROW = 0.3
 """Length of the arrow on a card, from its centre, in modules of the tag."""
 LETTER = 0.45
-"""Font size of the word beside it, in modules: "front" is then 1.2 modules long."""
+"""Font size of the word beside the arrow, in modules: "front" is then 1.2 modules long."""
 
 
 class Card(NamedTuple):

@@ -45,8 +45,8 @@ class Reading:
 
     Attributes:
         fraction: Fraction of the motion that it explains.
-        said: The message.
-        hint: What to do.
+        message: The error message if it explains more than the stated commands.
+        hint: What to do then.
     """
 
     fraction: float
@@ -125,7 +125,10 @@ def refuse_times_apart(poses: Span, sent: Floats, commands: Span) -> None:
 
 
 COVERED = 0.9
-"""Fraction of the robots' path under commands below which a remark says so; chosen."""
+"""Fraction of the robots' path under commands below which a remark reports it.
+
+The value is chosen, not measured.
+"""
 DIRECTIONS_MIN = 2
 """Minimum number of commands during the recording.
 

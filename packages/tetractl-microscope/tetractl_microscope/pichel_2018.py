@@ -24,22 +24,28 @@ from tetractl_microscope.tracks.fit_track import CellPath, CellSummary, fit_trac
 STRENGTHS_MT = (1.0, 2.0, 4.0, 6.0, 9.0, 12.0)
 CELLS = 34
 SLOPES = 0.5, 1.0
-"""Range of the slopes put in [rad/(mT s)], which the fit does not know."""
+"""Range of the simulated slopes [rad/(mT s)], which the fit does not know."""
 SPREAD = 0.15
 """Assumed standard deviation of ln of the slope among cells."""
 WALK = 0.1
 """Assumed standard deviation of headings [rad/sqrt(s)]."""
 NOISE_UM = 0.1
-"""Assumed standard deviation of each tracked place [um]."""
+"""Assumed standard deviation of each coordinate of a tracked position [um]."""
 RATE_HZ = 15
 HOLD_S = 3.0
 REVERSALS = 4
 REFERENCE_MT = 4.0
-"""The strength for which `track` states a: a field's file has strengths relative to it."""
+"""The field strength for which `track` states a [mT].
+
+A file of the field has strengths relative to it.
+"""
 ROUNDS = 20
-"""How often outliers are looked for again."""
+"""Number of times that outliers are removed and the slope is fitted again."""
 OUTLIER = 3.0
-"""Deviations beyond which a track is left out: it is of more cells than one."""
+"""Maximum deviation of a track's slope from the fit, in standard deviations.
+
+A track beyond it is left out, because it joins more cells than one.
+"""
 
 
 def _bacteria(slope: float, rng: np.random.Generator) -> Swimmers:

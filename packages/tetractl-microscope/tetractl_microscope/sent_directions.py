@@ -32,11 +32,11 @@ LONGEST_GAP_S = 0.25  # a longer gap between two positions separates a path
 SHORTEST_S = 2.0  # least duration of a piece of a path
 STILL = 0.1  # turning rate [rad/s] that counts as unexplained in any case
 TURNS = 0.3
-"""Deviation of turning rates from which robots do turn [rad/s]."""
+"""Standard deviation of turning rates above which robots count as turning [rad/s]."""
 DELAYS_S = np.arange(21) / 10
 """Dead times that are tried [s]: up to the longest that `identify` finds."""
 AT_ONCE_S = np.arange(3) / 10
-"""Those of a field to which no dead time is fitted [s]."""
+"""Dead times that are tried for a field to which no dead time is fitted [s]."""
 SHIFTS_S = np.arange(-100, 101) / 10
 """Differences of two clocks that are tried [s]."""
 ENOUGH_S = 8.0

@@ -146,7 +146,7 @@ MISPLACED_MM = 3.0  # error of a floor tag, or of a robot by a doubtful lens, th
 
 
 Finding = tuple[bool, str]
-"""A problem (True) or a warning (False), and its text."""
+"""Whether a finding is a problem (True) or a warning (False), and its text."""
 
 
 def _findings(

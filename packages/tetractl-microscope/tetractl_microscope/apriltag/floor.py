@@ -55,7 +55,7 @@ class Plane:
 
     @property
     def focal_px(self) -> float:
-        """Focal length [px]."""
+        """Focal length of the lens, in pixels of the image [px]."""
         return float(self.matrix[0, 0])
 
     @property

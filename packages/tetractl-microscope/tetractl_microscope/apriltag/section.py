@@ -32,7 +32,7 @@ class Lens(Model):
     """A calibrated lens, for pictures of the size that the source delivers."""
 
     focal_px: Positive
-    """Focal length [px]."""
+    """Focal length of the lens, in pixels of the source's images [px]."""
     centre: Point | None = None
     """Principal point, column and row [px]; the middle of the picture by default."""
     distortion: tuple[Finite, ...] = ()

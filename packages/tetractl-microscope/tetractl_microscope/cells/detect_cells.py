@@ -204,7 +204,7 @@ class SearchLimits(NamedTuple):
 
 
 NO_BODY = SearchLimits(low=math.inf, high=math.inf, least_px2=0.0, most_px2=0.0)
-"""The limits before a picture was compared with the background, which nothing exceeds."""
+"""Limits that nothing exceeds, used until an image is compared with the background."""
 
 
 class SearchArrays:
@@ -259,7 +259,7 @@ class BlobFinder:
     shift. If a cell rested while the background was learned, that place is repaired once the cell
     has left. If the background no longer applies, it is learned again.
 
-    `bright` tells whether most moving objects are brighter than the background. `light` belongs to
+    `bright` is True if most moving objects are brighter than the background. `light` belongs to
     the newest image.
     """
 
@@ -307,7 +307,11 @@ class BlobFinder:
         self._lost = LostPictures()
 
     def find(self, picture: Grey) -> list[Blob]:
-        """Find the blobs of an image (height, width), the largest first."""
+        """Find the blobs of an image (height, width), the largest first.
+
+        The list is empty if the image cannot be compared with the background (`light.lost`).
+        `learn` must have been called before.
+        """
         assert self._background is not None, "learn() comes first"
         background = self._background
         if self._newest.smooth.shape != picture.shape:
@@ -384,7 +388,7 @@ class BlobFinder:
         return blobs[:BLOBS]
 
     def regions(self) -> Sequence[np.ndarray]:
-        """Return the contours of all that differs from the background in the newest picture."""
+        """Return the contours of all regions of the newest image that show no background."""
         return cv2.findContours(self._newest.mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
 
     def _without_ghosts(

@@ -18,7 +18,10 @@ NO_FIELD_YET = (-math.inf, 0.0, 0.0)
 
 
 class FieldRecord(SentDirections):
-    """The field over time. There is none before the first time, and the last value has no end."""
+    """The field over time in steps.
+
+    There is no field before the first time, and the last value lasts for ever.
+    """
 
     def items(self) -> dict[str, Floats]:
         """Convert the field to a mapping for records.
@@ -53,7 +56,7 @@ class FieldSignals:
         self._sent = deque[tuple[float, float, float]](maxlen=WAITING_MAX)
 
     def note(self, direction: float | None, sent_ns: int) -> None:
-        """Record a direction that was sent.
+        """Record a direction that was sent, unless it equals the previous one.
 
         Args:
             direction: The direction [rad]. None if the field was switched off.

@@ -19,6 +19,9 @@ MISSED = 0.3  # difference of log(a) or log(speed) above which a cell is not the
 def chosen_from(experiment: Experiment, cells: Sequence[RobotCandidate]) -> list[RobotCandidate]:
     """Choose the cells that become the robots of a trial.
 
+    Only the 14 cells with the largest turning rates among those that respond to the field are
+    considered.
+
     Args:
         experiment: An experiment whose spec has `robots: {choose: N}`.
         cells: All cells that were measured.

@@ -53,21 +53,23 @@ from tetractl.spec.section_abilities import Noisy
 class Linear:
     """A plan of L signals for N robots, linearised around its predicted path.
 
-    Lengths are in the spec's unit. The ends are the robots' final positions, in the order x_1, y_1,
-    x_2, ...
+    Lengths are in the spec's unit. The ends are the robots' final positions, in the order x_1,
+    y_1, x_2, ...
 
     Attributes:
-        miss: Distance of each robot's planned end from its target, shape (N,).
-        by_signal: Derivatives of the ends with respect to each signal [length unit/rad], shape (2N,
-            L).
+        miss: Distance of each robot's planned end from its target, shape (N,) [length unit].
+        by_signal: Derivatives of the ends with respect to each signal [length unit/rad], shape
+            (2N, L).
         by_heading: Derivatives of each end with respect to the robot's heading before each signal
             and at the end [length unit/rad], shape (L + 1, N, 2).
-        by_a: Derivatives of each end with respect to ln a during one signal only, shape (L, N, 2).
-        by_speed: Derivatives of each end with respect to ln speed during one signal only, shape (L,
-            N, 2).
+        by_a: Derivatives of each end with respect to ln a during one signal only [length unit],
+            shape (L, N, 2).
+        by_speed: Derivatives of each end with respect to ln speed during one signal only [length
+            unit], shape (L, N, 2).
         turn_by_a: Derivative of the turn during each signal with respect to ln a [rad], shape (L,
             N).
-        onward: Displacement of the ends by one more signal of straight motion, shape (2N, 1).
+        onward: Displacement of the ends by one more signal of straight motion [length unit], shape
+            (2N, 1).
         seconds: Duration of each signal [s], shape (L,).
     """
 

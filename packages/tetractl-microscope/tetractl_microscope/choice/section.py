@@ -66,7 +66,10 @@ class Choice(TrialRobots):
     speed: Positive
     """Typical speed of the cells [length unit/s]."""
     wanted: tuple[WantedCell, ...] = Field(default=(), max_length=20)
-    """The cells that a survey proposed, as many as there are robots."""
+    """The cells that a survey proposed, as many as there are robots.
+
+    If empty, the trial chooses.
+    """
     seconds: Positive = Field(default=8.0, le=600)
     """How long the field rotates before the cells are chosen [s]."""
     turn: Positive = Field(default=3.2, le=60)

@@ -21,11 +21,11 @@ Pair = tuple[float, float]  # x and y, in the coils' axes for currents and in th
 
 
 def approach(now: Pair, wished: Pair, step: float) -> Pair:
-    """Move a pair of currents straight towards another pair.
+    """Return the currents after one step straight towards the wanted currents.
 
     Args:
         now: The present currents.
-        wished: The wanted currents.
+        wished: The wanted currents. They are returned if one step reaches them.
         step: Maximum change of each component.
     """
     dx = wished[0] - now[0]

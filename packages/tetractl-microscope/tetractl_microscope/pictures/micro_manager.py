@@ -96,12 +96,15 @@ class MicroManagerFeed(Feed):
     """A camera that is configured in Micro-Manager.
 
     An image has the upper eight bits of the camera's grey levels or, for a colour camera, the mean
-    of red, green and blue.
+    of red, green and blue. The constructor starts the acquisition.
 
     Args:
         source: The fields of the source in the spec.
         clock: The clock for times.
-        timeout_s: Time to wait for an image [s].
+        timeout_s: Not used.
+
+    Raises:
+        AbortError: If pymmcore or Micro-Manager is missing, or the camera cannot be started.
     """
 
     def __init__(self, source: MicroManagerSource, clock: Clock, timeout_s: float) -> None:

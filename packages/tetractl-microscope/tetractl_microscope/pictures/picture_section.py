@@ -22,7 +22,7 @@ Pixels = Annotated[int, Field(ge=64, le=PIXELS_MAX)]
 
 
 class PictureSource(Model):
-    """Where pictures come from; each kind is a class in the registry of picture sources."""
+    """A source of images; each kind is a class in the registry of picture sources."""
 
     type: Any  # the source's name, a Literal in each subclass
     feed: ClassVar[str]
@@ -87,11 +87,11 @@ class DeviceSource(PictureSource):
     index: int = Field(default=0, ge=0, le=63)
     """Number of the camera: 0 for /dev/video0."""
     width: Pixels = 1280
-    """Columns of a picture [px]."""
+    """Columns of an image [px]."""
     height: Pixels = 720
-    """Rows of a picture [px]."""
+    """Rows of an image [px]."""
     rate: Positive = 30.0
-    """Rate of pictures [Hz]."""
+    """Rate of images that is requested from the camera [Hz]."""
     format: Literal["MJPG", "YUYV"] = "MJPG"
     """Pixel format on the cable; most USB cameras reach their full rate only in `MJPG`."""
     exposure: Positive | None = None
@@ -119,7 +119,7 @@ class FileSource(PictureSource):
     path: str = Field(min_length=1, max_length=500)
     """Path of the film, absolute or relative to the working directory."""
     rate: Positive | None = None
-    """Rate of pictures [Hz]; by default the rate that the film states. A TIFF states none."""
+    """Rate of images [Hz]; by default the rate that the film states. A TIFF states none."""
 
     @property
     def shown(self) -> str:
@@ -159,14 +159,14 @@ class MicroManagerSource(PictureSource):
 
 
 class PictureSection(CameraSection):
-    """A camera that searches the pictures of its `source`."""
+    """A camera that searches the images of its `source`."""
 
     source: Annotated[PictureSource, KindSection(PICTURE_SOURCES, PictureSource)]
-    """Source of the pictures."""
+    """Source of the images."""
     latency: NonNegative = 0.05
-    """Time from exposure to arrival of a picture [s]; sources do not report it."""
+    """Time from exposure to arrival of an image [s]; sources do not report it."""
     connect: Positive = 5.0
-    """Longest wait for the source to open, and then for the first picture [s]."""
+    """Maximum time to wait for the source to open, and then for the first image [s]."""
 
     def bounds(self) -> dict[str, str]:
         """Describe the source of the images for display."""

@@ -37,7 +37,7 @@ def stated(values: Iterable[T | None]) -> list[T]:
 
 
 def search_ms(searches: Sequence[PictureSearch[Any]]) -> float:
-    """Compute the median time that the search of one image took [ms]."""
+    """Compute the median time that the search of one image took [ms], for one or more searches."""
     return statistics.median(search.search_ns for search in searches) / 1e6
 
 

@@ -79,7 +79,10 @@ class DeviceFeed(Feed):
     Args:
         source: The fields of the source in the spec.
         clock: The clock for times.
-        timeout_s: Time to wait for an image [s].
+        timeout_s: Not used.
+
+    Raises:
+        AbortError: If the camera cannot be opened, or does not accept the size, exposure or gain.
     """
 
     def __init__(self, source: DeviceSource, clock: Clock, timeout_s: float) -> None:
@@ -150,7 +153,11 @@ class FileFeed(Feed):
     Args:
         source: The fields of the source in the spec.
         clock: The clock for times.
-        timeout_s: Time to wait for an image [s].
+        timeout_s: Not used.
+
+    Raises:
+        AbortError: If the file or imageio is missing, the file cannot be read, or no rate is
+            known.
     """
 
     live = False
@@ -232,7 +239,10 @@ class MjpegFeed(Feed):
     Args:
         source: The fields of the source in the spec.
         clock: The clock for times.
-        timeout_s: Time to wait for an image [s].
+        timeout_s: Maximum time until the camera has answered the request [s].
+
+    Raises:
+        AbortError: If the camera does not answer in time, or with anything but an MJPEG stream.
     """
 
     def __init__(self, source: MjpegSource, clock: Clock, timeout_s: float) -> None:

@@ -86,16 +86,20 @@ class CellPath:
 class CellSummary:
     """The results for one cell, keyed by the names in `cell_tables.QUANTITIES`.
 
+    A cell whose track is too short, or whose images are too rare, is not fitted: its speed and
+    response are None, and the numbers of its helix are NaN.
+
     Attributes:
         cell: The track's number in the table.
         since_s: Time of the first image [s].
         duration_s: Time from the first to the last image, plus one period [s].
         pictures: Number of images.
-        speed_um_s: Mean speed along the helix's axis, with its interval [um/s]. None if images are
-            too rare to show a helix.
+        speed_um_s: Mean speed along the helix's axis, with its interval [um/s]. None without a
+            fit.
         speed_sd_um_s: Standard deviation of the speed over time [um/s].
-        vsl_um_s: Velocity along the straight line over one second [um/s].
-        path_um: Distance swum along the helix's axis [um].
+        vsl_um_s: Velocity along the straight line over one second [um/s]. None for a single image.
+        path_um: Distance swum along the helix's axis or, without a fit, through the positions
+            [um].
         sway_rad: Amplitude of the body's swing about the axis [rad].
         helix_hz: Frequency of the helix [Hz].
         helix_um: Radius of the helix [um].

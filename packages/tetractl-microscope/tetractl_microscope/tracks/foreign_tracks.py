@@ -89,7 +89,7 @@ class AxisStep:
 
 
 TRACK_MAX = 2.0**53
-"""Largest number of a track: Imaris counts them from 1e9."""
+"""Maximum number of a track. Imaris counts tracks from 1e9."""
 FROM_ONE = "images are numbered from 1; image 1 is taken as the first of the video, at 0 s"
 
 

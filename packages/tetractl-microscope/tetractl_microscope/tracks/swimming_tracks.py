@@ -18,7 +18,7 @@ from tetractl_microscope.tracks.foreign_tracks import SpotTrack
 from tetractl_microscope.tracks.onward import TO_AND_FRO, hardly_any_goes_on, track_goes_on
 
 SHORTEST_S = 2.0
-"""Duration of the shortest track of which a speed is stated [s]."""
+"""Minimum duration of a track of which a speed is stated [s]."""
 COURSE_S = 0.3
 """Time over which a direction of motion is known [s]: less is a part of a turn of the helix."""
 TOGETHER = 3.0
@@ -30,13 +30,16 @@ TOGETHER_MIN = 8
 """Minimum number of cells for that finding."""
 STRAIGHT = 0.7
 TURNS_ABOUT = 0.5
-"""Minimum net displacement of cells that a flow carries, as a fraction of their path.
+"""Maximum length of the mean of a field's unit vectors, for a field that turns about.
 
-It is also the maximum mean of a field's directions, as vectors of length 1, for a field that turns
-about.
+`STRAIGHT` is the minimum net displacement of cells that a flow carries, as a fraction of their
+path.
 """
 STRAIGHTER = 0.9
-"""Fraction of its VSL below which a speed along a helix cannot be: the cell turns by itself."""
+"""Minimum ratio of the upper limit of a cell's speed along its helix to its VSL.
+
+Below it, the cell turns by itself, and the fit of the helix is not valid.
+"""
 OF_THE_HELIX = (
     "speed_um_s",
     "speed_sd_um_s",
@@ -48,9 +51,9 @@ OF_THE_HELIX = (
     "bias_rad",
     "magnetised",
 )
-"""Values of a cell that are then none."""
+"""Values that are set to None for a cell that turns by itself."""
 SPEED_S = 1.0
-"""Time over which a speed is measured by which the organism is chosen [s]."""
+"""Time over which speeds are measured, to choose the organism with the most similar speed [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +163,10 @@ def _cells(names: Sequence[str]) -> str:
 
 
 def organism_by_speed(paths: Sequence[CellPath]) -> Organism:
-    """Find the organism whose speed is most similar to the median speed of the cells."""
+    """Find the organism whose speed is most similar to the median speed of the cells.
+
+    Speeds are compared by their logarithms, with the middle of each organism's range.
+    """
     speed_um_s = float(np.median([_speed_um_s(path) for path in paths]))
     log_speed = math.log(speed_um_s)
 

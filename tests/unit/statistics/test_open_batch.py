@@ -1,11 +1,25 @@
 """Tests of reading the trials of studies from logs, each of them once."""
 
+from dataclasses import replace
+
 import pytest
+from testkit.batches import batch, experiment
 from testkit.studies import FAILING, SMALL, run
 
 from tetractl.core.errors import UsageError
+from tetractl.core.plan import Outcome
+from tetractl.log.read.trial_log import Origin
 from tetractl.run import store
-from tetractl.statistics.open_batch import open_batch, sources
+from tetractl.statistics.open_batch import (
+    Batch,
+    Damaged,
+    counts,
+    differences,
+    errors_known,
+    experiment_of,
+    open_batch,
+    sources,
+)
 
 
 def arm_of_three_trials(folder):
@@ -95,3 +109,135 @@ def test_a_pattern_pools_what_it_matches(tmp_path):
     folder_with_a_log(tmp_path / "demo/ours")
     folder_with_a_log(tmp_path / "demo/paper")
     assert len(sources([f"{tmp_path}/demo/*/*.mcap"])) == 1
+
+
+# ---- What makes trials one batch ----
+
+BLOCK = {"type": "circle", "center": [700, 1900], "radius": 50}
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "expected"),
+    [
+        ({}, {}, []),
+        ({"name": "a"}, {"name": "b"}, ["name: a != b"]),
+        ({"error_bound": 5.0}, {"description": "why"}, []),  # these change no trial
+        ({"trials": {"count": 3}}, {"trials": {"count": 9}}, []),
+        (
+            {"plant": {"type": "sim", "dead_time": 0.1}},
+            {"plant": {"type": "sim"}},
+            ["plant.dead_time: 0.1 != 0.0"],
+        ),
+        (
+            {"controller": {"motion": "exact"}, "plant": {"type": "sim", "dead_time": 0.1}},
+            {},
+            ["controller.motion: exact != euler", "plant.dead_time: 0.1 != 0.0"],
+        ),
+        ({"obstacles": [BLOCK]}, {"obstacles": []}, ["obstacles"]),
+        (
+            {"obstacles": [BLOCK, BLOCK]},
+            {"obstacles": [BLOCK, BLOCK | {"radius": 51}]},
+            ["obstacles.1.radius: 50.0 != 51.0"],
+        ),
+        ({"hold": {"time": 8, "radius": 30}}, {}, ["hold"]),
+    ],
+)
+def test_the_fields_in_which_two_experiments_differ_are_named_by_their_paths(
+    ours, theirs, expected
+):
+    assert differences(experiment(1, **ours), experiment(1, **theirs)) == expected
+    swapped = differences(experiment(1, **theirs), experiment(1, **ours))
+    assert [text.partition(":")[0] for text in swapped] == [
+        text.partition(":")[0] for text in expected
+    ]
+
+
+SEQUENCE = {"type": "sequence", "period": 0.2, "directions": [0.1]}
+
+
+def test_directions_differ_only_from_a_controller_that_chose_its_own():
+    given = experiment(1, controller=SEQUENCE)
+    others = experiment(1, controller=SEQUENCE | {"directions": [0.1, 0.2]})
+    assert differences(given, others) == []
+    slower = experiment(1, controller=SEQUENCE | {"period": 0.3})
+    assert differences(given, slower) == ["controller.period: 0.2 != 0.3"]
+    assert differences(given, experiment(1))
+
+
+def in_lab(trial, digest=None):
+    return replace(trial, origin=Origin.LAB, digest=digest)
+
+
+def test_two_trials_of_a_lab_may_have_one_number_but_not_one_digest():
+    first, second = batch([[1.0], [2.0]])
+    second = replace(second, trial=first.trial)
+    for digests in (("a", "b"), (None, None), ("a", None)):
+        trials = [in_lab(first, digests[0]), in_lab(second, digests[1])]
+        assert experiment_of(Batch.from_results(trials)) is first.experiment
+    twice = Batch.from_results([in_lab(first, "a"), in_lab(second, "a")])
+    with pytest.raises(UsageError, match="contain the same trial"):
+        experiment_of(twice)
+
+
+def test_two_simulated_trials_may_have_one_number_or_one_seed_but_not_both():
+    first, second = batch([[1.0], [2.0]])
+    other_seed = replace(second, trial=first.trial, seed=9)
+    for trials in ([first, second], [first, other_seed]):
+        assert experiment_of(Batch.from_results(trials)) is first.experiment
+    same = replace(second, trial=first.trial, digest="another")
+    with pytest.raises(UsageError, match=r"trial-000\.mcap and trial-001\.mcap contain"):
+        experiment_of(Batch.from_results([first, same]))
+
+
+def stopped(trial):
+    return replace(trial, result=replace(trial.result, outcome=Outcome.ABORTED))
+
+
+def test_only_an_incomplete_trial_is_replaced_by_a_complete_one_of_its_seed_and_number():
+    first, second, third = batch([[1.0], [2.0], [3.0]])
+    again = replace(first, log="again.mcap")
+    for before, later in ((stopped(first), again), (again, stopped(first))):
+        both = Batch.from_results([before, second, later])
+        assert {trial.log for trial in both.trials} == {"again.mcap", second.log}
+        assert [trial.log for trial in both.attempts] == [first.log]
+    alone = Batch.from_results([stopped(first), second, third])
+    assert [trial.log for trial in alone.trials] == [first.log, second.log, third.log]
+    elsewhere = replace(again, seed=9)
+    assert len(Batch.from_results([stopped(first), elsewhere]).trials) == 2
+    aborted_twice = Batch.from_results([stopped(first), stopped(again)])
+    assert len(aborted_twice.trials) == 2
+
+
+def test_a_batch_is_whole_unless_a_trial_is_damaged_or_lost():
+    first, second = batch([[1.0], [2.0]])
+    lost = Damaged("trial-002.mcap", "torn")
+    set_aside = Damaged("trial-002.attempt-1.mcap", "torn")
+    recovered = replace(second, recovered=True)
+    assert Batch.from_results([first, second]).whole
+    assert Batch.from_results([first, second], [set_aside]).whole
+    assert not Batch.from_results([first, second], [lost]).whole
+    assert not Batch.from_results([first, recovered]).whole
+    mixed = Batch.from_results([first, second], [lost, set_aside])
+    assert (mixed.lost, mixed.lost_attempts) == ((lost,), (set_aside,))
+    assert repr(mixed) == "Batch(2 trials, 2 damaged)"
+
+
+def test_a_trial_counts_if_it_ran_to_its_end_with_known_errors_in_a_whole_log():
+    (first,) = batch([[1.0]])
+    assert counts(first)
+    assert not counts(replace(first, recovered=True))
+    assert errors_known(replace(first, recovered=True))
+    for outcome in (Outcome.ABORTED, Outcome.INTERRUPTED):
+        assert not counts(replace(first, result=replace(first.result, outcome=outcome)))
+    for unknown in ({"total_error": float("nan")}, {"robot_errors": (float("inf"),)}):
+        assert not counts(replace(first, result=replace(first.result, **unknown)))
+
+
+def test_progress_is_told_after_each_log_and_what_cannot_be_read_is_kept(tmp_path):
+    folder_with_a_log(tmp_path / "a")
+    folder_with_a_log(tmp_path / "b")
+    told = []
+    (source,) = sources([f"{tmp_path}/*/trial-000.mcap"])
+    damaged = source.read(lambda done, count: told.append((done, count))).damaged
+    assert told == [(1, 2), (2, 2)]
+    assert [log.problem for log in damaged] == ["the file is empty"] * 2

@@ -15,7 +15,11 @@ from tetractl.run.model_changes import (
     NOISE_UNSTATED,
     ModelMonitor,
     StatedModel,
+    describe_changes,
     describe_dead_time_error,
+    describe_lag_error,
+    describe_turning,
+    differs,
     stated_model,
 )
 from tetractl.spec.load import load_spec
@@ -197,3 +201,176 @@ def test_robots_that_stand_are_named_in_the_order_of_the_spec():
     """Regression: the order was that of a set, which differs between processes."""
     texts = said((1, replace(FITS, stands=np.full(ROBOTS, 0.95))))
     assert texts == [f"{name} stands still although it is sent a direction" for name in SETUP.names]
+
+
+# ---- What the spec states ----
+
+MPC = {"type": "mpc", "dead_time": 0.07}
+
+
+@pytest.mark.parametrize(
+    ("prior", "wheels", "lacks"),
+    [
+        ({"position_noise": 1, "heading_noise": 0.01}, None, False),
+        ({"position_noise": 0, "heading_noise": 0.01}, None, True),
+        ({"position_noise": 1, "heading_noise": 0}, None, True),
+        ({"position_noise": 0, "heading_noise": 0}, None, True),
+        ({"position_noise": 0, "heading_noise": 0}, {"radius": 40}, False),
+    ],
+)
+def test_only_cells_whose_camera_has_a_noise_of_0_lack_it(prior, wheels, lacks):
+    stated = stated_model(experiment(controller=MPC | {"prior": prior}, wheels=wheels))
+    assert stated.lacks_noise == lacks
+    assert stated.dead_time_s == 0.07
+
+
+def test_a_controller_without_a_noise_lacks_none():
+    assert not stated_model(experiment()).lacks_noise
+
+
+# ---- Limits ----
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "before", "std_before", "expected"),
+    [
+        (5.0, 0.3, 4.0, 0.0, True),  # 3 standard deviations are 0.9
+        (5.0, 0.34, 4.0, 0.0, False),
+        (4.0, 0.0, 5.0, 0.3, True),
+        (5.0, 0.25, 4.0, 0.25, False),  # of both together, 1.06
+        (5.0, 0.2, 4.0, 0.2, True),
+        (3.0, 0.3, 4.0, 0.0, True),
+        (None, 0.1, 4.0, 0.1, False),
+        (9.0, None, 4.0, 0.1, False),
+        (9.0, 0.1, None, 0.1, False),
+        (9.0, 0.1, 4.0, None, False),
+    ],
+)
+def test_two_values_differ_by_more_than_three_standard_deviations_of_both(
+    value, std, before, std_before, expected
+):
+    assert differs(value, std, before, std_before) == expected
+
+
+def test_what_has_not_changed_significantly_is_not_told():
+    slightly = {
+        "dead_time": 0.118,
+        "a": FITS.a + 0.42,
+        "speed": FITS.speed + 4.2,
+        "lag": FITS.lag + 0.05,
+    }
+    assert list(describe_changes(replace(FITS, **slightly), FITS, SETUP)) == []
+    for name, value in slightly.items():
+        further = getattr(FITS, name) + 1.2 * (value - getattr(FITS, name))
+        assert len(list(describe_changes(replace(FITS, **{name: further}), FITS, SETUP))) >= 1
+
+
+@pytest.mark.parametrize("robot", range(ROBOTS))
+def test_each_change_names_its_own_robot(robot):
+    only = np.arange(ROBOTS) == robot
+    name = SETUP.names[robot]
+    changed = replace(FITS, a=FITS.a + only, speed=FITS.speed - 10 * only, lag=0.1 * only)
+    texts = list(describe_changes(changed, FITS, SETUP))
+    assert texts == [
+        f"a of {name} is 5 rad/s, not 4",
+        f"speed of {name} is 190 {SETUP.unit}/s, not 200",
+        f"the wheels of {name} follow with a lag of 0.10 s, not 0.00 s",
+    ]
+
+
+def test_unequal_turning_is_told_again_only_if_it_is_another():
+    uneven = replace(FITS, side=np.array([0.1, 0.0, 0.0]))
+    assert list(describe_changes(uneven, uneven, SETUP)) == []
+    (text,) = describe_changes(uneven, FITS, SETUP)
+    assert text == f"{NAME} turns 22 % faster to the left"
+    assert list(describe_changes(FITS, uneven, SETUP)) == []
+
+
+@pytest.mark.parametrize(("sigmas", "told"), [(2.9, False), (3.1, True)])
+def test_a_side_counts_beyond_three_standard_deviations_either_way(sigmas, told):
+    for sign in (-1, 1):
+        side = sign * sigmas * 0.02 * (np.arange(ROBOTS) == 1)
+        estimate = replace(FITS, side=side)
+        assert bool(describe_turning(estimate, 1)) == told
+        assert describe_turning(estimate, 0) == ""
+
+
+def test_a_saturated_robot_turns_at_most_by_its_rate_and_its_faster_side():
+    saturation = np.array([1.0, 0.5, 0.5])
+    side = np.array([0.0, 0.0, 0.1])
+    estimate = replace(FITS, saturation=saturation, side=side)
+    assert describe_turning(estimate, 0) == ""
+    assert describe_turning(estimate, 1) == "turns at 2 rad/s at most"
+    assert describe_turning(estimate, 2) == (
+        "turns 22 % faster to the left, turns at 2.2 rad/s at most"
+    )
+    assert describe_turning(replace(estimate, side=None), 1) == ""
+
+
+@pytest.mark.parametrize("unknown", ["dead_time", "dead_time_std"])
+def test_a_dead_time_that_is_not_estimated_contradicts_nothing(unknown):
+    estimate = replace(replace(UNFIT, dead_time=0.5), **{unknown: None})
+    assert describe_dead_time_error(estimate, StatedModel(0.0)) == ""
+
+
+@pytest.mark.parametrize(
+    ("dead_time", "std", "told"),
+    [
+        (0.1 + 0.024, 0.001, False),
+        (0.1 + 0.026, 0.001, True),
+        (0.1 - 0.026, 0.001, True),
+        (0.1 + 0.059, 0.02, False),
+        (0.1 + 0.061, 0.02, True),
+    ],
+)
+def test_a_dead_time_is_wrong_beyond_25_ms_and_three_standard_deviations(dead_time, std, told):
+    estimate = replace(UNFIT, dead_time=dead_time, dead_time_std=std)
+    assert bool(describe_dead_time_error(estimate, StatedModel(0.1))) == told
+
+
+def test_a_dead_time_is_doubted_only_while_the_model_does_not_fit():
+    wrong = replace(FITS, dead_time=0.5)
+    monitor = ModelMonitor(StatedModel(0.03))
+    assert monitor.notices(wrong, SETUP, 1) == []
+    levels = [level for level, _ in monitor.notices(replace(wrong, misfit=UNFIT.misfit), SETUP, 2)]
+    assert levels == ["warning", "warning"]
+    assert ModelMonitor().notices(replace(wrong, misfit=UNFIT.misfit), SETUP, 2)[1:] == []
+
+
+def test_a_new_part_that_does_not_fit_is_told_and_an_old_one_is_not_repeated():
+    other = np.zeros((ROBOTS, 3))
+    other[1, 2] = 2.0
+    also = replace(FITS, misfit=UNFIT.misfit + other)
+    texts = said((1, UNFIT), (2, also), (3, UNFIT), (4, also))
+    assert texts == [
+        f"the model does not fit: heading of {NAME}",
+        f"the model does not fit: heading of {SETUP.names[1]}",
+    ]
+
+
+def test_the_time_that_a_model_has_to_fit_counts_from_its_last_misfit():
+    end_s = 3 + FITS_AGAIN_AFTER_S
+    assert len(said((1, UNFIT), (3, UNFIT), (end_s - 0.1, FITS))) == 1
+    assert len(said((1, UNFIT), (3, UNFIT), (end_s, FITS))) == 2
+
+
+def test_a_lag_is_doubted_by_its_difference_from_the_spec_in_either_direction():
+    stated_s = 0.2
+    setup = replace(SETUP, lag_s=stated_s)
+    for lag_s, told in ((0.0, True), (0.19, False), (0.2, False), (0.21, False), (0.4, True)):
+        estimate = with_lags(lag_s, lag_s, lag_s, std_s=0.001)
+        assert bool(describe_lag_error(estimate, setup)) == told
+
+
+@pytest.mark.parametrize("robot", range(ROBOTS))
+def test_a_late_robot_is_compared_with_the_quickest_one(robot):
+    delays = np.full(ROBOTS, 0.18)
+    delays[robot] = 0.3
+    quickest = (robot + 1) % ROBOTS
+    delays[quickest] = 0.15
+    estimate = with_dead_times(*delays)
+    texts = said((0, estimate), (LATE_ROBOT_FOR_S, estimate))
+    assert texts == [
+        f"commands act on {SETUP.names[robot]} about 0.15 s later than on "
+        f"{SETUP.names[quickest]}, or even later: its radio or its wheels are slow"
+    ]

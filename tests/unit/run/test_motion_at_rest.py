@@ -1,11 +1,13 @@
 """Tests of warnings about robots that move while all should stand still."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from testkit.trials import experiment
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Stop
+from tetractl.core.commands import Stop, Turn
 from tetractl.core.plan import Plan, State
 from tetractl.core.poses import Observation, Poses
 from tetractl.run.motion_at_rest import WINDOW_S, RestMonitor, speeds_at_rest
@@ -76,3 +78,79 @@ def test_robots_that_stand_hardly_ever_seem_to_move_by_noise():
         )
         <= 2
     )
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5, 2.0, 4.0])
+def test_the_speed_of_a_robot_is_the_same_in_every_direction(angle):
+    """Without noise, half a window lies between the means of its halves."""
+    speed = 20.0
+    still = frames(0.0, noise_mm=0.0)
+    moving = [
+        replace(
+            frame,
+            poses=Poses(
+                frame.poses.x + speed * frame.seconds * np.cos(angle) * np.array([0, 1, 2]),
+                frame.poses.y + speed * frame.seconds * np.sin(angle) * np.array([0, 1, 2]),
+                frame.poses.heading,
+            ),
+        )
+        for frame in still
+    ]
+    assert speeds_at_rest(moving) == pytest.approx([0.0, speed, 2 * speed])
+
+
+def test_only_the_end_of_the_frames_counts_and_only_frames_that_show_all_robots():
+    still = frames(0.0, noise_mm=0.0, seconds=0.55)
+    seen = np.array([frame.sampled_ns for frame in still])
+    first = int(np.searchsorted(seen, seen[-1] - round(WINDOW_S * SECOND)))
+
+    def pushed(number):
+        """The frames of which one shows green 50 mm off."""
+        shown = list(still)
+        poses = shown[number].poses
+        off = replace(poses, x=poses.x + np.array([50.0, 0, 0]))
+        shown[number] = replace(shown[number], poses=off)
+        return shown
+
+    def half_shift(since):
+        shown = list(still)
+        for number in range(since, len(shown)):
+            poses = shown[number].poses
+            shown[number] = replace(
+                shown[number], poses=replace(poses, x=poses.x + np.array([1.0, 0, 0]))
+            )
+        return shown
+
+    assert speeds_at_rest(half_shift(first)).tolist() == [0.0] * 3  # before the window
+    middle = (first + len(still)) // 2
+    assert speeds_at_rest(half_shift(middle))[0] > 0
+    invisible = pushed(middle)
+    invisible[middle] = replace(invisible[middle], valid=np.array([False, True, True]))
+    assert speeds_at_rest(invisible).tolist() == [0.0] * 3
+
+
+@pytest.mark.parametrize(("count", "told"), [(5, False), (6, True)])
+def test_six_frames_are_enough(count, told):
+    shown = frames(0.0, noise_mm=0.01)[-count:]
+    for number in range(count // 2, count):
+        poses = shown[number].poses
+        shifted = replace(poses, x=poses.x + np.array([1.0, 0, 0]))
+        shown[number] = replace(shown[number], poses=shifted)
+    assert speeds_at_rest(shown).any() == told
+
+
+def test_only_a_stop_is_watched():
+    moving = frames(100.0, noise_mm=0.01)
+    for instead in (None, Turn(0.0)):
+        assert RestMonitor(SETUP).warnings(plan(instead), moving) == []
+    assert len(RestMonitor(SETUP).warnings(plan(Stop()), moving)) == 1
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.045, False), (0.055, True)])
+def test_a_robot_is_told_from_a_twentieth_of_its_own_speed(share, told):
+    creeping = frames(share * SETUP.speed[0], noise_mm=0.0)
+    (*texts,) = RestMonitor(SETUP).warnings(plan(Stop()), creeping)
+    assert len(texts) == told
+    if told:
+        speed = f"{share * SETUP.speed[0]:.2g} {SETUP.unit}/s"
+        assert texts == [f"{GREEN} moves by {speed} although it should stand still"]

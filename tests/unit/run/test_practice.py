@@ -1,11 +1,16 @@
 """Tests that `lab check` reports a slow or busy computer before robots move."""
 
+from dataclasses import replace
+
 import pytest
+from testkit.random_trials import trial
 from testkit.running import QUICK
 
 from tetractl.core.clock import MILLISECOND, SECOND, VirtualClock
+from tetractl.core.commands import Stop
 from tetractl.lab.preflight import Preflight
-from tetractl.run.practice import FACT, PRACTICE_S, Practice, practise
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.practice import FACT, PRACTICE_S, PacedSteps, Practice, practise
 from tetractl.spec.lab_section import LabLimits
 from tetractl.spec.load import parse_spec
 
@@ -90,3 +95,91 @@ def test_the_median_and_the_longest_step_are_stated():
     )
     assert (findings.problems, findings.warnings) == ((), ())
     assert FACT not in Practice(PERIOD_NS, (), 0).added_to(GOOD, LIMITS).facts
+
+
+# ---- The steps one by one ----
+
+
+class Steps:
+    """Control steps given to the observer that paces them, on a clock that a test sets."""
+
+    def __init__(self):
+        self.clock = VirtualClock()
+        self.interrupt = Interrupt()
+        self.silent_ns = 0
+        self.paced = PacedSteps(PERIOD_NS, self.clock, lambda: self.silent_ns, self.interrupt)
+        (self._step,) = trial(steps=1).steps
+
+    def give(self, k, planned_ns=0, instead=None):
+        """A step that took a time to plan; returns the time at which it was due to end."""
+        self.clock.sleep_until(self.clock.now() + planned_ns)
+        plan = replace(self._step.plan, instead=instead)
+        self.paced.on_step(replace(self._step, k=k, plan=plan))
+        return self.clock.now()
+
+
+def test_a_step_ends_a_period_after_it_was_due_and_not_after_it_was_planned():
+    steps = Steps()
+    assert steps.give(0) == PERIOD_NS
+    assert steps.give(1, PERIOD_NS // 4) == 2 * PERIOD_NS
+    assert steps.give(2, PERIOD_NS) == 3 * PERIOD_NS
+    assert steps.paced.delays_ns == [PERIOD_NS // 4, PERIOD_NS]
+
+
+def test_a_late_step_is_made_up_for_by_at_most_a_period():
+    """In the lab a step that is later is planned at once, for the newest frame."""
+    steps = Steps()
+    steps.give(0)
+    assert steps.give(1, 3 * PERIOD_NS) == 4 * PERIOD_NS  # due at 1, known at 4, due again at 4
+    assert steps.give(2) == 5 * PERIOD_NS
+    assert steps.paced.delays_ns == [3 * PERIOD_NS, 0]
+
+
+def test_steps_before_which_robots_stood_have_no_delay():
+    """The first plan of a trial, and one after a pause, may take as long as it needs."""
+    steps = Steps()
+    steps.give(0, 9 * PERIOD_NS)
+    steps.give(1, PERIOD_NS // 2)
+    steps.give(0, PERIOD_NS)  # of the next trial
+    steps.give(1, PERIOD_NS // 4, instead=Stop())
+    steps.give(2, PERIOD_NS)
+    steps.give(3, PERIOD_NS // 8)
+    assert steps.paced.delays_ns == [PERIOD_NS // 2, PERIOD_NS // 4, PERIOD_NS // 8]
+    assert steps.paced.steps == 6
+
+
+def test_the_longest_silence_is_kept():
+    steps = Steps()
+    for k, silent_ns in enumerate((5, 90, 20)):
+        steps.silent_ns = silent_ns
+        steps.give(k)
+    assert steps.paced.silence_ns == 90
+
+
+def test_the_practice_ends_before_a_step_that_would_end_too_late():
+    steps = Steps()
+    steps.clock.sleep_until(17 * SECOND)  # of before it
+    for k in range(round(PRACTICE_S * SECOND) // PERIOD_NS):
+        assert not steps.paced.is_over
+        steps.give(k)
+        assert not steps.interrupt.requested
+    steps.give(99)
+    assert steps.paced.is_over
+    assert steps.interrupt.requested
+
+
+@pytest.mark.parametrize(("ms", "starts"), [(100, True), (101, False)])
+def test_a_silence_counts_from_the_time_after_which_robots_stop(ms, starts):
+    assert LIMITS.stale == 0.1
+    findings = Practice(PERIOD_NS, (), ms * MILLISECOND).added_to(GOOD, LIMITS)
+    assert findings.can_start == starts
+
+
+def test_earlier_findings_are_kept():
+    before = replace(GOOD, problems=("no radio",), warnings=("old",), facts={"camera": "fake"})
+    findings = Practice(PERIOD_NS, (1, 2), SECOND).added_to(before, LIMITS)
+    assert findings.problems[0] == "no radio"
+    assert len(findings.problems) == 2
+    assert findings.warnings == ("old",)
+    assert set(findings.facts) == {"camera", FACT}
+    assert before.facts == {"camera": "fake"}

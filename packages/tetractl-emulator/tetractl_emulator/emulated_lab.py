@@ -27,9 +27,9 @@ from tetractl_emulator.wires import Wires
 
 Report = Callable[[str, Facts], None]
 TICK_NS = 2 * MILLISECOND
-"""Time between two looks at what robots do."""
+"""Time between two checks of the robots' motion, and of what else is due regularly [ns]."""
 CARRIED_NS = SECOND // 2
-"""Time for which robots are carried to their starts."""
+"""Time for which robots are carried, before they stand on their starts [ns]."""
 _as_json = json.JSONEncoder(separators=(",", ":")).encode
 
 
@@ -165,7 +165,9 @@ class EmulatedLab:
     def note(self, event: str, **facts: Any) -> None:
         """Add an event with its facts and the present time to the record, if there is one.
 
-        The time "t_ns" is that of `time.monotonic_ns`, or virtual time.
+        The time "t_ns" is that of `time.monotonic_ns`, or virtual time. The events "command" and
+        "truth" also get "unseen_ms": for each robot, the time since the camera last showed it
+        [ms].
         """
         if self._record is None:
             return

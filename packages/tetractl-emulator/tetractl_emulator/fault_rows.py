@@ -40,7 +40,7 @@ SEEN = f"{MOVED}|{CELLS}|no image|damaged|image is|in view|was the stage"
 FRAME_S = 1 / 120
 """Time between two exposures of the emulated camera [s]."""
 STRONG = 0.9
-"""Strength from which on a fault lasts to the end."""
+"""Strength of a fault from which on it lasts until the test run ends."""
 OUR_HZ = 40.0
 """Rate at which m3pi robots are sent commands by a spec that names none."""
 
@@ -66,9 +66,10 @@ DrawValue = Callable[[Draw], Any]
 
 
 def between(low: float, high: float) -> DrawValue:
-    """Create a function that samples a value from `low` to `high`.
+    """Create a function that samples a value from `low` to `high`, to four significant digits.
 
-    The value grows exponentially with the fault's strength.
+    The value changes exponentially with the fault's strength, from `low` at 0 to `high` at 1.
+    `low` can be the larger one.
     """
     return lambda d: float(f"{low * (high / low) ** d.strength:.4g}")
 
@@ -179,7 +180,10 @@ def first_robot(d: Draw) -> str:
 
 
 NAMES = {"robot": first_robot, "cell": first_robot, "other": lambda d: d.names[1]}
-"""The draws of fields that name robots; each row has those that its kind cannot do without."""
+"""Functions that sample the fields that name robots.
+
+A kind whose field of this name is required gets the function in each of its variants.
+"""
 WHEEL = one_of("left", "right", "both")
 
 

@@ -23,9 +23,12 @@ from tetractl_emulator.fault_rows import NAMES, FaultRow
 from tetractl_emulator.loop import Timeline
 
 Undo = Callable[[], None]
-"""Ends a fault."""
+"""Function that ends a fault."""
 Begin = Callable[[Any, Any], Undo | None]
-"""Begins a fault on a device: `begin(fault, device)`."""
+"""Function that begins a fault on a device, called as `begin(fault, device)`.
+
+It returns a function that ends the fault, or None if nothing has to be undone.
+"""
 NO_FIELDS: Mapping[str, Any] = MappingProxyType({})
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
@@ -104,6 +107,7 @@ class ActingFaults:
         Args:
             name: Name of the kind.
             robot: Name of a robot, to return only its faults. None for the faults of all robots.
+                Only for kinds with a field `robot`.
         """
         faults = self._faults.get(name, ())
         return [f for f in faults if f.robot == robot] if faults and robot else faults
@@ -114,7 +118,10 @@ class ActingFaults:
         return faults[-1] if faults else None
 
     def total_by(self, name: str, robot: str | None = None) -> float:
-        """Return the sum of the fields `by` of the acting faults of a kind."""
+        """Return the sum of the fields `by` of the acting faults of a kind.
+
+        0 if no such fault acts.
+        """
         return sum(fault.by for fault in self.of_kind(name, robot))
 
     def largest_share(self, name: str, robot: str | None = None) -> float:

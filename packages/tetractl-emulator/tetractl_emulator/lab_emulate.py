@@ -15,7 +15,7 @@ ROBOTS = {
     "rest": "standing still",
     "placed": "put back on their starts",
 }
-"""For each event of the robots, what is printed."""
+"""The text that is printed for each event of the robots."""
 
 
 def emulate(

@@ -24,11 +24,14 @@ from tetractl.tools.terminal import is_terminal
 SPECS = "the spec itself causes this abort: correct the spec first, then rehearse it"
 
 DRAWN = 6
-"""Which draw of days a folder has: days that were drawn otherwise are not continued."""
+"""Version of how days are sampled.
+
+Days in a folder that were sampled in another version are not continued.
+"""
 WATCHDOG_S = 0.25
-"""Time after which robots stop whose spec names none [s]."""
+"""Time without a command after which robots stop, if the spec states none [s]."""
 DAYS_MAX = 1_000_000
-"""Most days of a command: some weeks of computing."""
+"""Maximum number of days of one command, which are some weeks of computing."""
 
 if TYPE_CHECKING:
     from tetractl.spec.experiment import Experiment

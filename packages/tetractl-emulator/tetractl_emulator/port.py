@@ -209,7 +209,7 @@ class PluggedDevices:
     @property
     @abstractmethod
     def wired(self) -> Sequence[SerialDevice]:
-        """The parts that receive and answer, each on one port."""
+        """The devices that receive bytes and answer, each on one port."""
 
     def open(self, loop: Loop) -> dict[str, Any]:
         """Plug the devices in.

@@ -31,7 +31,7 @@ OF_A_SERVER = (
     *("counter_back", "edit_mode", "bad_datagrams", "other_version", "outdated", "twin_id"),
     *("lifted", "tipped", "nan", "bad_quaternion", "clock_jump", "clock_rate"),
 )
-"""Faults that only a motion-capture server can have."""
+"""Names of the faults that only a motion-capture server can have."""
 
 NEEDS = "the section of a camera with an emulated PoseStream has `address` and `latency`"
 RATE_HZ = 100.0  # of a camera that does not say its rate

@@ -33,7 +33,10 @@ from tetractl_emulator.fault_rows import (
 from tetractl_emulator.faults import fault_kind, switching
 
 AFTER_NS = SECOND
-"""Time for which an emulated lab goes on after the process has ended [ns]: robots come to rest."""
+"""Time for which an emulated lab continues after the process has ended [ns].
+
+Robots stop in it.
+"""
 SIGNALS = Literal["INT", "TERM", "HUP", "QUIT", "KILL"]
 
 
@@ -74,7 +77,7 @@ class Process:
         self._act(lambda pid: resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, 0)))
 
     def press_stop(self) -> None:
-        """Do nothing: the emergency-stop key of another process cannot be pressed."""
+        """Do nothing, because the emergency-stop key of another process cannot be pressed."""
 
     def _act(self, act: Callable[[int], object]) -> None:
         """Call a function with the id of the process that has locked the port, if there is one."""

@@ -160,7 +160,7 @@ class EmulatedCamera(EmulatedSide, Protocol):
 
     @property
     def join(self) -> Any:
-        """What tetractl's camera needs to connect to this camera in memory.
+        """The object that tetractl's camera needs to connect to this camera in memory.
 
         It is passed to tetractl's camera as the last argument.
         """

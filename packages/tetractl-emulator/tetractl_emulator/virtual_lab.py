@@ -92,7 +92,10 @@ class LabClock(VirtualClock):
         return self._now
 
     def sleep_until(self, when: int) -> None:
-        """Let time pass until `when` [ns] on the host's clock, or until our process is resumed."""
+        """Let time pass until `when` [ns] on the host's clock.
+
+        It returns later if a fault suspends our process at that time: when the process is resumed.
+        """
         while self.stopped or self.now() < when:
             passed = self._step_ns if self.stopped else min(self._step_ns, when - self.now())
             self._step_to(self._now + passed)

@@ -67,7 +67,10 @@ class EmulatedPlantSection(RigSection):
         return tuple(name for name in ("camera", "actuator") if name != self.real)
 
     def clock(self) -> Clock:
-        """Create a clock in virtual time, or in real time if a device is real."""
+        """Create the clock on which this section's labs run.
+
+        It is in virtual time, or in real time if a device is real.
+        """
         from tetractl_emulator.virtual_lab import LabClock, LiveClock
 
         return LiveClock() if self.real else LabClock()

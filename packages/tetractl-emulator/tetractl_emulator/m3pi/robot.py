@@ -33,7 +33,7 @@ Speeds = tuple[float, float]
 
 
 Held = tuple[Counts, tuple[float, float]]
-"""What a robot's motors are given, and the share of its speed at which each wheel turns."""
+"""The counts of a robot's motors, and the fraction of its commanded speed of each wheel."""
 
 
 class Program(Protocol):
@@ -94,22 +94,22 @@ class EmulatedRobot:
 
     @property
     def x(self) -> float:
-        """Position x [mm]."""
+        """True position x of the robot in the spec's axes [mm]."""
         return float(self.robots.pose[0, self.row])
 
     @property
     def y(self) -> float:
-        """Position y [mm]."""
+        """True position y of the robot in the spec's axes [mm]."""
         return float(self.robots.pose[1, self.row])
 
     @property
     def heading(self) -> float:
-        """Heading [rad]."""
+        """True heading of the robot in the spec's axes [rad]."""
         return float(self.robots.pose[2, self.row])
 
     @property
     def wheels(self) -> Speeds:
-        """The speeds of the left and the right wheel [mm/s]."""
+        """The true speeds of the left and the right wheel [mm/s]."""
         left, right = self.robots.wheels
         return float(left[self.row]), float(right[self.row])
 
@@ -153,7 +153,10 @@ class EmulatedRobot:
         return self.core.status(self._now_ms)
 
     def counts(self) -> Counts:
-        """Return the present counts of the left and the right motor, as faults change them."""
+        """Return the present counts of the left and the right motor, as faults change them.
+
+        They are 0 if the robot is switched off.
+        """
         if not self.powered:
             return 0, 0
         counts = self.core.wheels(self._now_ms)

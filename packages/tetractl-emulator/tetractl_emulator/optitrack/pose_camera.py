@@ -48,7 +48,10 @@ class PoseCamera(ABC):
     """
 
     numbered: ClassVar[bool] = True
-    """Whether a frame tells its number; otherwise the receiver counts what comes."""
+    """Whether frames contain their numbers.
+
+    If not, the receiver counts the frames that arrive.
+    """
 
     def __init__(
         self, stage: Stage, tracked: list[TrackedBody], rate: float, latency_s: float, view: View

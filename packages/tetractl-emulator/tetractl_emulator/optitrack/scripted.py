@@ -39,9 +39,9 @@ from tetractl_emulator.fault_rows import (
 from tetractl_emulator.faults import Share, Undo, Visible, adding, fault_kind
 
 CLOCK_HZ = 10_000_000
-"""Ticks of the server's clock in a second."""
+"""Frequency of the server's clock, in ticks per second [Hz]."""
 CLOCK_START = 0x1234_5678_9ABC
-"""The server's clock when the host's is 0 [ticks]: an arbitrary value."""
+"""The server's clock when the host's clock is 0 [ticks]. The value is arbitrary."""
 
 
 class TrueBody(Model):

@@ -38,7 +38,10 @@ from tetractl_emulator.sides import Body, Facts, Options, Stage
 
 Address = tuple[str, int]
 RECORDED = ("frames", "refused", "timed_out")
-"""Numbers of frames sent, of requests that could not be read, and of silent clients dropped."""
+"""Names of the counts in the record of an emulation.
+
+They count frames sent, requests that could not be decoded, and silent clients that were dropped.
+"""
 
 
 @dataclass(slots=True)

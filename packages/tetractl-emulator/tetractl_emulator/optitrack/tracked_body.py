@@ -18,7 +18,7 @@ from tetractl_emulator.faults import ActingFaults
 from tetractl_emulator.sides import Body
 
 HEIGHT_MM = 60.0
-"""Height of a body's markers above the floor."""
+"""Height of a body's markers above the floor [mm]."""
 
 
 @dataclass(slots=True)

@@ -290,7 +290,10 @@ class EmulatedField(PluggedDevices):
     Settings: ClassVar[type[Model]] = FieldSettings
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS
     choosable: ClassVar[Sequence[str]] = tuple(f"cell {i + 1}" for i in range(6))
-    """The cells with a magnet in the dish of a rehearsed day, of which trials choose."""
+    """Names of the cells with a magnet in the dish of a randomised test run.
+
+    Trials choose their robots among them.
+    """
 
     def __init__(self, stage: Stage, settings: FieldSettings) -> None:
         section = stage.lab.actuator
@@ -332,7 +335,7 @@ class EmulatedField(PluggedDevices):
 
     @property
     def wired(self) -> Sequence[CurrentDriver]:
-        """The driver."""
+        """The driver, which is the only device on a port."""
         return (self.driver,)
 
     @property

@@ -1,8 +1,8 @@
 """An emulated network camera in memory, which passes images to our program in virtual time.
 
-The images have the same form as those that `network_camera` sends over HTTP, and our side decodes
-them in the same way. Images are exposed in true time. They wait in a queue while a fault suspends
-our process.
+The images have the same form as those that `network_camera` sends over HTTP, and our program
+decodes them in the same way. Images are exposed in true time. They wait in a queue while a fault
+suspends our process.
 """
 
 from collections import deque

@@ -29,7 +29,7 @@ from tetractl_emulator.faults import ActingFaults
 
 BOUNDARY = "emulated-by-tetractl"
 WAITING_MAX = 32
-"""Maximum number of pictures that wait on the way to a client."""
+"""Maximum number of images that wait on the way to a client."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,4 +288,4 @@ SPOILT: dict[str, Callable[[bytes], bytes]] = {
     "lost": lambda sent_part: b"",
     "doubled": lambda sent_part: sent_part + sent_part,
 }
-"""What becomes of a part, by the ways of the fault `bad_pictures`."""
+"""Functions that damage a part of the stream, by the field `how` of the fault `bad_pictures`."""

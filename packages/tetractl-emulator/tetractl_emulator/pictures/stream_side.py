@@ -47,15 +47,15 @@ class StreamSettings(Model):
     """Properties of an emulated camera; its latency [s] is the spec's."""
 
     width: int = Field(default=640, ge=64, le=8192)
-    """Columns of a picture [px]."""
+    """Columns of an image [px]."""
     height: int = Field(default=480, ge=64, le=8192)
-    """Rows of a picture [px]."""
+    """Rows of an image [px]."""
     rate: float = Field(default=30.0, ge=1, le=500)
-    """Rate of pictures [Hz]."""
+    """Rate of images [Hz]."""
     noise: NonNegative = 2.0
     """Standard deviation of each pixel [grey levels]."""
     exposure: Positive = 0.004
-    """Exposure time of a picture [s]."""
+    """Exposure time of an image [s]."""
     drips: bool = False
     """Whether the camera sends an endless answer byte by byte."""
 
@@ -126,7 +126,8 @@ class SceneHistory:
     def at(self, when_ns: int) -> Floats:
         """Interpolate linearly between the stored scenes, and return the scene at a time [ns].
 
-        Before the first and after the last stored scene, that scene is returned.
+        Before the first and after the last stored scene, that scene is returned. At least one
+        scene must have been added.
         """
         scenes = list(self._scenes)
         times_ns = [time_ns for time_ns, _ in scenes]
@@ -142,7 +143,7 @@ class SceneHistory:
 
 
 class ShownBodies:
-    """Records when each body was last shown to our side, by images that have arrived.
+    """Records when each body was last shown to our program, by images that have arrived.
 
     It is used only in memory, where it is known which images have arrived. When an image arrives,
     the records of all earlier images are deleted.
@@ -152,7 +153,7 @@ class ShownBodies:
 
     Attributes:
         newest_ns: For each body, when it was exposed in the newest image that has shown it to our
-            side [ns]. 0 if none has.
+            program [ns]. 0 if none has.
     """
 
     def __init__(self, count: int) -> None:
@@ -239,7 +240,7 @@ class StreamedCamera(ABC):
 
     @property
     def shown_ns(self) -> Sequence[int]:
-        """When each body was exposed in the newest image that has shown it to our side [ns].
+        """When each body was exposed in the newest image that has shown it to our program [ns].
 
         It is empty over HTTP, where this is not known.
         """
@@ -292,7 +293,7 @@ class StreamedCamera(ABC):
 
     @property
     def join(self) -> Any:
-        """The function that connects our camera to this camera in memory."""
+        """The function that connects our program's camera to this camera in memory."""
         return self.camera.join
 
     def _joined(self) -> None:

@@ -27,16 +27,17 @@ from tetractl.spec.yaml.core_yaml import dump
 from tetractl_emulator.rehearsal.day_plan import DayPlan
 
 HANGS_S = 600.0
-"""Processor time after which a day counts as one that hangs [s]."""
+"""Processor time after which a test run counts as hanging, and is killed [s]."""
 STILL_S = 60.0
-"""Wall time within which an unfinished day must use some processor time [s].
+"""Wall time within which an unfinished test run must use some processor time [s].
 
-On a busy machine, days take long but must not count as hanging.
+If it uses none, it counts as hanging. On a busy machine, test runs take long but must not count as
+hanging.
 """
 HUNG = -100
-"""Stands for the exit code of a day that hangs; no signal has this number."""
+"""Value in place of the exit code of a test run that hung; no signal has this number."""
 KEPT = 20_000
-"""Blocks of memory that a run may leave in its process, if it has loaded no module."""
+"""Number of memory blocks that a run may leave in its process, if it has loaded no module."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,17 +74,17 @@ class DayFolder:
 
     def __init__(self, folder: Path) -> None:
         self.script = folder / "script.yaml"
-        """The faults of the day."""
+        """File of the faults of the test run."""
         self.output = folder / "said.txt"
-        """What the run prints."""
+        """File of the text that the run prints."""
         self.left = folder / "left.txt"
-        """What the run leaves behind."""
+        """File of the description of what the run leaves behind."""
         self.modules = folder / "modules.txt"
-        """The modules that it has imported."""
+        """File of the names of the modules that the run has imported."""
         self.truth = folder / "truth-000.jsonl"
-        """What truly happens, a JSON object per line."""
+        """File of the true events, one JSON object per line."""
         self.logs = folder / "log"
-        """The folder of its log."""
+        """Folder of the log of the run."""
 
 
 def _text(file: Path) -> str:

@@ -16,21 +16,30 @@ from tetractl_emulator.fault_rows import STRONG, Draw, FaultRow, scale_of
 from tetractl_emulator.script import Sides
 
 START_SHARE = 0.16
-"""Share of `start_mm` within which robots are put."""
+"""Maximum distance of a robot from its start, as a fraction of the limit `start_mm`."""
 SPAN_S = 11.0
-"""Latest begin of a fault after the first command that moves robots [s]."""
+"""Maximum time from the first command that moves robots to the begin of a fault [s]."""
 CHOICE_S = 5.0
-"""By how much later it may be if trials choose their cells first [s]."""
+"""Time that is added to SPAN_S if trials choose their cells first [s]."""
 BLIND_SHARE = 0.1
-"""Fraction of the days on which robots on wheels are driven blindly, until a limit stops them."""
+"""Fraction of the test runs in which robots on wheels drive without feedback.
+
+They drive until a limit of the guard stops them.
+"""
 BLIND_S = 15
-"""Time of a day's blind drive [s], in which each robot comes to a rim."""
+"""Duration of driving without feedback, in which each robot reaches an edge of the arena [s]."""
 FACING_SHARE = 0.5
-"""Fraction of these days on which two robots start face to face."""
+"""Fraction of the runs without feedback in which two robots start face to face."""
 FACING = (2.0, 3.0)
-"""Distance of these two, as a multiple of `separation_mm`: while one turns round, they meet."""
+"""Range of the distance of these two robots, as a multiple of the limit `separation_mm`.
+
+They meet while one of them turns round.
+"""
 SHORT_SHARE = 0.15
-"""Fraction of the days whose trial ends after SHORT_S, while robots drive."""
+"""Fraction of the test runs whose trial ends while robots drive.
+
+The time limit of such a trial is in the range SHORT_S [s].
+"""
 SHORT_S = (2.0, 8.0)
 OWN = ("kind", "right")  # keys of a drawn fault that a script does not have
 

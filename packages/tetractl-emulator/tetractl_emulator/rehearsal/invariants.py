@@ -51,55 +51,76 @@ from tetractl_emulator.rehearsal.truth import (
 Invariant = Callable[[Truth], Iterator[Violation]]
 
 DRIVING_WINDOW_S = 4.0
-"""Time of driving in which each robot has to be shown for half of it; it crosses half the arena."""
+"""Time of driving of which each robot must be shown for at least half [s].
+
+In this time, it crosses half the arena.
+"""
 ROLL_S = LAG_MAX_S * math.log(1000.0)
-"""Time in which the slowest wheels roll from 1 m/s to 1 mm/s."""
+"""Time in which the slowest wheels slow down from 1 m/s to 1 mm/s [s]."""
 ROLLS_MM_S = 1.5
-"""Speed above which a wheel counts as moving after `ROLL_S`: somewhat above 1 mm/s."""
+"""Wheel speed above which a robot counts as moving after `ROLL_S` [mm/s].
+
+It is slightly above 1 mm/s.
+"""
 DRIVEN_MM_S = 5.0
-"""Speed of a wheel above which its robot counts as driven."""
+"""Wheel speed above which a robot counts as driven [mm/s]."""
 STOPS_MIN = 5
 """Minimum number of stops after a run.
 
 A radio that loses every second packet takes one of them on 97 of 100 days.
 """
 WATCHED_S = 2.0
-"""Time after the end in which stops are repeated while a robot is not seen to rest."""
+"""Time after the end in which stops are repeated while a robot is not seen to stand still [s]."""
 NOISE_MM = 4.0
-"""Noise of a pose of the worst camera."""
+"""Noise of a position of the worst camera [mm]."""
 TILT_NOISE_RAD = 0.05
-"""Noise of a tilt of the worst camera."""
+"""Noise of a tilt of the worst camera [rad]."""
 MOTION_SEEN_S = NOISE_MM / MOVES_MM_S
-"""Time in which the slowest motion that counts is more than noise."""
+"""Time after which the slowest motion that counts exceeds the noise [s]."""
 POSE_MM = 47.5
-"""Error of a pose accepted: half a body's length, beyond which it is not on its robot."""
+"""Maximum error of an accepted position [mm].
+
+It is half a body's length, beyond which the position is not on its robot.
+"""
 POSE_RAD = 1.0
-"""Error of a heading accepted: the turn by which a robot leaves its way."""
+"""Maximum error of an accepted heading [rad].
+
+It is the turn by which a robot leaves its path.
+"""
 RESULT_MM = 10.0
-"""Error of a result: 0.03 s of driving at 200 mm/s, and the noise of poses at rest."""
+"""Maximum error of a result [mm].
+
+It is 0.03 s of driving at 200 mm/s, and the noise of poses at standstill.
+"""
 REFUSED_S = 0.05
-"""Time of refused poses after which a robot has to stop."""
+"""Time of refused poses after which a robot has to stop [s]."""
 FORGET_S = 1.0
-"""Time for which robots remember the number of the last new command."""
+"""Time for which robots remember the number of the last new command [s]."""
 LEFT_SEEN_S = 0.75
-"""Time for which a robot that drives is plainly seen to."""
+"""Time for which a robot must be shown driving, so that the motion can be seen [s]."""
 READING_WAITS_S = 0.03
-"""Longest time for which a reading of a mat waits for an event of its connection."""
+"""Maximum time for which a reading of a mat waits for an event of its connection [s]."""
 BODY_MM = 60.0
-"""Height of a body on an emulated robot."""
+"""Height of a body on an emulated robot above the floor [mm]."""
 LIFTED_MM = 40.0
-"""By how much a robot may be lifted once it drives."""
+"""Maximum height by which a robot may be lifted once it drives [mm]."""
 STARTS_AGAIN = ("off", "reboots")
-"""Faults by which a robot forgets what it has heard."""
+"""Names of the faults after which a robot has forgotten all commands."""
 ELSEWHERE = ("driven_elsewhere",)
-"""Faults by which another program drives the robots."""
+"""Names of the faults by which another program drives the robots."""
 OFF_FLOOR = ("lifted", "tipped")
-"""Faults that take a body off the floor: a camera may track it, and shows no robot."""
+"""Names of the faults that lift a body off the floor.
+
+A camera may track it, but shows no robot.
+"""
 STOPS_FAIL = (
     *("loss", "deaf", "unplug", "stuck_port", "radio_resets", "baud", "bad_bytes"),
     *("signal", "stopped", "off", "busy", "reboots"),
 )
-"""Faults by which a stop may not come to a robot, so that its watchdog has to stop it."""
+"""Names of the faults by which a stop may not reach a robot.
+
+The robot's watchdog then has to stop it.
+"""
 
 
 def violations(truth: Truth) -> list[Violation]:

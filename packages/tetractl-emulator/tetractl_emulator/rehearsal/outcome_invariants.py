@@ -18,13 +18,16 @@ from tetractl_emulator.rehearsal.logged import logged
 from tetractl_emulator.rehearsal.truth import TRANSIT_S, Truth, Violation
 
 KILLED = -9
-"""The exit code that a day has of a process that was killed."""
+"""The exit code of a test run whose process was killed."""
 INTERRUPTED = 130
 """The exit code of a run that a signal has ended."""
 NO_ABORT_S = 1e6
-"""Stands for the time of an abort that never came [s]: results have no infinite numbers."""
+"""Value in place of the time of an abort that never came [s].
+
+It is finite because results contain no infinite numbers.
+"""
 PROGRAM_ERROR = re.compile(r"\b[A-Z]\w*(Error|Exception|Interrupt)\b|Traceback")
-"""What a run prints if it fails by an error of our program."""
+"""Pattern of the text that a run prints if it fails by an error of our program."""
 
 
 def outcome_violations(truth: Truth) -> list[Violation]:

@@ -11,7 +11,7 @@ from tetractl.tools.table.table import plural
 from tetractl_emulator.rehearsal.truth import Truth, Violation, time_s
 
 DayRow = Mapping[str, Any]
-"""What is kept of a day, by the names in FIELDS."""
+"""The summary of a test run, by the names in FIELDS."""
 FIELDS = frozenset({"day", "digest", "seconds", "ended", "reason", "met", "violations"})
 
 

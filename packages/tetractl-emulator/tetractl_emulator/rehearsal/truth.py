@@ -42,7 +42,7 @@ from tetractl_emulator.process import AFTER_NS
 from tetractl_emulator.rehearsal.day import DayOutcome
 
 Event = Mapping[str, Any]
-"""A recorded event, as of the table above."""
+"""A recorded event: a row of the table above, as a mapping."""
 
 RUN = 1
 """Flag of a command: robots may be driven."""
@@ -51,36 +51,36 @@ EMERGENCY = 2
 RUNNING = 1
 """Bit of a robot's status: it obeys a command that drives it."""
 LATCHED = 2
-"""Bit of a robot's status: it has taken an emergency stop."""
+"""Bit of a robot's status: it has received an emergency stop."""
 SILENT = 4
-"""Bit of a robot's status: it has heard no command for the time of its watchdog."""
+"""Bit of a robot's status: it has received no command for the time of its watchdog."""
 
 DRIVING_STATES = ("run", "hold")
 """States of the guard in which it lets robots be driven."""
 LATE_FRAMES = ("late_pictures", "late_frames", "reordered")
-"""Faults that make frames late by their field `by`."""
+"""Names of the faults that make frames late by their field `by`."""
 MOVES_MM_S = 10.0
-"""Minimum speed that pictures of a second show plainly [mm/s]."""
+"""Minimum speed that images of a second show clearly [mm/s]."""
 MOVES_RAD_S = 0.1
-"""Minimum rate of turning that pictures of a second show plainly [rad/s]."""
+"""Minimum turning rate that images of a second show clearly [rad/s]."""
 TRANSIT_S = 0.05
 """Maximum time from an event to its command at the robots [s].
 
-It includes a tick of our side of 10 ms, a frame of the camera, the UART and the radio.
+It includes a step of our program of 10 ms, a frame of the camera, the UART and the radio.
 """
 FROM_ORIGIN_MM = 1000.0
-"""Distance from the origin at which the speed of a growing picture counts [mm]; a choice."""
+"""Distance from the origin at which the speed of a growing image is computed; chosen [mm]."""
 NOISE_MM_S = 5.0
-"""Speed that poses seem to have by their noise; a choice."""
+"""Speed that poses seem to have because of their noise; chosen [mm/s]."""
 WHEEL_RADIUS = 0.04
 """Distance from a wheel to the centre for robots whose spec has no wheels [length unit].
 
 It is that of an m3pi, in metres.
 """
 UNKNOWN = -1
-"""Stands for the exposure of a frame that has none."""
+"""Value in place of the index of an exposure that is not known."""
 NEAR_S = 0.02
-"""Greatest difference between the times of a picture and of the exposure that it shows [s]."""
+"""Maximum difference between the times of an image and of the exposure that it shows [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,7 +280,10 @@ class Truth:
 
     @property
     def alive_s(self) -> float:
-        """Time at which our process ended [s]. The emulation then continues for a moment."""
+        """Time at which our process ended [s]. 0 if there was no exposure.
+
+        The emulation continues for `AFTER_NS` after this time.
+        """
         if not len(self.times_s):
             return 0.0
         return float(self.times_s[-1]) - AFTER_NS / SECOND
@@ -370,10 +373,10 @@ class Truth:
 
     @cached_property
     def ended_s(self) -> float:
-        """Time from which our side no longer drives robots [s].
+        """Time from which our program no longer drives robots [s].
 
         It is the time of the abort, or the time at which the guard left its driving states for
-        good.
+        good. inf if neither happened.
         """
         left_run_s = np.inf
         is_driving = False
@@ -521,7 +524,7 @@ class Truth:
 
     @property
     def trial(self) -> TrialLog | None:
-        """The trial's log. None if there is none that can be read."""
+        """The trial's log. None if there is no log, or if it cannot be read."""
         return self.log if isinstance(self.log, TrialLog) else None
 
     @property
@@ -592,7 +595,7 @@ class Truth:
 
     @cached_property
     def accepted(self) -> Floats:
-        """The newest pose that our side had accepted at each exposure.
+        """The newest pose that our program had accepted at each exposure.
 
         Its shape is (T, N, 3) [mm, mm, rad]. It is NaN before the first one, and after the end of
         an incomplete log.

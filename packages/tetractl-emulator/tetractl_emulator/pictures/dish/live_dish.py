@@ -158,17 +158,17 @@ class CellBody:
 
     @property
     def x(self) -> float:
-        """Position x [mm]."""
+        """True position x of the cell in the spec's axes [mm]."""
         return float(self.dish.cells.x[self.row]) / UM_MM
 
     @property
     def y(self) -> float:
-        """Position y [mm]."""
+        """True position y of the cell in the spec's axes [mm]."""
         return float(self.dish.cells.y[self.row]) / UM_MM
 
     @property
     def heading(self) -> float:
-        """The direction in which the cell swims [rad]."""
+        """The direction in which the cell swims, in the spec's axes [rad]."""
         return float(self.dish.cells.heading[self.row])
 
     @property

@@ -155,7 +155,7 @@ class DishPainter:
         self._shade: Shades | None = None
 
     def change(self, look: PictureLook) -> None:
-        """Set how the images look that are drawn next."""
+        """Set the properties of the images that are drawn next."""
         if look != self.look:
             self.look = look
             self._still = None

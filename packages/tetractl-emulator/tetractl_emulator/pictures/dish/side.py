@@ -34,19 +34,19 @@ class MicroscopeSettings(StreamSettings):
     """Properties of the emulated microscope; scale and latency come from the spec."""
 
     width: int = Field(default=0, ge=0, le=8192)
-    """Columns of a picture [px]; with 0, the picture shows the whole width of the arena."""
+    """Columns of an image [px]; with 0, the image shows the whole width of the arena."""
     height: int = Field(default=0, ge=0, le=8192)
-    """Rows of a picture [px]; with 0, the picture shows the whole height of the arena."""
+    """Rows of an image [px]; with 0, the image shows the whole height of the arena."""
     noise: NonNegative = 3.0
     """Standard deviation of each pixel [grey levels]."""
     exposure: Positive = 0.01
-    """Exposure time of a picture [s]."""
+    """Exposure time of an image [s]."""
     bright: bool = False
     """Whether cells are brighter than the medium."""
     contrast: Annotated[float, Field(gt=0, le=255)] = 60.0
     """Difference between cells and medium [grey levels]."""
     mirrored: bool = False
-    """Whether the pictures are mirrored left to right, as behind an odd number of mirrors."""
+    """Whether the images are mirrored left to right, as behind an odd number of mirrors."""
     specks: int = Field(default=12, ge=0, le=200)
     """Number of debris particles."""
 

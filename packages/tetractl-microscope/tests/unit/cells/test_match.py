@@ -221,3 +221,42 @@ def test_two_cells_in_one_blob_are_found_at_its_two_ends():
     assert found == pytest.approx(centres_of_mixture(starts, sampled))
     swapped = centres_in_blob(owners, starts[::-1], mixed)
     assert swapped == pytest.approx(found[::-1])
+
+
+def shared_cost(away_um, along=True, missed_s=0.0, scale=2.0):
+    """The cost of a place `away_um` beyond the end of a long blob in columns 40 to 60, row 50."""
+    size = SimpleNamespace(wide=10.0, area_um2=CELL_UM2)
+    cell = SimpleNamespace(size=size, missed_s=missed_s)
+    columns = np.arange(40.0, 61.0)
+    pixels = np.column_stack([columns, np.full(21, 50.0)])
+    blob = SimpleNamespace(x=50.0, y=50.0, long=21.0, wide=5.0 * scale, pixels=pixels)
+    px = away_um / 2.0
+    place = (60.0 + px, 50.0) if along else (50.0, 50.0 - px)
+    return float(_shared_costs([cell], np.array([place]), [blob], um_px=2.0)[0, 0])
+
+
+@pytest.mark.parametrize("along", [True, False])
+@pytest.mark.parametrize(("away_um", "is_shared"), [(0.0, True), (5.9, True), (6.1, False)])
+def test_a_cell_shares_a_blob_within_a_part_of_its_width(away_um, is_shared, along):
+    assert (shared_cost(away_um, along) < NONE) is is_shared
+
+
+def test_nothing_is_shared_without_blobs_or_without_cells():
+    cell = SimpleNamespace(size=SimpleNamespace(wide=5.0, area_um2=CELL_UM2), missed_s=0.0)
+    assert _shared_costs([cell], np.zeros((1, 2)), [], 1.0).shape == (1, 0)
+    blob = SimpleNamespace(x=0.0, y=0.0, long=9.0, wide=5.0, pixels=np.zeros((1, 2)))
+    assert _shared_costs([], np.zeros((0, 2)), [blob], 1.0).shape == (0, 1)
+
+
+def test_a_new_speck_is_searched_farther_and_a_slow_image_rate_searches_farther():
+    def reaches(count, share, passed_s):
+        speck = speck_at(*((k * passed_s, 100.0) for k in range(count)))
+        place = np.array([[100.0 + share * LENGTH_UM, 100.0, 0.0, LENGTH_UM, WIDTH_UM]])
+        costs = speck_costs([speck], place, count * passed_s, passed_s, ORGANISM)
+        return costs.blobs[0, 0] < NEVER
+
+    usual_s = 1 / 30
+    assert reaches(2, 0.75, usual_s) and not reaches(2, 0.8, usual_s)
+    assert reaches(3, 0.47, usual_s) and not reaches(3, 0.5, usual_s)
+    assert reaches(3, 0.94, 2 * usual_s) and not reaches(3, 1.0, 2 * usual_s)
+    assert reaches(3, 0.47, usual_s / 4) and not reaches(3, 0.5, usual_s / 4)

@@ -1,0 +1,402 @@
+"""Tests of finding bodies that are drawn exactly: shapes, limits, light and learning."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tetractl_microscope.cells.detect_cells import (
+    AGAIN,
+    HIGH,
+    LEARNING,
+    LOST,
+    LOW,
+    STRIPES,
+    Background,
+    BlobFinder,
+    SearchArrays,
+    SearchLimits,
+    _median,
+    _sparse,
+    _square,
+)
+
+HEIGHT = 160
+WIDTH = 200
+LEVEL = 100.0
+LONG = 24.0
+WIDE = 12.0
+DOWN, ACROSS = np.mgrid[0:HEIGHT, 0:WIDTH].astype(float)
+
+
+def inside(x, y, axis=0.0, long=LONG, wide=WIDE):
+    """The fraction of each pixel that an ellipse covers."""
+    along = (ACROSS - x) * math.cos(axis) + (DOWN - y) * math.sin(axis)
+    aside = (DOWN - y) * math.cos(axis) - (ACROSS - x) * math.sin(axis)
+    far = np.hypot(along / (long / 2), aside / (wide / 2))
+    return np.clip(0.5 + (1 - far) * wide / 2, 0, 1)
+
+
+class Dish:
+    """Pictures of a dish with a faint texture and specks."""
+
+    def __init__(self, noise=1.0, seed=4, specks=0):
+        self.random = np.random.default_rng(seed)
+        texture = self.random.normal(0, 1, (HEIGHT + 40, WIDTH + 40))
+        self.texture = 40 * cv2.GaussianBlur(texture, (0, 0), 4)
+        for x, y in self.random.integers(0, (WIDTH + 40, HEIGHT + 40), (specks, 2)).tolist():
+            cv2.circle(self.texture, (x, y), 2, -60.0, -1)
+        self.noise = noise
+
+    def picture(self, *bodies, contrast=-50.0, light=1.0, shift=(0, 0), noise=None):
+        right, down = shift
+        rows = slice(20 - down, 20 - down + HEIGHT)
+        grey = LEVEL + self.texture[rows, 20 - right : 20 - right + WIDTH]
+        for body in bodies:
+            grey = grey + contrast * inside(*body)
+        grey = light * grey + self.random.normal(0, noise or self.noise, grey.shape)
+        return np.clip(grey + 0.5, 0, 255).astype(np.uint8)
+
+    def finder(self, least_px2=80, most_px2=900):
+        finder = BlobFinder(least_px2, most_px2)
+        finder.learn([self.picture() for _ in range(9)])
+        return finder
+
+
+def off_axis(one, other):
+    return abs((one - other + math.pi / 2) % math.pi - math.pi / 2)
+
+
+@pytest.mark.parametrize("contrast", [-50.0, 60.0])
+@pytest.mark.parametrize("axis", [-1.3, -0.6, 0.0, 0.5, 1.0, 1.57])
+def test_a_body_is_found_with_its_place_direction_and_size(axis, contrast):
+    dish = Dish()
+    finder = dish.finder()
+    (blob,) = finder.find(dish.picture((80.3, 61.6, axis), contrast=contrast))
+    assert (blob.x, blob.y) == pytest.approx((80.3, 61.6), abs=0.3)
+    assert off_axis(blob.axis, axis) < 0.05
+    assert blob.long == pytest.approx(LONG, rel=0.12)
+    assert blob.wide == pytest.approx(WIDE, rel=0.2)
+    assert blob.long > 1.6 * blob.wide
+    assert 0.6 * abs(contrast) < blob.strength < 1.05 * abs(contrast)
+    assert not blob.at_edge
+    pixels = blob.pixels
+    assert pixels.mean(axis=0) == pytest.approx((80.3, 61.6), abs=0.7)
+    assert len(pixels) == pytest.approx(math.pi / 4 * LONG * WIDE, rel=0.3)
+    shown = np.zeros((HEIGHT, WIDTH), bool)
+    shown[blob.part] = blob.body > 0
+    assert np.argwhere(shown)[:, ::-1].tolist() == pixels.astype(int).tolist()
+
+
+@given(st.floats(18, 36), st.floats(9, 14), st.floats(-1.5, 1.5))
+@settings(max_examples=15)
+def test_a_longer_body_is_a_longer_blob_and_a_wider_one_a_wider_blob(long, wide, axis):
+    dish = Dish()
+    finder = dish.finder()
+    (blob,) = finder.find(dish.picture((100.0, 80.0, axis, long, wide)))
+    assert blob.long == pytest.approx(long, abs=3.0)
+    assert blob.wide == pytest.approx(wide, abs=3.0)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "cut"),
+    [
+        (4.0, 80.0, True),
+        (WIDTH - 4.0, 80.0, True),
+        (100.0, 4.0, True),
+        (100.0, HEIGHT - 4.0, True),
+        (30.0, 30.0, False),
+        (WIDTH - 30.0, HEIGHT - 30.0, False),
+    ],
+)
+def test_a_body_that_the_edge_of_the_image_cuts_is_at_the_edge(x, y, cut):
+    dish = Dish()
+    (blob,) = dish.finder().find(dish.picture((x, y)))
+    assert blob.at_edge is cut
+    assert math.dist((blob.x, blob.y), (x, y)) < 6
+
+
+@pytest.mark.parametrize(
+    ("least_px2", "most_px2", "count"),
+    [(80, 900, 1), (160, 500, 1), (80, 120, 0), (4000, 9000, 0), (20, 100, 0)],
+)
+def test_bodies_that_are_too_small_or_too_large_are_no_blobs(least_px2, most_px2, count):
+    """The body covers 226 pixels."""
+    dish = Dish()
+    assert len(dish.finder(least_px2, most_px2).find(dish.picture((100.0, 80.0, 0.3)))) == count
+
+
+def test_an_empty_dish_has_no_blobs_and_no_contrast():
+    dish = Dish()
+    finder = dish.finder()
+    for _ in range(5):
+        assert finder.find(dish.picture()) == []
+        assert finder.light.contrast is None
+        assert finder.light.changed < 0.005
+        assert not finder.light.lost
+        assert finder.light.shift_px == (0.0, 0.0)
+
+
+def test_bodies_are_listed_with_the_largest_first_and_two_side_by_side_are_two():
+    dish = Dish()
+    finder = dish.finder()
+    small = (40.0, 40.0, 0.3, 18.0, 11.0)
+    beside = [(120.0, 100.0, 1.57), (142.0, 100.0, 1.57)]
+    blobs = finder.find(dish.picture(small, *beside))
+    assert len(blobs) == 3
+    for x, _, _ in beside:
+        assert any(math.dist((b.x, b.y), (x, 100.0)) < 2 for b in blobs[:2])
+    assert math.dist((blobs[2].x, blobs[2].y), (40, 40)) < 1
+
+
+def test_the_contrast_is_the_median_of_the_bodies():
+    dish = Dish()
+    finder = dish.finder()
+    finder.find(dish.picture((40.0, 40.0)))
+    single = finder.light.contrast
+    assert single == pytest.approx(45, abs=8)
+    (blob,) = finder.find(dish.picture((40.0, 40.0), contrast=-25.0))
+    assert finder.light.contrast == blob.strength == pytest.approx(single / 2, rel=0.1)
+    assert finder.light.limit < blob.strength
+
+
+@pytest.mark.parametrize(("contrast", "bright"), [(50.0, True), (-50.0, False)])
+def test_learning_shows_whether_cells_are_bright(contrast, bright):
+    dish = Dish()
+    finder = BlobFinder(80, 900)
+    finder.learn([dish.picture((30.0 + 14 * k, 80.0), contrast=contrast) for k in range(9)])
+    assert finder.bright is bright
+    assert finder.find(dish.picture()) == []  # none is in the background
+
+
+@pytest.mark.parametrize("light", [0.6, 0.9, 1.3])
+def test_a_lamp_that_is_turned_changes_the_gain_and_no_blob(light):
+    dish = Dish()
+    finder = dish.finder()
+    body = (80.0, 60.0, 0.4)
+    (usual,) = finder.find(dish.picture(body))
+    assert finder.light.gain == pytest.approx(1.0, abs=0.01)
+    (blob,) = finder.find(dish.picture(body, light=light))
+    assert finder.light.gain == pytest.approx(light, rel=0.02)
+    assert (blob.x, blob.y) == pytest.approx((80.0, 60.0), abs=0.3)
+    assert blob.strength == pytest.approx(light * usual.strength, rel=0.1)
+
+
+def test_pictures_of_unequal_light_are_learned_as_one_dish():
+    dish = Dish()
+    finder = BlobFinder(80, 900)
+    lights = (1.0, 0.7, 1.2, 0.9, 1.0, 1.1, 0.8, 1.3, 1.0)
+    finder.learn([dish.picture(light=light) for light in lights])
+    background = finder.background.astype(float)
+    assert np.abs(background - dish.picture(noise=0.01)).mean() < 1.5
+    assert len(finder.find(dish.picture((80.0, 60.0), light=0.8))) == 1
+
+
+@pytest.mark.parametrize("noise", [2.0, 8.0, 20.0])
+def test_the_noise_is_that_of_the_blurred_image(noise):
+    dish = Dish(noise=noise)
+    finder = dish.finder()
+    finder.find(dish.picture())
+    weights = np.array([1, 2, 3, 2, 1]) / 9  # two box filters of 3 pixels
+    blurred = noise * float(np.sum(weights**2))
+    assert finder.light.noise == pytest.approx(blurred, abs=1.48)  # of whole grey levels
+
+
+def test_a_picture_that_is_much_noisier_than_the_first_is_lost_and_the_next_is_not():
+    dish = Dish(noise=4.0)
+    finder = dish.finder()
+    body = (80.0, 60.0)
+    assert len(finder.find(dish.picture(body))) == 1
+    assert finder.find(dish.picture(body, noise=35.0)) == []
+    assert finder.light.lost
+    assert len(finder.find(dish.picture(body, noise=5.0))) == 1
+    assert not finder.light.lost
+
+
+@pytest.mark.parametrize("grey", [255, 0])
+def test_a_white_or_black_picture_is_lost(grey):
+    dish = Dish()
+    finder = dish.finder()
+    finder.find(dish.picture())
+    assert finder.find(np.full((HEIGHT, WIDTH), grey, np.uint8)) == []
+    assert finder.light.lost
+
+
+def test_a_picture_of_which_a_large_part_has_changed_is_lost():
+    dish = Dish()
+    finder = dish.finder()
+    finder.find(dish.picture())
+    for share, lost in ((0.15, False), (0.4, True)):
+        picture = dish.picture()
+        picture[:, : int(share * WIDTH)] //= 2
+        finder.find(picture)
+        assert finder.light.changed == pytest.approx(share, abs=0.04)
+        assert finder.light.lost is lost
+
+
+def shown(finder, picture, count):
+    """Show a picture again and again; whether each was lost."""
+    lost = []
+    for _ in range(count):
+        finder.find(picture())
+        finder.follow([])
+        lost.append(finder.light.lost)
+    return lost
+
+
+def test_another_dish_is_learned_after_some_lost_pictures():
+    dish = Dish()
+    finder = dish.finder()
+    other = Dish(seed=9)
+    shade = np.where(ACROSS > 90, 0.5, 1.0)
+
+    def exchanged():
+        return (other.picture() * shade).astype(np.uint8)
+
+    lost = shown(finder, exchanged, 60)
+    first = lost.index(False)
+    assert LOST + 2 * AGAIN < first < LOST + 4 * AGAIN
+    assert not any(lost[first:])
+    assert np.abs(finder.background.astype(float) - exchanged()).mean() < 3
+    assert len(finder.find((other.picture((40.0, 60.0)) * shade).astype(np.uint8))) == 1
+
+
+def test_a_few_lost_pictures_in_a_row_change_no_background():
+    dish = Dish()
+    finder = dish.finder()
+    dark = Dish(seed=3)
+    finder.find(dish.picture())
+    before = finder.background.astype(float).copy()
+    for _ in range(6):
+        assert all(shown(finder, lambda: dark.picture(noise=60.0), LOST))
+        assert not any(shown(finder, dish.picture, 3))
+    assert np.abs(finder.background - before).mean() < 6.0
+    assert len(finder.find(dish.picture((80.0, 60.0)))) == 1
+
+
+def test_a_knock_moves_the_background_once():
+    dish = Dish(specks=40)
+    finder = dish.finder()
+    finder.find(dish.picture())
+    shifts = []
+    for _ in range(4):
+        blobs = finder.find(dish.picture((100.0, 80.0), shift=(6, -4)))
+        shifts.append(finder.light.shift_px)
+        assert any(math.dist((b.x, b.y), (100, 80)) < 1 for b in blobs)
+    assert shifts[0] == pytest.approx((6.0, -4.0), abs=0.3)
+    assert shifts[1:] == [(0.0, 0.0)] * 3
+
+
+# ---- updates of the background ----
+
+
+def test_the_stripes_are_the_whole_picture_and_come_in_turn():
+    for height in (16, 37, 160):
+        newest = SearchArrays(np.zeros((height, 4), np.uint8))
+        rows = [newest.next_stripe() for _ in range(2 * STRIPES)]
+        covered = [row for part in rows[:STRIPES] for row in range(part.start, part.stop)]
+        assert covered == list(range(height))
+        assert rows[STRIPES:] == rows[:STRIPES]
+
+
+def test_the_background_follows_slowly_where_no_cell_is_kept():
+    dish = Dish(noise=0.01)
+    finder = dish.finder()
+    finder.find(dish.picture())
+    before = finder._background.fine.copy()
+    later = np.clip(dish.picture() + np.where(ACROSS < 40, 2, 0), 0, 255).astype(np.uint8)
+    keep = (10, 30, 25, 70)  # left, top, right and bottom
+    for _ in range(STRIPES):
+        finder.find(later)
+        finder.follow([keep])
+    change = finder._background.fine - before
+    left, top, right, bottom = keep
+    assert np.abs(change[top:bottom, left:right]).max() < 1e-6
+    assert change[top:bottom, 2:left].mean() == pytest.approx(2 * LEARNING, abs=0.06)
+    assert change[top:bottom, right:38].mean() == pytest.approx(2 * LEARNING, abs=0.06)
+    assert change[2 : top - 1, 2:38].mean() == pytest.approx(2 * LEARNING, abs=0.06)
+    assert change[bottom + 1 :, 2:38].mean() == pytest.approx(2 * LEARNING, abs=0.06)
+    assert abs(change[:, 50:].mean()) < 0.1
+
+
+@pytest.mark.parametrize("keep", [(-30, -30, -5, -5), (-20, -20, 3, 3), (190, 150, 400, 300)])
+def test_rectangles_beyond_the_image_keep_what_is_within(keep):
+    dish = Dish(noise=0.01)
+    finder = dish.finder()
+    later = np.clip(dish.picture().astype(int) + 1, 0, 255).astype(np.uint8)
+    kept = np.zeros((HEIGHT, WIDTH), bool)
+    kept[max(0, keep[1]) : max(0, keep[3]), max(0, keep[0]) : max(0, keep[2])] = True
+    finder.find(later)
+    before = finder._background.fine.copy()
+    for _ in range(STRIPES):
+        finder.follow([keep])
+    changed = finder._background.fine != before
+    assert not changed[kept].any()
+    assert changed[~kept].mean() > 0.5
+
+
+def test_a_resting_body_does_not_become_background():
+    dish = Dish()
+    finder = dish.finder()
+    for _ in range(6 * STRIPES):
+        blobs = finder.find(dish.picture((80.0, 60.0)))
+        finder.follow([])
+    assert len(blobs) == 1
+    assert blobs[0].strength > 35
+
+
+def test_a_background_is_corrected_only_where_it_is_wrong():
+    fine = np.full((6, 8), 50.4, np.float32)
+    background = Background(fine)
+    part = slice(1, 4), slice(2, 6)
+    wrong = np.zeros((3, 4), bool)
+    wrong[1, 2] = True
+    background.correct(part, wrong, np.full((3, 4), 300.0))
+    expected = np.full((6, 8), 50.4)
+    expected[2, 4] = 300.0
+    assert background.fine == pytest.approx(expected)
+    assert background.grey[2, 4] == 255 and background.grey[0, 0] == 50
+    assert (background.learned == np.float32(50.4)).all()
+
+
+def test_a_background_moves_with_all_that_was_learned():
+    fine = np.random.default_rng(1).uniform(40, 60, (30, 40)).astype(np.float32)
+    background = Background(fine.copy())
+    background.move((3.0, -2.0))
+    for now in (background.fine, background.learned):
+        assert now[5:20, 10:30] == pytest.approx(fine[7:22, 7:27], abs=1e-3)
+    assert np.abs(background.grey - background.fine)[5:20, 10:30].max() <= 0.51
+
+
+# ---- parts ----
+
+
+@given(st.floats(0, 20), st.floats(0.1, 5))
+def test_the_limits_are_those_above_the_level(level, spread):
+    limits = SearchLimits(level + LOW * spread, level + HIGH * spread, 1.0, 2.0)
+    assert limits.level == pytest.approx(level, abs=1e-9)
+
+
+@pytest.mark.parametrize("least_px2", [1, 2, 30, 80, 500])
+def test_averages_are_over_a_square_of_an_odd_side_near_that_of_the_least_body(least_px2):
+    side, other = _square(least_px2).shape
+    assert side == other and side % 2 == 1
+    assert abs(side - 1.2 * math.sqrt(least_px2)) <= 1.3
+
+
+def test_a_median_is_of_the_pictures_at_the_same_light_in_any_size():
+    random = np.random.default_rng(3)
+    for size in ((1, 5), (70, 9), (200, 3)):
+        pictures = random.integers(0, 200, (5, *size)).astype(np.uint8)
+        gains = np.array([1.0, 0.5, 2.0, 1.5, 1.0])
+        expected = np.median(gains[:, None, None] * pictures, axis=0)
+        assert _median(list(pictures), gains) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("height", "step"), [(64, 8), (512, 8), (640, 10), (2048, 32)])
+def test_statistics_are_of_about_64_rows_and_every_eighth_at_most(height, step):
+    picture = np.arange(height)[:, None] * np.ones((1, 100))
+    assert _sparse(picture)[:, 0].tolist() == list(range(0, height, step))
+    assert _sparse(picture).shape[1] == math.ceil(100 / step)

@@ -289,6 +289,37 @@ def test_a_knock_moves_the_background_once():
     assert shifts[1:] == [(0.0, 0.0)] * 3
 
 
+@pytest.mark.parametrize("light", [0.6, 1.0, 1.4])
+def test_the_place_of_a_cell_that_left_is_repaired_and_no_other(light):
+    """It rested while the background was learned; another one is where it was not."""
+    dish = Dish(noise=0.5)
+    finder = BlobFinder(80, 900)
+    finder.learn([dish.picture((60.0, 60.0, 0.4))] * 9)
+    swimming = (140.0, 100.0, 1.0)
+    for _ in range(2):
+        blobs = finder.find(dish.picture(swimming, light=light))
+    assert [math.dist((b.x, b.y), (140, 100)) < 1 for b in blobs] == [True]
+    empty = LEVEL + dish.texture[20 : 20 + HEIGHT, 20 : 20 + WIDTH]
+    assert np.abs(finder.background - empty)[45:75, 45:75].max() < 4.0
+    assert np.abs(finder.background - empty)[85:115, 125:155].mean() < 1.5
+    (back,) = finder.find(dish.picture((60.0, 60.0, 0.4), light=light))
+    assert math.dist((back.x, back.y), (60, 60)) < 1
+
+
+def test_a_cell_that_comes_back_to_where_it_was_corrected_is_found():
+    """A place that looks as when the background was learned again is empty."""
+    dish = Dish(noise=0.5)
+    finder = dish.finder()
+    for _ in range(3):
+        (blob,) = finder.find(dish.picture((60.0, 60.0)))
+        assert math.dist((blob.x, blob.y), (60, 60)) < 1
+        assert finder.find(dish.picture()) == []
+    finder._background.fine[50:70, 50:70] -= 30.0  # as by a cell that rested
+    finder._background.grey[50:70, 50:70] -= 30
+    assert finder.find(dish.picture()) == []
+    assert np.abs(finder.background.astype(float) - dish.picture()).max() < 8
+
+
 # ---- updates of the background ----
 
 

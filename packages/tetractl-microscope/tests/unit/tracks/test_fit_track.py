@@ -143,8 +143,9 @@ def test_without_a_field_there_is_a_speed_and_no_response():
 
 def test_the_sway_is_that_of_a_body_along_its_path_on_the_helix():
     for helix_um in (4.0, 8.0):
-        (cell,) = fitted(swum(a=0.0, helix_um=helix_um), field=None)
-        assert cell.sway_rad == pytest.approx(math.tau * 2.5 * helix_um / 300.0, rel=0.4)
+        for a, field in ((0.0, None), (4.0, FIELD)):
+            (cell,) = fitted(swum(a=a, helix_um=helix_um), field=field)
+            assert cell.sway_rad == pytest.approx(math.tau * 2.5 * helix_um / 300.0, rel=0.4)
 
 
 def test_a_speed_that_varies_has_a_deviation():
@@ -210,10 +211,17 @@ def test_a_cell_whose_response_changes_has_wider_intervals_and_so_have_others_of
     (steady,) = fitted()
     (alone,) = fitted(changed)
     assert width(alone.a_rad_s) > 2 * width(steady.a_rad_s)
+    assert width(alone.bias_rad) > 2 * width(steady.bias_rad)
+    assert width(alone.speed_um_s) > 1.1 * width(steady.speed_um_s)
     beside, *_ = fitted(PATH, *(replace(changed, number=k) for k in range(4)))
     assert width(beside.a_rad_s) > 1.1 * width(steady.a_rad_s)
     assert width(beside.a_rad_s) < 2 * width(steady.a_rad_s)
     assert beside.a_rad_s.value == steady.a_rad_s.value
+
+
+def test_a_cell_that_turns_to_the_field_and_away_in_turn_is_not_taken_for_a_magnet():
+    (cell,) = fitted(swum(a=lambda t: -2.0 if int(t / 3) % 2 else 3.5))
+    assert cell.magnetised is False
 
 
 def test_more_noise_of_places_widens_the_intervals():

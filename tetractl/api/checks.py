@@ -74,6 +74,9 @@ def compare(
     Args:
         *batches: Batches, their folders, the paths of their logs, or statistics from `summarise`.
 
+    Raises:
+        UsageError: If batches have different length units, or a batch mixes experiments.
+
     Example:
         >>> small, large = "logs/swarms/small", "logs/swarms/large"
         >>> comparison = tetractl.compare(small, large)

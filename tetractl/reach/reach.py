@@ -34,23 +34,26 @@ SEQUENCES = 1000
 LENGTH = 96
 """Number of directions in a sequence."""
 SEED = 0
-"""Seed of the sequences, which are the same in each call: a verdict must not depend on chance."""
+"""Seed of the sequences. It is fixed, so that a verdict does not depend on chance."""
 TOLERANCE = 0.01
 """Minimum spread of a reachable combination, relative to that of the one that moves furthest."""
 CHANCE = 4.0
 """Multiple of the usual spread of a combination beyond which a sequence has moved it by chance."""
 ROUNDS = 4
-"""Rounds in which sequences that moved a combination by chance are found."""
+"""Number of rounds in which sequences that moved a combination by chance are found."""
 NORMAL_MEDIAN = 0.6745
 """Median of the magnitudes of normal numbers, over their standard deviation."""
 NEAR = 3.0
-"""Combinations within this factor of TOLERANCE are reached barely, if at all."""
+"""Factor around TOLERANCE within which a combination counts as barely reached."""
 STILL = 1e-300
-"""Minimum spread that others are divided by [s]: it is 0 if all robots stand still."""
+"""Minimum value by which spreads are divided [s].
+
+If all robots stand still, the largest spread is 0.
+"""
 ROBOTS_MAX = 40
-"""Largest number of robots; more would take longer than a second."""
+"""Maximum number of robots that are analysed. More would take longer than a second."""
 STEPS = (0.01, 0.02, 0.05, 0.1, 0.2)
-"""Relative differences of a that are tried to part robots."""
+"""Relative differences of a that are tried to make identical robots move differently."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,9 +130,9 @@ class Reach:
 def reach(experiment: Experiment) -> Reach | None:
     """Compute how far a spec's common signal can move its robots apart.
 
-    None for more than ROBOTS_MAX robots, and for robots that a trial still has to find. The motion
-    is the controller's. If it advances headings by the paper's equation (6), which approximates the
-    exact motion, the exact motion is used instead.
+    The motion is the controller's. If it advances headings by the paper's equation (6), which
+    approximates the exact motion, the exact motion is used instead. The result is None for more
+    than ROBOTS_MAX robots, and for robots that a trial still has to find.
     """
     setup = experiment.setup
     control = experiment.controller

@@ -37,7 +37,7 @@ from tetractl.tools.table.table_files import plain
 from tetractl.tools.table.terminal_table import html
 
 MANY = 100
-"""Trials at most that a page carries all, with plans and searches."""
+"""Maximum number of trials of which the page contains all, with plans and searches."""
 CARRIED = 61
 """Approximate number of trials on the page if there are more, without plans and searches.
 
@@ -51,9 +51,9 @@ LEFT_OUT = (
     " tables hold all trials.</p>"
 )
 NOT_COUNTED = 3
-"""One in so many of them, at most, is one that does not count."""
+"""At most one of this many trials on a page is a trial that does not count in the means."""
 COMPARED_MOST = 10
-"""Comparisons at most that stand at the top."""
+"""Maximum number of comparisons that are shown at the top of the page."""
 TRIAL_FIGURES = ("trajectory", "convergence", "errors", "over-time")
 """The figures of the first trial, in their order."""
 PLAYER_PX = 740

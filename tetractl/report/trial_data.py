@@ -23,7 +23,7 @@ from tetractl.view.plan_words import doing, search_end
 from tetractl.view.player import end_ns, first_seen
 
 COARSER = 3
-"""How many decimals fewer plans have than numbers shown in digits.
+"""Number of decimals that positions in plans have less than measured positions.
 
 The error is at most a thousandth of the arena.
 """

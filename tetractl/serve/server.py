@@ -27,16 +27,19 @@ ADDRESS = "127.0.0.1"
 TOKEN_BYTES = 12
 """Random bytes of a link, 96 bits; it fits next to the arena on a terminal of 80 columns."""
 OPEN_S = 2.0
-"""Time for a request to be complete, for which `close` may wait [s]."""
+"""Time within which a request must be complete, for which `close` may wait [s]."""
 MESSAGE_MAX = 1 << 16
-"""Largest message of a viewer [bytes]."""
+"""Maximum size of a message from a viewer [bytes]."""
 ORIGINS = (
     None,  # a program
     Origin("file://"),  # a desktop viewer
     Origin("https://app.foxglove.dev"),
     re.compile(rf"https?://({re.escape(ADDRESS)}|localhost)(:\d+)?"),
 )
-"""Who may connect: programs, and the pages of known viewers and of this machine."""
+"""Origins from which connections are accepted.
+
+They are programs, which send no origin, and the pages of known viewers and of this machine.
+"""
 
 _QUIET = logging.getLogger(__name__)
 _QUIET.addHandler(logging.NullHandler())  # otherwise errors of viewers are printed to stderr

@@ -17,9 +17,12 @@ from tetractl.spec.registry_fields import KindSection
 from tetractl.spec.yaml.document import Document
 
 STAND_IN = {"start": (0.5, 0.5), "target": (0.5, 0.5), "a": 1.0, "speed": 1.0}
-"""Place and motion of a robot that is only stopped; a setup needs some, and no stop uses them."""
+"""Start, target and motion of a robot that is only stopped.
+
+A setup needs them, but no stop uses them.
+"""
 STAND_IN_WHEEL_RADIUS = 1.0
-"""Distance from a wheel to a robot's centre, in the unit of the setup: as above."""
+"""Distance from a wheel to a robot's centre [length unit], which is needed but not used either."""
 
 
 def actuator_alone(spec: Document) -> tuple[ActuatorSection, Setup] | None:

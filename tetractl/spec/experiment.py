@@ -120,7 +120,11 @@ TurningRate = Annotated[
 
 
 def rate(a: float | PerStrength, strength: float | None) -> float:
-    """Compute a turning rate [rad/s] at a field strength, given in the unit of its alpha."""
+    """Compute a turning rate [rad/s] at a field strength, given in the unit of its alpha.
+
+    A rate that is a number does not depend on the strength. A rate per strength is 0 if the
+    strength is None.
+    """
     return a.alpha * (strength or 0.0) if isinstance(a, PerStrength) else a
 
 

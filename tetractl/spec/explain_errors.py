@@ -58,7 +58,7 @@ MESSAGES = {
 LISTED = {"number": "numbers", "integer": "whole numbers", "string": "texts"}
 """The plural of each type in a schema, for lists."""
 ERRORS_MAX = 1000
-"""Largest number of pydantic's errors that are explained."""
+"""Maximum number of pydantic's errors that are explained."""
 
 
 @dataclass(frozen=True, slots=True)

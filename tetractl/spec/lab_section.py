@@ -38,7 +38,7 @@ UNTRACKED_STOP_S = 0.05
 It does not apply if the actuator cannot hold a single robot still.
 """
 STANDSTILL_MM_S = 10.0
-"""Speed below which a robot stands still [mm/s]."""
+"""Speed below which a robot counts as standing still [mm/s]."""
 REACTION_S = 0.15
 """Time for which the guard predicts motion, unless the limits say otherwise [s]."""
 STOPS = 10
@@ -124,7 +124,7 @@ class ActuatorSection(DeviceSection):
     calibration: ClassVar[str] = ""
     """The function that implements `calibrate`, as "module:function". Empty if there is none."""
     checks: ClassVar[str] = "tetractl.lab.guard_checks:robot_checks"
-    """The function that makes the guard's checks of the robots, as "module:function"."""
+    """The function that creates the guard's checks of the robots, as "module:function"."""
     stopping: ClassVar[str] = "tetractl.lab.stop_all:stop_all"
     """The function that implements `stop_all`, as "module:function"."""
 
@@ -256,9 +256,9 @@ class LabLimits(Model):
     latency: Positive = 0.1
     """A run does not start if frames are older than this on arrival [s]."""
     start_mm: Positive = 50.0
-    """Largest distance from its start at which a robot may stand [mm]."""
+    """Maximum distance from its start at which a robot may stand when a run starts [mm]."""
     start_heading: PositiveAngle = 0.3
-    """Largest difference of a robot's heading from its start heading [rad]."""
+    """Maximum difference of a robot's heading from its start heading when a run starts [rad]."""
     placing: NonNegative = 0.0
     """Maximum time to wait for robots to be put on their starts [s], at least 1 s.
 
@@ -384,7 +384,7 @@ def mismatches(
 
 
 def too_fast(setup: Setup, speed_max_mm_s: float) -> Iterator[tuple[Loc, str]]:
-    """Yield a contradiction for each robot that is faster than its wheels are driven."""
+    """Yield a contradiction if the fastest robot exceeds its wheels' maximum speed [mm/s]."""
     speeds = setup.speed * setup.metres * 1000
     if speeds.max() > speed_max_mm_s:
         name = setup.names[int(speeds.argmax())]

@@ -26,7 +26,7 @@ class Microscope(Protocol):
         ...
 
     def placed(self, x_um: Lengths, y_um: Lengths, metres: float) -> tuple[Lengths, Lengths]:
-        """Convert positions in an image [px] to the spec's coordinates.
+        """Convert positions in an image [um] to the spec's coordinates [length unit].
 
         Args:
             x_um: x from the lower left corner of the image [um], a number or shape (N,).
@@ -88,7 +88,8 @@ class PlantSection(Model):
             setup: The constants of the experiment.
             clock: The clock of the trial.
             seed: Seed of a simulation's disturbances.
-            supervision: How people supervise the run. Only real robots need it.
+            supervision: The operator's prompts, emergency stop and cancel signal. Only labs use
+                them.
         """
 
     @property

@@ -297,7 +297,7 @@ TIME_INSIDE = mean_of_each(
 # ---- How tightly robots were held ----
 
 SHARE = 0.95
-"""Fraction of the time for which a robot is in its disc."""
+"""Fraction of the counted time of a hold for which a robot is in its disc."""
 SETTLING_S = 5.0
 """Time from the begin of a hold that is not counted [s]."""
 

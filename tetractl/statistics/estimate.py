@@ -296,7 +296,7 @@ def _skewed_end(values: Floats, mean: float, std: float) -> float:
 
 
 def proportion_interval(successes: int, n: int) -> Interval:
-    """Compute Wilson's interval of a proportion p = `successes` / n.
+    """Compute Wilson's interval of a proportion p = `successes` / n. Unknown if n is 0.
 
     (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n)
     """

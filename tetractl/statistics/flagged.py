@@ -17,10 +17,11 @@ batches, one of the N n rates of N robots is beyond it by chance. With fewer tri
 of s. With FEW, normal rates exceed the limit in 1 % of batches of ten trials or more, and in at
 most 3 % of smaller ones.
 
-With fewer than LEAST trials, there is nothing to compare. The heading of a robot then counts as
-confirmed if its rate is 0 within UNCONFIRMED standard errors. Otherwise, either its wheels differ
-from the spec, which a calibration corrects, or its pose is false. If a pose turns with its course
-at the rate x, while the robot drives a distance L in a time T, it is off its robot by at most
+With fewer than TRIALS_MIN trials, there is nothing to compare. The heading of a robot then counts
+as confirmed if its rate is 0 within UNCONFIRMED standard errors. Otherwise, either its wheels
+differ from the spec, which a calibration corrects, or its pose is false. If a pose turns with its
+course at the rate x, while the robot drives a distance L in a time T, it is off its robot by at
+most
 
     integral of x t dL <= |x| T L / 2.
 """
@@ -59,9 +60,9 @@ CHANCE = 0.01
 TRIALS_MIN = 6
 """Minimum number of trials with a known rate that are compared."""
 FEW = 14.0
-"""By how much fewer trials widen the limit: see above."""
+"""Number n of trials for which the factor 1 + FEW / n doubles the deviation s; see above."""
 UNCONFIRMED = 2.0
-"""Standard errors beyond which the rate of a robot without further trials is not 0."""
+"""Maximum number of standard errors of a rate that counts as 0, with too few trials to compare."""
 DEVIATION_OVER_MEDIAN = 1.4826
 """Standard deviation of normal values over the median of their distances to the median."""
 
@@ -194,7 +195,7 @@ def _measured(
 def unconfirmed_headings(trials: Sequence[ResultSummary]) -> dict[str, list[str]]:
     """Describe the robots whose own motion does not confirm their heading, by the log's path.
 
-    Robots with LEAST trials are compared by `turned_otherwise` instead.
+    Robots with TRIALS_MIN trials are compared by `turned_otherwise` instead.
     """
     texts = defaultdict[str, list[str]](list)
     for i, robot, known in _measured(trials):

@@ -107,7 +107,10 @@ def welch(n1: int, mean1: float, std1: float, n2: int, mean2: float, std2: float
 
 
 def paired_t(differences: Floats) -> MeanDifference:
-    """Compare two means from the differences (n,) of pairs with Student's t test."""
+    """Compare two means from the differences (n,) of pairs with Student's t test.
+
+    For fewer than two pairs, or if all differences are equal, there is no interval and no p-value.
+    """
     n = len(differences)
     differences = np.sort(differences)  # the order of the pairs must not matter
     mean = float(differences.mean()) if n else _NAN
@@ -179,7 +182,7 @@ def detectable(n: int, m: int | None = None, tests: int = 1) -> float:
 
 
 EXACT = 60
-"""Largest number of unpaired values without ties for an exact p-value."""
+"""Maximum number of unpaired values without ties for which the p-value is exact."""
 
 
 def signed_rank(differences: Floats) -> float:

@@ -24,7 +24,7 @@ TRIALS = "trials.csv"
 OF_HOST = ("log", "trial", "deadline_misses")
 """Columns of `export` that this table has in another form, or that differ from run to run."""
 LISTED = 100
-"""Largest number of arms in the printed table."""
+"""Maximum number of arms in the printed table."""
 
 
 def finished_trials(loaded: LoadedStudy, store: Store) -> Iterator[tuple[Arm, ResultSummary]]:

@@ -38,9 +38,9 @@ from tetractl.spec.yaml.settings import SpecSetting
 from tetractl.study.sweep import FieldPath, Setting, Sweep
 
 MAX_ARMS = 100_000
-"""Largest number of arms of a study."""
+"""Maximum number of arms of a study."""
 NAME_LENGTH = 100
-"""Largest length of the name of an arm's folder, far below the limit of file systems."""
+"""Maximum length of the name of an arm's folder [characters], far below that of file systems."""
 SWEEP_KEY = (0,)
 """Spawn key of a sweep's random draws; the keys of trials have two numbers."""
 

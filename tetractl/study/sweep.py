@@ -94,7 +94,7 @@ class Range(Model):
     scale: Literal["linear", "log"] = "linear"
     """`linear` spreads values evenly over the range, `log` spreads their logarithms evenly."""
     whole: bool = False
-    """Whether only whole numbers are drawn, both ends included."""
+    """Whether only whole numbers are sampled, both ends included."""
 
     @model_validator(mode="after")
     def _rises(self) -> Self:
@@ -131,7 +131,7 @@ class SampledSweep(Sweep):
     """
 
     count: int = Field(ge=1, le=100_000)
-    """Number of points. A larger number keeps the points drawn before and adds new ones."""
+    """Number of points. A larger number keeps the points sampled before and adds new ones."""
     fields: dict[FieldPath, Range] = Field(min_length=1, max_length=1000)
     """Range of each swept field, by path, such as `plant.dead_time`."""
 

@@ -18,17 +18,17 @@ from typing import IO, Self
 from tetractl.core.errors import printable
 
 SAID_BYTES = 4096
-"""Maximum that is kept of the output of a child: its last bytes."""
+"""Maximum number of bytes of a child's output that are kept: its last bytes."""
 SHOWN_LINE_MAX = 300
 """Maximum number of characters of a line of a child that are shown."""
 READ_BYTES = 65536
 """Maximum number of bytes that are read from a pipe at a time."""
 SAFE_PATH = "PYTHONSAFEPATH"
-"""The environment variable by which Python does not import from the present folder."""
+"""The environment variable by which Python does not import from the current folder."""
 
 
 def python(module: str, *arguments: str) -> list[str]:
-    """Return the command that runs a module in another Python, without the present folder."""
+    """Return the command that runs a module in another Python, without the current folder."""
     return [sys.executable, "-P", "-m", module, *arguments]
 
 

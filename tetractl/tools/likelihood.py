@@ -8,14 +8,14 @@ import numpy as np
 from tetractl.core.poses import Floats
 
 NORMAL = 1.96
-"""Standard deviations to either end of a 95 % interval."""
+"""Distance of either end of a 95 % interval from the value, in standard deviations."""
 UNLIKELY = -1e12
-"""ln of the likelihood of variants for which it cannot be computed."""
+"""Log-likelihood of variants for which it cannot be computed."""
 DIFFERENCE = 0.1
-"""Steps of the parameters, for derivatives."""
+"""Step of each parameter by which derivatives are approximated."""
 STEP_MOST = 1.0
 SHARES = np.array([0.0, 0.05, 0.2, 0.5, 1.0])
-"""Tried shares of a step."""
+"""Fractions of a Newton step that are tried."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ HINT = (
 UNIX_MODULES = {"fcntl", "termios", "tty", "pty", "resource", "pwd", "grp"}
 """Modules of Python that Windows does not have; the lab needs them."""
 COMPUTERS = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO, errno.ENFILE, errno.EMFILE}
-"""Errors of the computer, such as a full disk."""
+"""Numbers of errors of the computer, such as a full disk."""
 CALLS_MAX = 20
 """Maximum number of calls of a traceback that are kept."""
 

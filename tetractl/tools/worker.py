@@ -24,7 +24,7 @@ WAITING_MAX = 20_000
 Beyond it, the oldest are dropped. It corresponds to 3 minutes of camera frames at 120 Hz.
 """
 POLL_S = 0.05
-"""Longest wait of a thread without events, so that a request to end is noticed [s]."""
+"""Maximum time that a thread without events waits, so that it notices a request to end [s]."""
 
 
 def drained(waiting: deque[T]) -> list[T]:

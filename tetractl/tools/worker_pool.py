@@ -23,7 +23,7 @@ R = TypeVar("R")
 LINES_MAX = 50
 """Maximum number of lines of all workers of a pool that are shown."""
 STARTS_MAX = 50
-"""Number of attempts to start workers again."""
+"""Maximum number of attempts to start workers again."""
 START_S = 0.1
 """Time before each of these attempts [s]."""
 

@@ -11,13 +11,13 @@ from tetractl.core.poses import Floats, Grey
 from tetractl.log.read.trial_log import TrialLog
 
 SHOWN_SIDE = 720
-"""Longer side of a picture as shown [px]."""
+"""Maximum length of the longer side of an image as shown [px]."""
 PICTURES_MAX = 120
-"""Largest number of pictures per trial in a report."""
+"""Maximum number of images per trial in a report."""
 LOGGED_SIDE_MAX = 8192
-"""Longest side of a picture in a log that is read [px]."""
+"""Maximum length of the longer side of an image in a log that is read [px]."""
 JPEG_QUALITY = 60
-"""Of the pictures in a report, from 1 to 100."""
+"""JPEG quality of the images in a report, from 1 to 100."""
 
 
 class DishPictures:

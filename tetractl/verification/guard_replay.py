@@ -22,7 +22,7 @@ from tetractl.spec.experiment import Experiment
 from tetractl.spec.lab_section import LabLimits, LabSection
 
 TICK_NS = SECOND // 100
-"""Time between two decisions of the guard if nothing else happens: that of the inner loop."""
+"""Time between two decisions of the guard if nothing else happens, as in the inner loop [ns]."""
 KERNEL_CHECKS = ("frame", "direction", "tracking", "speed", "arena", "obstacle", "separation")
 """Checks of every log, in the order of a table."""
 WHEEL_CHECKS = ("frozen", "motion", "drift", "wheels")

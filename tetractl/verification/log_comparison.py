@@ -12,7 +12,7 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.verification.comparison import Difference, first_difference
 
 NOT_COMPARED = {*channels.HOST_RECORDS, channels.DIGESTS, channels.RECOVERED}
-"""Records that a trial that is run again has otherwise, or not at all."""
+"""Names of records that differ, or are missing, when a trial is run again."""
 
 
 def log_differences(again: RawLog, log: RawLog) -> Iterator[Difference]:

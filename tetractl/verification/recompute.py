@@ -60,7 +60,7 @@ ROUNDING = 1e-12
 A cost near 0 is a small difference of much larger coordinates.
 """
 AFTER_EVERY_DEADLINE_NS = 1 << 62
-"""A time that no deadline of a controller is after."""
+"""A time that is later than every deadline of a controller [ns]."""
 
 
 # ---- The decisions of a trial ----

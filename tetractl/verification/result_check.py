@@ -26,14 +26,15 @@ from tetractl.verification.comparison import Difference, first_difference
 from tetractl.verification.guard_replay import camera_frame, checks_of_lab, events_of, note_speeds
 
 TURN_ERRORS = 1.0
-"""Largest difference between a stated turn and the one computed again, in standard errors.
+"""Maximum difference between a stated turn and the one computed again, in standard errors.
 
 In virtual time both are the same. In real time a frame that arrives in the last millisecond before
 a start may be seen before or after it, so all blocks of motion begin one frame earlier or later: a
 turn then differs by up to 0.71 standard errors (20 emulated trials of cubes, whose poses are
-coarse)."""
+coarse).
+"""
 TURN_STD_SHARE = 0.1
-"""Largest relative difference of a turn's standard error, for the same reason: up to 0.046."""
+"""Maximum relative difference of a turn's standard error, for the same reason: up to 0.046."""
 
 
 def result_differences(log: TrialLog, result: Result) -> Iterator[Difference]:

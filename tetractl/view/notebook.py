@@ -36,7 +36,7 @@ from tetractl.view.figures.draw import draw
 from tetractl.view.figures.trajectory import arena_picture
 
 PICTURE_PX = 440
-"""Width at which a picture is shown."""
+"""Width at which an image is shown [px]."""
 
 
 def html(value: object) -> str:

@@ -146,10 +146,10 @@ def _held(mocap: Floats, valid: NDArray[np.bool_], first: Floats) -> Floats:
 
 
 SEEK_NS = SECOND
-"""How far the arrow keys go."""
+"""Time by which the arrow keys seek back and forward [ns]."""
 RATE_MIN = 1 / 16
 RATE_MAX = 64.0
-"""Rates that keys reach [s of the trial per s]."""
+"""Maximum rate that keys reach [s of the trial per s]. RATE_MIN is the minimum rate."""
 
 
 class Playback(StrEnum):

@@ -29,9 +29,9 @@ SLATES = colors.SLATES
 OBSTACLE: dict[str, Any] = {"fc": colors.OBSTACLE, "ec": colors.OBSTACLE_EDGE, "lw": 0.6}
 TARGET: dict[str, Any] = {"marker": "s", "mfc": "none", "ls": "none"}
 LIMIT: dict[str, Any] = {"color": GREY, "lw": 0.9, "ls": "--"}
-"""A limit, or a published value."""
+"""Line style of a limit, or of a published value."""
 WHOLE = SLATES[0]
-"""What belongs to no single robot: the signal, a total error, the chosen search."""
+"""Colour of what belongs to no single robot: the signal, a total error, the chosen search."""
 _DASHES = ("-", "--", ":")
 
 COLUMN_IN = 3.5  # width of a column of an IEEE page

@@ -38,30 +38,33 @@ from tetractl.view.figures.trials import NUMBERED, need_steps, robot_labels, unf
 from tetractl.view.player import Moment, Recording
 
 FORMATS = {"mp4": 25, "gif": 20, "webp": 25}
-"""Pictures per second by format; a GIF can only state intervals in hundredths of a second."""
+"""Images per second by format; a GIF can only state intervals in hundredths of a second."""
 HOLD_S = 1.5
-"""Time for which the last picture is shown [s]."""
+"""Time for which the last image is shown [s]."""
 LONGEST_S = 60.0
-"""Longest time that a video plays; a longer trial plays faster [s]."""
+"""Maximum duration of a video [s]. A longer trial plays faster."""
 SCENE_WIDTH_IN = 5.0
 SCENE_HEIGHT_IN = 4.4
-"""Maximum width and height of the arena in the video [in]."""
+"""Maximum height of the arena in the video [in]. SCENE_WIDTH_IN is its maximum width."""
 SIDE_IN = 2.2
-"""Width of the curve and the words, to the right of the arena."""
+"""Width of the curve and the words, to the right of the arena [in]."""
 SIDE_HEIGHT_IN = 3.0
-"""Minimum height of the two together."""
+"""Minimum height of the curve and the words together [in]."""
 LABELS_IN = 0.62
-"""Room for the labels of an axis, on its left."""
+"""Space for the labels of an axis, on its left [in]."""
 TOP_IN = 0.3
-"""Room for the heading."""
+"""Space for the heading [in]."""
 HEADING_LETTERS = 120
 SHOWN_PX = 640
 SHOWN_RATE = 12
-"""Width, and pictures per second, of a video inside a notebook, to be made in some seconds."""
+"""Images per second of a video inside a notebook, which can be made in some seconds.
+
+SHOWN_PX is the width of the video [px].
+"""
 BODY_LEAST = 0.014
 """Minimum half length of a drawn robot as a fraction of the arena, so that it is visible."""
 TRAIL_POINTS = 600
-"""About as many points of a trail are drawn."""
+"""Approximate number of points of a trail that are drawn."""
 ARROW = np.array([-1, 1, 0.6 + 0.3j, 1, 0.6 - 0.3j])
 """The line of an arrow along +x: its points x + iy."""
 WEDGE = np.array([1.2, -1 + 0.8j, -0.6, -1 - 0.8j])

@@ -6,7 +6,7 @@ from tetractl.core.errors import SpecError, printable
 from tetractl.spec.yaml.problems import InvalidSpecError, SpecProblem, near_files
 
 MAX_BYTES = 1 << 20
-"""Largest file of a spec that is read [bytes]."""
+"""Maximum size of a spec file [bytes]."""
 
 
 def file_of_spec(folder: Path | None, key: str, name: str) -> Path:
@@ -41,11 +41,11 @@ def read_text(path: Path, max_bytes: int = MAX_BYTES, what: str = SPEC_TEXT) -> 
 
     Args:
         path: The file.
-        max_bytes: Largest size that is read [bytes].
+        max_bytes: Maximum size of the file [bytes].
         what: What the file should be, for messages.
 
     Raises:
-        InvalidSpecError: If the file is missing, is too large or cannot be read.
+        InvalidSpecError: If the file is missing, is too large or cannot be read as UTF-8 text.
     """
 
     def refusal(message: str, line: int | None = None, column: int | None = None) -> Exception:

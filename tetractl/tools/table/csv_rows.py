@@ -23,7 +23,7 @@ from tetractl.core.errors import UsageError, printable
 CSV_BYTES = 1 << 28  # largest file that is read [bytes]
 CSV_ROWS = 2_000_000  # most rows that are read
 CSV_LINE = 1 << 16
-"""Largest size of a CSV file to read, its largest number of rows, and their largest length."""
+"""Maximum length of a line of a CSV file [characters]."""
 CHUNK = 1 << 20
 """Number of bytes that are decoded at a time, to find the encoding."""
 TITLES_MAX = 10

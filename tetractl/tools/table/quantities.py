@@ -17,17 +17,17 @@ from tetractl.core.poses import Floats, turn_problem
 from tetractl.tools.table.csv_rows import DECIMAL_COMMA, CsvRow, has_decimal_comma
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
-"""Units of times [s]."""
+"""Units of times, each with its size [s]."""
 RADIANS = {"rad": 1.0, "deg": math.pi / 180}
-"""Units of angles [rad]."""
+"""Units of angles, each with its size [rad]."""
 RADIANS_S = {"rad_s": 1.0, "deg_s": math.pi / 180}
-"""Units of turning rates [rad/s]."""
+"""Units of turning rates, each with its size [rad/s]."""
 TIME_NAMES = ("time", "t", "timestamp")
 """Names of columns of times, before their units."""
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
-"""Units of lengths [m]."""
+"""Units of lengths, each with its size [m]."""
 METRES_S = {f"{unit}_s": metres for unit, metres in METRES.items()}
-"""Units of speeds [m/s]."""
+"""Units of speeds, each with its size [m/s]."""
 SPELLINGS = {
     "sec": "s",
     "seconds": "s",
@@ -68,14 +68,20 @@ _UNKNOWN = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 """Entries that state no number."""
 NOT_MEASURED = "if nothing was measured, leave the entry empty"
 PLAIN = "write numbers like 1234.5, without units, colons or thousands separators"
-"""Hints for a word among numbers, and for what has digits."""
+"""Hint for an entry that begins with a digit but is not a number.
+
+`NOT_MEASURED` is for words.
+"""
 _TRUTH = {"true": True, "1": True, "yes": True, "": True, "false": False, "0": False, "no": False}
 NUMBER_MAX = 1e9
-"""Largest number but a time, of which only differences matter."""
+"""Maximum absolute value of a number that is not a time. Of times, only differences matter."""
 WRAPS_DEG = 300.0
-"""A direction that falls by more, and by a turn at most, has gone from 360 to 0 degrees [deg]."""
+"""Minimum fall of a direction that has gone from 360 to 0 degrees [deg].
+
+Its maximum is a whole turn.
+"""
 TIME_MAX = 1e19
-"""Largest time, in any unit: that of nanoseconds since 1970 is 1.8e18."""
+"""Maximum absolute value of a time in any unit: that of nanoseconds since 1970 is 1.8e18."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,12 +238,17 @@ def earlier(path: Path, row: CsvRow, other: str = "") -> UsageError:
 
 
 def truth(path: Path, row: CsvRow, key: str) -> bool:
-    """Read a truth value in a column. True if the table has no such column.
+    """Read a truth value in a column.
+
+    True if the table has no such column, or the entry is empty.
 
     Args:
         path: The table.
         row: The row.
         key: The column.
+
+    Raises:
+        UsageError: If the entry is neither true nor false.
     """
     text = row.cells.get(key, "")
     try:

@@ -32,7 +32,10 @@ def lengths(scale: float, finest: int = 9) -> Callable[[float], str]:
 
 
 def digits(value: float) -> str:
-    """Format a number with three significant digits."""
+    """Format a number with three significant digits, and at most nine decimals.
+
+    A number that is not positive has no decimals. The text is "-" if the number is not finite.
+    """
     if value <= 0 or not math.isfinite(value):
         return fixed(0)(value)
     decimals = 2 - math.floor(math.log10(value))
@@ -52,7 +55,7 @@ def listing(texts: Sequence[str], between: str = ", ") -> str:
 
 
 def p_value(p: float) -> str:
-    """Format a p-value with two digits."""
+    """Format a p-value with two digits, or as "< 0.001". "-" if it is unknown."""
     if not math.isfinite(p):
         return NONE
     return f"{p:.2g}" if p >= 0.001 else "< 0.001"

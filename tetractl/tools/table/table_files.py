@@ -199,7 +199,11 @@ def plain(value: Any) -> Any:
 
 
 def flat(items: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Flatten nested items: a `ci95` pair becomes `low` and `high`, and lists become text."""
+    """Flatten nested items: the key of an inner item follows its outer key and "_".
+
+    A `ci95` pair becomes `low` and `high`, which are None if there is no interval. Lists become
+    text.
+    """
     row: dict[str, Any] = {}
     for key, value in items.items():
         name = f"{prefix}{key}"

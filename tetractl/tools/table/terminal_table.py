@@ -21,7 +21,7 @@ WIDTH = 120
 """Line width in characters if there is no terminal; a longer word is not broken."""
 
 SHORT = 12
-"""Longest entry of a page's table that is not broken [characters]."""
+"""Maximum length of an entry of a page's table that is not broken [characters]."""
 
 _FITTED = r"\noindent\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
 _WORDS = r">{\raggedright\arraybackslash}X"  # a LaTeX column with wrapped text

@@ -16,16 +16,16 @@ from matplotlib.ticker import (
 from tetractl.core.poses import Floats
 
 LOG_FROM = 30
-"""Ratio of the largest error to the least from which their axis is logarithmic."""
+"""Ratio of the largest error to the smallest from which on their axis is logarithmic."""
 EVEN_RATIO = 5
 """Ratio of the limits of a logarithmic axis below which its ticks are even."""
 MARKED_RATIO = 1000
 """Ratio below which there are ticks at 1, 2 and 5 of each decade."""
 DECIMAL_FROM = 1e-3
 DECIMAL_TO = 1e5
-"""Limits between which the ticks of a logarithmic axis are decimal numbers."""
+"""Upper limit, and `DECIMAL_FROM` lower limit, of a logarithmic axis whose ticks are decimal."""
 FLAT_RATIO = 1.1
-"""Ratio of the values up to which they count as one, whose axis goes FLAT_ROOM beyond it."""
+"""Maximum ratio of values that count as equal. Their axis extends by the factor FLAT_ROOM."""
 FLAT_ROOM = 1.05
 NO_VALUES = (0.1, 10.0)
 """Limits of a logarithmic axis without values."""
@@ -34,10 +34,10 @@ CHARACTER_IN = 0.05
 LINE_IN = 0.1
 """Height of a line of a category's name [in]."""
 NAMES_MANY = 50
-"""Number of categories from which their names are small."""
+"""Number of categories from which on their names are small."""
 NAME_PT = 6
 SMALL_NAME_PT = 4
-"""Sizes of type of the names of categories [pt]."""
+"""Font size of the names of NAMES_MANY categories or more [pt]. NAME_PT is that of fewer."""
 
 
 def positive(values: Floats) -> Floats:

@@ -35,7 +35,7 @@ from tetractl.view.figures.trials import by_folder
 DOTS_ASIDE = 0.14
 """Shift of dots to the left of their category's centre [categories]."""
 MEAN_ASIDE = 1.4 * DOTS_ASIDE
-"""Shift of the mean to the right of it [categories]."""
+"""Shift of the mean to the right of its category's centre [categories]."""
 DOTS_WIDTH = 0.25
 """Width of a batch's dots [categories]."""
 GOLDEN = 0.6180339887
@@ -45,13 +45,13 @@ MANY = 100
 DOT_PT2 = 16
 """Area of a dot [pt^2]."""
 SMALL_DOT_PT2 = 4
-"""Area of a dot of many [pt^2]."""
+"""Area of a dot if there are more than MANY trials [pt^2]."""
 SHADED = 4
 """Maximum number of batches whose bands are shaded: more would hide one another."""
 ROOM = 0.05
 """Room beyond the errors of a logarithmic axis, as a fraction of their range."""
 BEYOND = 1.02
-"""Limits of the axes of a distribution, over the largest values."""
+"""Upper limits of the axes of a distribution, relative to the largest values."""
 NARROW_IN = 4.2
 """Width of the figure with its panels one above the other, for a page that a phone shows [in]."""
 

@@ -16,10 +16,10 @@ from tetractl.view.figures.trials import NUMBERED, robot_labels
 from tetractl.view.player import end_ns
 
 NAME_IN = 0.1
-"""Height of a robot's name next to its curve."""
+"""Height of a robot's name next to its curve [in]."""
 NAME_PT = 6.5
 NAME_OF_MANY_PT = 5.5
-"""Sizes of names [points], the second for NUMBERED curves or more."""
+"""Font size of names for NUMBERED curves or more [points]. NAME_PT is that for fewer."""
 SINCE = "time since the first command [s]"
 
 

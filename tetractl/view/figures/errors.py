@@ -32,13 +32,13 @@ from tetractl.view.figures.trials import (
 )
 
 HEADROOM = 1.04
-"""Height of a panel over its greatest value."""
+"""Upper limit of a panel, relative to its largest value."""
 LEAST = 1e-9
-"""Minimum of the largest values [length unit]: the limits of an axis must differ."""
+"""Minimum of the largest value [length unit], because the limits of an axis must differ."""
 TIMES = 400
-"""Points of a median over time."""
+"""Number of points of a median over time."""
 PANELS_MAX = 12
-"""Largest number of panels of a figure with a panel for each folder."""
+"""Maximum number of folders, each of which has its own panels."""
 
 
 def errors_at(log: TrialLog, time_s: Floats) -> Floats:

@@ -39,10 +39,10 @@ PI_TICKS = {
     "labels": ["−π", "−π/2", "0", "π/2", "π"],
 }
 ROW_IN = 2.0
-"""Height of a row of panels; more if names of robots need it."""
+"""Height of a row of panels [in]. It is larger if names of robots need it."""
 ABOVE_NAMES_IN = 0.7
 TRUE_MARGIN = 1.0
-"""Between a true value and the edge of its panel [%]."""
+"""Minimum distance between a true value and the edge of its panel [%]."""
 OUTLIERS = (1, 99)
 """Percentiles between which values are shown, so that one outlier does not hide the rest."""
 

@@ -25,11 +25,11 @@ TRIALS_ASIDE_IN = 0.05
 ROOM = 0.05
 """Room beyond the errors of a logarithmic axis, as a fraction of their range."""
 LABEL_LENGTH = 24
-"""Largest length of a value's text [characters]."""
+"""Maximum length of a value's text [characters]."""
 LOG_DECADES = 1.5
 """Minimum span of positive values for a logarithmic axis [decades]."""
 TICKS_MAX = 8
-"""Largest number of values for which each value has a tick."""
+"""Maximum number of values for which each value has a tick."""
 
 
 @style.styled()

@@ -45,43 +45,49 @@ from tetractl.view.player import first_seen
 WIDTH_IN = style.COLUMN_IN
 BESIDE_AXES_IN = 0.55
 ABOVE_AND_BELOW_AXES_IN = 0.5
-"""Space of the axes' own labels."""
+"""Space above and below the axes for their labels [in]. BESIDE_AXES_IN is that beside them."""
 LEGEND_LINE_IN = 0.156
-"""Height of a line of a legend."""
+"""Height of a line of a legend [in]."""
 SHAPE_LEAST = 0.3
 SHAPE_MOST = 2.0
-"""Height of the axes over their width: the arena's, within these."""
+"""Maximum height of the axes, relative to their width. SHAPE_LEAST is the minimum."""
 PARTS_OF_ARENA = 9
-"""Parts at most into which ticks divide the arena's longer side."""
+"""Maximum number of parts into which ticks divide the arena's longer side."""
 NAMED_MOST = 30
-"""Robots at most that have an entry in the legend."""
+"""Maximum number of robots that have entries in the legend."""
 LETTER_PT = 3.9
 SIGN_PT = 20.0
-"""Widths of a letter of the legend, and of a sign with its gaps."""
+"""Width of a sign of the legend with its gaps [points]. LETTER_PT is the width of a letter."""
 LEGEND_COLUMNS_MOST = 6
 SIGNS_IN_A_LINE = 5
-"""Signs at most that fit in one line; others are in two lines of three."""
+"""Maximum number of signs in one line. More signs are in lines of three."""
 PICTURE_SIDE_IN = 5.0
-"""Width or height of the picture of a trial that still runs, whichever is larger."""
+"""Longer side of the image of a trial that is still running [in]."""
 PICTURE_PIXELS_PER_INCH = 100
 
 MARGIN = 0.02
-"""Between a path that leaves the arena and the frame, over the arena's longer side."""
+"""Distance of a path that leaves the arena from the frame, relative to the arena's longer side."""
 FAR = 2.0
-"""How far outside the arena a path is shown, relative to the arena's longer side.
+"""Maximum distance outside the arena at which a path is shown, relative to its longer side.
 
 An outlier therefore does not hide the rest.
 """
 TRUTH_SEEN = 0.005
-"""From which distance to the measured one a true path is drawn, over the longer side."""
+"""Minimum distance at which a true path is drawn, relative to the arena's longer side.
+
+It is the distance of the true positions from the measured ones.
+"""
 
 TIMES_MOST = 5
 LAST_TIME = 0.92
-"""Times marked at most, and before which part of the trial: the end has its own sign."""
+"""Fraction of the trial after which no time is marked, because the end has its own sign.
+
+TIMES_MOST is the maximum number of times that are marked.
+"""
 TICK = 0.028
-"""Length of a tick that shows a heading, over the arena's longer side."""
+"""Length of a tick that shows a heading, relative to the arena's longer side."""
 LABEL_ASIDE_PT = 9.0
-"""How far to the left of a robot, as it heads, its time is written."""
+"""Distance of a time from its robot, to the left of the robot's heading [points]."""
 ERROR_SEEN = 0.04
 """Minimum error that leaves a line between the signs of end and target free.
 
@@ -89,10 +95,10 @@ It is relative to the arena's longer side.
 """
 
 DASHED: dict[str, Any] = {"lw": 0.6, "ls": (0, (3, 2))}
-"""A true path, and the arena's edge in the legend."""
+"""Line style of a true path, and of the arena's edge in the legend."""
 EDGE: dict[str, Any] = {"fill": False, "edgecolor": style.GREY, "linewidth": 0.6, "linestyle": "--"}
 DOTTED: dict[str, Any] = {"lw": 0.6, "ls": ":"}
-"""The error at the end, where the signs of end and target do not cover it."""
+"""Line style of the error at the end, where the signs of end and target do not cover it."""
 END: dict[str, Any] = {"mec": "white", "mew": 0.5, "zorder": 6}
 HALO = [withStroke(linewidth=1.6, foreground="white")]
 PICTURE: dict[str, Any] = {"cmap": "gray", "vmin": 0, "vmax": 255, "alpha": 0.55, "zorder": 0}

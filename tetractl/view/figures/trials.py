@@ -11,7 +11,7 @@ from tetractl.log.read.trial_log import TrialLog
 NUMBERED = 8
 """Minimum number of robots that are numbered."""
 NAME_LENGTH = 16
-"""Largest length of a robot's name [characters]."""
+"""Maximum length of a robot's name [characters]. Longer names are shortened."""
 
 
 def one_trial(logs: Sequence[TrialLog]) -> TrialLog:

@@ -19,13 +19,16 @@ from tetractl.view.terminal.glyphs import arrow
 
 DOWN = 4
 ACROSS = 2
-"""Dots of a braille cell; it is twice as high as wide, so they lie on a square grid."""
+"""Number of columns of dots in a braille cell. DOWN is the number of rows.
+
+A cell is twice as high as wide, so the dots lie on a square grid.
+"""
 _BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], dtype=np.uint8)
 """The bit of each dot of a cell (DOWN, ACROSS) in the number of its braille character."""
 BRAILLE = 0x2800
 """The braille character without a dot in Unicode, from which the others count."""
 DOT_MOST = 1e6
-"""Largest column and row of a dot, far outside of every terminal; numbers of dots stay integers."""
+"""Maximum column and row of a dot, far outside of every terminal, so that numbers are integers."""
 _PLAIN = Style()
 START = "○"
 TARGET = "□"

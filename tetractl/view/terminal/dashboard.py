@@ -43,24 +43,27 @@ ENDED: Mapping[str, str] = {
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "bold red"}
 """Style of an event by its level."""
 ARENA_SHARE = 0.58
-"""Part of the width that the arena may take, and more if the numbers still have NUMBERS_WANTED."""
+"""Fraction of the width that the arena may take.
+
+It may take more if the numbers still have NUMBERS_WANTED columns.
+"""
 NUMBERS_WANTED = 36
 NUMBERS_LEAST = 19
-"""Width that the arena always leaves to the numbers."""
+"""Minimum width that the arena leaves to the numbers [columns]."""
 NUMBERS_MOST = 58
 GAP = 2
-"""Columns between arena and numbers, and between hints."""
+"""Number of columns between arena and numbers, and between hints."""
 BAR_MOST = 60
 BAR_WANTED = 12
-"""Widths of the footer's bar: the greatest, and what hints leave to it."""
+"""Width that hints leave to the footer's bar [columns]. BAR_MOST is its maximum width."""
 ROBOT_BAR_MOST = 40
 ROBOTS_LEAST = 3
-"""Lines of robots that are shown even if others have no line."""
+"""Minimum number of lines of robots, even if other blocks then have no line."""
 SMALLEST = 1e-12
-"""Minimum distance of a whole bar: robots may start on their targets [length unit]."""
+"""Minimum distance of a full bar [length unit], because robots may start on their targets."""
 SPARKLINE_MOST = 48
 LINES_OF_OTHERS = 12
-"""Lines that the robots' block leaves to other blocks."""
+"""Number of lines that the robots' block leaves to other blocks."""
 EVENTS_SHOWN = ((36, 6), (24, 2), (16, 1))
 """Minimum height of the terminal, and how many events it then shows; the first that fits."""
 

@@ -12,13 +12,13 @@ ARROWS = "→↗↑↖←↙↓↘"
 """Eight directions, anticlockwise from +x."""
 DONE = "━"
 OPEN = "─"
-"""Characters of the done and the open part of a bar."""
+"""Character of the open part of a bar. DONE is that of the done part."""
 SPARKS = "▁▂▃▄▅▆▇█"
 """Characters of a sparkline, from low to high."""
 TO_COME = "·"
 """Character of a sparkline for values to come."""
 LEAST = 1e-12
-"""Values below it are shown as if they were this, on a logarithmic scale."""
+"""Minimum value on a logarithmic scale. Smaller values are shown as if they were this."""
 
 
 def arrow(angle: float) -> str:

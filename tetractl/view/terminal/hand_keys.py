@@ -46,20 +46,26 @@ WHY = (
     "home. This is hard because no robot can be moved alone: what brings one home takes "
     "others away."
 )
-"""What a person has felt when the trial has ended, in eight lines of the smallest panel."""
+"""Text that explains, after a trial, why steering by hand is hard.
+
+It takes eight lines of the smallest panel.
+"""
 PAUSED = "PAUSED. Try arrows: dots show where each leads. Nothing moves until you press P."
 """Text shown during a pause."""
 BYTE_ORDER_MARK = "\ufeff"
-"""What some editors write at the beginning of a file."""
+"""Character that some editors write at the beginning of a file."""
 WAIT_S = 0.01
-"""Time between two questions whether the first key has been pressed [s]."""
+"""Time between two checks whether a key has been pressed [s]."""
 CELL_HEIGHT = 2.0
-"""Height of a character cell of a terminal in widths."""
+"""Height of a character cell of a terminal, relative to its width."""
 _MOUSE = re.compile(r"<(?P<button>\d+);(?P<column>\d+);(?P<row>\d+)(?P<kind>[Mm])")
 """What a terminal sends of the mouse after its escape character, in its mode 1006."""
 PRESSED = 0
 DRAGGED = 32
-"""The button's number when the left one is pressed, and when the mouse then moves."""
+"""Number of the button while the mouse moves with the left one pressed.
+
+PRESSED is its number at the moment when it is pressed.
+"""
 MOUSE_ON = "\x1b[?1002h\x1b[?1006h"
 MOUSE_OFF = "\x1b[?1006l\x1b[?1002l"
 

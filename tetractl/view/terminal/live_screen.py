@@ -33,7 +33,7 @@ from tetractl.view.terminal.progress import Tally, duration, trial_line
 from tetractl.view.terminal.screen import Screen
 
 LEAST_S = 1 / 12
-"""Minimum time between two pictures of a trial [s]."""
+"""Minimum time between two images of a trial [s]."""
 
 
 class TrialSoFar:

@@ -22,7 +22,7 @@ from tetractl.view.terminal.screen import Screen
 SPACE = {Playback.PLAYING: "pause", Playback.PAUSED: "play ", Playback.ENDED: "again"}
 """What the space bar does, by the player's state."""
 TURNS = {"n": 1, "p": -1}
-"""Keys that go to another trial, and how many trials on."""
+"""Keys that select another trial, and by how many trials each moves on."""
 KEYS = {
     "space": "pause or continue; at the end: play again from the start",
     "←→": "1 s back or forward",
@@ -36,7 +36,7 @@ KEYS = {
 }
 """What each key does, as the help shows it."""
 KEY_WAIT_S = 1 / 15
-"""How long a key is waited for before a picture is due again [s]."""
+"""Maximum time to wait for a key before the next image is due [s]."""
 
 
 def play_trials(

@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
-from tetractl_identify.explained import Explained, explained, windows_of
+from tetractl_identify.explained import Explained, explained, refuse_contradicted, windows_of
+
+from tetractl.core.errors import UsageError
 
 STEPS = 8000
 STEP_S = 0.1
@@ -88,3 +90,71 @@ def test_commands_are_contradicted_by_other_motion_that_they_ask_for(
 ):
     of_motion = Explained(fraction, rest=4.0, asked=asked)
     assert of_motion.is_contradicted(may_follow) is is_contradicted
+
+
+def test_all_motion_that_follows_the_commands_is_explained_and_none_that_opposes_them():
+    asked = white(np.random.default_rng(7747), 1.0)
+    whole = explained(asked, asked, asked, 0.0, WINDOWS)
+    assert whole.fraction == pytest.approx(1.0)
+    assert whole.rest == pytest.approx(0.0, abs=1e-9)
+    assert explained(asked, -asked, asked, 0.0, WINDOWS).fraction == 0.0
+    assert explained(asked, np.zeros(STEPS), asked, 0.0, EACH_ALONE).fraction == pytest.approx(0)
+
+
+def test_the_scale_that_explains_more_counts():
+    """Motion back and forth cancels over seconds, and noise hides slow motion in single steps."""
+    back_and_forth = np.where(np.arange(STEPS) % 2 == 0, 1.0, -1.0)
+    found = explained(back_and_forth, back_and_forth, back_and_forth, 0.0, WINDOWS)
+    assert found.fraction == pytest.approx(1.0)
+    assert found.asked == pytest.approx(STEPS)
+
+
+def test_what_is_asked_is_a_sum_of_squares_over_steps_or_windows():
+    ones = np.ones(STEPS)
+    assert explained(ones, ones, 2 * ones, 0.0, EACH_ALONE).asked == pytest.approx(4 * STEPS)
+    complex_ones = ones + 0j
+    assert explained(complex_ones, ones, ones, 0.0, EACH_ALONE).asked == pytest.approx(STEPS)
+
+
+@pytest.mark.parametrize(("fraction", "text"), [(1.0, "100%"), (0.476, "48%"), (0.0, "0%")])
+def test_a_fraction_is_printed_as_percent(fraction, text):
+    assert str(Explained(fraction, 0.0, 0.0)) == text
+
+
+@pytest.mark.parametrize(
+    ("fraction", "is_contradicted"), [(0.49, True), (0.5, False), (0.51, False)]
+)
+def test_half_of_the_motion_is_enough(fraction, is_contradicted):
+    assert Explained(fraction, rest=1.0, asked=1.0).is_contradicted(False) is is_contradicted
+    assert Explained(fraction, rest=1.0, asked=1.0).is_contradicted(True) is is_contradicted
+
+
+def windows(*steps):
+    return windows_of(*np.array(steps, dtype=float).T).tolist()
+
+
+def test_windows_last_a_second_from_the_first_step():
+    times = np.arange(25) * 0.1 + 7.3
+    numbers = windows_of(times, times + 0.1)
+    assert [int((numbers == k).sum()) for k in np.unique(numbers)] == [10, 10, 5]
+
+
+def test_a_gap_begins_a_new_window_and_counts_anew():
+    assert windows((0, 0.4), (0.4, 0.8), (0.9, 1.3), (1.3, 1.7)) == [1, 1, 2, 2]
+    assert windows((0, 0.6), (0.6, 1.2), (1.2, 1.8)) == [1, 1, 2]
+    assert windows((0, 0.6), (0.7, 1.2), (1.2, 1.8)) == [1, 2, 2]
+    assert windows_of(np.zeros(0), np.zeros(0)).tolist() == []
+
+
+def test_steps_of_an_earlier_track_are_in_another_window():
+    assert windows((5, 5.5), (0, 0.5), (0.5, 1.0)) == [1, 2, 2]
+
+
+def test_robots_whose_commands_contradict_them_are_refused_by_name():
+    refuse_contradicted(("p.csv",), [])
+    with pytest.raises(UsageError) as caught:
+        refuse_contradicted(("p.csv", "c.csv"), [("one", "3% of the turning"), ("two", "x")])
+    assert caught.value.message.startswith(
+        "p.csv and c.csv: the commands and the poses of one, two do not belong together"
+    )
+    assert caught.value.message.endswith("(one: 3% of the turning; two: x)")

@@ -6,6 +6,7 @@ from importlib.util import find_spec
 import pytest
 from testkit.studies import Watcher
 
+from tetractl.core.errors import AbortError
 from tetractl.run import cluster
 from tetractl.run.cluster import Cluster, chunk_size
 from tetractl.run.interrupt import Interrupt
@@ -132,3 +133,129 @@ def test_no_module_of_distributed_logs_a_lost_connection(monkeypatch):
     with Cluster("tcp://127.0.0.1:8786", Interrupt()):
         assert {logger.name for logger in loggers} >= {"distributed.batched", "distributed.core"}
         assert [logger.name for logger in loggers if logger.isEnabledFor(logging.ERROR)] == []
+
+
+# ---- Which tasks are submitted, and when none is any more ----
+
+
+class Later(Client):
+    """A client whose tasks end only when a test says so."""
+
+    def __init__(self, threads):
+        super().__init__(threads)
+        self.futures = []
+        self.cancelled = []
+
+    def submit(self, work, tasks, pure):
+        future = super().submit(work, tasks, pure)
+        self.futures.append(future)
+        return future
+
+    def cancel(self, futures):
+        self.cancelled += futures
+
+
+def executor_of(client, interrupt=None):
+    executor = Cluster("tcp://nowhere:1", interrupt or Interrupt())
+    executor._client = client
+    return executor
+
+
+def tasks_of(count):
+    return [Task(i, count, b"") for i in range(count)]
+
+
+@pytest.mark.parametrize(("threads", "submitted"), [(1, 8), (4, 8), (5, 10), (20, 40)])
+def test_two_tasks_of_each_thread_are_submitted_and_at_least_eight(tmp_path, threads, submitted):
+    client = Later(threads)
+    running = executor_of(client).run(tasks_of(90), lambda task: tmp_path)
+    next(running)  # the first has ended, and no other was submitted yet
+    assert len(client.chunks) == submitted
+
+
+def test_no_task_is_submitted_after_the_end_or_a_request_and_the_running_ones_are_cancelled(
+    tmp_path,
+):
+    interrupt = Interrupt()
+    for stop in (lambda executor: executor.end(), lambda executor: interrupt.request()):
+        client = Later(1)
+        executor = executor_of(client, interrupt)
+        ended = []
+        for task, _ in executor.run(tasks_of(90), lambda task: tmp_path):
+            ended.append(task.trial)
+            if len(ended) == 3:
+                stop(executor)
+        assert ended == [0, 1, 2]
+        assert len(client.cancelled) == len(client.futures) - 3
+    assert list(executor_of(Later(1), interrupt).run(tasks_of(3), lambda task: tmp_path)) == []
+
+
+def test_the_workers_are_counted_again_after_a_second_and_are_never_none(monkeypatch):
+    now_s = 50.0
+    monkeypatch.setattr(cluster.time, "monotonic", lambda: now_s)
+    client = Client(threads=4)
+    executor = executor_of(client)
+    assert executor.workers == 4
+    client.threads = 7
+    now_s += 0.9 * cluster.COUNT_S
+    assert executor.workers == 4
+    now_s += 0.1 * cluster.COUNT_S
+    assert executor.workers == 7
+    client.threads = 0
+    now_s += cluster.COUNT_S
+    assert executor.workers == 1
+    client.threads = 9
+    client.status = "closed"
+    now_s += cluster.COUNT_S
+    assert executor.workers == 1  # nobody answers
+
+
+def test_a_scheduler_that_is_gone_ends_the_run_with_one_error(tmp_path):
+    client = Client(threads=1)
+    client.status = "closed"
+    client.submit = lambda work, tasks, pure: SilentFuture(tasks)
+    with pytest.raises(AbortError, match="the scheduler does not answer any more"):
+        list(executor_of(client).run(tasks_of(3), lambda task: tmp_path))
+
+
+class SilentFuture(Future):
+    def __init__(self, tasks):
+        super().__init__(None, tasks)
+
+    def add_done_callback(self, put):
+        pass
+
+
+def test_logs_that_workers_return_are_stored_where_each_trial_is_kept(tmp_path):
+    class Returning(Future):
+        def result(self):
+            return [
+                (Finished(None, 0.05), b"log" if task.trial % 2 else None) for task in self.tasks
+            ]
+
+    client = Client(threads=1)
+    client.submit = lambda work, tasks, pure: Returning(None, tasks)
+    for folder in range(4):
+        (tmp_path / str(folder)).mkdir()
+    ended = list(executor_of(client).run(tasks_of(4), lambda task: tmp_path / str(task.trial)))
+    assert len(ended) == 4
+    stored = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.mcap"))
+    assert stored == ["1/trial-001.mcap", "3/trial-003.mcap"]
+
+
+def test_an_error_of_a_task_is_the_end_of_each_of_its_trials(tmp_path):
+    client = Client(threads=1)
+    client.submit = lambda work, tasks, pure: Future(ValueError("cannot be unpickled"), tasks)
+    ended = list(executor_of(client).run(tasks_of(3), lambda task: tmp_path))
+    assert [str(error) for _, error in ended] == ["cannot be unpickled"] * 3
+
+
+@pytest.mark.parametrize(
+    ("mean_s", "waiting", "size"),
+    [
+        *((1.0, 10**6, 2), (2.1, 10**6, 1), (0.01, 10**6, 200), (0.009, 10**6, 200)),
+        *((0.1, 7, 1), (0.1, 16, 2), (0.0, 10**6, 200)),
+    ],
+)
+def test_a_task_has_no_more_trials_than_its_time_its_size_and_its_share(mean_s, waiting, size):
+    assert chunk_size(mean_s, waiting, 8) == size

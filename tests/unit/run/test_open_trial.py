@@ -11,9 +11,10 @@ from testkit.paths import ROOT
 import tetractl
 from tetractl.core.errors import SpecError, UsageError
 from tetractl.core.plan import Outcome
+from tetractl.core.poses import Observation, Poses, Sample
 from tetractl.log.read.reader import content_digest
 from tetractl.run.logged_trial import run_logged
-from tetractl.run.open_trial import DroppedError, OpenTrial
+from tetractl.run.open_trial import DroppedError, OpenTrial, TruthWatch
 from tetractl.spec.examples import examples
 from tetractl.spec.load import parse_spec
 from tetractl.spec.plants import on_plant
@@ -211,3 +212,59 @@ def test_a_spec_is_taken_as_a_file_too(tmp_path):
     path = tmp_path / "spec.yaml"
     path.write_text(yaml.safe_dump(SPEC))
     assert tetractl.open_trial(path).setup.names == ("a", "b")
+
+
+# ---- Failing, frame by frame ----
+
+
+def watch_of(thin=(301.5, 500.0), radius=0.5):
+    obstacle = {"type": "circle", "center": list(thin), "radius": radius}
+    setup = tetractl.parse_spec(SPEC | {"obstacles": [obstacle]}).experiment.setup
+    return TruthWatch(setup)
+
+
+def frame(ax, ay, bx=500.0, by=300.0):
+    poses = Poses(np.array([ax, bx]), np.array([ay, by]), np.zeros(2))
+    return Sample(Observation(0, 0, 0, poses, np.ones(2, bool)), poses)
+
+
+@pytest.mark.parametrize("apart", [True, False])
+def test_a_line_between_two_frames_is_checked_whether_they_come_together_or_not(apart):
+    frames = [frame(300.0, 500.0), frame(303.3, 500.0)]
+    watch = watch_of()
+    for part in [[f] for f in frames] if apart else [frames]:
+        assert not watch.failed
+        watch.on_samples(part)
+    assert watch.failed
+
+
+def test_the_first_frame_has_no_line_before_it_and_frames_beside_an_obstacle_are_none():
+    watch = watch_of()
+    watch.on_samples([frame(303.3, 500.0)])
+    watch.on_samples([frame(310.0, 500.0), frame(310.0, 400.0), frame(290.0, 400.0)])
+    assert not watch.failed
+
+
+@pytest.mark.parametrize("robot", [0, 1])
+@pytest.mark.parametrize(
+    ("x", "y", "failed"),
+    [
+        *((x, 500.0, x in (-0.1, 1000.1)) for x in (-0.1, 0.0, 1000.0, 1000.1)),
+        *((500.0, y, y in (-0.1, 1000.1)) for y in (-0.1, 0.0, 1000.0, 1000.1)),
+    ],
+)
+def test_either_robot_fails_beyond_any_edge_and_not_on_it(robot, x, y, failed):
+    watch = watch_of(thin=(100.0, 100.0))
+    watch.on_samples([frame(x, y) if robot == 0 else frame(700.0, 500.0, x, y)])
+    assert watch.failed == failed
+
+
+def test_who_has_failed_once_stays_failed_and_measured_poses_alone_say_nothing():
+    watch = watch_of(thin=(100.0, 100.0))
+    outside = frame(-50.0, 500.0)
+    watch.on_samples([Sample(outside.observation, None)])
+    watch.on_samples([])
+    assert not watch.failed
+    watch.on_samples([outside])
+    watch.on_samples([frame(500.0, 500.0)])
+    assert watch.failed

@@ -2,13 +2,13 @@
 
 import itertools
 import math
-from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from testkit import problems
+from testkit.references.polish import Polished, polish
 
 from tetractl.control.search.cost import evaluate, predict
 from tetractl.control.search.kernels import levenberg
@@ -22,6 +22,7 @@ from tetractl.control.search.kernels.levenberg import (
 )
 from tetractl.control.search.kernels.motion import flatten
 from tetractl.control.search.kernels.rollout import rollouts_of
+from tetractl.core.poses import wrap
 from tetractl.tools.kernels import kernel_cache as kernels
 
 pytestmark = pytest.mark.slow
@@ -32,22 +33,14 @@ SLACK = 0.5
 PATIENCE = 6
 
 
-class Polished(NamedTuple):
-    """What a polish has found."""
-
-    signals: np.ndarray
-    history: np.ndarray  # the merit after each iteration
-    evaluations: int
-
-
-def compiled(problem, start, iterations, budget=2**62):
+def compiled(problem, start, iterations, budget=2**62, patience=PATIENCE):
     rounds = kernel.rounds_for.__wrapped__(0, 1, 1, 1, len(start), iterations, 0)
     rounds.begin(kernel.POLISH, start[None])
     task = kernel.SearchTask(
         problem=flatten(problem),
         rollouts=rollouts_of(0, len(problem.a), 1),
         room=room_for(problem, len(start)),
-        settings=PolishSettings(TOLERANCE, SLACK, PATIENCE, iterations),
+        settings=PolishSettings(TOLERANCE, SLACK, patience, iterations),
         key=np.uint64(0),
         warm=np.empty(0),
         rounds=0,
@@ -112,6 +105,28 @@ def test_the_history_is_that_of_the_merit(seed, robots, obstacles, length, motio
     polished = compiled(problem, start, 5)
     expected = [merit(problem, start), merit(problem, polished.signals)]
     assert polished.history[[0, -1]] == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+
+@settings(max_examples=12)
+@given(
+    seed=st.integers(0, 2**32),
+    robots=st.integers(1, 3),
+    obstacles=st.integers(0, 3),
+    length=st.integers(2, 10),
+    separation=st.sampled_from([0.0, 300.0]),
+    budget=st.sampled_from([40, 90, 10_000]),
+    patience=st.sampled_from([2, PATIENCE]),
+)
+def test_each_iteration_is_that_of_the_slow_method(
+    seed, robots, obstacles, length, separation, budget, patience
+):
+    problem = problems.problem(problems.world(seed, robots, obstacles, "exact"), separation)
+    start = random_start(seed, length)
+    polished = compiled(problem, start, 7, budget, patience)
+    slow = polish(problem, start, PolishSettings(TOLERANCE, SLACK, patience, 7), budget)
+    assert polished.history == pytest.approx(slow.history, rel=1e-3, abs=1e-3)
+    assert polished.evaluations == slow.evaluations
+    assert np.abs(wrap(polished.signals - slow.signals)).max() < 1e-3
 
 
 @given(

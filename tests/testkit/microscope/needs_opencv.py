@@ -1,5 +1,6 @@
-"""Skips the tests that import it if OpenCV is not installed, and writes films with OpenCV."""
+"""Skips the tests that import it if OpenCV is not installed, and writes films."""
 
+import numpy as np
 import pytest
 
 cv2 = pytest.importorskip("cv2", reason="pip install ./packages/tetractl-microscope")
@@ -15,6 +16,16 @@ def video(path, pictures, rate=30.0, codec="MJPG"):
         writer = writer or cv2.VideoWriter(str(path), code, rate, picture.shape[::-1])
         writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
     writer.release()
+    return path
+
+
+def stack(path, pictures):
+    """Write grey pictures as a TIFF file; return its path. It needs no decoder of videos."""
+    for package in ("imageio.v3", "tifffile"):
+        pytest.importorskip(package, reason="pip install './packages/tetractl-microscope[films]'")
+    import tifffile
+
+    tifffile.imwrite(path, np.stack(list(pictures)), photometric="minisblack")
     return path
 
 

@@ -8,7 +8,7 @@ from tetractl_emulator.pictures.apriltag.side import Optics, Renderer
 from tetractl_microscope.apriltag.camera import Tracker
 from tetractl_microscope.apriltag.section import AprilTagSection, FloorTag, RobotTag
 
-from testkit.microscope.needs_opencv import cv2, video
+from testkit.microscope.needs_opencv import cv2, stack, video
 from tetractl.core.poses import Poses
 
 MM = 1e-3
@@ -88,5 +88,7 @@ def jpeg(picture, restarts=0):
 
 
 def film(path, pictures, rate=30.0):
-    """Write a video file."""
+    """Write a video, or a TIFF file, which does not state its rate."""
+    if path.suffix == ".tif":
+        return {"type": "file", "path": str(stack(path, pictures)), "rate": rate}
     return {"type": "file", "path": str(video(path, pictures, rate))}

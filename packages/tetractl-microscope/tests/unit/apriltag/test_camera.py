@@ -68,7 +68,7 @@ def test_every_picture_of_a_film_is_a_frame(tmp_path):
     def driving(t_ns):
         return replace(STANDING, x=STANDING.x + 200e-9 * t_ns)
 
-    source = film(tmp_path / "film.avi", pictures(rendered(), 12, driving))
+    source = film(tmp_path / "film.tif", pictures(rendered(), 12, driving))
     camera, woken = built(source, latency=0.1)
     with camera:
         woken.wait(lambda: woken.count == 12)
@@ -87,7 +87,7 @@ def test_every_picture_of_a_film_is_a_frame(tmp_path):
 
 def test_an_error_of_the_source_is_raised_where_frames_are_asked_for(tmp_path, monkeypatch):
     """A source ends by SourceEndedError; any other error ended the reading thread silently."""
-    camera, woken = built(film(tmp_path / "film.avi", pictures(rendered(), 2)))
+    camera, woken = built(film(tmp_path / "film.tif", pictures(rendered(), 2)))
     read = FileFeed.read
     reads = itertools.count()
 
@@ -105,7 +105,7 @@ def test_an_error_of_the_source_is_raised_where_frames_are_asked_for(tmp_path, m
 
 def test_the_health_of_a_good_camera_tells_its_facts(tmp_path):
     shots = pictures(rendered(), 8)
-    camera, woken = built(film(tmp_path / "film.avi", shots))
+    camera, woken = built(film(tmp_path / "film.tif", shots))
     with camera:
         woken.wait(lambda: woken.count == 8)
         health = camera.check()
@@ -119,12 +119,12 @@ def test_the_health_of_a_good_camera_tells_its_facts(tmp_path):
 
 def checked(tmp_path, renderer, rate=30.0, **changes):
     """What the camera says of pictures of a renderer, as lines."""
-    camera, woken = built(film(tmp_path / "film.avi", pictures(renderer, 4), rate), **changes)
+    camera, woken = built(film(tmp_path / "film.tif", pictures(renderer, 4), rate), **changes)
     with camera:
         woken.wait(lambda: woken.count == 4)
         health = camera.check()
     ended, *problems = health.problems
-    assert ended.endswith("film.avi has ended")
+    assert ended.endswith("film.tif has ended")
     return problems, list(health.warnings)
 
 
@@ -275,7 +275,7 @@ def test_a_camera_without_pictures_is_no_camera():
 
 def test_an_error_of_the_search_is_raised_where_frames_are_asked_for(tmp_path, monkeypatch):
     """Regression: it ended the thread that searches, and nothing said why no frames came."""
-    camera, woken = built(film(tmp_path / "film.avi", pictures(rendered(), 2)))
+    camera, woken = built(film(tmp_path / "film.tif", pictures(rendered(), 2)))
     see = camera._see
 
     def fail_at_second(grey, exposed):

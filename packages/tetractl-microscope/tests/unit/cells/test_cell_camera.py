@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 from testkit.microscope.dish_films import film
-from testkit.microscope.needs_opencv import video
+from testkit.microscope.needs_opencv import stack
 from tetractl_microscope.cell_checks import cell_checks
 from tetractl_microscope.pictures.feed import Picture
 
@@ -34,7 +34,8 @@ robots:
   - {{name: second, start: [{2}, {3}], target: [500, 600], a: 3, speed: 300}}
 lab:
   camera:
-    {{type: cells, source: {{type: file, path: '{4}'}}, um_px: 2.3, learning: 0.5, connect: {6}{5}}}
+    {{type: cells, source: {{type: file, path: '{4}', rate: 30}}, um_px: 2.3,
+     learning: 0.5, connect: {6}{5}}}
   actuator:
     type: field
     port: nowhere
@@ -48,7 +49,7 @@ lab:
 def dish(folder, change=lambda picture: picture):
     """A film of two cells and a file of it."""
     synthetic = film(seed=52, side=512, cells=2, crossings=False, seconds=3.0)
-    path = video(folder / "dish.avi", map(change, synthetic.pictures()))
+    path = stack(folder / "dish.tif", map(change, synthetic.pictures()))
     return synthetic, path
 
 
@@ -133,7 +134,7 @@ def test_a_picture_that_comes_again_is_no_frame(tmp_path):
 
 
 def test_the_camera_knows_the_directions_that_were_sent(tmp_path):
-    _, cells = camera(tmp_path / "none.avi", np.zeros((2, 2)), ", rotation: 0.5")
+    _, cells = camera(tmp_path / "none.tif", np.zeros((2, 2)), ", rotation: 0.5")
     cells.steered(0.5, 1_000_000_000)
     cells.steered(0.5, 1_100_000_000)  # the same again
     cells.steered(None, 2_000_000_000)

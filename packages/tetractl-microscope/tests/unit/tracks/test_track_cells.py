@@ -138,7 +138,6 @@ def test_the_organism_of_tracks_is_the_one_of_their_speed(speed, name):
     assert organism_by_speed(cells.paths).name == name
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("helix_um", "hz"), [(0.0, 10.0), (0.0, 20.0), (8.0, 30.0)])
 def test_a_of_a_perfect_swimmer_is_within_its_interval(helix_um, hz):
     """Regression: 3.39 to 3.67 for 4, and "the model does not fit"."""

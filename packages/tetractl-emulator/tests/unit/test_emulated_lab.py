@@ -33,20 +33,21 @@ def close():
 class Bench:
     """An emulated lab in virtual time, with what it reports."""
 
-    def __init__(self, folder=None, script="", **options):
-        loaded = parse_spec(SPEC, "lab.yaml")
+    def __init__(self, folder=None, script="", process_of=None, spec=SPEC, **options):
+        loaded = parse_spec(spec, "lab.yaml")
         lab = lab_of(loaded.experiment, loaded.name)
         self.record = folder / "record.jsonl" if folder else None
         self.reported = []
         clock = LabClock()
         self.lab = EmulatedLab(
             lab,
-            SETUP,
+            loaded.experiment.setup,
             script_of(script, lab),
             Options(address=None, record=self.record, **options),
             report=lambda event, facts: self.reported.append((event, facts)),
             make_loop=VirtualLoop,
             wires=memory_wires(MemoryNetwork(), clock),
+            process_of=process_of,
         )
         self._sequence = 0
 
@@ -87,11 +88,17 @@ STARTS = [
 GREEN, BLUE = SETUP.names
 AHEAD = (20, 20)
 STILL = (0, 0)
+SLOW = (1, 1)  # the wheels need longer than a tick to move visibly
 
 
-def test_robots_stand_on_the_starts_of_the_spec():
+IN_CM = SPEC.replace("length: mm", "length: cm").replace("2000", "200").replace("1500", "150")
+IN_CM = IN_CM.replace("500", "50").replace("180}", "18}").replace("speed: 200", "speed: 20")
+IN_CM = IN_CM.replace("radius: 40", "radius: 4")
+
+
+def test_robots_stand_on_the_starts_of_the_spec_whatever_its_unit():
     assert Bench().poses() == STARTS
-    assert SETUP.metres != 1.0
+    assert Bench(spec=IN_CM).poses() == STARTS
 
 
 @pytest.mark.parametrize(
@@ -196,6 +203,25 @@ def test_a_fault_is_recorded_and_reported_as_it_begins_and_ends(tmp_path):
     assert bench.said("fault") == ["fault"] * 4
 
 
+class Process:
+    """Stands for the process that drives the robots; it keeps the signals that it gets."""
+
+    def __init__(self, lab):
+        self.signals = []
+
+    def signal(self, name):
+        self.signals.append(name)
+
+
+def test_each_fault_acts_on_its_own_device_or_on_the_process(tmp_path):
+    off = f"{{fault: 'off', robot: {BLUE}, since: start}}"
+    script = f"faults: [{off}, {{fault: signal, signal: TERM, since: start, at: 0.1}}]"
+    bench = Bench(tmp_path, script, process_of=Process).opened()
+    bench.run(0.5)
+    assert bench.lab._process.signals == ["TERM"]
+    assert [robot.powered for robot in bench.robots] == [True, False]
+
+
 def test_a_run_begins_with_the_first_command_that_drives_a_robot(tmp_path):
     bench = Bench(tmp_path).opened()
     bench.run(0.3, STILL, STILL)
@@ -255,6 +281,14 @@ def test_robots_are_carried_to_their_starts_after_a_run_and_a_rest(tmp_path):
     assert bench.poses() == STARTS
     assert bench.said("placed") == ["placed"]
     assert all(robot.powered for robot in bench.robots)
+    assert not bench.lab.injector.acting.carried
+
+
+def test_a_rest_before_a_slow_run_does_not_count_as_one_after_it():
+    bench = Bench(replace_after=0.5).opened()
+    bench.run(1.0)
+    bench.run(0.3, SLOW, SLOW)
+    assert bench.said("run", "placed") == ["run"]
     assert not bench.lab.injector.acting.carried
 
 

@@ -177,3 +177,26 @@ def test_a_track_without_directions_is_refused():
     time = np.arange(0, 20) / 20
     with pytest.raises(UsageError, match=r"made\.csv: the log has no direction that was sent"):
         TrackFrames.of(track(time, straight(100.0, time), sent=()))
+
+
+def test_a_robot_that_turns_in_some_seconds_and_not_in_others_does_not_wander():
+    """Its steps are chords along the heading halfway, within 0.1 % of their arcs."""
+    time = np.arange(40 * 20) / 20
+    rate = np.where((time // 2) % 2 == 0, 0.0, 3.0)
+    heading = np.concatenate([[0.0], np.cumsum(rate[:-1] / 20)])
+    middle = heading[:-1] + rate[:-1] / 40
+    steps = 5.0 * np.sinc(rate[:-1] / 40 / np.pi) * np.exp(1j * middle)
+    path = np.concatenate([[0j], np.cumsum(steps)])
+    poses = np.column_stack([path.real, path.imag, np.angle(np.exp(1j * heading))])[:, None]
+    assert speed_wander([frames_of(poses, time)])[0] < 2e-3
+
+
+def test_a_block_counts_only_if_the_robot_was_measured_in_most_of_it():
+    time = np.arange(20 * 60) / 20
+    pace = np.where((time % 1.0 < 0.5) & (time // 1 % 2 == 0), 200.0, 100.0)
+    way = np.concatenate([[0.0], np.cumsum(pace[:-1] / 20)])
+    poses = np.column_stack([way, 0 * way, 0 * way])[:, None]
+    whole = speed_wander([frames_of(poses, time)])[0]
+    fast_only = ((time // 1 % 2 == 1) | (time % 1.0 < 0.5))[:, None]
+    assert whole > 0.2
+    assert speed_wander([frames_of(poses, time, fast_only)])[0] < 0.01
